@@ -1,0 +1,1 @@
+"""The Earth: the WGS-84 ellipsoid and its gravity, frames, and attitude."""

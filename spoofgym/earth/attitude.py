@@ -1,0 +1,80 @@
+"""Attitude: direction cosine matrices, Euler angles, cross-product matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def skew(vector: ArrayLike) -> NDArray[np.float64]:
+    """Cross-product matrix: ``skew(a) @ b == cross(a, b)``.
+
+    Parameters
+    ----------
+    vector : array_like
+        (..., 3).
+
+    Returns
+    -------
+    ndarray
+        (..., 3, 3), antisymmetric.
+    """
+    x, y, z = np.moveaxis(np.asarray(vector, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def euler_to_dcm(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> NDArray[np.float64]:
+    """Direction cosine matrix `C_nb`, to local from body axes, from Euler angles.
+
+    Parameters
+    ----------
+    roll, pitch, yaw : array_like
+        Angles [rad], any shape S; yaw first, then pitch, then roll.
+
+    Returns
+    -------
+    ndarray
+        (S, 3, 3).
+
+    Notes
+    -----
+    Transpose of Groves (2013), eq. 2.22.
+    """
+    roll, pitch, yaw = np.broadcast_arrays(roll, pitch, yaw)
+    sr, cr = np.sin(roll), np.cos(roll)
+    sp, cp = np.sin(pitch), np.cos(pitch)
+    sy, cy = np.sin(yaw), np.cos(yaw)
+    rows = [
+        [cp * cy, -cr * sy + sr * sp * cy, sr * sy + cr * sp * cy],
+        [cp * sy, cr * cy + sr * sp * sy, -sr * cy + cr * sp * sy],
+        [-sp, sr * cp, cr * cp],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def dcm_to_euler(
+    C_nb: ArrayLike,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Euler angles from the direction cosine matrix `C_nb`.
+
+    Parameters
+    ----------
+    C_nb : array_like
+        (..., 3, 3), to local from body axes.
+
+    Returns
+    -------
+    roll, pitch, yaw : ndarray
+        Angles [rad]; roll and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
+
+    Notes
+    -----
+    Groves (2013), eq. 2.23.
+    """
+    C = np.asarray(C_nb, dtype=np.float64)
+    roll = np.arctan2(C[..., 2, 1], C[..., 2, 2])
+    pitch = -np.arcsin(np.clip(C[..., 2, 0], -1.0, 1.0))
+    yaw = np.arctan2(C[..., 1, 0], C[..., 0, 0])
+    return roll, pitch, yaw
