@@ -2,7 +2,7 @@
 
 numba's own cache notices an edit of the file a function stands in, not of the files of the
 functions it calls, and then goes on to run the old machine code.  Here the folder is named by a
-digest of all sources of the package and of the numba version, so that any edit starts afresh.
+digest of the sources and of the numba version, so that any edit of them starts afresh.
 """
 
 from __future__ import annotations
@@ -22,12 +22,16 @@ import platformdirs
 F = TypeVar("F", bound=Callable[..., object])
 
 CACHE_VARIABLE = "SPOOFGYM_CACHE_DIR"
+COMPILED_FOLDERS = ("earth", "sim", "attacks", "receiver")
 KEPT_DIGESTS = 4
 FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 
 
 def source_digest() -> str:
-    """Digest of every source file of the package and of the numba version.
+    """Digest of the numba version and of every source file that compiled code can come from.
+
+    Compiled code and its constants stand in `COMPILED_FOLDERS` and in files named ``_kernels.py``;
+    a test keeps it so.
 
     Returns
     -------
@@ -37,6 +41,9 @@ def source_digest() -> str:
     root = Path(__file__).parent
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(root.rglob("*.py")):
+        folder = path.relative_to(root).parts[0]
+        if folder not in COMPILED_FOLDERS and path.name not in ("_jit.py", "_kernels.py"):
+            continue
         digest.update(path.relative_to(root).as_posix().encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
@@ -98,6 +105,23 @@ def cache_folder() -> Path:
 _FOLDER = cache_folder()
 
 
+def _compile(function: F, forceinline: bool) -> F:
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(_FOLDER)
+    try:
+        compiled: F = numba.njit(
+            cache=True,
+            nogil=True,
+            fastmath=FASTMATH,
+            error_model="numpy",
+            boundscheck=False,
+            forceinline=forceinline,
+        )(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    return compiled
+
+
 def njit(function: F) -> F:
     """Compile a function with the project's settings: cached, without the GIL.
 
@@ -117,12 +141,22 @@ def njit(function: F) -> F:
     them.  There is no ``parallel``: after a parallel region of GNU OpenMP a forked child dies, and
     Gymnasium's ``AsyncVectorEnv`` with it.
     """
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(_FOLDER)
-    try:
-        compiled: F = numba.njit(
-            cache=True, nogil=True, fastmath=FASTMATH, error_model="numpy", boundscheck=False
-        )(function)
-    finally:
-        numba.config.CACHE_DIR = before
-    return compiled
+    return _compile(function, forceinline=False)
+
+
+def inlined(function: F) -> F:
+    """Compile as `njit` does, and let every caller take the body in.
+
+    For physics of a few scalars: a loop with a call in it is not vectorized.
+
+    Parameters
+    ----------
+    function : callable
+        A function of scalars.
+
+    Returns
+    -------
+    callable
+        The compiled function.
+    """
+    return _compile(function, forceinline=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from .._jit import njit
+from .._jit import inlined
 
 SPEED_OF_LIGHT = 299792458.0
 """Speed of light [m/s]."""
@@ -27,7 +27,7 @@ STANDARD_GRAVITY = 9.80665
 """1 g [m/s^2]."""
 
 
-@njit
+@inlined
 def radii_of_curvature(latitude: float) -> tuple[float, float]:
     r"""Meridian and transverse radii of curvature.
 
@@ -55,7 +55,7 @@ def radii_of_curvature(latitude: float) -> tuple[float, float]:
     return transverse * (1.0 - ECCENTRICITY_SQUARED) / w, transverse
 
 
-@njit
+@inlined
 def geocentric_surface_radius(x: float, y: float, z: float) -> float:
     r"""Distance from the centre of the Earth to the surface below a point, r_eS.
 
@@ -99,7 +99,7 @@ def geocentric_surface_radius(x: float, y: float, z: float) -> float:
     )
 
 
-@njit
+@inlined
 def gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
     r"""Acceleration due to gravity, ECEF axes: attraction and centrifugal force.
 
@@ -126,8 +126,9 @@ def gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
     if r2 == 0.0:
         return 0.0, 0.0, 0.0
     r = math.sqrt(r2)
-    k = -GRAVITATIONAL_CONSTANT / (r2 * r)
-    j = 1.5 * J2 * EQUATORIAL_RADIUS * EQUATORIAL_RADIUS / r2
-    t = 5.0 * z * z / r2
+    cube = 1.0 / (r2 * r)  # the only division: this runs for every inertial sample
+    k = -GRAVITATIONAL_CONSTANT * cube
+    j = (1.5 * J2 * EQUATORIAL_RADIUS * EQUATORIAL_RADIUS) * r * cube
+    t = 5.0 * z * z * (r * cube)
     horizontal = k * (1.0 + j * (1.0 - t)) + EARTH_RATE * EARTH_RATE
     return horizontal * x, horizontal * y, k * (1.0 + j * (3.0 - t)) * z

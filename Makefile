@@ -1,0 +1,47 @@
+# spoofgym needs Python 3.11 to 3.13; choose one with `make PYTHON=python3.12 bench`.
+PYTHON ?= python3
+VENV   ?= .venv
+
+python := $(VENV)/bin/python
+
+# What each target needs beside the library itself.
+extras_bench := flights,report
+extras_check := flights,report,dev
+extras_test  := flights,report,dev,train
+
+.DEFAULT_GOAL := help
+.PHONY: help venv bench test check perf
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
+
+venv: $(VENV)/.installed-bench ## create the virtual environment with what the benchmark needs
+
+bench: $(VENV)/.installed-bench ## play the benchmark and write its report
+	$(VENV)/bin/spoofgym bench $(ARGS)
+
+test: $(VENV)/.installed-test ## run all tests; a part of them with ARGS="-k word"
+	$(python) -m pytest $(ARGS)
+
+check: $(VENV)/.installed-check ## format, lint, types, import directions, docstrings, spelling
+	$(python) -m ruff format --check .
+	$(python) -m ruff check .
+	$(python) -m mypy
+	$(VENV)/bin/lint-imports
+	find spoofgym -name '*.py' -exec $(python) -m numpydoc lint {} +
+	$(VENV)/bin/codespell
+
+perf: $(VENV)/.installed-bench ## measure the speed of this machine
+	$(VENV)/bin/spoofgym perf $(ARGS)
+
+# One stamp for each set of extras, renewed when the dependencies change.
+$(VENV)/.installed-%: pyproject.toml constraints.txt | $(python)
+	$(python) -m pip install --quiet --prefer-binary -c constraints.txt -e '.[$(extras_$*)]'
+	@touch $@
+
+$(python):
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || { \
+	  echo "spoofgym needs Python 3.11 to 3.13, and $(PYTHON) is:" >&2; \
+	  $(PYTHON) --version >&2; \
+	  echo "choose another one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }

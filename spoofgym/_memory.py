@@ -1,0 +1,99 @@
+"""What an object remembers of every receiver: named arrays with a leading axis of receivers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Memory(dict[str, NDArray[Any]]):
+    """Arrays by name, one row a receiver, that can be reset, taken out and put back by rows.
+
+    Declare every array once, with the values that an episode begins with; write into the arrays
+    afterwards, or assign new ones of the same shape.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> memory = Memory(2)
+    >>> memory.declare("count", np.zeros(2))
+    >>> memory["count"] = memory["count"] + 1.0
+    >>> memory.reset(np.array([True, False]))
+    >>> memory["count"]
+    array([0., 1.])
+    """
+
+    def __init__(self, receivers: int = 0) -> None:
+        super().__init__()
+        self.receivers = receivers
+        self._initial: dict[str, NDArray[Any]] = {}
+
+    def declare(self, name: str, initial: NDArray[Any]) -> None:
+        """Add an array.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+        initial : ndarray
+            (B, ...) values at the begin of an episode.
+
+        Raises
+        ------
+        ValueError
+            When the leading axis is not the number of receivers.
+        """
+        array = np.array(initial)
+        if array.ndim == 0 or array.shape[0] != self.receivers:
+            raise ValueError(
+                f"memory {name!r} needs a leading axis of {self.receivers} receivers, "
+                f"got shape {array.shape}"
+            )
+        self._initial[name] = array
+        self[name] = array.copy()
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Restore the values of the begin.
+
+        Parameters
+        ----------
+        mask : ndarray, optional
+            (B,) bool, which receivers; all by default.
+        """
+        for name, initial in self._initial.items():
+            if mask is None:
+                self[name] = initial.copy()
+            else:
+                restored = np.array(self[name])
+                restored[mask] = initial[mask]
+                self[name] = restored
+
+    def put(self, rows: NDArray[np.intp], other: Memory) -> None:
+        """Overwrite some rows with all rows of another memory.
+
+        Parameters
+        ----------
+        rows : ndarray
+            (b,) which rows.
+        other : Memory
+            Of b receivers, with the same names.
+        """
+        for name in self._initial:
+            merged = np.array(self[name])
+            merged[rows] = other[name]
+            self[name] = merged
+
+    def take(self, rows: NDArray[np.intp], other: Memory) -> None:
+        """Overwrite all rows of this memory with some rows of another.
+
+        Parameters
+        ----------
+        rows : ndarray
+            (b,) which rows of `other`, b receivers being here.
+        other : Memory
+            With the same names.
+        """
+        for name in self._initial:
+            self[name] = np.array(other[name][rows])

@@ -1,0 +1,138 @@
+"""A consistent false position: all captured ranges belong to one displaced antenna."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..sim.world import World
+from ._kernels import false_position
+from .base import Attack, AttackContext, FloatArray
+
+AXES = {"n": "north", "e": "east", "d": "down"}
+
+
+@dataclass(kw_only=True)
+class FalsePosition(Attack):
+    r"""Counterfeit position, displaced from the true one.
+
+    .. math:: \Delta\rho_j = \rho_j(r + D) - \rho_j(r), \qquad
+        \Delta\dot\rho_j = \dot\rho_j(r + D, v + \dot D) - \dot\rho_j(r, v)
+
+    The authentic errors stay (inherited), and the spoofer knows the true position exactly (ideal).
+    The displacement D is commanded in the north-east-down axes at the true position when the attack
+    begins; the limits apply to the size of the vector.
+
+    Parameters
+    ----------
+    control, acceleration_limit_mps2, rate_limit_mps, coherent, channels
+        As in `Attack`.
+    axes : str
+        Letters of the commanded axes, from ``"n"``, ``"e"`` and ``"d"``, in the order of the
+        action.  Displacement is scored horizontally, hence the default ``"ne"``.
+    """
+
+    axes: str = "ne"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        super().__post_init__()
+        if not self.axes or len(set(self.axes)) < len(self.axes) or set(self.axes) - set(AXES):
+            raise ValueError(
+                f"`axes` must be made of 'n', 'e' and 'd', each at most once, got {self.axes!r}"
+            )
+
+    @property
+    def kind(self) -> str:
+        """Name of what is commanded."""
+        return "false-position"
+
+    def action_names(self, world: World) -> tuple[str, ...]:
+        """Name of every element of an action.
+
+        Parameters
+        ----------
+        world : World
+            Not needed here.
+
+        Returns
+        -------
+        tuple of str
+            For example ``("north_acceleration", "east_acceleration")``.
+        """
+        return tuple(f"{AXES[letter]}_{self.control}" for letter in self.axes)
+
+    def bind(self, context: AttackContext) -> None:
+        """Prepare for a batch of receivers.
+
+        Parameters
+        ----------
+        context : AttackContext
+            Sizes and world.
+        """
+        super().bind(context)
+        C_en = context.world.local_frame(min(context.onset, context.world.epochs - 1))
+        columns = ["ned".index(letter) for letter in self.axes]
+        self._to_ecef = np.ascontiguousarray(C_en[:, columns].T)
+
+    def limit(self, value: FloatArray, largest: float) -> FloatArray:
+        """Shorten vectors to the limit of their length.
+
+        Parameters
+        ----------
+        value : ndarray
+            (B, a).
+        largest : float
+            Limit.
+
+        Returns
+        -------
+        ndarray
+            (B, a).
+        """
+        size = np.sqrt((value * value).sum(axis=1, keepdims=True))
+        return value * (largest / np.maximum(size, largest))
+
+    def in_ecef(self, vectors: FloatArray) -> FloatArray:
+        """Turn commanded vectors to ECEF axes.
+
+        Parameters
+        ----------
+        vectors : ndarray
+            (B, a).
+
+        Returns
+        -------
+        ndarray
+            (B, 3).
+        """
+        return (vectors[:, :, None] * self._to_ecef).sum(axis=1)
+
+    def offsets(
+        self, epochs: NDArray[np.int64], d_range: FloatArray, d_rate: FloatArray
+    ) -> None:
+        """Write what the present command adds to the measurements of the coming epoch.
+
+        Parameters
+        ----------
+        epochs : ndarray
+            (B,) the coming epoch.
+        d_range, d_rate : ndarray
+            (B, n), written [m], [m/s].
+        """
+        world = self.world
+        false_position(
+            self.in_ecef(self.memory["displacement"]),
+            self.in_ecef(self.memory["rate"]),
+            epochs,
+            world.satellites,
+            world.position_e,
+            world.velocity_e,
+            self.mask,
+            d_range,
+            d_rate,
+        )
+        if not self.coherent:
+            d_rate[:] = 0.0

@@ -1,0 +1,116 @@
+"""The contract of a detector: an epoch in, a verdict out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._memory import Memory
+from ..receiver.epoch import Epoch
+
+FloatArray = NDArray[np.float64]
+
+
+class Verdict(NamedTuple):
+    """What a detector says of an epoch.
+
+    Attributes
+    ----------
+    statistic : ndarray
+        (B, c) raw test statistic; c channels, or 1 for a test of the whole receiver.
+    threshold : ndarray
+        (B, c) what it is compared with.
+    alarm : ndarray
+        (B, c) bool.
+    weights : ndarray or None
+        (B, m) in [0, 1] on the columns of the Kalman gain, pseudoranges first; None for a detector
+        that only watches.
+    """
+
+    statistic: FloatArray
+    threshold: FloatArray
+    alarm: NDArray[np.bool_]
+    weights: FloatArray | None = None
+
+
+class DetectorContext(NamedTuple):
+    """What a detector is told once, before the first epoch.
+
+    Attributes
+    ----------
+    receivers, channels : int
+        B and n.
+    epoch_interval_s : float
+        Time between epochs.
+    noise_variance : ndarray
+        (m,) R that the filter assumes, pseudoranges first [m^2], [m^2/s^2].
+    satellite_ids : tuple of str
+        (n,) id of each slot, ``""`` for an empty one.
+    """
+
+    receivers: int
+    channels: int
+    epoch_interval_s: float
+    noise_variance: FloatArray
+    satellite_ids: tuple[str, ...]
+
+
+class Detector(ABC):
+    """A detector with memory of B receivers; it knows no truth, no clock time and no chance.
+
+    A subclass declares its arrays in `bind` (``self.memory.declare(name, initial)``, with a leading
+    axis of receivers) and keeps nothing else from one epoch to the next: then reset, batches
+    and unfinished episodes that are moved from one batch to another need no further code.
+
+    Attributes
+    ----------
+    paper : str
+        Key in references.bib.
+    needs : frozenset of str
+        Optional fields of `Epoch` that it reads.
+    memory : Memory
+        What it remembers of every receiver.
+    """
+
+    paper: ClassVar[str]
+    needs: ClassVar[frozenset[str]] = frozenset()
+    memory: Memory
+
+    @abstractmethod
+    def bind(self, context: DetectorContext) -> None:
+        """Prepare for a batch of receivers; call ``super().bind(context)`` first.
+
+        Parameters
+        ----------
+        context : DetectorContext
+            Sizes, interval, noise and satellites.
+        """
+        self.memory = Memory(context.receivers)
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget everything about some receivers.
+
+        Parameters
+        ----------
+        mask : ndarray, optional
+            (B,) bool, which ones; all by default.
+        """
+        self.memory.reset(mask)
+
+    @abstractmethod
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Judge one epoch of all receivers.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only, valid during this call.
+
+        Returns
+        -------
+        Verdict
+            Fresh arrays, finite, 0 and no alarm where a channel is invisible.
+        """

@@ -1,0 +1,47 @@
+"""The detector that never alarms: the victim without a defence.
+
+It is the baseline of every comparison: what a spoofer induces where nobody looks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..receiver.epoch import Epoch
+from .base import Detector, DetectorContext, Verdict
+
+
+@dataclass
+class Never(Detector):
+    """No defence: statistic 0, threshold 1, never an alarm, no weights."""
+
+    paper: ClassVar[str] = "groves2013"
+
+    def bind(self, context: DetectorContext) -> None:
+        """Prepare for a batch.
+
+        Parameters
+        ----------
+        context : DetectorContext
+            Sizes.
+        """
+        super().bind(context)
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Say nothing.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Not looked at but for its size.
+
+        Returns
+        -------
+        Verdict
+            (B, 1) zeros, ones and no alarm.
+        """
+        shape = (len(epoch.time), 1)
+        return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))

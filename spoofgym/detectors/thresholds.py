@@ -1,0 +1,90 @@
+"""Thresholds and weights that several detectors share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+FloatArray = NDArray[np.float64]
+
+
+def check_probability(name: str, value: float) -> None:
+    """Raise unless a value is a probability between 0 and 1, both excluded.
+
+    Parameters
+    ----------
+    name : str
+        Of the setting, for the message.
+    value : float
+        The value.
+
+    Raises
+    ------
+    ValueError
+        When it is out of range.
+    """
+    if not 0.0 < value < 1.0:
+        raise ValueError(f"`{name}` must lie between 0 and 1, both excluded, got {value}")
+
+
+def two_sided_quantile(false_alarm: float) -> float:
+    """Quantile that a standard normal deviate exceeds in size with a given probability.
+
+    Parameters
+    ----------
+    false_alarm : float
+        Probability, in (0, 1).
+
+    Returns
+    -------
+    float
+        z of false_alarm / 2.
+    """
+    return float(stats.norm.isf(0.5 * false_alarm))
+
+
+def chi2_thresholds(false_alarm: float, most: int) -> FloatArray:
+    """Chi-square thresholds by degrees of freedom.
+
+    Parameters
+    ----------
+    false_alarm : float
+        Probability of exceeding it, in (0, 1).
+    most : int
+        Largest number of degrees of freedom.
+
+    Returns
+    -------
+    ndarray
+        (most + 1,) threshold for 0 to `most` degrees; with 0 there is nothing to exceed it, and
+        the entry is that of one degree, so that it stays finite.
+    """
+    return np.asarray(stats.chi2.isf(false_alarm, np.maximum(np.arange(most + 1), 1)))
+
+
+def igg3_weights(size: FloatArray, accept: FloatArray, reject: FloatArray) -> FloatArray:
+    r"""IGG-III equivalent weights.
+
+    .. math:: w = \begin{cases} 1 & |x| \le k_0 \\
+        \frac{k_0}{|x|} \left(\frac{k_1 - |x|}{k_1 - k_0}\right)^2 & k_0 < |x| \le k_1 \\
+        0 & |x| > k_1 \end{cases}
+
+    Parameters
+    ----------
+    size : ndarray
+        |x|.
+    accept, reject : ndarray
+        k_0 and k_1, 0 < k_0 < k_1, broadcast against it.
+
+    Returns
+    -------
+    ndarray
+        Weights in [0, 1].
+
+    Notes
+    -----
+    `yang2002` in references.bib.
+    """
+    inside = np.clip((reject - size) / (reject - accept), 0.0, 1.0)
+    return np.minimum(1.0, accept / np.maximum(size, accept) * inside * inside)

@@ -1,0 +1,63 @@
+"""Range, range rate and line of sight to a satellite over the turning Earth."""
+
+from __future__ import annotations
+
+import math
+
+from .._jit import inlined
+from .wgs84 import EARTH_RATE, SPEED_OF_LIGHT
+
+
+@inlined
+def range_and_rate(
+    sx: float,
+    sy: float,
+    sz: float,
+    svx: float,
+    svy: float,
+    svz: float,
+    rx: float,
+    ry: float,
+    rz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+) -> tuple[float, float, float, float, float]:
+    r"""Range, range rate and line of sight, with the Sagnac effect to first order.
+
+    .. math::
+        \rho &= |C\, r_s - r|, \qquad C = \begin{pmatrix}1 & a & 0\\ -a & 1 & 0\\ 0 & 0 & 1
+        \end{pmatrix}, \qquad a = \omega_{ie} |r_s - r| / c \\
+        \dot\rho &= u^T \left(C (v_s + \Omega_{ie} r_s) - (v + \Omega_{ie} r)\right)
+
+    Parameters
+    ----------
+    sx, sy, sz, svx, svy, svz : float
+        Satellite position [m] and velocity [m/s], ECEF.
+    rx, ry, rz, vx, vy, vz : float
+        Antenna position [m] and velocity [m/s], ECEF.
+
+    Returns
+    -------
+    range, range_rate : float
+        [m] and [m/s], without clocks.
+    ux, uy, uz : float
+        Unit vector from the antenna to the satellite, ECEF.
+
+    Notes
+    -----
+    Groves (2013), eqs. 8.35, 8.40 and 9.165.
+    """
+    dx, dy, dz = sx - rx, sy - ry, sz - rz
+    a = EARTH_RATE * math.sqrt(dx * dx + dy * dy + dz * dz) / SPEED_OF_LIGHT
+    dx, dy = sx + a * sy - rx, sy - a * sx - ry
+    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    ux, uy, uz = dx / distance, dy / distance, dz / distance
+    # inertial velocities of the satellite and of the antenna, resolved in ECEF axes
+    ix, iy = svx - EARTH_RATE * sy, svy + EARTH_RATE * sx
+    rate = (
+        ux * (ix + a * iy - (vx - EARTH_RATE * ry))
+        + uy * (iy - a * ix - (vy + EARTH_RATE * rx))
+        + uz * (svz - vz)
+    )
+    return distance, rate, ux, uy, uz

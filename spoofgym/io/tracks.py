@@ -1,0 +1,279 @@
+"""Recorded tracks as they are: CSV, Parquet and JSON files of ADS-B records.
+
+`spoofgym.io.track_cleaning` makes clean tracks of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas
+
+FOOT = 0.3048
+"""International foot [m]."""
+KNOT = 1852.0 / 3600.0
+"""Knot [m/s]."""
+MINUTE = 60.0
+"""Minute [s]."""
+
+TIME = ("timestamp", "time", "datetime", "utc")
+POSITION_TIME = ("last_position", "lastposupdate", "position_time")
+AIRCRAFT = ("icao24", "hex", "aircraft")
+QUANTITIES: dict[str, dict[str, float]] = {
+    "latitude": {"latitude": 1.0, "lat": 1.0},
+    "longitude": {"longitude": 1.0, "lon": 1.0, "lng": 1.0, "long": 1.0},
+    "altitude": {
+        "altitude_m": 1.0,
+        "height_m": 1.0,
+        "altitude": FOOT,
+        "altitude_ft": FOOT,
+        "alt": FOOT,
+    },
+    "groundspeed": {
+        "groundspeed_mps": 1.0,
+        "groundspeed": KNOT,
+        "groundspeed_kt": KNOT,
+        "gs": KNOT,
+    },
+    "track": {"track": 1.0, "track_deg": 1.0, "course": 1.0},
+    "vertical_rate": {
+        "vertical_rate_mps": 1.0,
+        "vertical_rate": FOOT / MINUTE,
+        "vertical_rate_ftpmin": FOOT / MINUTE,
+        "baro_rate": FOOT / MINUTE,
+    },
+}
+"""Column names by quantity, each with what turns its unit into m, m/s or deg."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawTrack:
+    """Rows of a recorded track, in SI units but otherwise as they were found.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file or flight.
+    time : ndarray
+        (n,) time of the rows since 1970-01-01 UTC [s], never falling.
+    position_time : ndarray
+        (n,) true time of the positions [s], NaN where the file doesn't say.
+    latitude, longitude : ndarray
+        (n,) geodetic [rad], NaN where missing.
+    altitude : ndarray
+        (n,) barometric altitude [m], NaN where missing.
+    groundspeed, vertical_rate : ndarray
+        (n,) over ground and upwards [m/s], NaN where missing.
+    track_deg : ndarray
+        (n,) course over ground as recorded [deg], NaN where missing.
+    """
+
+    name: str
+    time: NDArray[np.float64]
+    position_time: NDArray[np.float64]
+    latitude: NDArray[np.float64]
+    longitude: NDArray[np.float64]
+    altitude: NDArray[np.float64]
+    groundspeed: NDArray[np.float64]
+    vertical_rate: NDArray[np.float64]
+    track_deg: NDArray[np.float64]
+
+
+def read_track(
+    path: str | Path,
+    *,
+    altitude_unit: Literal["ft", "m"] | None = None,
+    aircraft: str | None = None,
+) -> RawTrack:
+    """Read a recorded track from a CSV, Parquet or JSON file, compressed or not.
+
+    Parameters
+    ----------
+    path : str or Path
+        File whose name ends in .csv, .json or .parquet; .csv.gz and .json.gz too.
+    altitude_unit : {"ft", "m"}, optional
+        Unit of the altitude column; by default feet, unless its name ends in _m.
+    aircraft : str, optional
+        ICAO 24-bit address of the aircraft to take, when the file has several.
+
+    Returns
+    -------
+    RawTrack
+        All rows of the aircraft.
+    """
+    path = Path(path)
+    try:
+        import pandas
+    except ImportError as error:
+        raise ImportError(
+            "reading tracks needs pandas and pyarrow: pip install spoofgym[flights]"
+        ) from error
+    kind = path.name.removesuffix(".gz").rsplit(".", 1)[-1].lower()
+    if kind == "csv":
+        try:
+            frame = pandas.read_csv(path)
+        except pandas.errors.EmptyDataError:
+            frame = pandas.DataFrame()
+    elif kind == "json":
+        frame = pandas.read_json(path, convert_dates=False)
+    elif kind in {"parquet", "pq"}:
+        frame = pandas.read_parquet(path)
+    else:
+        raise ValueError(f"`path` must end in .csv, .json or .parquet, got {path.name!r}")
+    stem = path.name.split(".", 1)[0]
+    return track_from_frame(frame, stem, altitude_unit=altitude_unit, aircraft=aircraft)
+
+
+def track_from_frame(
+    frame: pandas.DataFrame,
+    name: str,
+    *,
+    altitude_unit: Literal["ft", "m"] | None = None,
+    aircraft: str | None = None,
+) -> RawTrack:
+    """Take a recorded track from a table with one row per report.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        Columns named as in `QUANTITIES`, `TIME` and `POSITION_TIME`, in any case; time,
+        latitude, longitude and altitude are required.
+    name : str
+        Name of the flight.
+    altitude_unit : {"ft", "m"}, optional
+        Unit of the altitude column; by default feet, unless its name ends in _m.
+    aircraft : str, optional
+        ICAO 24-bit address of the aircraft to take, when there are several.
+
+    Returns
+    -------
+    RawTrack
+        All rows of the aircraft.
+    """
+    frame = frame.rename(columns=lambda column: str(column).strip().lower())
+    if frame.empty:
+        raise ValueError(f"a track must have rows, got none in {name!r}")
+    frame = _one_aircraft(frame, aircraft)
+    required = {"time": TIME} | {
+        quantity: tuple(QUANTITIES[quantity]) for quantity in ("latitude", "longitude", "altitude")
+    }
+    _check_columns(frame, required)
+    time = _seconds(frame, TIME)
+    _check_times(time)
+    columns = {quantity: _numbers(frame, names) for quantity, names in QUANTITIES.items()}
+    if altitude_unit is not None:
+        factor = {"ft": FOOT, "m": 1.0}[altitude_unit]
+        columns["altitude"] = _numbers(frame, dict.fromkeys(QUANTITIES["altitude"], factor))
+    _check_range("latitude", columns["latitude"], -90.0, 90.0)
+    _check_range("longitude", columns["longitude"], -180.0, 360.0)
+    return RawTrack(
+        name,
+        time,
+        _seconds(frame, POSITION_TIME),
+        np.radians(columns["latitude"]),
+        np.radians(columns["longitude"]),
+        columns["altitude"],
+        columns["groundspeed"],
+        columns["vertical_rate"],
+        columns["track"],
+    )
+
+
+def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataFrame:
+    """Rows of one aircraft; all of them when the file doesn't name aircraft."""
+    column = next((name for name in AIRCRAFT if name in frame), None)
+    if column is None:
+        return frame
+    found = [str(value) for value in frame[column].dropna().unique()]
+    if aircraft is None and len(found) > 1:
+        raise ValueError(f"`aircraft` must be one of {', '.join(found[:10])}, got none")
+    if aircraft is None:
+        return frame
+    if aircraft not in found:
+        raise ValueError(f"`aircraft` must be one of {', '.join(found[:10])}, got {aircraft!r}")
+    return frame[frame[column].astype(str) == aircraft]
+
+
+def _check_columns(frame: pandas.DataFrame, required: Mapping[str, tuple[str, ...]]) -> None:
+    missing = {
+        quantity: names
+        for quantity, names in required.items()
+        if not any(name in frame for name in names)
+    }
+    if missing:
+        wanted = "; ".join(f"{key} ({', '.join(names)})" for key, names in missing.items())
+        raise ValueError(
+            f"a track must have columns for {wanted}, got {', '.join(map(str, frame.columns))}"
+        )
+
+
+def _numbers(frame: pandas.DataFrame, factors: Mapping[str, float]) -> NDArray[np.float64]:
+    """First column found of some names, times its factor; NaN without one."""
+    for name, factor in factors.items():
+        if name in frame:
+            return _as_numbers(frame, name) * factor
+    return np.full(len(frame), math.nan)
+
+
+def _as_numbers(frame: pandas.DataFrame, name: str) -> NDArray[np.float64]:
+    import pandas
+
+    try:
+        values: NDArray[np.float64] = pandas.to_numeric(frame[name]).to_numpy(
+            dtype=np.float64, na_value=math.nan
+        )
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"`{name}` must hold numbers: {error}") from error
+    return values
+
+
+def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Times since 1970-01-01 UTC [s]; NaN without a column.
+
+    Numbers are told apart by their size: nanoseconds, microseconds, milliseconds or seconds.
+    """
+    import pandas
+
+    name = next((name for name in names if name in frame), None)
+    if name is None:
+        return np.full(len(frame), math.nan)
+    column: Any = frame[name]
+    if pandas.api.types.is_numeric_dtype(column):
+        values = _as_numbers(frame, name)
+        size = float(np.nanmax(np.abs(values), initial=0.0))
+        return values / (1e9 if size > 1e17 else 1e6 if size > 1e14 else 1e3 if size > 1e11 else 1)
+    try:
+        moments = pandas.to_datetime(column, utc=True, format="ISO8601")
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"`{name}` must hold times, numbers or ISO 8601: {error}") from error
+    epoch = pandas.Timestamp(0, tz="UTC")
+    seconds: NDArray[np.float64] = (moments - epoch).dt.total_seconds().to_numpy(np.float64)
+    return seconds
+
+
+def _check_times(time: NDArray[np.float64]) -> None:
+    if (missing := np.flatnonzero(~np.isfinite(time))).size:
+        raise ValueError(f"every row must have a time, got none in row {missing[0] + 1}")
+    if (back := np.flatnonzero(np.diff(time) < 0.0)).size:
+        row = int(back[0]) + 1
+        raise ValueError(
+            f"time must not run backwards, got {time[row] - time[row - 1]:g} s from row {row} "
+            f"to row {row + 1}"
+        )
+
+
+def _check_range(name: str, value: NDArray[np.float64], low: float, high: float) -> None:
+    outside = np.flatnonzero((value < low) | (value > high) | np.isinf(value))
+    if outside.size:
+        raise ValueError(
+            f"`{name}` must lie between {low:g} and {high:g} deg, got {value[outside[0]]:g} deg "
+            f"in row {outside[0] + 1}"
+        )

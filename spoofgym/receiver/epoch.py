@@ -1,0 +1,110 @@
+"""What a detector may see of an epoch: measurements and beliefs, and no truth."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .state import ReceiverBuffers
+
+FloatArray = NDArray[np.float64]
+
+
+class Epoch(NamedTuple):
+    """One GNSS epoch of B receivers, between prediction and update.
+
+    Read-only, C-contiguous, and valid only while a detector judges it.  Channels are slots for
+    satellites; rows of the innovation are pseudoranges first, then range rates, m = 2n.  An
+    invisible slot has innovation 0, a zero row of `design`, and row and column of the identity in
+    `innovation_cov`.
+
+    Attributes
+    ----------
+    time, interval : ndarray
+        (B,) time of the epoch and time since the last one [s].
+    innovation : ndarray
+        (B, m) [m], [m/s].
+    innovation_cov : ndarray
+        (B, m, m) S.
+    predicted_cov : ndarray
+        (B, 17, 17) P before the update.
+    design : ndarray
+        (B, m, 17) H.
+    transition : ndarray
+        (B, 17, 17) Phi.
+    imu_delta : ndarray
+        (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body axes.
+    pseudorange, range_rate : ndarray
+        (B, n) as measured [m], [m/s].
+    satellite_position, satellite_velocity : ndarray
+        (B, n, 3) from the ephemerides, ECEF [m], [m/s].
+    visible : ndarray
+        (B, n) bool.
+    predicted_position, predicted_velocity : ndarray
+        (B, 3) before the update, ECEF [m], [m/s].
+    gnss_position : ndarray or None
+        (B, 3) position by GNSS alone, where a detector's `needs` names it.
+    auxiliary_position : ndarray or None
+        (B, 3) position by odometry, where a detector's `needs` names it.
+    cn0_dbhz : ndarray or None
+        (B, n) carrier-to-noise density, where a detector's `needs` names it.
+    """
+
+    time: FloatArray
+    interval: FloatArray
+    innovation: FloatArray
+    innovation_cov: FloatArray
+    predicted_cov: FloatArray
+    design: FloatArray
+    transition: FloatArray
+    imu_delta: FloatArray
+    pseudorange: FloatArray
+    range_rate: FloatArray
+    satellite_position: FloatArray
+    satellite_velocity: FloatArray
+    visible: NDArray[np.bool_]
+    predicted_position: FloatArray
+    predicted_velocity: FloatArray
+    gnss_position: FloatArray | None = None
+    auxiliary_position: FloatArray | None = None
+    cn0_dbhz: FloatArray | None = None
+
+
+def epoch_view(buffers: ReceiverBuffers) -> Epoch:
+    """Read-only view of a batch's current epoch.
+
+    Parameters
+    ----------
+    buffers : ReceiverBuffers
+        Where the kernels write.
+
+    Returns
+    -------
+    Epoch
+        Follows every later epoch by itself.
+    """
+    m, s = buffers.measured, buffers.state
+    arrays = {
+        "time": m.time,
+        "interval": m.interval,
+        "innovation": m.innovation,
+        "innovation_cov": m.innovation_cov,
+        "predicted_cov": s.covariance,
+        "design": m.design,
+        "transition": m.transition,
+        "imu_delta": m.imu_delta,
+        "pseudorange": m.pseudorange,
+        "range_rate": m.range_rate,
+        "satellite_position": m.satellite_position,
+        "satellite_velocity": m.satellite_velocity,
+        "visible": m.visible,
+        "predicted_position": s.position_e,
+        "predicted_velocity": s.velocity_e,
+    }
+    views = {}
+    for name, array in arrays.items():
+        views[name] = array.view()
+        views[name].flags.writeable = False
+    return Epoch(**views)

@@ -1,0 +1,314 @@
+"""Recorded measurements through the engine's own kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _kernels
+from .error_model import STATES
+from .state import ReceiverBuffers, ReceiverState
+from .tight import NavState, TightlyCoupled
+
+_SHAPES = {
+    "imu_time": "N",
+    "specific_force_b": "N3",
+    "angular_rate_b": "N3",
+    "gnss_time": "K",
+    "pseudorange": "Kn",
+    "range_rate": "Kn",
+    "satellite_position_e": "Kn3",
+    "satellite_velocity_e": "Kn3",
+}
+MAY_BE_NAN = ("pseudorange", "range_rate", "satellite_position_e", "satellite_velocity_e")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """Measurements of one receiver, from time zero on.
+
+    Parameters
+    ----------
+    imu_time : array_like
+        (N,) end of each sample's interval [s]; the first interval starts at 0.
+    specific_force_b, angular_rate_b : array_like
+        (N, 3) measured, body axes [m/s^2], [rad/s].
+    gnss_time : array_like
+        (K,) epochs [s], after 0, each within half a sample of the end of a sample.
+    pseudorange, range_rate : array_like
+        (K, n) [m], [m/s]; NaN in either where a channel has no measurement.
+    satellite_position_e, satellite_velocity_e : array_like
+        (K, n, 3) ECEF [m], [m/s]; NaN where absent.
+
+    Raises
+    ------
+    ValueError
+        When shapes disagree, a time runs backwards, a sample is not finite, or an epoch has no
+        sample that ends with it.
+    """
+
+    imu_time: ArrayLike
+    specific_force_b: ArrayLike
+    angular_rate_b: ArrayLike
+    gnss_time: ArrayLike
+    pseudorange: ArrayLike
+    range_rate: ArrayLike
+    satellite_position_e: ArrayLike
+    satellite_velocity_e: ArrayLike
+
+    def __post_init__(self) -> None:
+        """Check and freeze the arrays."""
+        sizes: dict[str, int] = {"3": 3}
+        for field in fields(self):
+            array = np.array(getattr(self, field.name), dtype=np.float64)
+            letters = _SHAPES[field.name]
+            if array.ndim != len(letters):
+                raise ValueError(
+                    f"`{field.name}` must have shape ({', '.join(letters)}), got {array.shape}"
+                )
+            for letter, size in zip(letters, array.shape, strict=True):
+                if sizes.setdefault(letter, size) != size:
+                    raise ValueError(
+                        f"`{field.name}` has shape {array.shape}, but {letter} is {sizes[letter]}"
+                    )
+            if field.name not in MAY_BE_NAN and not np.isfinite(array).all():
+                raise ValueError(f"`{field.name}` must be finite")
+            array.flags.writeable = False
+            object.__setattr__(self, field.name, array)
+        if sizes["N"] == 0 or sizes["K"] == 0:
+            raise ValueError("a recording needs at least one sample and one epoch")
+        for name in ("imu_time", "gnss_time"):
+            steps = np.diff(getattr(self, name), prepend=0.0)
+            if steps.min() <= 0.0:
+                k = int(steps.argmin())
+                raise ValueError(
+                    f"`{name}` must increase from above 0, got {getattr(self, name)[k]} at index {k}"
+                )
+        self.epoch_samples()
+
+    def epoch_samples(self) -> NDArray[np.int64]:
+        """Match the epochs to the samples.
+
+        Returns
+        -------
+        ndarray
+            (K,) number of samples up to and including the one that ends at the epoch.
+        """
+        imu_time = np.asarray(self.imu_time)
+        gnss_time = np.asarray(self.gnss_time)
+        after = np.clip(np.searchsorted(imu_time, gnss_time), 0, len(imu_time) - 1)
+        before = np.maximum(after - 1, 0)
+        nearer = np.abs(imu_time[before] - gnss_time) < np.abs(imu_time[after] - gnss_time)
+        found = np.where(nearer, before, after)
+        sample = np.diff(imu_time, prepend=0.0)[found]
+        off = np.abs(imu_time[found] - gnss_time)
+        if (off > 0.5 * sample).any():
+            k = int(np.argmax(off > 0.5 * sample))
+            raise ValueError(
+                f"no sample ends within half a sample of the epoch at {gnss_time[k]} s; the nearest "
+                f"ends at {imu_time[found[k]]} s"
+            )
+        if (np.diff(found) < 1).any():
+            k = int(np.argmax(np.diff(found) < 1))
+            raise ValueError(f"the epochs at {gnss_time[k]} and {gnss_time[k + 1]} s share a sample")
+        return found + 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """What a replayed receiver estimated, after the update of each epoch.
+
+    Parameters
+    ----------
+    time : ndarray
+        (K,) [s].
+    position_e, velocity_e : ndarray
+        (K, 3) ECEF [m], [m/s].
+    C_eb : ndarray
+        (K, 3, 3).
+    accel_bias_b, gyro_bias_b : ndarray
+        (K, 3) [m/s^2], [rad/s].
+    clock_bias_m, clock_drift_mps : ndarray
+        (K,).
+    sd : ndarray
+        (K, 17) standard deviations: attitude (ECEF axes), velocity, position, accelerometer bias,
+        gyro bias, clock.
+    coasting : ndarray
+        (K,) bool, whether the update was left out for want of satellites.
+    innovation : ndarray
+        (K, 2n) before the update, pseudoranges first; 0 where absent.
+    """
+
+    time: NDArray[np.float64]
+    position_e: NDArray[np.float64]
+    velocity_e: NDArray[np.float64]
+    C_eb: NDArray[np.float64]
+    accel_bias_b: NDArray[np.float64]
+    gyro_bias_b: NDArray[np.float64]
+    clock_bias_m: NDArray[np.float64]
+    clock_drift_mps: NDArray[np.float64]
+    sd: NDArray[np.float64]
+    coasting: NDArray[np.bool_]
+    innovation: NDArray[np.float64]
+
+
+def load_initial(state: ReceiverState, receiver: TightlyCoupled, initial: NavState) -> None:
+    """Write one navigation solution and the initial covariance into every receiver.
+
+    Parameters
+    ----------
+    state : ReceiverState
+        Overwritten.
+    receiver : TightlyCoupled
+        Gives the covariance.
+    initial : NavState
+        The solution at time zero.
+    """
+    state.position_e[:] = initial.position_e
+    state.velocity_e[:] = initial.velocity_e
+    state.C_eb[:] = initial.C_eb
+    state.accel_bias_b[:] = 0.0
+    state.gyro_bias_b[:] = 0.0
+    state.clock[:] = initial.clock_bias_m, initial.clock_drift_mps
+    state.covariance[:] = receiver.initial_covariance()
+
+
+def replay(
+    recording: Recording,
+    receiver: TightlyCoupled,
+    *,
+    initial: NavState,
+    noise_variance: ArrayLike | None = None,
+) -> Solution:
+    """Run a tightly coupled receiver over recorded measurements.
+
+    Parameters
+    ----------
+    recording : Recording
+        Measurements from time zero on.
+    receiver : TightlyCoupled
+        Settings of the receiver.
+    initial : NavState
+        Navigation solution at time zero.
+    noise_variance : array_like, optional
+        (K, 2n) measurement noise variances R [m^2, m^2/s^2], pseudoranges first; those of
+        ``receiver.noise_model`` by default.
+
+    Returns
+    -------
+    Solution
+        Estimates and standard deviations after every epoch's update.
+
+    Raises
+    ------
+    ValueError
+        When `noise_variance` has the wrong shape or is not positive, or when the receiver is
+        ``tuning="matched"`` with nothing to match.
+
+    Examples
+    --------
+    >>> from spoofgym.receiver import NavState, Recording, TightlyCoupled, replay
+    >>> import numpy as np
+    >>> n = 100
+    >>> recording = Recording(
+    ...     imu_time=np.arange(1, n + 1) * 0.01,
+    ...     specific_force_b=np.tile([0.0, 0.0, -9.8], (n, 1)),
+    ...     angular_rate_b=np.zeros((n, 3)),
+    ...     gnss_time=[1.0],
+    ...     pseudorange=np.full((1, 8), np.nan),
+    ...     range_rate=np.full((1, 8), np.nan),
+    ...     satellite_position_e=np.full((1, 8, 3), np.nan),
+    ...     satellite_velocity_e=np.full((1, 8, 3), np.nan),
+    ... )
+    >>> initial = NavState(
+    ...     position_e=[6378137.0, 0.0, 0.0],
+    ...     velocity_e=[0.0, 0.0, 0.0],
+    ...     C_eb=np.eye(3),
+    ...     clock_bias_m=0.0,
+    ...     clock_drift_mps=0.0,
+    ... )
+    >>> bool(replay(recording, TightlyCoupled(), initial=initial).coasting[0])
+    True
+    """
+    range_, rate = np.asarray(recording.pseudorange), np.asarray(recording.range_rate)
+    position = np.asarray(recording.satellite_position_e)
+    velocity = np.asarray(recording.satellite_velocity_e)
+    epochs, n = range_.shape
+    if receiver.tuning == "matched" and receiver.noise is None and noise_variance is None:
+        raise ValueError(
+            "a replay knows no world to match: give `noise` to the receiver or `noise_variance`"
+        )
+    visible = np.isfinite(range_) & np.isfinite(rate)
+    visible &= np.isfinite(position).all(axis=-1) & np.isfinite(velocity).all(axis=-1)
+    model = receiver.noise_model
+    if noise_variance is None:
+        variance = np.repeat([model.pseudorange_sd**2, model.range_rate_sd**2], n)
+        variance = np.broadcast_to(variance, (epochs, 2 * n))
+    else:
+        variance = np.asarray(noise_variance, dtype=np.float64)
+        if variance.shape != (epochs, 2 * n) or not (variance > 0.0).all():
+            raise ValueError(
+                f"`noise_variance` must be positive and of shape {(epochs, 2 * n)}, "
+                f"got shape {variance.shape}"
+            )
+    ends = recording.epoch_samples()
+    starts = np.concatenate([[0], ends[:-1]])
+    imu_interval = np.diff(np.asarray(recording.imu_time), prepend=0.0)
+    gnss_interval = np.diff(np.asarray(recording.gnss_time), prepend=0.0)
+    samples = np.hstack([recording.specific_force_b, recording.angular_rate_b])
+
+    buffers = ReceiverBuffers(1, n, int((ends - starts).max()))
+    state, measured = buffers.state, buffers.measured
+    load_initial(state, receiver, initial)
+    buffers.noise_psd[:] = receiver.noise_psd()
+    weights = np.ones((1, 2 * n))
+    out = {
+        "position_e": np.empty((epochs, 3)),
+        "velocity_e": np.empty((epochs, 3)),
+        "C_eb": np.empty((epochs, 3, 3)),
+        "accel_bias_b": np.empty((epochs, 3)),
+        "gyro_bias_b": np.empty((epochs, 3)),
+        "clock": np.empty((epochs, 2)),
+        "sd": np.empty((epochs, STATES)),
+        "innovation": np.empty((epochs, 2 * n)),
+    }
+    coasting = np.zeros(epochs, dtype=np.bool_)
+    for k in range(epochs):
+        first, count = starts[k], ends[k] - starts[k]
+        buffers.put_samples(0, samples[first : first + count])
+        buffers.block[:, 0] = first, count
+        measured.time[0], measured.interval[0] = np.asarray(recording.gnss_time)[k], gnss_interval[k]
+        measured.visible[0] = visible[k]
+        measured.pseudorange[0], measured.range_rate[0] = range_[k], rate[k]
+        measured.satellite_position[0], measured.satellite_velocity[0] = position[k], velocity[k]
+        measured.noise_variance[0] = variance[k]
+        _kernels.predict(
+            buffers.floats, buffers.flags, buffers.block, buffers.samples, imu_interval, 1, n, 0, 1
+        )
+        out["innovation"][k] = measured.innovation[0]
+        _kernels.update(
+            buffers.floats,
+            buffers.flags,
+            weights,
+            1,
+            n,
+            receiver.covariance_code,
+            receiver.min_satellites,
+            receiver.orthonormalize,
+            0,
+            1,
+        )
+        for name in ("position_e", "velocity_e", "C_eb", "accel_bias_b", "gyro_bias_b", "clock"):
+            out[name][k] = getattr(state, name)[0]
+        out["sd"][k] = np.sqrt(np.diagonal(state.covariance[0]))
+        coasting[k] = measured.coasting[0]
+    clock = out.pop("clock")
+    return Solution(
+        time=np.array(recording.gnss_time),
+        clock_bias_m=clock[:, 0].copy(),
+        clock_drift_mps=clock[:, 1].copy(),
+        coasting=coasting,
+        **out,
+    )

@@ -1,0 +1,257 @@
+"""The tightly coupled receiver: which filter, tuned for which inertial sensors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..earth.wgs84 import STANDARD_GRAVITY
+from .error_model import (
+    ACCEL_BIAS,
+    ATTITUDE,
+    CLOCK_BIAS,
+    CLOCK_DRIFT,
+    GYRO_BIAS,
+    POSITION,
+    STATES,
+    VELOCITY,
+)
+from .kalman import COVARIANCE_UPDATES
+
+_DEG = math.pi / 180.0
+_UG = STANDARD_GRAVITY * 1e-6
+CONVENTIONS = ("groves", "orthonormal")
+TUNINGS = ("paper", "matched")
+
+
+class FilterGrade(NamedTuple):
+    """How the filter is tuned for one grade of inertial sensors.
+
+    Attributes
+    ----------
+    attitude_sd, velocity_sd, position_sd : float
+        Initial standard deviations [rad], [m/s], [m].
+    accel_bias_sd, gyro_bias_sd : float
+        Initial standard deviations [m/s^2], [rad/s].
+    gyro_noise_psd, accel_noise_psd : float
+        [rad^2/s], [m^2/s^3].
+    accel_bias_psd, gyro_bias_psd : float
+        [m^2/s^5], [rad^2/s^3].
+    """
+
+    attitude_sd: float
+    velocity_sd: float
+    position_sd: float
+    accel_bias_sd: float
+    gyro_bias_sd: float
+    gyro_noise_psd: float
+    accel_noise_psd: float
+    accel_bias_psd: float
+    gyro_bias_psd: float
+
+
+FILTER_GRADES: dict[str, FilterGrade] = {
+    "aviation": FilterGrade(
+        0.01 * _DEG,
+        0.1,
+        10.0,
+        30.0 * _UG,
+        0.001 * _DEG / 3600.0,
+        (0.004 * _DEG / 60.0) ** 2,
+        (40.0 * _UG) ** 2,
+        3e-9,
+        2e-16,
+    ),
+    "tactical": FilterGrade(
+        1.0 * _DEG,
+        0.1,
+        10.0,
+        1000.0 * _UG,
+        10.0 * _DEG / 3600.0,
+        (0.02 * _DEG / 60.0) ** 2,
+        (200.0 * _UG) ** 2,
+        1e-7,
+        2e-12,
+    ),
+    "consumer": FilterGrade(
+        2.0 * _DEG,
+        0.1,
+        10.0,
+        10000.0 * _UG,
+        200.0 * _DEG / 3600.0,
+        0.01**2,
+        0.2**2,
+        1e-5,
+        4e-11,
+    ),
+}
+"""Filter tuning by grade of the inertial sensors (`groves2013`, the book's software)."""
+
+
+class NoiseModel(NamedTuple):
+    """What the filter assumes of GNSS errors and of its clock.
+
+    Attributes
+    ----------
+    pseudorange_sd, range_rate_sd : float
+        Standard deviations [m], [m/s].
+    clock_phase_psd, clock_frequency_psd : float
+        [m^2/s], [m^2/s^3].
+    """
+
+    pseudorange_sd: float = 2.5
+    range_rate_sd: float = 0.1
+    clock_phase_psd: float = 1.0
+    clock_frequency_psd: float = 1.0
+
+
+def _choice(name: str, value: str, valid: tuple[str, ...]) -> None:
+    if value not in valid:
+        raise ValueError(f"`{name}` must be one of {', '.join(map(repr, valid))}, got {value!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TightlyCoupled:
+    """Settings of the 17-state closed-loop tightly coupled receiver.
+
+    Parameters
+    ----------
+    grade : {"aviation", "tactical", "consumer"}
+        Inertial sensors that the filter is tuned for.
+    tuning : {"paper", "matched"}
+        ``"paper"``: the noise that the papers print, 2.5 m and 0.1 m/s and a clock PSD of 1, which
+        overstates the world's.  ``"matched"``: the noise of the world that the receiver is in;
+        a replay of measurements, which knows no world, takes `noise` instead.
+    covariance_update : {"unweighted", "plain", "general"}
+        What a detector's weights W on the gain do to the covariance: nothing, ``(I - K H) P``;
+        the symmetric part of ``(I - K W H) P``; or the form right for any gain.  The three are the
+        same where all weights are 1.
+    conventions : {"groves", "orthonormal"}
+        ``"groves"`` keeps every convention of the reference software; ``"orthonormal"``
+        re-orthonormalizes the attitude matrix after each update.
+    min_satellites : int
+        With fewer visible satellites the receiver coasts on its inertial sensors, 0 to 32.
+    noise : NoiseModel, optional
+        Overrides the assumed GNSS noise and clock.
+
+    Raises
+    ------
+    ValueError
+        When a name is unknown or a number out of range.
+    """
+
+    grade: str = "aviation"
+    tuning: str = "paper"
+    covariance_update: str = "unweighted"
+    conventions: str = "groves"
+    min_satellites: int = 4
+    noise: NoiseModel | None = None
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        _choice("grade", self.grade, tuple(FILTER_GRADES))
+        _choice("tuning", self.tuning, TUNINGS)
+        _choice("covariance_update", self.covariance_update, tuple(COVARIANCE_UPDATES))
+        _choice("conventions", self.conventions, CONVENTIONS)
+        if not 0 <= self.min_satellites <= 32:
+            raise ValueError(f"`min_satellites` must be 0 to 32, got {self.min_satellites}")
+        if self.noise is not None:
+            for name, value in zip(self.noise._fields, self.noise, strict=True):
+                if not (math.isfinite(value) and value >= 0.0):
+                    raise ValueError(f"`noise.{name}` must be finite and >= 0, got {value}")
+            if min(self.noise.pseudorange_sd, self.noise.range_rate_sd) <= 0.0:
+                raise ValueError("`noise` standard deviations must be > 0")
+
+    @property
+    def noise_model(self) -> NoiseModel:
+        """Assumed GNSS noise and clock where no world says otherwise."""
+        return self.noise if self.noise is not None else NoiseModel()
+
+    @property
+    def covariance_code(self) -> int:
+        """`covariance_update` as the kernels take it."""
+        return COVARIANCE_UPDATES[self.covariance_update]
+
+    @property
+    def orthonormalize(self) -> bool:
+        """Whether the attitude matrix is re-orthonormalized after each update."""
+        return self.conventions == "orthonormal"
+
+    def initial_covariance(self) -> NDArray[np.float64]:
+        """Covariance of the state at time zero.
+
+        Returns
+        -------
+        ndarray
+            (17, 17) diagonal.
+        """
+        g = FILTER_GRADES[self.grade]
+        sd = np.zeros(STATES)
+        sd[ATTITUDE : ATTITUDE + 3] = g.attitude_sd
+        sd[VELOCITY : VELOCITY + 3] = g.velocity_sd
+        sd[POSITION : POSITION + 3] = g.position_sd
+        sd[ACCEL_BIAS : ACCEL_BIAS + 3] = g.accel_bias_sd
+        sd[GYRO_BIAS : GYRO_BIAS + 3] = g.gyro_bias_sd
+        sd[CLOCK_BIAS], sd[CLOCK_DRIFT] = 10.0, 0.1
+        return np.diag(sd**2)
+
+    def noise_psd(self, noise: NoiseModel | None = None) -> NDArray[np.float64]:
+        """Power spectral density of the noise that drives each state.
+
+        Parameters
+        ----------
+        noise : NoiseModel, optional
+            Clock to assume instead of that of `noise_model`.
+
+        Returns
+        -------
+        ndarray
+            (17,).
+        """
+        g = FILTER_GRADES[self.grade]
+        clock = self.noise_model if noise is None else noise
+        psd = np.zeros(STATES)
+        psd[ATTITUDE : ATTITUDE + 3] = g.gyro_noise_psd
+        psd[VELOCITY : VELOCITY + 3] = g.accel_noise_psd
+        psd[ACCEL_BIAS : ACCEL_BIAS + 3] = g.accel_bias_psd
+        psd[GYRO_BIAS : GYRO_BIAS + 3] = g.gyro_bias_psd
+        psd[CLOCK_BIAS], psd[CLOCK_DRIFT] = clock.clock_phase_psd, clock.clock_frequency_psd
+        return psd
+
+
+@dataclass(frozen=True, kw_only=True)
+class NavState:
+    """Navigation solution at time zero.
+
+    Parameters
+    ----------
+    position_e, velocity_e : array_like
+        (3,) ECEF [m], [m/s].
+    C_eb : array_like
+        (3, 3) attitude, to ECEF from body axes.
+    clock_bias_m, clock_drift_mps : float
+        Receiver clock [m], [m/s].
+    """
+
+    position_e: ArrayLike
+    velocity_e: ArrayLike
+    C_eb: ArrayLike
+    clock_bias_m: float
+    clock_drift_mps: float
+
+    def __post_init__(self) -> None:
+        """Check shapes and finiteness."""
+        for name, shape in (("position_e", (3,)), ("velocity_e", (3,)), ("C_eb", (3, 3))):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise ValueError(f"`{name}` must be finite and of shape {shape}, got {array!r}")
+            object.__setattr__(self, name, array)
+        for name in ("clock_bias_m", "clock_drift_mps"):
+            value = float(getattr(self, name))
+            if not math.isfinite(value):
+                raise ValueError(f"`{name}` must be finite, got {value}")
+            object.__setattr__(self, name, value)

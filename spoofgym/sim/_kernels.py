@@ -1,0 +1,126 @@
+"""Compiled loops of the authentic world."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .._jit import njit
+from ..earth.ranging import range_and_rate
+from .clock import advance_clock
+from .imu import measure_component
+from .noise import normals
+
+
+@njit
+def fill_ranges(satellites, visible, position_e, velocity_e):
+    """Write true range and range rate of all visible satellites into columns 6 and 7.
+
+    Parameters
+    ----------
+    satellites : ndarray
+        (K, n, 8) position, velocity, range, range rate.
+    visible : ndarray
+        (K, n) bool.
+    position_e, velocity_e : ndarray
+        (K, 3) antenna.
+    """
+    for k in range(satellites.shape[0]):
+        r, v = position_e[k], velocity_e[k]
+        for s in range(satellites.shape[1]):
+            if visible[k, s]:
+                p = satellites[k, s]
+                rho, rate, _, _, _ = range_and_rate(
+                    p[0], p[1], p[2], p[3], p[4], p[5], r[0], r[1], r[2], v[0], v[1], v[2]
+                )
+                p[6] = rho
+                p[7] = rate
+
+
+@njit
+def imu_block(sensors, b, keys, epoch, truth, interval, noise, scratch):
+    """Measure one receiver's samples of one interval.
+
+    Parameters
+    ----------
+    sensors : SensorState
+        Errors of the batch; the quantization residuals are carried on.
+    b, epoch : int
+        Receiver and epoch.
+    keys : ndarray
+        (2,) key of the sensor noise.
+    truth : tuple of 6 ndarrays
+        (S,) each: true samples.
+    interval : ndarray
+        (S,) their lengths [s].
+    noise : ndarray
+        (P,) scratch memory for the deviates.
+    scratch : ndarray
+        (6, S or more), written: measured specific force and angular rate.
+    """
+    normals(keys[0], keys[1], epoch, noise)
+    n = interval.shape[0]
+    for c in range(6):
+        if c < 3:
+            m = sensors.accel_matrix[b, c]
+            row = (m[0], m[1], m[2], 0.0, 0.0, 0.0)
+            bias = sensors.accel_bias[b, c]
+            root_psd, level = sensors.imu_noise[b, 0], sensors.imu_noise[b, 2]
+        else:
+            g, m = sensors.g_dependence[b, c - 3], sensors.gyro_matrix[b, c - 3]
+            row = (g[0], g[1], g[2], m[0], m[1], m[2])
+            bias = sensors.gyro_bias[b, c - 3]
+            root_psd, level = sensors.imu_noise[b, 1], sensors.imu_noise[b, 3]
+        sensors.residual[b, c] = measure_component(
+            truth,
+            noise[c * n : (c + 1) * n],
+            interval,
+            row,
+            bias,
+            root_psd,
+            level,
+            sensors.residual[b, c],
+            scratch[c, :n],
+        )
+
+
+@njit
+def gnss_epoch(sensors, b, gnss_keys, clock_keys, epoch, tau, satellites, noise, out_range, out_rate):
+    """Measure one receiver's pseudoranges and range rates at one epoch.
+
+    Parameters
+    ----------
+    sensors : SensorState
+        Errors of the batch; the clock is advanced.
+    b, epoch : int
+        Receiver and epoch.
+    gnss_keys, clock_keys : ndarray
+        (2,) keys of the two sources.
+    tau : float
+        Time since the epoch before [s]; 0 leaves the clock alone.
+    satellites : ndarray
+        (n, 8) truth of the epoch.
+    noise : ndarray
+        (P,) scratch memory for the deviates, at least 2 n.
+    out_range, out_rate : ndarray
+        (n,), written, for all slots, visible or not [m], [m/s].
+    """
+    if tau > 0.0:
+        p, f = sensors.clock_psd[b, 0], sensors.clock_psd[b, 1]
+        a, w = 0.0, 0.0
+        if p > 0.0 or f > 0.0:
+            normals(clock_keys[0], clock_keys[1], epoch, noise)
+            a, w = noise[0], noise[1]
+        sensors.clock[b, 0], sensors.clock[b, 1] = advance_clock(
+            sensors.clock[b, 0], sensors.clock[b, 1], tau, p, f, a, w
+        )
+    normals(gnss_keys[0], gnss_keys[1], epoch, noise)
+    n = satellites.shape[0]
+    for s in range(n):
+        authentic = satellites[s, 6] + sensors.satellite_bias[b, s] + sensors.clock[b, 0]
+        out_range[s] = authentic + sensors.gnss_noise[b, 0] * noise[s] + sensors.range_offset[b, s]
+        out_rate[s] = (
+            satellites[s, 7]
+            + sensors.clock[b, 1]
+            + sensors.gnss_noise[b, 1] * noise[n + s]
+            + sensors.rate_offset[b, s]
+        )

@@ -1,0 +1,271 @@
+"""A flight: the true motion of the antenna at the rate of the inertial sensors.
+
+A vehicle is a point with axes: antenna and inertial sensors share one place.  Position is by
+construction the trapezoid integral of velocity, which is how the strapdown mechanization of
+`spoofgym.sim.trajectory` integrates, so that noise-free inertial samples lead back to the flight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..earth.attitude import dcm_to_euler, euler_to_dcm
+from ..earth.frames import dcm_e_from_n, ecef_to_geodetic, geodetic_to_ecef
+
+DEFAULT_STEP = 0.01
+"""Interval of the inertial samples [s], the 100 Hz of Groves' profiles (`groves2013`)."""
+CLOSURE_TOLERANCE = 1e-5
+"""Largest distance of a position from the trapezoid integral of the velocity [m]."""
+ORTHONORMALITY_TOLERANCE = 1e-9
+"""Largest element of C C' - I."""
+_PICARD_STOP = 1e-6
+_PICARD_LIMIT = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """True motion of a vehicle, sampled with a uniform step from time 0.
+
+    Parameters
+    ----------
+    name : str
+        Name of the flight.
+    time : array_like
+        (N+1,) time [s], ``np.arange(N + 1) * step``.
+    position_e : array_like
+        (N+1, 3) antenna, ECEF [m]: the trapezoid integral of `velocity_e` from its first row.
+    velocity_e : array_like
+        (N+1, 3) velocity with respect to the Earth, ECEF [m/s].
+    C_eb : array_like
+        (N+1, 3, 3) attitude, to ECEF from body axes (forward, right, down).
+
+    Notes
+    -----
+    The arrays are C-contiguous float64 copies and must not be written to.  They aren't locked,
+    because a compiled kernel is compiled anew for read-only arrays.
+    """
+
+    name: str
+    time: NDArray[np.float64]
+    position_e: NDArray[np.float64]
+    velocity_e: NDArray[np.float64]
+    C_eb: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Copy and check the histories."""
+        count = np.size(self.time)
+        if count < 2:
+            raise ValueError(f"`time` must have at least 2 samples, got {count}")
+        self._settle("time", (count,))
+        self._settle("position_e", (count, 3))
+        self._settle("velocity_e", (count, 3))
+        self._settle("C_eb", (count, 3, 3))
+        self._check_time()
+        product = self.C_eb @ np.swapaxes(self.C_eb, 1, 2) - np.eye(3)
+        if (worst := float(np.abs(product).max())) > ORTHONORMALITY_TOLERANCE:
+            raise ValueError(
+                f"`C_eb` must be orthonormal to {ORTHONORMALITY_TOLERANCE:g}, got an error of "
+                f"{worst:.3g}"
+            )
+        closed = integrate_velocity(self.position_e[0], self.velocity_e, self.step)
+        check_closure(self.position_e, closed, self.step, CLOSURE_TOLERANCE)
+
+    def _settle(self, field: str, shape: tuple[int, ...]) -> None:
+        """Replace a field by a checked C-contiguous float64 copy."""
+        value = np.array(getattr(self, field), dtype=np.float64, order="C")
+        if value.shape != shape:
+            raise ValueError(f"`{field}` must have shape {shape}, got {value.shape}")
+        if not np.isfinite(value).all():
+            raise ValueError(f"`{field}` must be finite, got NaN or infinity")
+        object.__setattr__(self, field, value)
+
+    def _check_time(self) -> None:
+        if self.time[0] != 0.0:
+            raise ValueError(f"`time` must start at 0 s, got {self.time[0]:g}")
+        uneven = np.abs(self.time - np.arange(self.time.size) * self.step)
+        if not (self.step > 0.0 and uneven.max() < 1e-6 * self.step):
+            raise ValueError("`time` must rise with a uniform step, like np.arange(N + 1) * step")
+
+    @property
+    def step(self) -> float:
+        """Interval of the samples [s]."""
+        return float(self.time[-1]) / (self.time.size - 1)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self.time[-1])
+
+    @cached_property
+    def geodetic(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Latitude [rad], longitude [rad] and height above the ellipsoid [m], (N+1,) each."""
+        return ecef_to_geodetic(self.position_e)
+
+    @cached_property
+    def C_ne(self) -> NDArray[np.float64]:
+        """(N+1, 3, 3), to local north-east-down from ECEF axes."""
+        latitude, longitude, _ = self.geodetic
+        return np.swapaxes(dcm_e_from_n(latitude, longitude), 1, 2)
+
+    @cached_property
+    def velocity_n(self) -> NDArray[np.float64]:
+        """(N+1, 3) velocity with respect to the Earth, north-east-down [m/s]."""
+        rotated: NDArray[np.float64] = np.einsum("nij,nj->ni", self.C_ne, self.velocity_e)
+        return rotated
+
+    @cached_property
+    def euler(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Roll, pitch and yaw against the local north-east-down axes [rad], (N+1,) each."""
+        return dcm_to_euler(self.C_ne @ self.C_eb)
+
+
+def integrate_velocity(
+    start_e: ArrayLike, velocity_e: NDArray[np.float64], step: float
+) -> NDArray[np.float64]:
+    r"""Position as the trapezoid integral of velocity.
+
+    .. math::
+        r_{i+1} = r_i + \tfrac12 \Delta t\,(v_i + v_{i+1})
+
+    Parameters
+    ----------
+    start_e : array_like
+        (3,) first position, ECEF [m].
+    velocity_e : ndarray
+        (N+1, 3) velocity, ECEF [m/s].
+    step : float
+        Interval of the samples [s].
+
+    Returns
+    -------
+    ndarray
+        (N+1, 3) position, ECEF [m].
+    """
+    position = np.zeros_like(velocity_e)
+    np.cumsum(0.5 * step * (velocity_e[:-1] + velocity_e[1:]), axis=0, out=position[1:])
+    position += np.asarray(start_e, dtype=np.float64)
+    return position
+
+
+def check_closure(
+    position_e: NDArray[np.float64], closed_e: NDArray[np.float64], step: float, tolerance: float
+) -> None:
+    """Raise where positions stray from the integral of the velocities.
+
+    Parameters
+    ----------
+    position_e, closed_e : ndarray
+        (N+1, 3) given and integrated positions, ECEF [m].
+    step : float
+        Interval of the samples [s].
+    tolerance : float
+        Largest distance allowed [m].
+    """
+    distance = np.linalg.norm(position_e - closed_e, axis=1)
+    worst = int(distance.argmax())
+    if distance[worst] > tolerance:
+        raise ValueError(
+            f"positions must be the integral of the velocities to {tolerance:g} m, "
+            f"got {distance[worst]:.3g} m at {worst * step:g} s"
+        )
+
+
+def flight_from_geodetic(
+    name: str,
+    latitude: ArrayLike,
+    longitude: ArrayLike,
+    height: ArrayLike,
+    velocity_n: ArrayLike,
+    roll: ArrayLike,
+    pitch: ArrayLike,
+    yaw: ArrayLike,
+    step: float = DEFAULT_STEP,
+    tolerance: float = 1.0,
+) -> Flight:
+    """Flight from geodetic positions, north-east-down velocities and Euler angles.
+
+    The positions turn velocity and attitude to ECEF axes; of them, only the first one is kept
+    as it is, and the others follow from the velocities.
+
+    Parameters
+    ----------
+    name : str
+        Name of the flight.
+    latitude, longitude, height : array_like
+        (N+1,) geodetic position [rad, rad, m].
+    velocity_n : array_like
+        (N+1, 3) velocity with respect to the Earth, north-east-down [m/s].
+    roll, pitch, yaw : array_like
+        (N+1,) attitude [rad].
+    step : float
+        Interval of the samples [s].
+    tolerance : float
+        Largest distance between given and integrated position [m].
+
+    Returns
+    -------
+    Flight
+        Its time is ``np.arange(N + 1) * step``.
+    """
+    given = geodetic_to_ecef(latitude, longitude, height)
+    C_en = dcm_e_from_n(latitude, longitude)
+    velocity_n = np.asarray(velocity_n, dtype=np.float64)
+    velocity_e: NDArray[np.float64] = np.einsum("nij,nj->ni", C_en, velocity_n)
+    closed = integrate_velocity(given[0], velocity_e, step)
+    check_closure(given, closed, step, tolerance)
+    C_eb = C_en @ euler_to_dcm(roll, pitch, yaw)
+    return Flight(name, np.arange(len(closed), dtype=np.float64) * step, closed, velocity_e, C_eb)
+
+
+def flight_from_velocity(
+    name: str,
+    latitude: float,
+    longitude: float,
+    height: float,
+    velocity_n: ArrayLike,
+    roll: ArrayLike,
+    pitch: ArrayLike,
+    yaw: ArrayLike,
+    step: float = DEFAULT_STEP,
+) -> Flight:
+    r"""Flight from a start and the histories of velocity and Euler angles.
+
+    Solves :math:`\dot r = C_{en}(r)\,v_n` by Picard's iteration, each of whose passes integrates
+    by trapezoids.
+
+    Parameters
+    ----------
+    name : str
+        Name of the flight.
+    latitude, longitude, height : float
+        Start [rad, rad, m].
+    velocity_n : array_like
+        (N+1, 3) velocity with respect to the Earth, north-east-down [m/s].
+    roll, pitch, yaw : array_like
+        (N+1,) attitude [rad].
+    step : float
+        Interval of the samples [s].
+
+    Returns
+    -------
+    Flight
+        Its time is ``np.arange(N + 1) * step``.
+    """
+    velocity_n = np.asarray(velocity_n, dtype=np.float64)
+    start = geodetic_to_ecef(latitude, longitude, height)
+    position = np.broadcast_to(start, velocity_n.shape)
+    for _ in range(_PICARD_LIMIT):
+        before = position
+        C_en = dcm_e_from_n(*ecef_to_geodetic(before)[:2])
+        velocity_e = np.einsum("nij,nj->ni", C_en, velocity_n)
+        position = integrate_velocity(start, velocity_e, step)
+        if np.abs(position - before).max() < _PICARD_STOP:
+            break
+    C_eb = C_en @ euler_to_dcm(roll, pitch, yaw)
+    return Flight(
+        name, np.arange(len(position), dtype=np.float64) * step, position, velocity_e, C_eb
+    )

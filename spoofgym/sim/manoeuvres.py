@@ -1,0 +1,403 @@
+"""Flights made of manoeuvres: straight stretches, turns, climbs, changes of speed.
+
+Every manoeuvre is a pulse of one rate (turn rate, climb rate or acceleration) that rises and
+falls as a raised cosine, so that attitude and specific force have no steps and the change of
+heading, height or speed comes out exactly.  Yaw lies along the velocity and pitch is the
+flight-path angle; wind, angle of attack and the effect of the Earth's rotation on the bank angle
+are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..earth.wgs84 import STANDARD_GRAVITY
+from .flight import Flight, flight_from_velocity
+from .pulse import Pulse
+
+Axis = Literal["none", "turn", "steer", "climb", "speed"]
+
+STEEPEST_BANK_DEG = 75.0
+"""Largest bank of a turn [deg], 3.9 g."""
+STEEPEST_PATH_DEG = 60.0
+"""Largest flight-path angle of a climb [deg]."""
+
+
+class Manoeuvre(Protocol):
+    """What `fly` needs of a manoeuvre: the axis it acts on, and its pulse."""
+
+    axis: ClassVar[Axis]
+
+    def pulse(self, speed: float, start: float) -> Pulse:
+        """Pulse of rate on the axis, entered with a speed [m/s] at a time of the flight [s]."""
+
+
+@dataclass(frozen=True)
+class Straight:
+    """Straight and level motion for a while.
+
+    Parameters
+    ----------
+    duration_s : float
+        Duration [s].
+    """
+
+    axis: ClassVar[Axis] = "none"
+    duration_s: float
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        _check_between("duration_s", self.duration_s, 0.0, math.inf)
+
+    def pulse(self, speed: float, start: float) -> Pulse:
+        """No rate at all."""
+        return Pulse.idle(self.duration_s)
+
+
+@dataclass(frozen=True)
+class Until:
+    """Straight and level motion until a time of the flight.
+
+    Parameters
+    ----------
+    time_s : float
+        Time since the start of the flight [s].
+    """
+
+    axis: ClassVar[Axis] = "none"
+    time_s: float
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        _check_between("time_s", self.time_s, 0.0, math.inf)
+
+    def pulse(self, speed: float, start: float) -> Pulse:
+        """No rate at all; the time must not have passed."""
+        if self.time_s < start:
+            raise ValueError(
+                f"`time_s` must not lie before the end of the previous manoeuvre, {start:g} s, "
+                f"got {self.time_s:g} s"
+            )
+        return Pulse.idle(self.time_s - start)
+
+
+@dataclass(frozen=True)
+class Turn:
+    r"""A coordinated level turn: no lateral specific force.
+
+    .. math::
+        \tan\phi = v\,\dot\psi / g
+
+    Parameters
+    ----------
+    angle_deg : float
+        Change of heading [deg], positive to the right.
+    bank_deg : float
+        Largest bank [deg], positive in either direction.
+    ramp_s : float
+        Time to roll in and to roll out [s]; the roll rate stays below
+        tan(bank) pi / (2 ramp).
+    """
+
+    axis: ClassVar[Axis] = "turn"
+    angle_deg: float
+    bank_deg: float = 25.0
+    ramp_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        _check_finite("angle_deg", self.angle_deg)
+        _check_between("bank_deg", self.bank_deg, 0.0, STEEPEST_BANK_DEG)
+        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+
+    def pulse(self, speed: float, start: float) -> Pulse:
+        """Turn rate [rad/s]."""
+        if speed <= 0.0:
+            raise ValueError(f"a banked turn needs a speed above 0 m/s, got {speed:g} m/s")
+        peak = STANDARD_GRAVITY * math.tan(math.radians(self.bank_deg)) / speed
+        return Pulse.of_area(math.radians(self.angle_deg), peak, self.ramp_s)
+
+
+@dataclass(frozen=True)
+class Steer:
+    """A turn on wheels, without bank.
+
+    Parameters
+    ----------
+    angle_deg : float
+        Change of heading [deg], positive to the right.
+    rate_degps : float
+        Largest turn rate [deg/s], positive in either direction.
+    ramp_s : float
+        Time to turn the wheel in and back [s].
+    """
+
+    axis: ClassVar[Axis] = "steer"
+    angle_deg: float
+    rate_degps: float = 7.0
+    ramp_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        _check_finite("angle_deg", self.angle_deg)
+        _check_between("rate_degps", self.rate_degps, 0.0, math.inf)
+        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+
+    def pulse(self, speed: float, start: float) -> Pulse:
+        """Turn rate [rad/s]."""
+        peak = math.radians(self.rate_degps)
+        return Pulse.of_area(math.radians(self.angle_deg), peak, self.ramp_s)
+
+
+@dataclass(frozen=True)
+class Climb:
+    """A change of height at constant speed along the path.
+
+    Parameters
+    ----------
+    height_m : float
+        Change of height [m], negative to descend.
+    rate_mps : float
+        Largest vertical speed [m/s], positive in either direction.
+    ramp_s : float
+        Time to pull up and to level off [s]; the change of the normal acceleration stays below
+        about rate pi / (2 ramp).
+    """
+
+    axis: ClassVar[Axis] = "climb"
+    height_m: float
+    rate_mps: float = 10.0
+    ramp_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        _check_finite("height_m", self.height_m)
+        _check_between("rate_mps", self.rate_mps, 0.0, math.inf)
+        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+
+    def pulse(self, speed: float, start: float) -> Pulse:
+        """Vertical speed [m/s], upwards."""
+        steepest = speed * math.sin(math.radians(STEEPEST_PATH_DEG))
+        if self.rate_mps > steepest:
+            raise ValueError(
+                f"`rate_mps` must be at most {steepest:.3g} m/s at a speed of {speed:g} m/s "
+                f"({STEEPEST_PATH_DEG:g} deg), got {self.rate_mps:g} m/s"
+            )
+        return Pulse.of_area(self.height_m, self.rate_mps, self.ramp_s)
+
+
+@dataclass(frozen=True)
+class Accelerate:
+    """A change of speed on a straight and level path.
+
+    Parameters
+    ----------
+    change_mps : float
+        Change of speed [m/s], negative to slow down.
+    acceleration_mps2 : float
+        Largest acceleration [m/s^2], positive in either direction.
+    ramp_s : float
+        Time for the acceleration to set in and to cease [s].
+    """
+
+    axis: ClassVar[Axis] = "speed"
+    change_mps: float
+    acceleration_mps2: float = 1.0
+    ramp_s: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        _check_finite("change_mps", self.change_mps)
+        _check_between("acceleration_mps2", self.acceleration_mps2, 0.0, math.inf)
+        _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
+
+    def pulse(self, speed: float, start: float) -> Pulse:
+        """Acceleration [m/s^2]."""
+        if speed + self.change_mps < -1e-9:
+            raise ValueError(
+                f"`change_mps` must be at least {-speed:g} m/s at this speed, "
+                f"got {self.change_mps:g} m/s"
+            )
+        return Pulse.of_area(self.change_mps, self.acceleration_mps2, self.ramp_s)
+
+
+def fly(
+    manoeuvres: Sequence[Manoeuvre],
+    *,
+    latitude_deg: float,
+    longitude_deg: float,
+    height_m: float,
+    speed_mps: float,
+    heading_deg: float,
+    rate_hz: float = 100.0,
+    name: str = "flight",
+) -> Flight:
+    """Flight that carries out manoeuvres one after the other.
+
+    Parameters
+    ----------
+    manoeuvres : sequence
+        Manoeuvres in the order of time.
+    latitude_deg, longitude_deg, height_m : float
+        Start: geodetic latitude and longitude [deg], height above the ellipsoid [m].
+    speed_mps : float
+        Speed at the start, along the path [m/s].
+    heading_deg : float
+        Heading at the start, clockwise from north [deg].
+    rate_hz : float
+        Samples a second [Hz].
+    name : str
+        Name of the flight.
+
+    Returns
+    -------
+    Flight
+        From 0 to the last sample within the manoeuvres.
+    """
+    _check_between("latitude_deg", latitude_deg, -90.0, 90.0)
+    _check_finite("longitude_deg", longitude_deg)
+    _check_between("rate_hz", rate_hz, 0.0, math.inf)
+    if not speed_mps >= 0.0:
+        raise ValueError(f"`speed_mps` must be at least 0 m/s, got {speed_mps:g} m/s")
+    if not manoeuvres:
+        raise ValueError("`manoeuvres` must have at least one manoeuvre, got none")
+    pulses = _chain(manoeuvres, speed_mps)
+    last = pulses[-1]
+    time = np.arange(int((last.start + last.pulse.duration) * rate_hz + 1e-6) + 1) / rate_hz
+    speed = speed_mps + _sum(pulses, ["speed"], time, total=True)
+    heading = math.radians(heading_deg) + _sum(pulses, ["turn", "steer"], time, total=True)
+    climb = _sum(pulses, ["climb"], time)
+    path = np.arcsin(climb / np.where(climb == 0.0, 1.0, speed))
+    roll = np.arctan(speed * _sum(pulses, ["turn"], time) / STANDARD_GRAVITY)
+    horizontal = speed * np.cos(path)
+    velocity_n = np.stack(
+        [horizontal * np.cos(heading), horizontal * np.sin(heading), -climb], axis=-1
+    )
+    return flight_from_velocity(
+        name,
+        math.radians(latitude_deg),
+        math.radians(longitude_deg),
+        height_m,
+        velocity_n,
+        roll,
+        path,
+        heading,
+        1.0 / rate_hz,
+    )
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """A pulse, the axis it acts on and the time at which it begins [s]."""
+
+    axis: Axis
+    start: float
+    pulse: Pulse
+
+
+def _chain(manoeuvres: Sequence[Manoeuvre], speed: float) -> list[_Placed]:
+    """Place the pulses one after the other."""
+    placed = []
+    start = 0.0
+    for manoeuvre in manoeuvres:
+        pulse = manoeuvre.pulse(speed, start)
+        placed.append(_Placed(manoeuvre.axis, start, pulse))
+        start += pulse.duration
+        if manoeuvre.axis == "speed":
+            speed = max(0.0, speed + pulse.peak * (pulse.ramp + pulse.hold))
+    return placed
+
+
+def _sum(
+    placed: Sequence[_Placed], axes: Sequence[Axis], time: NDArray[np.float64], total: bool = False
+) -> NDArray[np.float64]:
+    """Sum of the rates, or of their integrals, of the pulses on some axes."""
+    value = np.zeros_like(time)
+    for item in placed:
+        if item.axis in axes:
+            local = time - item.start
+            value += item.pulse.total(local) if total else item.pulse.rate(local)
+    return value
+
+
+def _check_finite(name: str, value: float) -> None:
+    if not math.isfinite(value):
+        raise ValueError(f"`{name}` must be finite, got {value:g}")
+
+
+def _check_between(name: str, value: float, low: float, high: float) -> None:
+    if not low < value < high:
+        raise ValueError(f"`{name}` must lie between {low:g} and {high:g}, got {value:g}")
+
+
+def zhong2025() -> Flight:
+    """Flight of zhong2025: 418 s at 200 m/s, two turns of 45 deg and a climb of 500 m.
+
+    Its own equivalent of the aircraft profile of Groves' software: the manoeuvres lie on the
+    same middles in time, with smooth edges where the profile's bank has steps.
+
+    Returns
+    -------
+    Flight
+        41,801 states at 100 Hz.
+    """
+    return fly(
+        [
+            Until(18.0),
+            Turn(45.0, bank_deg=14.04, ramp_s=4.0),
+            Until(112.3),
+            Turn(-45.0, bank_deg=14.04, ramp_s=4.0),
+            Until(207.0),
+            Climb(500.0, rate_mps=20.0, ramp_s=11.0),
+            Until(418.0),
+        ],
+        latitude_deg=50.425,
+        longitude_deg=-3.5958,
+        height_m=10000.0,
+        speed_mps=200.0,
+        heading_deg=90.0,
+        name="zhong2025",
+    )
+
+
+def car() -> Flight:
+    """Drive of 60 s, after the car profile of Groves' software.
+
+    From a standstill to 20 m/s northwards, right by 90 deg, up a ramp, left by 90 deg, and to a
+    stop.
+
+    Returns
+    -------
+    Flight
+        6001 states at 100 Hz.
+    """
+    return fly(
+        [
+            Until(1.0),
+            Accelerate(20.0, acceleration_mps2=3.0, ramp_s=1.5),
+            Until(14.0),
+            Steer(90.0, rate_degps=7.5, ramp_s=1.0),
+            Climb(3.0, rate_mps=0.8, ramp_s=2.0),
+            Until(33.5),
+            Steer(-90.0, rate_degps=7.5, ramp_s=1.0),
+            Until(50.0),
+            Accelerate(-20.0, acceleration_mps2=3.0, ramp_s=1.5),
+            Until(60.0),
+        ],
+        latitude_deg=51.0,
+        longitude_deg=0.0,
+        height_m=10.0,
+        speed_mps=0.0,
+        heading_deg=0.0,
+        name="car",
+    )
+
+
+FLIGHTS: dict[str, Callable[[], Flight]] = {"car": car, "zhong2025": zhong2025}
+"""The ready-made flights by name."""

@@ -1,0 +1,206 @@
+"""Counter-based white noise: any part of a stream, without the parts before it.
+
+Threefry-2x64-20 (`salmon2011` in references.bib) turns a key and a counter into random bits, the
+transform of Box and Muller (`boxmuller1958`) turns these into normal deviates.  The key belongs to
+one source of one receiver in one episode, the counter tells epoch and number, so that noise
+depends neither on the size of a batch or of a block nor on what has been drawn before.  Logarithm,
+sine and cosine are the project's own polynomials, which compilers vectorize, with relative errors
+below 1e-12.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._jit import inlined, njit
+
+_MASK = np.uint64(0xFFFFFFFF)
+_HALF = np.uint64(32)
+_WORD = np.uint64(64)
+_PARITY = np.uint64(0x1BD11BDAA9FC1A22)
+_SQRT2 = math.sqrt(2.0)
+_LN2 = math.log(2.0)
+_MANTISSA = np.int64(0x000FFFFFFFFFFFFF)
+_ONE_BITS = np.int64(0x3FF0000000000000)
+_QUADRANT = np.uint64(30)
+_QUADRANT_MASK = np.uint64(0x3FFFFFFF)
+_ODD = np.uint64(1)
+_UPPER = np.uint64(2)
+
+BLOCK = 64
+"""Deviates come in multiples of this many, so that a vectorized loop has no remainder."""
+
+
+@inlined
+def _mix(x: np.uint64, y: np.uint64, turn: np.uint64) -> tuple[np.uint64, np.uint64]:
+    x = x + y
+    return x, ((y << turn) | (y >> (_WORD - turn))) ^ x
+
+
+@inlined
+def threefry(
+    x: np.uint64, y: np.uint64, k0: np.uint64, k1: np.uint64
+) -> tuple[np.uint64, np.uint64]:
+    """Threefry-2x64-20: 128 random bits of a counter under a key.
+
+    Parameters
+    ----------
+    x, y : uint64
+        The counter.
+    k0, k1 : uint64
+        The key.
+
+    Returns
+    -------
+    x, y : uint64
+        Random words.
+
+    Notes
+    -----
+    Salmon et al. (2011), section 3.3.  The rounds are written out, since compilers vectorize only
+    a loop that has no loop in it.
+    """
+    k2 = k0 ^ k1 ^ _PARITY
+    x, y = x + k0, y + k1
+    x, y = _mix(x, y, np.uint64(16))
+    x, y = _mix(x, y, np.uint64(42))
+    x, y = _mix(x, y, np.uint64(12))
+    x, y = _mix(x, y, np.uint64(31))
+    x, y = x + k1, y + k2 + np.uint64(1)
+    x, y = _mix(x, y, np.uint64(16))
+    x, y = _mix(x, y, np.uint64(32))
+    x, y = _mix(x, y, np.uint64(24))
+    x, y = _mix(x, y, np.uint64(21))
+    x, y = x + k2, y + k0 + np.uint64(2)
+    x, y = _mix(x, y, np.uint64(16))
+    x, y = _mix(x, y, np.uint64(42))
+    x, y = _mix(x, y, np.uint64(12))
+    x, y = _mix(x, y, np.uint64(31))
+    x, y = x + k0, y + k1 + np.uint64(3)
+    x, y = _mix(x, y, np.uint64(16))
+    x, y = _mix(x, y, np.uint64(32))
+    x, y = _mix(x, y, np.uint64(24))
+    x, y = _mix(x, y, np.uint64(21))
+    x, y = x + k1, y + k2 + np.uint64(4)
+    x, y = _mix(x, y, np.uint64(16))
+    x, y = _mix(x, y, np.uint64(42))
+    x, y = _mix(x, y, np.uint64(12))
+    x, y = _mix(x, y, np.uint64(31))
+    x, y = x + k2, y + k0 + np.uint64(5)
+    return x, y
+
+
+@inlined
+def natural_log(x: float) -> float:
+    r"""Logarithm of a positive normal number.
+
+    With :math:`x = 2^e m`, :math:`m \in [\sqrt{1/2}, \sqrt2)` and :math:`s = (m - 1)/(m + 1)`,
+
+    .. math:: \ln x = e \ln 2 + 2 \sum_{k=0}^{8} \frac{s^{2k + 1}}{2k + 1}
+
+    Parameters
+    ----------
+    x : float
+        Positive, not denormal.
+
+    Returns
+    -------
+    float
+        ln x.
+    """
+    bits = np.float64(x).view(np.int64)
+    e = float(bits >> np.int64(52)) - 1023.0
+    m = np.int64((bits & _MANTISSA) | _ONE_BITS).view(np.float64)
+    high = m > _SQRT2
+    m = 0.5 * m if high else m
+    e = e + 1.0 if high else e
+    s = (m - 1.0) / (m + 1.0)
+    q = s * s
+    p = 1.0 / 13.0 + q * (1.0 / 15.0 + q * (1.0 / 17.0))
+    p = 1.0 / 7.0 + q * (1.0 / 9.0 + q * (1.0 / 11.0 + q * p))
+    p = 1.0 + q * (1.0 / 3.0 + q * (1.0 / 5.0 + q * p))
+    return e * _LN2 + 2.0 * s * p
+
+
+@inlined
+def normal_pair(word: np.uint64) -> tuple[float, float]:
+    r"""Two independent standard normal deviates of 64 random bits.
+
+    .. math:: \sqrt{-2 \ln u} \, (\cos 2\pi v, \sin 2\pi v)
+
+    with u and v uniform on the middles of 2^32 intervals of (0, 1).
+
+    Parameters
+    ----------
+    word : uint64
+        Random bits.
+
+    Returns
+    -------
+    a, b : float
+        At most 6.8 in size.
+
+    Notes
+    -----
+    Box and Muller (1958).
+    """
+    x, y = word & _MASK, word >> _HALF
+    radius = math.sqrt(-2.0 * natural_log((float(x) + 0.5) * 2.0**-32))
+    # the upper two bits of y choose the quadrant, the others an angle within +- pi/4 of its middle
+    quadrant = y >> _QUADRANT
+    t = (float(y & _QUADRANT_MASK) + 0.5) * (0.5 * math.pi * 2.0**-30) - 0.25 * math.pi
+    q = t * t
+    sine = 1.0 / 5040.0 - q * (1.0 / 362880.0 - q * (1.0 / 39916800.0 - q / 6227020800.0))
+    sine = t * (1.0 - q * (1.0 / 6.0 - q * (1.0 / 120.0 - q * sine)))
+    cosine = 1.0 / 40320.0 - q * (1.0 / 3628800.0 - q * (1.0 / 479001600.0 - q / 87178291200.0))
+    cosine = 1.0 - q * (0.5 - q * (1.0 / 24.0 - q * (1.0 / 720.0 - q * cosine)))
+    odd = (quadrant & _ODD) != 0
+    upper = (quadrant & _UPPER) != 0
+    a = sine if odd else cosine
+    b = cosine if odd else sine
+    signed_a = -radius if odd != upper else radius
+    signed_b = -radius if upper else radius
+    return signed_a * a, signed_b * b
+
+
+@njit
+def normals(k0: np.uint64, k1: np.uint64, epoch: int, out: NDArray[np.float64]) -> None:
+    """Fill an array with the standard normal deviates of one epoch.
+
+    Parameters
+    ----------
+    k0, k1 : uint64
+        Key of one source, receiver and episode.
+    epoch : int
+        Number of the epoch.
+    out : ndarray
+        (N,), N a multiple of `BLOCK`, written.
+    """
+    n = out.shape[0] // 4
+    for q in range(n):
+        x, y = threefry(np.uint64(q), np.uint64(epoch), k0, k1)
+        a, b = normal_pair(x)
+        out[q] = a
+        out[n + q] = b
+        a, b = normal_pair(y)
+        out[2 * n + q] = a
+        out[3 * n + q] = b
+
+
+def padded(count: int) -> int:
+    """Smallest multiple of `BLOCK` that holds `count` deviates.
+
+    Parameters
+    ----------
+    count : int
+        How many are needed.
+
+    Returns
+    -------
+    int
+        Length of the array for `normals`.
+    """
+    return -(-count // BLOCK) * BLOCK

@@ -1,0 +1,207 @@
+"""The arrays of a batch of receivers' sensors: errors, clocks, keys of the noise.
+
+As with the receivers, all floating-point arrays lie in one buffer that `unpack_sensors` names.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._jit import njit
+from .gnss import GnssErrors
+from .imu import ImuGrade
+
+FloatArray = NDArray[np.float64]
+SOURCES = ("imu", "clock", "gnss")
+
+
+class SensorState(NamedTuple):
+    """Errors of every receiver's sensors.
+
+    Attributes
+    ----------
+    accel_bias, gyro_bias : ndarray
+        (B, 3) body axes [m/s^2], [rad/s].
+    accel_matrix, gyro_matrix, g_dependence : ndarray
+        (B, 3, 3) I + M_a, I + M_g and G_g.
+    imu_noise : ndarray
+        (B, 4) root PSD of accelerometers and gyros, quantization levels.
+    residual : ndarray
+        (B, 6) what quantization carries to the next sample.
+    clock, clock_psd : ndarray
+        (B, 2) true clock bias [m] and drift [m/s], and their noise.
+    gnss_noise : ndarray
+        (B, 2) white noise of pseudoranges [m] and range rates [m/s].
+    satellite_bias : ndarray
+        (B, n) constant for an episode [m].
+    range_offset, rate_offset : ndarray
+        (B, n) what the attack adds [m], [m/s].
+    """
+
+    accel_bias: FloatArray
+    gyro_bias: FloatArray
+    accel_matrix: FloatArray
+    gyro_matrix: FloatArray
+    g_dependence: FloatArray
+    imu_noise: FloatArray
+    residual: FloatArray
+    clock: FloatArray
+    clock_psd: FloatArray
+    gnss_noise: FloatArray
+    satellite_bias: FloatArray
+    range_offset: FloatArray
+    rate_offset: FloatArray
+
+
+@njit
+def sensor_size(receivers: int, channels: int) -> int:
+    """Number of floating-point values of a batch of sensors.
+
+    Parameters
+    ----------
+    receivers, channels : int
+        B and n.
+
+    Returns
+    -------
+    int
+        Length of the buffer.
+    """
+    return receivers * (6 + 27 + 4 + 6 + 6 + 3 * channels)
+
+
+@njit
+def unpack_sensors(floats: FloatArray, receivers: int, channels: int) -> SensorState:
+    """Name the arrays of a batch of sensors: views of its buffer.
+
+    Parameters
+    ----------
+    floats : ndarray
+        (`sensor_size`,) float64.
+    receivers, channels : int
+        B and n.
+
+    Returns
+    -------
+    SensorState
+        Views.
+    """
+    b, n = receivers, channels
+    o = 0
+    accel_bias = floats[o : o + 3 * b].reshape((b, 3))
+    o += 3 * b
+    gyro_bias = floats[o : o + 3 * b].reshape((b, 3))
+    o += 3 * b
+    accel_matrix = floats[o : o + 9 * b].reshape((b, 3, 3))
+    o += 9 * b
+    gyro_matrix = floats[o : o + 9 * b].reshape((b, 3, 3))
+    o += 9 * b
+    g_dependence = floats[o : o + 9 * b].reshape((b, 3, 3))
+    o += 9 * b
+    imu_noise = floats[o : o + 4 * b].reshape((b, 4))
+    o += 4 * b
+    residual = floats[o : o + 6 * b].reshape((b, 6))
+    o += 6 * b
+    clock = floats[o : o + 2 * b].reshape((b, 2))
+    o += 2 * b
+    clock_psd = floats[o : o + 2 * b].reshape((b, 2))
+    o += 2 * b
+    gnss_noise = floats[o : o + 2 * b].reshape((b, 2))
+    o += 2 * b
+    satellite_bias = floats[o : o + n * b].reshape((b, n))
+    o += n * b
+    range_offset = floats[o : o + n * b].reshape((b, n))
+    o += n * b
+    rate_offset = floats[o : o + n * b].reshape((b, n))
+    return SensorState(
+        accel_bias,
+        gyro_bias,
+        accel_matrix,
+        gyro_matrix,
+        g_dependence,
+        imu_noise,
+        residual,
+        clock,
+        clock_psd,
+        gnss_noise,
+        satellite_bias,
+        range_offset,
+        rate_offset,
+    )
+
+
+class SensorBuffers:
+    """The memory of a batch of sensors.
+
+    Parameters
+    ----------
+    receivers, channels : int
+        B and n.
+
+    Attributes
+    ----------
+    floats : ndarray
+        What `unpack_sensors` takes.
+    state : SensorState
+        What it returns.
+    keys : ndarray
+        (3, B, 2) uint64, key of the noise of each of `SOURCES`.
+    epoch : ndarray
+        (B,) int64, the epoch that each receiver is at.
+    """
+
+    def __init__(self, receivers: int, channels: int) -> None:
+        self.floats = np.zeros(sensor_size(receivers, channels))
+        self.state = unpack_sensors(self.floats, receivers, channels)
+        self.keys = np.zeros((len(SOURCES), receivers, 2), dtype=np.uint64)
+        self.epoch = np.zeros(receivers, dtype=np.int64)
+
+    def begin(
+        self,
+        rows: NDArray[np.intp],
+        rngs: list[np.random.Generator],
+        grade: ImuGrade,
+        errors: GnssErrors,
+        bias_sd: FloatArray,
+    ) -> None:
+        """Draw the errors of a new episode.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Receivers that begin.
+        rngs : list of Generator
+            One per row.  Each spawns one child a source, and these give the keys and the biases,
+            so that no source depends on how much another draws.
+        grade : ImuGrade
+            Inertial sensors.
+        errors : GnssErrors
+            GNSS errors and clock.
+        bias_sd : ndarray
+            (n,) standard deviation of the satellite biases [m].
+        """
+        state = self.state
+        state.accel_bias[rows] = grade.accel_bias
+        state.gyro_bias[rows] = grade.gyro_bias
+        state.accel_matrix[rows] = grade.accel_matrix
+        state.gyro_matrix[rows] = grade.gyro_matrix
+        state.g_dependence[rows] = grade.g_dependence
+        state.imu_noise[rows] = grade.noise
+        state.residual[rows] = 0.0
+        clock = errors.clock
+        state.clock[rows] = clock.offset_m, clock.drift_mps
+        state.clock_psd[rows] = clock.phase_psd, clock.frequency_psd
+        state.gnss_noise[rows] = errors.code_sd_m, errors.range_rate_sd_mps
+        state.range_offset[rows] = 0.0
+        state.rate_offset[rows] = 0.0
+        self.epoch[rows] = 0
+        for row, rng in zip(rows, rngs, strict=True):
+            children = rng.spawn(len(SOURCES) + 1)
+            for source in range(len(SOURCES)):
+                self.keys[source, row] = children[source].integers(
+                    0, 2**64, size=2, dtype=np.uint64
+                )
+            state.satellite_bias[row] = bias_sd * children[-1].standard_normal(len(bias_sd))

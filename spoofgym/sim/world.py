@@ -1,0 +1,212 @@
+"""The authentic world of one run: all truth, computed once and shared by all receivers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
+from ._kernels import fill_ranges
+from .constellation import Constellation
+from .trajectory import Trajectory
+
+FloatArray = NDArray[np.float64]
+CHANNELS = 12
+MASK_DEG = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """Truth at every inertial sample and at every GNSS epoch.
+
+    Epoch 0 is at time zero; epoch k ends with sample ``epoch_end[k]`` (exclusive).  Channels are
+    slots for satellites, the same for the whole run, ordered by satellite id.
+
+    Parameters
+    ----------
+    name : str
+        Of the flight.
+    satellite_ids : tuple of str
+        (n,) id of each slot; ``""`` for a slot that stays empty.
+    imu_interval : ndarray
+        (N,) length of every sample [s].
+    imu_truth : ndarray
+        (6, N) true specific force [m/s^2] and angular rate [rad/s], body axes.
+    epoch_time : ndarray
+        (K,) [s].
+    epoch_end : ndarray
+        (K,) int64, number of samples up to the epoch.
+    satellites : ndarray
+        (K, n, 8) satellite position and velocity, ECEF, true range [m] and range rate [m/s]
+        without clocks.
+    visible : ndarray
+        (K, n) bool, above the mask.
+    elevation, azimuth : ndarray
+        (K, n) [rad]; 0 for an empty slot.
+    position_e, velocity_e : ndarray
+        (K, 3) true antenna, ECEF [m], [m/s].
+    C_eb : ndarray
+        (K, 3, 3) true attitude.
+    """
+
+    name: str
+    satellite_ids: tuple[str, ...]
+    imu_interval: FloatArray
+    imu_truth: FloatArray
+    epoch_time: FloatArray
+    epoch_end: NDArray[np.int64]
+    satellites: FloatArray
+    visible: NDArray[np.bool_]
+    elevation: FloatArray
+    azimuth: FloatArray
+    position_e: FloatArray
+    velocity_e: FloatArray
+    C_eb: FloatArray
+
+    @property
+    def epochs(self) -> int:
+        """Number of epochs, K."""
+        return len(self.epoch_time)
+
+    @property
+    def channels(self) -> int:
+        """Number of slots, n."""
+        return len(self.satellite_ids)
+
+    @property
+    def most_samples(self) -> int:
+        """Most samples between two epochs, S."""
+        return int(np.diff(self.epoch_end).max())
+
+    @property
+    def first_elevation(self) -> FloatArray:
+        """(n,) elevation of each slot when it is first visible [rad]; 90 deg where it never is."""
+        first = np.argmax(self.visible, axis=0)
+        seen = self.visible.any(axis=0)
+        return np.where(seen, self.elevation[first, np.arange(self.channels)], np.pi / 2)
+
+    def local_frame(self, epoch: int) -> FloatArray:
+        """North-east-down axes at the true position of an epoch.
+
+        Parameters
+        ----------
+        epoch : int
+            Which epoch.
+
+        Returns
+        -------
+        ndarray
+            (3, 3) `C_en`, to ECEF from local axes.
+        """
+        latitude, longitude, _ = ecef_to_geodetic(self.position_e[epoch])
+        return dcm_e_from_n(latitude, longitude)
+
+
+def build_world(
+    trajectory: Trajectory,
+    constellation: Constellation,
+    *,
+    epoch_interval_s: float = 0.5,
+    channels: int = CHANNELS,
+    mask_deg: float = MASK_DEG,
+) -> World:
+    """Compute the truth of a run.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        True motion and true inertial samples.
+    constellation : Constellation
+        Satellites; where more rise above the mask than there are channels, those that stay
+        longest are taken.
+    epoch_interval_s : float
+        Time between GNSS epochs, a multiple of the sample interval.
+    channels : int
+        Number of slots, 4 to 32.
+    mask_deg : float
+        Elevation mask, 0 to 60.
+
+    Returns
+    -------
+    World
+        The truth.
+
+    Raises
+    ------
+    ValueError
+        When a setting is out of range, or fewer than 4 satellites are visible at time zero.
+    """
+    time = trajectory.time
+    step = time[1] - time[0]
+    per_epoch = round(epoch_interval_s / step)
+    if per_epoch < 1 or abs(per_epoch * step - epoch_interval_s) > 1e-6 * step:
+        raise ValueError(
+            f"`epoch_interval_s` must be a multiple of the sample interval {step:g} s, "
+            f"got {epoch_interval_s}"
+        )
+    if not 4 <= channels <= 32:
+        raise ValueError(f"`channels` must be 4 to 32, got {channels}")
+    if not 0.0 <= mask_deg <= 60.0:
+        raise ValueError(f"`mask_deg` must be 0 to 60, got {mask_deg}")
+    epoch_end = np.arange(0, len(time), per_epoch, dtype=np.int64)
+    if len(epoch_end) < 2:
+        raise ValueError(f"a run of {time[-1]:g} s holds no epoch of {epoch_interval_s:g} s")
+    position_e = trajectory.position_e[epoch_end]
+    velocity_e = trajectory.velocity_e[epoch_end]
+    states = constellation.states(time[epoch_end])
+    elevation, azimuth = _look(states.position_e, position_e)
+    usable = np.isfinite(states.position_e).all(-1) & np.isfinite(states.velocity_e).all(-1)
+    visible = usable & (elevation > np.radians(mask_deg))
+    chosen = _choose(visible, channels)
+    pad = channels - len(chosen)
+    ids = tuple(constellation.satellite_ids[i] for i in chosen) + ("",) * pad
+
+    def slots(array: NDArray[np.generic], fill: object) -> NDArray[np.generic]:
+        widths = [(0, 0), (0, pad)] + [(0, 0)] * (array.ndim - 2)
+        return np.pad(array[:, chosen], widths, constant_values=fill)  # type: ignore[call-overload]
+
+    seen = slots(visible, False).astype(np.bool_)
+    if seen[0].sum() < 4:
+        raise ValueError(
+            f"only {seen[0].sum()} satellites are above {mask_deg:g} deg at time zero; "
+            "a first fix needs 4"
+        )
+    satellites = np.zeros((len(epoch_end), channels, 8))
+    satellites[:, :, :3] = np.nan_to_num(slots(states.position_e, 0.0))
+    satellites[:, :, 3:6] = np.nan_to_num(slots(states.velocity_e, 0.0))
+    fill_ranges(satellites, seen, position_e, velocity_e)
+    return World(
+        name=trajectory.name,
+        satellite_ids=ids,
+        imu_interval=np.diff(time),
+        imu_truth=np.ascontiguousarray(
+            np.hstack([trajectory.specific_force_b, trajectory.angular_rate_b]).T
+        ),
+        epoch_time=time[epoch_end].copy(),
+        epoch_end=epoch_end,
+        satellites=satellites,
+        visible=seen,
+        elevation=np.nan_to_num(slots(elevation, 0.0)),
+        azimuth=np.nan_to_num(slots(azimuth, 0.0)),
+        position_e=position_e.copy(),
+        velocity_e=velocity_e.copy(),
+        C_eb=trajectory.C_eb[epoch_end].copy(),
+    )
+
+
+def _look(satellites: FloatArray, position_e: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Elevation and azimuth [rad], (K, n), of satellites (K, n, 3) seen from (K, 3)."""
+    latitude, longitude, _ = ecef_to_geodetic(position_e)
+    C_en = dcm_e_from_n(latitude, longitude)
+    sight = np.einsum("kji,knj->kni", C_en, satellites - position_e[:, None, :])
+    horizontal = np.hypot(sight[..., 0], sight[..., 1])
+    return np.arctan2(-sight[..., 2], horizontal), np.arctan2(sight[..., 1], sight[..., 0])
+
+
+def _choose(visible: NDArray[np.bool_], channels: int) -> list[int]:
+    """Satellites for the slots, in the order of their ids: those that are visible longest."""
+    epochs = visible.sum(axis=0)
+    longest = np.argsort(-epochs, kind="stable")[:channels]
+    return sorted(int(i) for i in longest if epochs[i] > 0)
