@@ -13,6 +13,7 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,16 +23,38 @@ import platformdirs
 F = TypeVar("F", bound=Callable[..., object])
 
 CACHE_VARIABLE = "SPOOFGYM_CACHE_DIR"
-COMPILED_FOLDERS = ("earth", "sim", "attacks", "receiver")
-KEPT_DIGESTS = 4
+COMPILED_LAYERS = ("earth", "sim", "attacks", "receiver", "detectors", "envs")
+"""Packages with compiled code, each of which calls only those before it (import-linter's order)."""
+KEPT_DIGESTS = 16
 FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 
 
-def source_digest() -> str:
-    """Digest of the numba version and of every source file that compiled code can come from.
+def layer_of(module: str) -> int:
+    """Place of a module in `COMPILED_LAYERS`.
 
-    Compiled code and its constants stand in `COMPILED_FOLDERS` and in files named ``_kernels.py``;
-    a test keeps it so.
+    Parameters
+    ----------
+    module : str
+        Dotted name.
+
+    Returns
+    -------
+    int
+        Index of its package; that of the last layer for anything else.
+    """
+    parts = module.split(".")
+    package = parts[1] if len(parts) > 1 else ""
+    last = len(COMPILED_LAYERS) - 1
+    return COMPILED_LAYERS.index(package) if package in COMPILED_LAYERS else last
+
+
+def source_digest(layer: int) -> str:
+    """Digest of the numba version and of every source file that a layer's code can come from.
+
+    Parameters
+    ----------
+    layer : int
+        Index in `COMPILED_LAYERS`; the layers below count, those above do not.
 
     Returns
     -------
@@ -40,12 +63,11 @@ def source_digest() -> str:
     """
     root = Path(__file__).parent
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(root.rglob("*.py")):
-        folder = path.relative_to(root).parts[0]
-        if folder not in COMPILED_FOLDERS and path.name not in ("_jit.py", "_kernels.py"):
-            continue
-        digest.update(path.relative_to(root).as_posix().encode())
-        digest.update(path.read_bytes())
+    digest.update(Path(__file__).read_bytes())
+    for package in COMPILED_LAYERS[: layer + 1]:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode())
+            digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -70,8 +92,9 @@ def _prune(parent: Path, keep: Path) -> None:
         shutil.rmtree(path, ignore_errors=True)
 
 
-def cache_folder() -> Path:
-    """Folder of this version's compiled code, created when missing.
+@lru_cache(maxsize=1)
+def cache_parent() -> Path:
+    """Folder of all compiled code, created when missing.
 
     ``SPOOFGYM_CACHE_DIR`` overrides the user's cache folder.  When the folder can't be written,
     one warning is issued and a temporary folder of this user is taken.
@@ -79,35 +102,48 @@ def cache_folder() -> Path:
     Returns
     -------
     Path
-        A writable folder whose name is the digest of the sources.
+        A writable folder.
     """
     wanted = os.environ.get(CACHE_VARIABLE)
     parent = Path(wanted) if wanted else Path(platformdirs.user_cache_dir("spoofgym")) / "numba"
-    folder = parent / source_digest()
-    if not _is_writable(folder):
-        user = getattr(os, "getuid", lambda: "user")()
-        fallback = Path(tempfile.gettempdir()) / f"spoofgym-cache-{user}"
-        warnings.warn(
-            f"the cache folder {parent} is not writable; compiled code goes to {fallback} "
-            f"(set {CACHE_VARIABLE} to choose another folder)",
-            RuntimeWarning,
-            stacklevel=2,
-        )
-        parent, folder = fallback, fallback / folder.name
-        if not _is_writable(folder):
-            parent = Path(tempfile.mkdtemp(prefix="spoofgym-cache-"))
-            folder = parent / folder.name
-            folder.mkdir()
-    _prune(parent, folder)
+    if _is_writable(parent):
+        return parent
+    user = getattr(os, "getuid", lambda: "user")()
+    fallback = Path(tempfile.gettempdir()) / f"spoofgym-cache-{user}"
+    warnings.warn(
+        f"the cache folder {parent} is not writable; compiled code goes to {fallback} "
+        f"(set {CACHE_VARIABLE} to choose another folder)",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+    if _is_writable(fallback):
+        return fallback
+    return Path(tempfile.mkdtemp(prefix="spoofgym-cache-"))
+
+
+@lru_cache(maxsize=len(COMPILED_LAYERS))
+def cache_folder(layer: int) -> Path:
+    """Folder of one layer's compiled code.
+
+    Parameters
+    ----------
+    layer : int
+        Index in `COMPILED_LAYERS`.
+
+    Returns
+    -------
+    Path
+        Named by the digest of the sources.
+    """
+    folder = cache_parent() / f"{COMPILED_LAYERS[layer]}-{source_digest(layer)}"
+    folder.mkdir(parents=True, exist_ok=True)
+    _prune(cache_parent(), folder)
     return folder
-
-
-_FOLDER = cache_folder()
 
 
 def _compile(function: F, forceinline: bool) -> F:
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(_FOLDER)
+    numba.config.CACHE_DIR = str(cache_folder(layer_of(function.__module__)))
     try:
         compiled: F = numba.njit(
             cache=True,

@@ -70,30 +70,19 @@ class Memory(dict[str, NDArray[Any]]):
                 restored[mask] = initial[mask]
                 self[name] = restored
 
-    def put(self, rows: NDArray[np.intp], other: Memory) -> None:
-        """Overwrite some rows with all rows of another memory.
+    def copy_rows(self, to: NDArray[np.intp], other: Memory, rows: NDArray[np.intp]) -> None:
+        """Take over rows of another memory of the same names.
 
         Parameters
         ----------
-        rows : ndarray
-            (b,) which rows.
+        to : ndarray
+            Rows of this memory that are overwritten.
         other : Memory
-            Of b receivers, with the same names.
+            With the same names.
+        rows : ndarray
+            As many rows of the other memory.
         """
         for name in self._initial:
             merged = np.array(self[name])
-            merged[rows] = other[name]
+            merged[to] = other[name][rows]
             self[name] = merged
-
-    def take(self, rows: NDArray[np.intp], other: Memory) -> None:
-        """Overwrite all rows of this memory with some rows of another.
-
-        Parameters
-        ----------
-        rows : ndarray
-            (b,) which rows of `other`, b receivers being here.
-        other : Memory
-            With the same names.
-        """
-        for name in self._initial:
-            self[name] = np.array(other[name][rows])

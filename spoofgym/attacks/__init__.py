@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import copy
-import dataclasses
 from typing import Any
 
+from .._registry import build
 from .base import Attack, AttackContext
 from .false_position import FalsePosition
 from .per_channel import PerChannel
@@ -37,20 +36,4 @@ def make_attack(spec: str | dict[str, Any] | Attack) -> Attack:
     TypeError
         When `spec` is something else.
     """
-    if isinstance(spec, Attack):
-        return copy.deepcopy(spec)
-    if isinstance(spec, str):
-        spec = {"name": spec}
-    if not isinstance(spec, dict) or not isinstance(spec.get("name"), str):
-        raise TypeError(f"an attack is a name, a dict with a `name`, or an Attack, got {spec!r}")
-    settings = dict(spec)
-    name = settings.pop("name")
-    if name not in ATTACKS:
-        raise ValueError(f"unknown attack {name!r}; valid: {', '.join(sorted(ATTACKS))}")
-    valid = [field.name for field in dataclasses.fields(ATTACKS[name])]
-    for setting in settings:
-        if setting not in valid:
-            raise ValueError(
-                f"attack {name!r} has no setting {setting!r}; valid: {', '.join(valid)}"
-            )
-    return ATTACKS[name](**settings)
+    return build("attack", ATTACKS, Attack, spec)

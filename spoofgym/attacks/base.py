@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..sim.world import World
+from ._kernels import kinematic_step
 
 FloatArray = NDArray[np.float64]
 CONTROLS = ("rate", "acceleration")
@@ -66,6 +67,9 @@ class Attack(ABC):
     rate_limit_mps: float = 5.0
     coherent: bool = True
     channels: str | tuple[str, ...] = "all"
+
+    vector_limits: ClassVar[bool] = False
+    """Whether limits apply to the length of the command, or to each element for itself."""
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -174,35 +178,20 @@ class Attack(ABC):
         interval : ndarray
             (B,) until the next epoch [s].
         """
-        tau = interval[:, None]
-        v = self.memory["rate"]
+        displacement, rate = self.memory["displacement"], self.memory["rate"]
         if action is None:
-            new = v
-        elif self.control == "rate":
-            new = self.limit(self.rate_limit_mps * action, self.rate_limit_mps)
-            v = new
-        else:
-            a = self.limit(self.acceleration_limit_mps2 * action, self.acceleration_limit_mps2)
-            new = self.limit(v + a * tau, self.rate_limit_mps)
-        self.memory["displacement"] = self.memory["displacement"] + 0.5 * (v + new) * tau
-        self.memory["rate"] = new
-
-    def limit(self, value: FloatArray, largest: float) -> FloatArray:
-        """Shorten commands to their limit, each element for itself.
-
-        Parameters
-        ----------
-        value : ndarray
-            (B, a).
-        largest : float
-            Limit.
-
-        Returns
-        -------
-        ndarray
-            (B, a).
-        """
-        return np.clip(value, -largest, largest)
+            displacement += rate * interval[:, None]
+            return
+        kinematic_step(
+            action,
+            interval,
+            self.vector_limits,
+            self.control == "rate",
+            self.unit_scale,
+            self.rate_limit_mps,
+            displacement,
+            rate,
+        )
 
     @abstractmethod
     def offsets(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,8 @@ class FalsePosition(Attack):
     """
 
     axes: str = "ne"
+
+    vector_limits: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -76,24 +79,6 @@ class FalsePosition(Attack):
         C_en = context.world.local_frame(min(context.onset, context.world.epochs - 1))
         columns = ["ned".index(letter) for letter in self.axes]
         self._to_ecef = np.ascontiguousarray(C_en[:, columns].T)
-
-    def limit(self, value: FloatArray, largest: float) -> FloatArray:
-        """Shorten vectors to the limit of their length.
-
-        Parameters
-        ----------
-        value : ndarray
-            (B, a).
-        largest : float
-            Limit.
-
-        Returns
-        -------
-        ndarray
-            (B, a).
-        """
-        size = np.sqrt((value * value).sum(axis=1, keepdims=True))
-        return value * (largest / np.maximum(size, largest))
 
     def in_ecef(self, vectors: FloatArray) -> FloatArray:
         """Turn commanded vectors to ECEF axes.

@@ -71,12 +71,15 @@ class Detector(ABC):
         Key in references.bib.
     needs : frozenset of str
         Optional fields of `Epoch` that it reads.
+    scope : {"channel", "receiver"}
+        Whether it judges every channel, c = n, or the receiver as a whole, c = 1.
     memory : Memory
         What it remembers of every receiver.
     """
 
     paper: ClassVar[str]
     needs: ClassVar[frozenset[str]] = frozenset()
+    scope: ClassVar[str] = "receiver"
     memory: Memory
 
     @abstractmethod

@@ -43,25 +43,25 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .._jit import inlined, njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
-from .thresholds import check_probability, igg3_weights, two_sided_quantile
+from .thresholds import check_probability, igg3_weight, two_sided_quantile
 
 FloatArray = NDArray[np.float64]
 
 
-def ewma_threshold(
-    sd: FloatArray, count: FloatArray, smoothing: float, quantile: float
-) -> FloatArray:
+@inlined
+def ewma_threshold(sd: float, count: float, smoothing: float, quantile: float) -> float:
     r"""Threshold of the chart after some epochs.
 
     .. math:: T = z \sigma \sqrt{\tfrac{\lambda}{2 - \lambda} (1 - (1 - \lambda)^{2k})}
 
     Parameters
     ----------
-    sd : ndarray
+    sd : float
         Standard deviation of the innovation [m].
-    count : ndarray
+    count : float
         Epochs averaged so far, k.
     smoothing : float
         Lambda.
@@ -70,11 +70,55 @@ def ewma_threshold(
 
     Returns
     -------
-    ndarray
+    float
         T [m].
     """
     widening = 1.0 - (1.0 - smoothing) ** (2.0 * count)
-    return quantile * sd * np.sqrt(smoothing / (2.0 - smoothing) * widening)
+    return quantile * sd * math.sqrt(smoothing / (2.0 - smoothing) * widening)
+
+
+@njit
+def judge_channels(
+    innovation: FloatArray,
+    innovation_cov: FloatArray,
+    visible: NDArray[np.bool_],
+    smoothing: float,
+    quantile: float,
+    weight_scale: float,
+    average: FloatArray,
+    count: FloatArray,
+    size: FloatArray,
+    threshold: FloatArray,
+    weights: FloatArray,
+) -> None:
+    """Advance all charts by one epoch.
+
+    Parameters
+    ----------
+    innovation, innovation_cov, visible : ndarray
+        (B, 2n), (B, 2n, 2n), (B, n), of the epoch.
+    smoothing, quantile, weight_scale : float
+        Lambda, z and m.
+    average, count : ndarray
+        (B, n) memory, overwritten.
+    size, threshold : ndarray
+        (B, n), written: statistic and threshold [m].
+    weights : ndarray
+        (B, 2n), the first n columns written.
+    """
+    for b in range(visible.shape[0]):
+        for j in range(visible.shape[1]):
+            if visible[b, j]:
+                count[b, j] += 1.0
+                average[b, j] += smoothing * (innovation[b, j] - average[b, j])
+            else:
+                count[b, j], average[b, j] = 0.0, 0.0
+            sd = math.sqrt(innovation_cov[b, j, j])
+            limit = ewma_threshold(sd, max(count[b, j], 1.0), smoothing, quantile)
+            size[b, j] = abs(average[b, j])
+            threshold[b, j] = limit
+            reject = weight_scale * limit
+            weights[b, j] = igg3_weight(size[b, j], 0.5 * reject, reject)
 
 
 @dataclass
@@ -97,6 +141,7 @@ class Ewma(Detector):
     weight_scale: float | None = 0.3
 
     paper: ClassVar[str] = "zhong2025"
+    scope: ClassVar[str] = "channel"
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -133,24 +178,24 @@ class Ewma(Detector):
         Verdict
             (B, n) size of the averages, thresholds, alarms; (B, 2n) weights, 1 for range rates.
         """
-        visible = epoch.visible
-        n = visible.shape[1]
-        z = epoch.innovation[:, :n]
-        average = self.memory["average"]
-        average = np.where(visible, average + self.smoothing * (z - average), 0.0)
-        count = np.where(visible, self.memory["count"] + 1.0, 0.0)
-        self.memory["average"], self.memory["count"] = average, count
-        variance = np.diagonal(epoch.innovation_cov, axis1=1, axis2=2)[:, :n]
-        threshold = ewma_threshold(
-            np.sqrt(variance), np.maximum(count, 1.0), self.smoothing, self._quantile
+        shape = epoch.visible.shape
+        size, threshold = np.empty(shape), np.empty(shape)
+        weights = np.ones_like(epoch.innovation)
+        judge_channels(
+            epoch.innovation,
+            epoch.innovation_cov,
+            epoch.visible,
+            self.smoothing,
+            self._quantile,
+            1.0 if self.weight_scale is None else self.weight_scale,
+            self.memory["average"],
+            self.memory["count"],
+            size,
+            threshold,
+            weights,
         )
-        size = np.abs(average)
-        if self.weight_scale is None:
-            return Verdict(size, threshold, size > threshold)
-        weights = np.ones((len(z), 2 * n))
-        reject = self.weight_scale * threshold
-        weights[:, :n] = igg3_weights(size, 0.5 * reject, reject)
-        return Verdict(size, threshold, size > threshold, weights)
+        in_loop = None if self.weight_scale is None else weights
+        return Verdict(size, threshold, size > threshold, in_loop)
 
     def settling_epochs(self, offset: float, threshold: float) -> float:
         r"""Epochs until the chart falls below the threshold after a constant offset has ended.

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
+
+from .._jit import inlined
 
 FloatArray = NDArray[np.float64]
 
@@ -41,7 +43,7 @@ def two_sided_quantile(false_alarm: float) -> float:
     float
         z of false_alarm / 2.
     """
-    return float(stats.norm.isf(0.5 * false_alarm))
+    return float(-special.ndtri(0.5 * false_alarm))
 
 
 def chi2_thresholds(false_alarm: float, most: int) -> FloatArray:
@@ -60,11 +62,12 @@ def chi2_thresholds(false_alarm: float, most: int) -> FloatArray:
         (most + 1,) threshold for 0 to `most` degrees; with 0 there is nothing to exceed it, and
         the entry is that of one degree, so that it stays finite.
     """
-    return np.asarray(stats.chi2.isf(false_alarm, np.maximum(np.arange(most + 1), 1)))
+    return np.asarray(special.chdtri(np.maximum(np.arange(most + 1), 1), false_alarm))
 
 
-def igg3_weights(size: FloatArray, accept: FloatArray, reject: FloatArray) -> FloatArray:
-    r"""IGG-III equivalent weights.
+@inlined
+def igg3_weight(size: float, accept: float, reject: float) -> float:
+    r"""IGG-III equivalent weight.
 
     .. math:: w = \begin{cases} 1 & |x| \le k_0 \\
         \frac{k_0}{|x|} \left(\frac{k_1 - |x|}{k_1 - k_0}\right)^2 & k_0 < |x| \le k_1 \\
@@ -72,19 +75,23 @@ def igg3_weights(size: FloatArray, accept: FloatArray, reject: FloatArray) -> Fl
 
     Parameters
     ----------
-    size : ndarray
+    size : float
         |x|.
-    accept, reject : ndarray
-        k_0 and k_1, 0 < k_0 < k_1, broadcast against it.
+    accept, reject : float
+        k_0 and k_1, 0 < k_0 < k_1.
 
     Returns
     -------
-    ndarray
-        Weights in [0, 1].
+    float
+        In [0, 1].
 
     Notes
     -----
     `yang2002` in references.bib.
     """
-    inside = np.clip((reject - size) / (reject - accept), 0.0, 1.0)
-    return np.minimum(1.0, accept / np.maximum(size, accept) * inside * inside)
+    if size <= accept:
+        return 1.0
+    if size > reject:
+        return 0.0
+    inside = (reject - size) / (reject - accept)
+    return accept / size * inside * inside

@@ -55,7 +55,7 @@ def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask
         (n,) True where the row doesn't count.
     """
     same = (np.diff(latitude) == 0.0) & (np.diff(longitude) == 0.0)
-    again = np.concatenate([[False], same])
+    again = np.concatenate([[False], same])[: latitude.size]
     first = int(np.argmin(np.append(same, False)))
     if first > 0 and not known[: first + 1].any():
         again[:first] = True

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -123,13 +125,22 @@ def read_track(
         except pandas.errors.EmptyDataError:
             frame = pandas.DataFrame()
     elif kind == "json":
-        frame = pandas.read_json(path, convert_dates=False)
+        frame = pandas.DataFrame(_json(path))
     elif kind in {"parquet", "pq"}:
         frame = pandas.read_parquet(path)
     else:
         raise ValueError(f"`path` must end in .csv, .json or .parquet, got {path.name!r}")
     stem = path.name.split(".", 1)[0]
     return track_from_frame(frame, stem, altitude_unit=altitude_unit, aircraft=aircraft)
+
+
+def _json(path: Path) -> Any:
+    """Contents of a JSON file: a list of records, or columns by name."""
+    data = path.read_bytes()
+    contents = json.loads(gzip.decompress(data) if path.suffix == ".gz" else data)
+    if not isinstance(contents, (list, dict)):
+        raise ValueError(f"{path.name!r} must hold a list of records or columns by name")
+    return contents
 
 
 def track_from_frame(
@@ -246,14 +257,19 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
     if name is None:
         return np.full(len(frame), math.nan)
     column: Any = frame[name]
-    if pandas.api.types.is_numeric_dtype(column):
-        values = _as_numbers(frame, name)
-        size = float(np.nanmax(np.abs(values), initial=0.0))
-        return values / (1e9 if size > 1e17 else 1e6 if size > 1e14 else 1e3 if size > 1e11 else 1)
+    if not pandas.api.types.is_datetime64_any_dtype(column):
+        try:
+            values = _as_numbers(frame, name)
+        except ValueError:
+            column = column.astype("string")
+        else:
+            size = float(np.nanmax(np.abs(values), initial=0.0))
+            per_second = 1e9 if size > 1e17 else 1e6 if size > 1e14 else 1e3 if size > 1e11 else 1.0
+            return values / per_second
     try:
         moments = pandas.to_datetime(column, utc=True, format="ISO8601")
     except (ValueError, TypeError) as error:
-        raise ValueError(f"`{name}` must hold times, numbers or ISO 8601: {error}") from error
+        raise ValueError(f"`{name}` must hold numbers or ISO 8601 times: {error}") from error
     epoch = pandas.Timestamp(0, tz="UTC")
     seconds: NDArray[np.float64] = (moments - epoch).dt.total_seconds().to_numpy(np.float64)
     return seconds

@@ -206,6 +206,7 @@ def update(
             measured.noise_variance[b],
             weights[b],
             measured.visible[b],
+            covariance_update,
             A,
             A1,
             A2,

@@ -32,6 +32,7 @@ def accumulate(
     R: NDArray[np.float64],
     weights: NDArray[np.float64],
     visible: NDArray[np.bool_],
+    covariance_update: int,
     A: NDArray[np.float64],
     A1: NDArray[np.float64],
     A2: NDArray[np.float64],
@@ -47,35 +48,60 @@ def accumulate(
         (2n,) innovations [m, m/s], noise variances, and weights in [0, 1].
     visible : ndarray
         (n,) bool.
+    covariance_update : int
+        With `UNWEIGHTED` the sums A1 and A2 are not needed, and not written.
     A, A1, A2 : ndarray
         (8, 8), written: :math:`D^T R^{-1} W^k D` for k = 0, 1, 2.
     y : ndarray
         (8,), written: :math:`D^T R^{-1} W z`.
     """
     n = u.shape[0]
-    A[:] = 0.0
-    A1[:] = 0.0
-    A2[:] = 0.0
-    y[:] = 0.0
-    for s in range(n):
-        if not visible[s]:
-            continue
-        for half in range(2):
-            k, o = s + half * n, 4 * half
-            w = weights[k]
-            if not w >= 0.0:
-                w = 0.0
-            p0 = 1.0 / R[k]
-            p1 = p0 * w
-            p2 = p1 * w
+    for half in range(2):
+        o = 4 * half
+        for power in range(1 if covariance_update == UNWEIGHTED else 3):
+            a00, a01, a02, a03, a11, a12, a13, a22, a23, a33 = (0.0,) * 10
+            y0, y1, y2, y3 = 0.0, 0.0, 0.0, 0.0
+            for s in range(n):
+                if not visible[s]:
+                    continue
+                k = s + half * n
+                p = 1.0 / R[k]
+                gx, gy, gz = u[s, 0], u[s, 1], u[s, 2]
+                if power == 0:
+                    t = p * weights[k] * z[k]
+                    y0 += gx * t
+                    y1 += gy * t
+                    y2 += gz * t
+                    y3 += t
+                elif power == 1:
+                    p *= weights[k]
+                else:
+                    p *= weights[k] * weights[k]
+                px, py, pz = p * gx, p * gy, p * gz
+                a00 += px * gx
+                a01 += px * gy
+                a02 += px * gz
+                a03 += px
+                a11 += py * gy
+                a12 += py * gz
+                a13 += py
+                a22 += pz * gz
+                a23 += pz
+                a33 += p
+            if power == 0:
+                y[o], y[o + 1], y[o + 2], y[o + 3] = y0, y1, y2, y3
+            target = A if power == 0 else (A1 if power == 1 else A2)
             for i in range(4):
-                gi = 1.0 if i == 3 else u[s, i]
-                y[o + i] += gi * p1 * z[k]
                 for j in range(4):
-                    gj = 1.0 if j == 3 else u[s, j]
-                    A[o + i, o + j] += gi * gj * p0
-                    A1[o + i, o + j] += gi * gj * p1
-                    A2[o + i, o + j] += gi * gj * p2
+                    target[o + i, 4 - o + j] = 0.0
+            target[o, o], target[o, o + 1] = a00, a01
+            target[o, o + 2], target[o, o + 3] = a02, a03
+            target[o + 1, o], target[o + 1, o + 1] = a01, a11
+            target[o + 1, o + 2], target[o + 1, o + 3] = a12, a13
+            target[o + 2, o], target[o + 2, o + 1] = a02, a12
+            target[o + 2, o + 2], target[o + 2, o + 3] = a22, a23
+            target[o + 3, o], target[o + 3, o + 1] = a03, a13
+            target[o + 3, o + 2], target[o + 3, o + 3] = a23, a33
 
 
 @njit
@@ -281,17 +307,25 @@ def _subtract_quadratic(
 ) -> None:
     """``P -= Pc' N Pc`` in place, kept exactly symmetric; `Pc` and `work` are (8, 17)."""
     for k in range(8):
+        n0, n1, n2, n3 = N[k, 0], N[k, 1], N[k, 2], N[k, 3]
+        n4, n5, n6, n7 = N[k, 4], N[k, 5], N[k, 6], N[k, 7]
         for j in range(17):
-            work[k, j] = N[k, 0] * Pc[0, j]
-        for m in range(1, 8):
-            t = N[k, m]
-            for j in range(17):
-                work[k, j] += t * Pc[m, j]
+            work[k, j] = (
+                (n0 * Pc[0, j] + n1 * Pc[1, j])
+                + (n2 * Pc[2, j] + n3 * Pc[3, j])
+                + (n4 * Pc[4, j] + n5 * Pc[5, j])
+                + (n6 * Pc[6, j] + n7 * Pc[7, j])
+            )
     for i in range(17):
-        for k in range(8):
-            t = Pc[k, i]
-            for j in range(17):
-                P[i, j] -= t * work[k, j]
+        n0, n1, n2, n3 = Pc[0, i], Pc[1, i], Pc[2, i], Pc[3, i]
+        n4, n5, n6, n7 = Pc[4, i], Pc[5, i], Pc[6, i], Pc[7, i]
+        for j in range(17):
+            P[i, j] -= (
+                (n0 * work[0, j] + n1 * work[1, j])
+                + (n2 * work[2, j] + n3 * work[3, j])
+                + (n4 * work[4, j] + n5 * work[5, j])
+                + (n6 * work[6, j] + n7 * work[7, j])
+            )
     for i in range(17):
         for j in range(i):
             P[i, j] = P[j, i]

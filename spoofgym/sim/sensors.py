@@ -15,7 +15,9 @@ from .gnss import GnssErrors
 from .imu import ImuGrade
 
 FloatArray = NDArray[np.float64]
-SOURCES = ("imu", "clock", "gnss")
+SOURCES = ("trajectory", "imu", "clock", "gnss", "domain", "spoofer")
+"""Sources of chance; a receiver's generator spawns one child for each at every reset."""
+KEYED = ("imu", "clock", "gnss")
 
 
 class SensorState(NamedTuple):
@@ -148,7 +150,7 @@ class SensorBuffers:
     state : SensorState
         What it returns.
     keys : ndarray
-        (3, B, 2) uint64, key of the noise of each of `SOURCES`.
+        (3, B, 2) uint64, key of the noise of each of `KEYED`.
     epoch : ndarray
         (B,) int64, the epoch that each receiver is at.
     """
@@ -156,7 +158,7 @@ class SensorBuffers:
     def __init__(self, receivers: int, channels: int) -> None:
         self.floats = np.zeros(sensor_size(receivers, channels))
         self.state = unpack_sensors(self.floats, receivers, channels)
-        self.keys = np.zeros((len(SOURCES), receivers, 2), dtype=np.uint64)
+        self.keys = np.zeros((len(KEYED), receivers, 2), dtype=np.uint64)
         self.epoch = np.zeros(receivers, dtype=np.int64)
 
     def begin(
@@ -174,8 +176,8 @@ class SensorBuffers:
         rows : ndarray
             Receivers that begin.
         rngs : list of Generator
-            One per row.  Each spawns one child a source, and these give the keys and the biases,
-            so that no source depends on how much another draws.
+            One per row.  Each spawns a child for every source, and these give the keys and the
+            biases, so that no source depends on how much another draws.
         grade : ImuGrade
             Inertial sensors.
         errors : GnssErrors
@@ -199,9 +201,7 @@ class SensorBuffers:
         state.rate_offset[rows] = 0.0
         self.epoch[rows] = 0
         for row, rng in zip(rows, rngs, strict=True):
-            children = rng.spawn(len(SOURCES) + 1)
-            for source in range(len(SOURCES)):
-                self.keys[source, row] = children[source].integers(
-                    0, 2**64, size=2, dtype=np.uint64
-                )
-            state.satellite_bias[row] = bias_sd * children[-1].standard_normal(len(bias_sd))
+            children = dict(zip(SOURCES, rng.spawn(len(SOURCES)), strict=True))
+            for key, source in enumerate(KEYED):
+                self.keys[key, row] = children[source].integers(0, 2**64, size=2, dtype=np.uint64)
+            state.satellite_bias[row] = bias_sd * children["gnss"].standard_normal(len(bias_sd))

@@ -81,9 +81,9 @@ class FitReport:
     bank_max_deg: float
     rate_max_degps: float
 
-    def as_dict(self) -> dict[str, str | int | float]:
-        """All fields by name, for JSON."""
-        return asdict(self)
+    def as_dict(self) -> dict[str, str | int | float | None]:
+        """All fields by name, for JSON; None where there is nothing to compare."""
+        return {key: None if value != value else value for key, value in asdict(self).items()}
 
     def lines(self) -> list[str]:
         """Sentences for people."""
@@ -92,7 +92,8 @@ class FitReport:
             f"{self.doubted} measurements doubted",
             f"distance of the fixes: RMS {self.position_rms_m:.0f} m, largest "
             f"{self.position_max_m:.0f} m; height RMS {self.height_rms_m:.1f} m; "
-            f"speed RMS {self.speed_rms_mps:.1f} m/s; course RMS {self.course_rms_deg:.1f} deg",
+            f"speed RMS {self.speed_rms_mps:.1f} m/s; course RMS {self.course_rms_deg:.1f} deg "
+            "(nan: none reported)",
             f"speed {self.speed_min_mps:.0f} to {self.speed_max_mps:.0f} m/s, "
             f"load {self.load_min_g:.2f} to {self.load_max_g:.2f} g, bank up to "
             f"{self.bank_max_deg:.0f} deg, body rates up to {self.rate_max_degps:.1f} deg/s",

@@ -114,7 +114,7 @@ def test_the_step_hardly_changes_where_a_flight_ends():
     assert np.linalg.norm(coarse.position_e[-1] - fine.position_e[-1]) < 0.01
 
 
-def test_a_stretched_heading_crosses_the_antimeridian_like_any_meridian():
+def test_the_antimeridian_is_a_meridian_like_any_other():
     east, west = (flown(Turn(45.0), longitude_deg=degree) for degree in (179.999, -179.999))
     apart = east.geodetic[1] - west.geodetic[1]
     np.testing.assert_allclose(np.degrees(apart) % 360.0, 359.998, atol=1e-9)

@@ -76,8 +76,7 @@ def test_samples_lead_back_along_the_flight_of_zhong2025():
 
 def test_samples_lead_back_along_a_flight_of_ke2022_s_length():
     flight = fly(
-        [Until(100.0), Turn(30.0), Until(300.0), Turn(-60.0), Until(500.0), Climb(-500.0)]
-        + [Until(746.0)],
+        [Until(100.0), Turn(30.0), Until(300.0), Turn(-60.0), Climb(-500.0), Until(746.0)],
         latitude_deg=50.0,
         longitude_deg=-3.0,
         height_m=9000.0,

@@ -1,0 +1,82 @@
+"""Objects by name: one way to say which detector, attack or spoofer, and one way to be wrong."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
+    """Raise unless a name is one of the valid ones.
+
+    Parameters
+    ----------
+    word : str
+        What is named, for the message.
+    value : str
+        The name.
+    valid : iterable of str
+        Valid names.
+
+    Raises
+    ------
+    ValueError
+        Lists the valid names, and the nearest one.
+    """
+    names = sorted(valid)
+    if value not in names:
+        near = difflib.get_close_matches(str(value), names, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
+
+
+def build(word: str, kinds: Mapping[str, type[T]], base: type[T], spec: Any) -> T:
+    """Object by name, by name and settings, or a copy of an object.
+
+    Parameters
+    ----------
+    word : str
+        What it is, for messages.
+    kinds : mapping
+        Dataclasses by name.
+    base : type
+        Their base class.
+    spec : str, dict or object
+        A name; ``{"name": ..., "setting": value, ...}``; or an object, which is copied.
+
+    Returns
+    -------
+    object
+        A new one.
+
+    Raises
+    ------
+    ValueError
+        When the name or a setting is unknown; the valid ones are listed.
+    TypeError
+        When `spec` is something else.
+    """
+    if isinstance(spec, base):
+        return copy.deepcopy(spec)
+    if isinstance(spec, str):
+        spec = {"name": spec}
+    if not isinstance(spec, Mapping) or not isinstance(spec.get("name"), str):
+        raise TypeError(
+            f"a {word} is a name ({', '.join(sorted(kinds))}), a dict with a `name`, or an instance "
+            f"of {base.__module__}.{base.__qualname__}, got {spec!r}"
+        )
+    settings = dict(spec)
+    name = settings.pop("name")
+    check_choice(word, name, kinds)
+    valid = [field.name for field in dataclasses.fields(kinds[name])]  # type: ignore[arg-type]
+    for setting in settings:
+        if setting not in valid:
+            raise ValueError(
+                f"{word} {name!r} has no setting {setting!r}; valid: {', '.join(valid) or 'none'}"
+            )
+    return kinds[name](**settings)

@@ -1,0 +1,588 @@
+"""The engine: B receivers in step, and one epoch in two halves."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..attacks import Attack, AttackContext
+from ..detectors import Detector, DetectorContext, Verdict
+from ..earth.attitude import euler_to_dcm
+from ..receiver import TightlyCoupled
+from ..receiver._kernels import predict as predict_kernel
+from ..receiver._kernels import update as update_kernel
+from ..receiver.epoch import Epoch, epoch_view
+from ..receiver.matching import assumed_noise
+from ..receiver.state import LANES, ReceiverBuffers
+from ..sim.noise import padded
+from ..sim.scenario import Scenario
+from ..sim.sensors import SensorBuffers
+from ..sim.world import World
+from . import _kernels
+
+FloatArray = NDArray[np.float64]
+RECEIVERS_PER_THREAD = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timeline:
+    """Phases of an episode.
+
+    Parameters
+    ----------
+    warmup_s : float
+        Clean run before the attack.
+    live_s : float
+        Last part of it in which the detectors judge; an alarm there is a false alarm.
+    attack_s : float
+        Command phase.
+    time_to_alert_s : float
+        Time to alert: how long the offsets hold their rate after the command phase, with alarms
+        live; what was induced within this time of an alarm does not count.
+    """
+
+    warmup_s: float = 200.0
+    live_s: float = 60.0
+    attack_s: float = 150.0
+    time_to_alert_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the lengths."""
+        for name in ("warmup_s", "live_s", "attack_s", "time_to_alert_s"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+        if self.attack_s <= 0.0:
+            raise ValueError(f"`attack_s` must be > 0, got {self.attack_s}")
+        if self.live_s > self.warmup_s:
+            raise ValueError(
+                f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}"
+            )
+
+    def epochs(self, interval_s: float) -> tuple[int, int, int, int]:
+        """Phases in epochs.
+
+        Parameters
+        ----------
+        interval_s : float
+            Time between epochs.
+
+        Returns
+        -------
+        quiet, live, attack, hold : int
+            Warm-up without and with detectors, command phase, hold.
+        """
+        warmup = round(self.warmup_s / interval_s)
+        live = min(round(self.live_s / interval_s), warmup)
+        attack = max(round(self.attack_s / interval_s), 1)
+        return warmup - live, live, attack, round(self.time_to_alert_s / interval_s)
+
+
+class Setup:
+    """What all batches of an engine share, computed once.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The authentic world.
+    receiver : TightlyCoupled
+        The victim.
+    attack : Attack
+        What the spoofer can do; copied for every batch.
+    detector : Detector
+        Copied for every batch.
+    timeline : Timeline
+        Phases of an episode.
+
+    Raises
+    ------
+    ValueError
+        When the run is shorter than the episode.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        receiver: TightlyCoupled,
+        attack: Attack,
+        detector: Detector,
+        timeline: Timeline,
+    ) -> None:
+        self.scenario, self.receiver, self.timeline = scenario, receiver, timeline
+        self.attack, self.detector = attack, detector
+        self.world: World = scenario.world()
+        interval = scenario.epoch_interval_s
+        self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval)
+        self.onset = self.quiet + self.live
+        last = self.onset + self.steps + self.hold
+        if last >= self.world.epochs:
+            raise ValueError(
+                f"an episode takes {last * interval:g} s (warm-up {timeline.warmup_s:g} s, attack "
+                f"{timeline.attack_s:g} s, time to alert {timeline.time_to_alert_s:g} s), but "
+                f"{self.world.name!r} lasts {self.world.epoch_time[-1]:g} s"
+            )
+        self.bias_sd = scenario.gnss_errors.bias_sd(self.world.first_elevation)
+        self.noise_variance, self.clock = assumed_noise(
+            receiver, scenario.gnss_errors, self.bias_sd, interval
+        )
+        C_en = self.world.local_frame(0)
+        error = euler_to_dcm(*(-np.radians(scenario.imu_grade.attitude_error_deg)))
+        C_ne = C_en.T
+        # the error turns the local axes: C_nb (estimated) = dC C_nb
+        self.first_C_eb = C_en @ (error.T @ (C_ne @ self.world.C_eb[0]))
+
+
+class Batch:
+    """Some receivers that go through their episodes in step with one another.
+
+    Parameters
+    ----------
+    setup : Setup
+        What all batches share.
+    receivers : int
+        B.
+    run : callable
+        ``run(f, B)`` calls ``f(lo, hi)`` over slices of the receivers, possibly in threads.
+    """
+
+    def __init__(
+        self, setup: Setup, receivers: int, run: Callable[[Callable[[int, int], None], int], None]
+    ) -> None:
+        self.setup, self.receivers, self._run = setup, receivers, run
+        world = setup.world
+        self.buffers = ReceiverBuffers(receivers, world.channels, world.most_samples)
+        self.sensors = SensorBuffers(receivers, world.channels)
+        self._imu_noise = padded(6 * world.most_samples)
+        self._gnss_noise = padded(2 * world.channels)
+        self.epoch: Epoch = epoch_view(self.buffers)
+        self.ones = np.ones((receivers, 2 * world.channels))
+        self.weights = self.ones
+        self.verdict: Verdict | None = None
+        import copy
+
+        self.attack = copy.deepcopy(setup.attack)
+        self.attack.bind(AttackContext(receivers, world, setup.onset))
+        self.detector = copy.deepcopy(setup.detector)
+        self.detector.bind(
+            DetectorContext(
+                receivers,
+                world.channels,
+                setup.scenario.epoch_interval_s,
+                setup.noise_variance.copy(),
+                world.satellite_ids,
+            )
+        )
+
+    @property
+    def epochs(self) -> NDArray[np.int64]:
+        """(B,) the epoch that each receiver is at."""
+        return self.sensors.epoch
+
+    def begin(self, rngs: Sequence[np.random.Generator]) -> None:
+        """Begin a new episode in every receiver: errors, first fix, attitude, empty memories.
+
+        Parameters
+        ----------
+        rngs : sequence of Generator
+            One per receiver.
+        """
+        setup = self.setup
+        scenario = setup.scenario
+        rows = np.arange(self.receivers)
+        self.sensors.begin(
+            rows, list(rngs), scenario.imu_grade, scenario.gnss_errors, setup.bias_sd
+        )
+        self.attack.memory.reset()
+        self.detector.reset()
+        state, measured = self.buffers.state, self.buffers.measured
+        measured.noise_variance[:] = setup.noise_variance
+        self.buffers.noise_psd[:] = setup.receiver.noise_psd(setup.clock)
+        self._measure(0, 0, self.receivers)
+        b, n = self.receivers, setup.world.channels
+        _kernels.first_fix(
+            self.buffers.floats, self.buffers.flags, setup.world.position_e[0], b, n, 0, b
+        )
+        state.C_eb[:] = setup.first_C_eb
+        state.accel_bias_b[:] = 0.0
+        state.gyro_bias_b[:] = 0.0
+        state.covariance[:] = setup.receiver.initial_covariance()
+        self.verdict, self.weights = None, self.ones
+
+    def _measure(self, advance: int, lo: int, hi: int) -> None:
+        world, buffers, sensors = self.setup.world, self.buffers, self.sensors
+        _kernels.measure(
+            sensors.floats,
+            sensors.keys,
+            sensors.epoch,
+            buffers.floats,
+            buffers.flags,
+            buffers.block,
+            buffers.samples,
+            world.imu_truth,
+            world.imu_interval,
+            world.epoch_time,
+            world.epoch_end,
+            world.satellites,
+            world.visible,
+            self.receivers,
+            world.channels,
+            self._imu_noise,
+            self._gnss_noise,
+            advance,
+            lo,
+            hi,
+        )
+
+    def _advance(self, lo: int, hi: int) -> None:
+        buffers, world = self.buffers, self.setup.world
+        self._measure(1, lo, hi)
+        predict_kernel(
+            buffers.floats,
+            buffers.flags,
+            buffers.block,
+            buffers.samples,
+            world.imu_interval,
+            self.receivers,
+            world.channels,
+            lo,
+            hi,
+        )
+
+    def _update(self, lo: int, hi: int) -> None:
+        receiver = self.setup.receiver
+        update_kernel(
+            self.buffers.floats,
+            self.buffers.flags,
+            self.weights,
+            self.receivers,
+            self.setup.world.channels,
+            receiver.covariance_code,
+            receiver.min_satellites,
+            receiver.orthonormalize,
+            lo,
+            hi,
+        )
+
+    def command(self, action: FloatArray | None) -> None:
+        """Move the attack to the coming epoch.
+
+        Parameters
+        ----------
+        action : ndarray or None
+            (B, a) in [-1, 1]; None holds the present rate.
+        """
+        time, coming = self.setup.world.epoch_time, self.epochs + 1
+        self.attack.command(action, time[coming] - time[coming - 1])
+        sensors = self.sensors.state
+        self.attack.offsets(coming, sensors.range_offset, sensors.rate_offset)
+
+    def advance(self) -> Epoch:
+        """First half of an epoch: measure, mechanize, predict, form the innovation.
+
+        Returns
+        -------
+        Epoch
+            What a detector may see.
+        """
+        self._run(self._advance, self.receivers)
+        return self.epoch
+
+    def judge(self) -> Verdict:
+        """Let the detector judge the epoch.
+
+        Returns
+        -------
+        Verdict
+            Its verdict.
+        """
+        self.verdict = self.detector.judge(self.epoch)
+        return self.verdict
+
+    def update(self, weights: FloatArray | None) -> None:
+        """Second half of an epoch: the update with the weighted gain.
+
+        Parameters
+        ----------
+        weights : ndarray or None
+            (B, 2n) in [0, 1], C-contiguous; None for all 1.
+        """
+        self.weights = self.ones if weights is None else weights
+        self._run(self._update, self.receivers)
+
+    def quiet_epochs(self, count: int) -> None:
+        """Run clean epochs without a detector.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+        """
+
+        def stretch(lo: int, hi: int) -> None:
+            for _ in range(count):
+                self._advance(lo, hi)
+                self._update(lo, hi)
+
+        self.weights = self.ones
+        self._run(stretch, self.receivers)
+
+    def live_epochs(self, count: int) -> NDArray[np.bool_]:
+        """Run epochs with the detector, the attack holding what it commands.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+
+        Returns
+        -------
+        ndarray
+            (count, B) bool, whether any channel alarmed.
+        """
+        alarms = np.zeros((count, self.receivers), dtype=np.bool_)
+        for k in range(count):
+            self.advance()
+            verdict = self.judge()
+            alarms[k] = verdict.alarm.any(axis=1)
+            self.update(verdict.weights)
+        return alarms
+
+    def copy_rows(self, to: NDArray[np.intp], other: Batch, rows: NDArray[np.intp]) -> None:
+        """Take over receivers of another batch, with all that they remember.
+
+        Parameters
+        ----------
+        to : ndarray
+            Rows of this batch that are overwritten.
+        other : Batch
+            Of the same setup.
+        rows : ndarray
+            As many rows of the other batch.
+        """
+        pairs: list[tuple[Any, Any]] = [
+            (self.buffers.state, other.buffers.state),
+            (self.buffers.measured, other.buffers.measured),
+            (self.sensors.state, other.sensors.state),
+        ]
+        for mine, theirs in pairs:
+            for target, source in zip(mine, theirs, strict=True):
+                target[to] = source[rows]
+        self.buffers.noise_psd[to] = other.buffers.noise_psd[rows]
+        self.buffers.block[:, to] = other.buffers.block[:, rows]
+        self.sensors.keys[:, to] = other.sensors.keys[:, rows]
+        self.sensors.epoch[to] = other.sensors.epoch[rows]
+        self.attack.memory.copy_rows(to, other.attack.memory, rows)
+        self.detector.memory.copy_rows(to, other.detector.memory, rows)
+        if other.verdict is not None:
+            self.verdict = _merge(self.verdict, other.verdict, to, rows, self.receivers)
+
+
+def _merge(
+    mine: Verdict | None,
+    theirs: Verdict,
+    to: NDArray[np.intp],
+    rows: NDArray[np.intp],
+    receivers: int,
+) -> Verdict:
+    """Verdict with some rows of another."""
+    merged = []
+    for k, source in enumerate(theirs):
+        if source is None:
+            merged.append(None)
+            continue
+        target = np.zeros((receivers, *source.shape[1:]), dtype=source.dtype)
+        if mine is not None and mine[k] is not None:
+            target[:] = mine[k]
+        target[to] = source[rows]
+        merged.append(target)
+    return Verdict(*merged)
+
+
+class Engine:
+    """B receivers under attack, each in its own episode.
+
+    Parameters
+    ----------
+    receivers : int
+        B, at least 1.
+    setup : Setup
+        World, victim, attack, detector and timeline.
+    threads : int, optional
+        Threads for the compiled halves; by default as many as processors, with at least
+        `RECEIVERS_PER_THREAD` receivers each.
+
+    Attributes
+    ----------
+    batch : Batch
+        The receivers.
+    warmup_alarm : ndarray
+        (B,) bool, whether the detector alarmed before the attack: a false alarm.
+    """
+
+    def __init__(self, receivers: int, setup: Setup, *, threads: int | None = None) -> None:
+        if receivers < 1:
+            raise ValueError(f"`receivers` must be at least 1, got {receivers}")
+        if threads is not None and threads < 1:
+            raise ValueError(f"`threads` must be at least 1, got {threads}")
+        self.receivers, self.setup = receivers, setup
+        self.threads = threads if threads is not None else available_threads(receivers)
+        self._pool: ThreadPoolExecutor | None = None
+        self._pool_owner = 0
+        self.batch = Batch(setup, receivers, self._run)
+        self.warmup_alarm = np.zeros(receivers, dtype=np.bool_)
+
+    def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
+        """Call ``work(lo, hi)`` over slices of whole lanes."""
+        groups = -(-receivers // LANES)
+        parts = min(self.threads, groups)
+        if parts <= 1:
+            work(0, receivers)
+            return
+        if self._pool is None or self._pool_owner != os.getpid():
+            self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="spoofgym")
+            self._pool_owner = os.getpid()
+        bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
+        futures = [
+            self._pool.submit(work, lo, hi)
+            for lo, hi in zip(bounds[1:-1], bounds[2:], strict=True)
+        ]
+        work(bounds[0], bounds[1])
+        for future in futures:
+            future.result()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """State without the threads, which are made anew."""
+        return {**self.__dict__, "_pool": None}
+
+    def reset(
+        self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp] | None = None
+    ) -> None:
+        """Begin new episodes and run their warm-up.
+
+        Parameters
+        ----------
+        rngs : sequence of Generator
+            One per row.
+        rows : ndarray, optional
+            Which receivers; all by default.
+        """
+        everyone = rows is None or len(rows) == self.receivers
+        batch = self.batch if everyone else Batch(self.setup, len(rngs), self._run)
+        batch.begin(rngs)
+        batch.quiet_epochs(self.setup.quiet)
+        alarms = batch.live_epochs(self.setup.live).any(axis=0)
+        if everyone:
+            self.warmup_alarm = alarms
+        else:
+            assert rows is not None
+            self.batch.copy_rows(rows, batch, np.arange(len(rows)))
+            self.warmup_alarm[rows] = alarms
+
+    def predict(self, action: FloatArray | None) -> Epoch:
+        """First half of a step: command, measure, mechanize, predict.
+
+        Parameters
+        ----------
+        action : ndarray or None
+            (B, a) in [-1, 1]; None holds the present rates.
+
+        Returns
+        -------
+        Epoch
+            What a detector may see.
+        """
+        self.batch.command(action)
+        return self.batch.advance()
+
+    def judge(self) -> Verdict:
+        """Let the engine's own detector judge the epoch.
+
+        Returns
+        -------
+        Verdict
+            Its verdict.
+        """
+        return self.batch.judge()
+
+    def update(self, verdict: Verdict) -> None:
+        """Second half of a step: the update with the verdict's weights.
+
+        Parameters
+        ----------
+        verdict : Verdict
+            Its weights are used; None are all 1.
+        """
+        self.batch.update(verdict.weights)
+
+    def step(self, action: FloatArray | None) -> Verdict:
+        """Both halves with the engine's own detector.
+
+        Parameters
+        ----------
+        action : ndarray or None
+            (B, a) in [-1, 1]; None holds the present rates.
+
+        Returns
+        -------
+        Verdict
+            Of the epoch.
+        """
+        self.predict(action)
+        verdict = self.judge()
+        self.update(verdict)
+        return verdict
+
+    def hold(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Let some receivers run the time to alert after the command phase.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Which receivers.
+
+        Returns
+        -------
+        ndarray
+            (hold, b) bool, alarms by epoch.
+        """
+        everyone = len(rows) == self.receivers
+        batch = self.batch if everyone else Batch(self.setup, len(rows), self._run)
+        here = np.arange(len(rows))
+        if not everyone:
+            batch.copy_rows(here, self.batch, rows)
+        alarms = np.zeros((self.setup.hold, len(rows)), dtype=np.bool_)
+        for k in range(self.setup.hold):
+            batch.command(None)
+            batch.advance()
+            verdict = batch.judge()
+            alarms[k] = verdict.alarm.any(axis=1)
+            batch.update(verdict.weights)
+        if not everyone:
+            self.batch.copy_rows(rows, batch, here)
+        return alarms
+
+
+def available_threads(receivers: int) -> int:
+    """Threads worth their while.
+
+    Parameters
+    ----------
+    receivers : int
+        B.
+
+    Returns
+    -------
+    int
+        At least 1.
+    """
+    try:
+        processors = len(os.sched_getaffinity(0))
+    except AttributeError:
+        processors = os.cpu_count() or 1
+    return max(1, min(processors, receivers // RECEIVERS_PER_THREAD))

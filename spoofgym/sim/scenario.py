@@ -1,0 +1,130 @@
+"""Scenarios: flight x GNSS errors x grade of the inertial sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+from .._registry import check_choice
+from .constellation import CircularConstellation, Constellation
+from .flight import Flight
+from .gnss import ERRORS, GnssErrors
+from .imu import IMU_GRADES, ImuGrade
+from .manoeuvres import FLIGHTS
+from .trajectory import inverse_kinematics
+from .world import CHANNELS, MASK_DEG, World, build_world
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """The authentic world of an episode, as a recipe.
+
+    Parameters
+    ----------
+    name : str
+        For results.
+    flight : str or Flight
+        A name in `FLIGHTS`, or a flight.
+    errors : str or GnssErrors
+        A name in `ERRORS`, or errors.
+    imu : str
+        A name in `IMU_GRADES`.
+    constellation : Constellation
+        Satellites.
+    epoch_interval_s : float
+        Time between GNSS epochs.
+    channels : int
+        Slots for satellites.
+    mask_deg : float
+        Elevation mask.
+    """
+
+    name: str = "custom"
+    flight: str | Flight = "zhong2025"
+    errors: str | GnssErrors = "zhong2025"
+    imu: str = "aviation"
+    constellation: Constellation = field(default_factory=CircularConstellation)
+    epoch_interval_s: float = 0.5
+    channels: int = CHANNELS
+    mask_deg: float = MASK_DEG
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        if isinstance(self.flight, str):
+            check_choice("flight", self.flight, FLIGHTS)
+        if isinstance(self.errors, str):
+            check_choice("errors", self.errors, ERRORS)
+        check_choice("imu grade", self.imu, IMU_GRADES)
+
+    @property
+    def gnss_errors(self) -> GnssErrors:
+        """Errors of pseudoranges, range rates and clock."""
+        return ERRORS[self.errors] if isinstance(self.errors, str) else self.errors
+
+    @property
+    def imu_grade(self) -> ImuGrade:
+        """Errors of the inertial sensors."""
+        return IMU_GRADES[self.imu]
+
+    def world(self) -> World:
+        """Compute the truth; the last few named flights are remembered.
+
+        Returns
+        -------
+        World
+            All truth of the run.
+        """
+        if isinstance(self.flight, str) and isinstance(self.constellation, CircularConstellation):
+            return _named_world(
+                self.flight,
+                self.constellation,
+                self.epoch_interval_s,
+                self.channels,
+                self.mask_deg,
+            )
+        flight = FLIGHTS[self.flight]() if isinstance(self.flight, str) else self.flight
+        return _world(
+            flight, self.constellation, self.epoch_interval_s, self.channels, self.mask_deg
+        )
+
+
+def _world(
+    flight: Flight,
+    constellation: Constellation,
+    epoch_interval_s: float,
+    channels: int,
+    mask_deg: float,
+) -> World:
+    return build_world(
+        inverse_kinematics(flight),
+        constellation,
+        epoch_interval_s=epoch_interval_s,
+        channels=channels,
+        mask_deg=mask_deg,
+    )
+
+
+@lru_cache(maxsize=8)
+def _named_world(
+    flight: str,
+    constellation: CircularConstellation,
+    epoch_interval_s: float,
+    channels: int,
+    mask_deg: float,
+) -> World:
+    return _world(FLIGHTS[flight](), constellation, epoch_interval_s, channels, mask_deg)
+
+
+def _preset(name: str, errors: str, imu: str) -> Scenario:
+    return Scenario(name=name, flight="zhong2025", errors=errors, imu=imu)
+
+
+SCENARIOS: dict[str, Callable[[], Scenario]] = {
+    "zhong2025": lambda: _preset("zhong2025", "zhong2025", "aviation"),
+    "zhong2025-white": lambda: _preset("zhong2025-white", "white", "aviation"),
+    "zhong2025-tactical": lambda: _preset("zhong2025-tactical", "zhong2025", "tactical"),
+    "zhong2025-consumer": lambda: _preset("zhong2025-consumer", "zhong2025", "consumer"),
+    "groves": lambda: _preset("groves", "groves", "aviation"),
+}
+"""Scenarios by name: the flight of `zhong2025` under the errors and grades that they name."""
