@@ -9,73 +9,17 @@ from ..earth.ranging import range_and_rate
 
 
 @njit
-def false_position(displacement_e, rate_e, epochs, satellites, position_e, velocity_e, captured, d_range, d_rate):
-    """Offsets that make every captured range that of a displaced antenna.
-
-    Both ranges are computed by the same instructions; without displacement and rate the offset is
-    exactly zero.
-
-    Parameters
-    ----------
-    displacement_e, rate_e : ndarray
-        (B, 3) displacement of the counterfeit position and its rate, ECEF [m], [m/s].
-    epochs : ndarray
-        (B,) epoch that each receiver is about to measure.
-    satellites : ndarray
-        (K, n, 8) truth, as `World.satellites`.
-    position_e, velocity_e : ndarray
-        (K, 3) true antenna.
-    captured : ndarray
-        (n,) bool, which channels are the spoofer's.
-    d_range, d_rate : ndarray
-        (B, n), written: offsets [m], [m/s].
-    """
-    for b in range(displacement_e.shape[0]):
-        d, e, k = displacement_e[b], rate_e[b], epochs[b]
-        still = (
-            d[0] == 0.0
-            and d[1] == 0.0
-            and d[2] == 0.0
-            and e[0] == 0.0
-            and e[1] == 0.0
-            and e[2] == 0.0
-        )
-        for s in range(captured.shape[0]):
-            d_range[b, s] = 0.0
-            d_rate[b, s] = 0.0
-            p = satellites[k, s]
-            if still or not captured[s] or p[6] == 0.0:
-                continue
-            for counterfeit in range(2):
-                f = float(counterfeit)
-                rho, rate, _, _, _ = range_and_rate(
-                    p[0],
-                    p[1],
-                    p[2],
-                    p[3],
-                    p[4],
-                    p[5],
-                    position_e[k, 0] + f * d[0],
-                    position_e[k, 1] + f * d[1],
-                    position_e[k, 2] + f * d[2],
-                    velocity_e[k, 0] + f * e[0],
-                    velocity_e[k, 1] + f * e[1],
-                    velocity_e[k, 2] + f * e[2],
-                )
-                d_range[b, s] += (2.0 * f - 1.0) * rho
-                d_rate[b, s] += (2.0 * f - 1.0) * rate
-
-
-@njit
-def kinematic_step(action, interval, vector, by_rate, unit_scale, rate_limit, displacement, rate):
-    """Move the commanded offsets to the end of an interval, in place.
+def kinematic_step(action, hold, tau, vector, by_rate, unit_scale, rate_limit, displacement, rate):
+    """Move the commanded offsets of one receiver to the end of an interval, in place.
 
     Parameters
     ----------
     action : ndarray
-        (B, a) in [-1, 1].
-    interval : ndarray
-        (B,) [s].
+        (a,) in [-1, 1].
+    hold : bool
+        Whether to keep the rate, and leave the action alone.
+    tau : float
+        Length of the interval [s].
     vector : bool
         Whether limits apply to the length of the vector, or to each element for itself.
     by_rate : bool
@@ -83,30 +27,28 @@ def kinematic_step(action, interval, vector, by_rate, unit_scale, rate_limit, di
     unit_scale, rate_limit : float
         What an action of 1 commands, and the limit of the rate.
     displacement, rate : ndarray
-        (B, a), overwritten [m], [m/s].
+        (a,), overwritten [m], [m/s].
     """
-    axes = action.shape[1]
-    for b in range(action.shape[0]):
-        tau = interval[b]
-        given = 1.0
-        if vector:
-            given = shrink(action[b], 0.0, action[b], 1.0)
-        # the new rate is rate + change, shortened to its limit
-        size = 1.0
-        if vector and not by_rate:
-            size = shrink(rate[b], given * unit_scale * tau, action[b], rate_limit)
+    axes = displacement.shape[0]
+    if hold:
         for i in range(axes):
-            u = given * action[b, i]
-            u = min(max(u, -1.0), 1.0)
-            old = rate[b, i]
-            if by_rate:
-                new = unit_scale * u
-                old = new
-            else:
-                new = old + unit_scale * u * tau
-                new = size * new if vector else min(max(new, -rate_limit), rate_limit)
-            displacement[b, i] += 0.5 * (old + new) * tau
-            rate[b, i] = new
+            displacement[i] += tau * rate[i]
+        return
+    given = shrink(action, 0.0, action, 1.0) if vector else 1.0
+    size = 1.0
+    if vector and not by_rate:
+        size = shrink(rate, given * unit_scale * tau, action, rate_limit)
+    for i in range(axes):
+        u = min(max(given * action[i], -1.0), 1.0)
+        old = rate[i]
+        if by_rate:
+            new = unit_scale * u
+            old = new
+        else:
+            new = old + unit_scale * u * tau
+            new = size * new if vector else min(max(new, -rate_limit), rate_limit)
+        displacement[i] += 0.5 * (old + new) * tau
+        rate[i] = new
 
 
 @njit
@@ -118,3 +60,139 @@ def shrink(first, factor, second, limit):
         total += value * value
     length = math.sqrt(total)
     return limit / length if length > limit else 1.0
+
+
+@njit
+def false_position(
+    action,
+    hold,
+    by_rate,
+    unit_scale,
+    rate_limit,
+    displacement,
+    rate,
+    to_ecef,
+    coherent,
+    epochs,
+    epoch_time,
+    satellites,
+    position_e,
+    velocity_e,
+    captured,
+    d_range,
+    d_rate,
+    lo,
+    hi,
+):
+    """Command a displaced antenna, and write the offsets that make captured ranges its ranges.
+
+    Both ranges are computed by the same instructions; without displacement and rate the offset is
+    exactly zero.
+
+    Parameters
+    ----------
+    action, hold, by_rate, unit_scale, rate_limit, displacement, rate
+        As in `kinematic_step`, with a leading axis of receivers.
+    to_ecef : ndarray
+        (a, 3) commanded axes in ECEF axes.
+    coherent : bool
+        Whether range rates follow.
+    epochs : ndarray
+        (B,) epoch that each receiver is at; the next one is measured.
+    epoch_time, satellites, position_e, velocity_e : ndarray
+        Truth, of `World`.
+    captured : ndarray
+        (n,) bool, which channels are the spoofer's.
+    d_range, d_rate : ndarray
+        (B, n), written: offsets [m], [m/s].
+    lo, hi : int
+        Slice of receivers.
+    """
+    for b in range(lo, hi):
+        k = epochs[b] + 1
+        tau = epoch_time[k] - epoch_time[k - 1]
+        kinematic_step(
+            action[b], hold, tau, True, by_rate, unit_scale, rate_limit, displacement[b], rate[b]
+        )
+        dx, dy, dz, ex, ey, ez = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        still = True
+        for i in range(displacement.shape[1]):
+            d, e = displacement[b, i], rate[b, i]
+            still = still and d == 0.0 and e == 0.0
+            dx, dy, dz = dx + d * to_ecef[i, 0], dy + d * to_ecef[i, 1], dz + d * to_ecef[i, 2]
+            ex, ey, ez = ex + e * to_ecef[i, 0], ey + e * to_ecef[i, 1], ez + e * to_ecef[i, 2]
+        for s in range(captured.shape[0]):
+            d_range[b, s] = 0.0
+            d_rate[b, s] = 0.0
+            p = satellites[k, s]
+            if still or not captured[s] or p[6] == 0.0:
+                continue
+            for counterfeit in range(2):
+                f = float(counterfeit)
+                rho, change, _, _, _ = range_and_rate(
+                    p[0],
+                    p[1],
+                    p[2],
+                    p[3],
+                    p[4],
+                    p[5],
+                    position_e[k, 0] + f * dx,
+                    position_e[k, 1] + f * dy,
+                    position_e[k, 2] + f * dz,
+                    velocity_e[k, 0] + f * ex,
+                    velocity_e[k, 1] + f * ey,
+                    velocity_e[k, 2] + f * ez,
+                )
+                d_range[b, s] += (2.0 * f - 1.0) * rho
+                if coherent:
+                    d_rate[b, s] += (2.0 * f - 1.0) * change
+
+
+@njit
+def per_channel(
+    action,
+    hold,
+    by_rate,
+    unit_scale,
+    rate_limit,
+    displacement,
+    rate,
+    slots,
+    coherent,
+    epochs,
+    epoch_time,
+    d_range,
+    d_rate,
+    lo,
+    hi,
+):
+    """Command the offset of every captured channel for itself.
+
+    Parameters
+    ----------
+    action, hold, by_rate, unit_scale, rate_limit, displacement, rate
+        As in `kinematic_step`, with a leading axis of receivers.
+    slots : ndarray
+        (a,) slot of each commanded channel.
+    coherent : bool
+        Whether range rates follow.
+    epochs, epoch_time : ndarray
+        (B,) epoch that each receiver is at, and (K,) times of the epochs [s].
+    d_range, d_rate : ndarray
+        (B, n), written: offsets [m], [m/s].
+    lo, hi : int
+        Slice of receivers.
+    """
+    for b in range(lo, hi):
+        k = epochs[b] + 1
+        tau = epoch_time[k] - epoch_time[k - 1]
+        kinematic_step(
+            action[b], hold, tau, False, by_rate, unit_scale, rate_limit, displacement[b], rate[b]
+        )
+        for s in range(d_range.shape[1]):
+            d_range[b, s] = 0.0
+            d_rate[b, s] = 0.0
+        for i in range(slots.shape[0]):
+            d_range[b, slots[i]] = displacement[b, i]
+            if coherent:
+                d_rate[b, slots[i]] = rate[b, i]

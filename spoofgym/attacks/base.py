@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..sim.world import World
-from ._kernels import kinematic_step
 
 FloatArray = NDArray[np.float64]
 CONTROLS = ("rate", "acceleration")
@@ -67,9 +66,6 @@ class Attack(ABC):
     rate_limit_mps: float = 5.0
     coherent: bool = True
     channels: str | tuple[str, ...] = "all"
-
-    vector_limits: ClassVar[bool] = False
-    """Whether limits apply to the length of the command, or to each element for itself."""
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -164,45 +160,31 @@ class Attack(ABC):
         self.world = context.world
         self.mask = self.captured(context.world)
         axes = len(self.action_names(context.world))
+        self._idle = np.zeros((context.receivers, axes))
         self.memory = Memory(context.receivers)
         self.memory.declare("displacement", np.zeros((context.receivers, axes)))
         self.memory.declare("rate", np.zeros((context.receivers, axes)))
 
-    def command(self, action: FloatArray | None, interval: FloatArray) -> None:
-        """Take one command, and move the commanded offset to the end of the interval.
+    @abstractmethod
+    def command(
+        self,
+        action: FloatArray | None,
+        epochs: NDArray[np.int64],
+        d_range: FloatArray,
+        d_rate: FloatArray,
+        lo: int,
+        hi: int,
+    ) -> None:
+        """Take one command, and write what it adds to the measurements of the coming epoch.
 
         Parameters
         ----------
         action : ndarray or None
             (B, a) in [-1, 1]; None holds the rate.
-        interval : ndarray
-            (B,) until the next epoch [s].
-        """
-        displacement, rate = self.memory["displacement"], self.memory["rate"]
-        if action is None:
-            displacement += rate * interval[:, None]
-            return
-        kinematic_step(
-            action,
-            interval,
-            self.vector_limits,
-            self.control == "rate",
-            self.unit_scale,
-            self.rate_limit_mps,
-            displacement,
-            rate,
-        )
-
-    @abstractmethod
-    def offsets(
-        self, epochs: NDArray[np.int64], d_range: FloatArray, d_rate: FloatArray
-    ) -> None:
-        """Write what the present command adds to the measurements of the coming epoch.
-
-        Parameters
-        ----------
         epochs : ndarray
-            (B,) the coming epoch.
+            (B,) the epoch that each receiver is at.
         d_range, d_rate : ndarray
             (B, n), written [m], [m/s].
+        lo, hi : int
+            Slice of receivers to work on.
         """

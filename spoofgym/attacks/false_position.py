@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +35,6 @@ class FalsePosition(Attack):
     """
 
     axes: str = "ne"
-
-    vector_limits: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -80,44 +77,47 @@ class FalsePosition(Attack):
         columns = ["ned".index(letter) for letter in self.axes]
         self._to_ecef = np.ascontiguousarray(C_en[:, columns].T)
 
-    def in_ecef(self, vectors: FloatArray) -> FloatArray:
-        """Turn commanded vectors to ECEF axes.
-
-        Parameters
-        ----------
-        vectors : ndarray
-            (B, a).
-
-        Returns
-        -------
-        ndarray
-            (B, 3).
-        """
-        return (vectors[:, :, None] * self._to_ecef).sum(axis=1)
-
-    def offsets(
-        self, epochs: NDArray[np.int64], d_range: FloatArray, d_rate: FloatArray
+    def command(
+        self,
+        action: FloatArray | None,
+        epochs: NDArray[np.int64],
+        d_range: FloatArray,
+        d_rate: FloatArray,
+        lo: int,
+        hi: int,
     ) -> None:
-        """Write what the present command adds to the measurements of the coming epoch.
+        """Take one command, and write what it adds to the measurements of the coming epoch.
 
         Parameters
         ----------
+        action : ndarray or None
+            (B, a) in [-1, 1]; None holds the rate.
         epochs : ndarray
-            (B,) the coming epoch.
+            (B,) the epoch that each receiver is at.
         d_range, d_rate : ndarray
             (B, n), written [m], [m/s].
+        lo, hi : int
+            Slice of receivers to work on.
         """
         world = self.world
         false_position(
-            self.in_ecef(self.memory["displacement"]),
-            self.in_ecef(self.memory["rate"]),
+            self._idle if action is None else action,
+            action is None,
+            self.control == "rate",
+            self.unit_scale,
+            self.rate_limit_mps,
+            self.memory["displacement"],
+            self.memory["rate"],
+            self._to_ecef,
+            self.coherent,
             epochs,
+            world.epoch_time,
             world.satellites,
             world.position_e,
             world.velocity_e,
             self.mask,
             d_range,
             d_rate,
+            lo,
+            hi,
         )
-        if not self.coherent:
-            d_rate[:] = 0.0

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..sim.world import World
+from ._kernels import per_channel
 from .base import Attack, AttackContext, FloatArray
 
 
@@ -57,20 +58,42 @@ class PerChannel(Attack):
         super().bind(context)
         self._slots = np.flatnonzero(self.mask)
 
-    def offsets(
-        self, epochs: NDArray[np.int64], d_range: FloatArray, d_rate: FloatArray
+    def command(
+        self,
+        action: FloatArray | None,
+        epochs: NDArray[np.int64],
+        d_range: FloatArray,
+        d_rate: FloatArray,
+        lo: int,
+        hi: int,
     ) -> None:
-        """Write what the present command adds to the measurements of the coming epoch.
+        """Take one command, and write what it adds to the measurements of the coming epoch.
 
         Parameters
         ----------
+        action : ndarray or None
+            (B, a) in [-1, 1]; None holds the rate.
         epochs : ndarray
-            (B,) the coming epoch; not needed here.
+            (B,) the epoch that each receiver is at.
         d_range, d_rate : ndarray
             (B, n), written [m], [m/s].
+        lo, hi : int
+            Slice of receivers to work on.
         """
-        d_range[:] = 0.0
-        d_rate[:] = 0.0
-        d_range[:, self._slots] = self.memory["displacement"]
-        if self.coherent:
-            d_rate[:, self._slots] = self.memory["rate"]
+        per_channel(
+            self._idle if action is None else action,
+            action is None,
+            self.control == "rate",
+            self.unit_scale,
+            self.rate_limit_mps,
+            self.memory["displacement"],
+            self.memory["rate"],
+            self._slots,
+            self.coherent,
+            epochs,
+            self.world.epoch_time,
+            d_range,
+            d_rate,
+            lo,
+            hi,
+        )

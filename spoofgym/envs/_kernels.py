@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from .._jit import njit
-from ..receiver.kalman import solve_in_place
 from ..earth.ranging import range_and_rate
+from ..receiver._kernels import predict, update
+from ..receiver.kalman import solve_in_place
 from ..receiver.state import unpack
 from ..sim._kernels import gnss_epoch, imu_block
 from ..sim.sensors import unpack_sensors
@@ -24,7 +25,7 @@ def measure(
     block,
     samples,
     imu_truth,
-    imu_interval,
+    imu_root_rate,
     epoch_time,
     epoch_end,
     satellites,
@@ -45,7 +46,7 @@ def measure(
         Of `SensorBuffers`; advanced.
     floats, flags, block, samples : ndarray
         Of `ReceiverBuffers`; measurements are written.
-    imu_truth, imu_interval, epoch_time, epoch_end, satellites, visible : ndarray
+    imu_truth, imu_root_rate, epoch_time, epoch_end, satellites, visible : ndarray
         Of `World`.
     receivers, channels : int
         B and n.
@@ -77,7 +78,7 @@ def measure(
                 imu_truth[4, a:e],
                 imu_truth[5, a:e],
             )
-            imu_block(sensors, b, keys[0, b], k, truth, imu_interval[a:e], imu_noise, scratch)
+            imu_block(sensors, b, keys[0, b], k, truth, imu_root_rate[a:e], imu_noise, scratch)
             group, lane = b // L, b % L
             for i in range(e - a):
                 for c in range(6):
@@ -156,3 +157,90 @@ def first_fix(floats, flags, guess_e, receivers, channels, lo, hi):
                 else:
                     r[i] += x[i, 0]
             clock[1 if rates else 0] += x[3, 0]
+
+
+@njit
+def quiet(
+    sensor_floats,
+    keys,
+    epochs,
+    floats,
+    flags,
+    block,
+    samples,
+    imu_truth,
+    imu_root_rate,
+    imu_interval,
+    epoch_time,
+    epoch_end,
+    satellites,
+    visible,
+    weights,
+    receivers,
+    channels,
+    padded_imu,
+    padded_gnss,
+    covariance_update,
+    min_satellites,
+    orthonormalize,
+    count,
+    lo,
+    hi,
+):
+    """Run clean epochs without a detector, by the three kernels that every step is made of.
+
+    Parameters
+    ----------
+    sensor_floats, keys, epochs, floats, flags, block, samples, imu_truth, imu_root_rate
+        As in `measure`.
+    imu_interval : ndarray
+        (N,) length of every sample [s].
+    epoch_time, epoch_end, satellites, visible
+        As in `measure`.
+    weights : ndarray
+        (B, 2n) ones.
+    receivers, channels, padded_imu, padded_gnss
+        As in `measure`.
+    covariance_update, min_satellites, orthonormalize
+        As in `receiver._kernels.update`.
+    count : int
+        Number of epochs.
+    lo, hi : int
+        Slice of receivers.
+    """
+    for _ in range(count):
+        measure(
+            sensor_floats,
+            keys,
+            epochs,
+            floats,
+            flags,
+            block,
+            samples,
+            imu_truth,
+            imu_root_rate,
+            epoch_time,
+            epoch_end,
+            satellites,
+            visible,
+            receivers,
+            channels,
+            padded_imu,
+            padded_gnss,
+            1,
+            lo,
+            hi,
+        )
+        predict(floats, flags, block, samples, imu_interval, receivers, channels, lo, hi)
+        update(
+            floats,
+            flags,
+            weights,
+            receivers,
+            channels,
+            covariance_update,
+            min_satellites,
+            orthonormalize,
+            lo,
+            hi,
+        )

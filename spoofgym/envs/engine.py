@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,9 +25,11 @@ from ..sim.scenario import Scenario
 from ..sim.sensors import SensorBuffers
 from ..sim.world import World
 from . import _kernels
+from .workers import Workers
 
 FloatArray = NDArray[np.float64]
 RECEIVERS_PER_THREAD = 16
+RECEIVERS_FOR_THREADED_UPDATE = 128
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,8 +166,7 @@ class Batch:
         self.ones = np.ones((receivers, 2 * world.channels))
         self.weights = self.ones
         self.verdict: Verdict | None = None
-        import copy
-
+        self._action: FloatArray | None = None
         self.attack = copy.deepcopy(setup.attack)
         self.attack.bind(AttackContext(receivers, world, setup.onset))
         self.detector = copy.deepcopy(setup.detector)
@@ -225,7 +226,7 @@ class Batch:
             buffers.block,
             buffers.samples,
             world.imu_truth,
-            world.imu_interval,
+            world.imu_root_rate,
             world.epoch_time,
             world.epoch_end,
             world.satellites,
@@ -269,21 +270,15 @@ class Batch:
             hi,
         )
 
-    def command(self, action: FloatArray | None) -> None:
-        """Move the attack to the coming epoch.
-
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, a) in [-1, 1]; None holds the present rate.
-        """
-        time, coming = self.setup.world.epoch_time, self.epochs + 1
-        self.attack.command(action, time[coming] - time[coming - 1])
+    def _attack_and_advance(self, lo: int, hi: int) -> None:
         sensors = self.sensors.state
-        self.attack.offsets(coming, sensors.range_offset, sensors.rate_offset)
+        self.attack.command(
+            self._action, self.epochs, sensors.range_offset, sensors.rate_offset, lo, hi
+        )
+        self._advance(lo, hi)
 
     def advance(self) -> Epoch:
-        """First half of an epoch: measure, mechanize, predict, form the innovation.
+        """First half of a clean epoch: measure, mechanize, predict, form the innovation.
 
         Returns
         -------
@@ -291,6 +286,23 @@ class Batch:
             What a detector may see.
         """
         self._run(self._advance, self.receivers)
+        return self.epoch
+
+    def advance_attacked(self, action: FloatArray | None) -> Epoch:
+        """First half of an epoch under attack.
+
+        Parameters
+        ----------
+        action : ndarray or None
+            (B, a) in [-1, 1], C-contiguous; None holds the present rate.
+
+        Returns
+        -------
+        Epoch
+            What a detector may see.
+        """
+        self._action = action
+        self._run(self._attack_and_advance, self.receivers)
         return self.epoch
 
     def judge(self) -> Verdict:
@@ -313,7 +325,10 @@ class Batch:
             (B, 2n) in [0, 1], C-contiguous; None for all 1.
         """
         self.weights = self.ones if weights is None else weights
-        self._run(self._update, self.receivers)
+        if self.receivers < RECEIVERS_FOR_THREADED_UPDATE:
+            self._update(0, self.receivers)
+        else:
+            self._run(self._update, self.receivers)
 
     def quiet_epochs(self, count: int) -> None:
         """Run clean epochs without a detector.
@@ -324,16 +339,42 @@ class Batch:
             How many.
         """
 
-        def stretch(lo: int, hi: int) -> None:
-            for _ in range(count):
-                self._advance(lo, hi)
-                self._update(lo, hi)
+        buffers, sensors = self.buffers, self.sensors
+        world, receiver = self.setup.world, self.setup.receiver
 
-        self.weights = self.ones
+        def stretch(lo: int, hi: int) -> None:
+            _kernels.quiet(
+                sensors.floats,
+                sensors.keys,
+                sensors.epoch,
+                buffers.floats,
+                buffers.flags,
+                buffers.block,
+                buffers.samples,
+                world.imu_truth,
+                world.imu_root_rate,
+                world.imu_interval,
+                world.epoch_time,
+                world.epoch_end,
+                world.satellites,
+                world.visible,
+                self.ones,
+                self.receivers,
+                world.channels,
+                self._imu_noise,
+                self._gnss_noise,
+                receiver.covariance_code,
+                receiver.min_satellites,
+                receiver.orthonormalize,
+                count,
+                lo,
+                hi,
+            )
+
         self._run(stretch, self.receivers)
 
     def live_epochs(self, count: int) -> NDArray[np.bool_]:
-        """Run epochs with the detector, the attack holding what it commands.
+        """Run clean epochs with the detector.
 
         Parameters
         ----------
@@ -432,8 +473,7 @@ class Engine:
             raise ValueError(f"`threads` must be at least 1, got {threads}")
         self.receivers, self.setup = receivers, setup
         self.threads = threads if threads is not None else available_threads(receivers)
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_owner = 0
+        self._workers = Workers(self.threads - 1)
         self.batch = Batch(setup, receivers, self._run)
         self.warmup_alarm = np.zeros(receivers, dtype=np.bool_)
 
@@ -444,21 +484,8 @@ class Engine:
         if parts <= 1:
             work(0, receivers)
             return
-        if self._pool is None or self._pool_owner != os.getpid():
-            self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="spoofgym")
-            self._pool_owner = os.getpid()
         bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
-        futures = [
-            self._pool.submit(work, lo, hi)
-            for lo, hi in zip(bounds[1:-1], bounds[2:], strict=True)
-        ]
-        work(bounds[0], bounds[1])
-        for future in futures:
-            future.result()
-
-    def __getstate__(self) -> dict[str, Any]:
-        """State without the threads, which are made anew."""
-        return {**self.__dict__, "_pool": None}
+        self._workers.run(work, bounds)
 
     def reset(
         self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp] | None = None
@@ -497,8 +524,7 @@ class Engine:
         Epoch
             What a detector may see.
         """
-        self.batch.command(action)
-        return self.batch.advance()
+        return self.batch.advance_attacked(action)
 
     def judge(self) -> Verdict:
         """Let the engine's own detector judge the epoch.
@@ -558,8 +584,7 @@ class Engine:
             batch.copy_rows(here, self.batch, rows)
         alarms = np.zeros((self.setup.hold, len(rows)), dtype=np.bool_)
         for k in range(self.setup.hold):
-            batch.command(None)
-            batch.advance()
+            batch.advance_attacked(None)
             verdict = batch.judge()
             alarms[k] = verdict.alarm.any(axis=1)
             batch.update(verdict.weights)

@@ -12,7 +12,8 @@ from .state import unpack
 from .strapdown import strapdown_step
 
 L = 8  # state.LANES, as a constant that the compiler sees
-_X = 21 * L + 10 * L
+HALF = 4  # lanes go by the width of a vector of doubles
+_X = 31 * L
 
 
 @njit
@@ -112,14 +113,14 @@ def predict(floats, flags, block, samples, imu_interval, receivers, channels, lo
         Slice of receivers; `lo` is a multiple of the number of lanes.
     """
     state, measured, noise_psd = unpack(floats, flags, receivers, channels)
-    covariance_work = np.empty((17, 17))
+    covariance_work, row_work = np.empty(289), np.empty(17)
     lane_work = np.empty(_X)
     n = channels
     for b in range(lo, hi):
         if b % L == 0:
             mechanize(
                 state, measured, block, samples, imu_interval, b // L, hi,
-                samples.shape[2] // 6, lane_work,
+                HALF * (2 if hi - b > HALF else 1), lane_work,
             )
         C, v, r = state.C_eb[b], state.velocity_e[b], state.position_e[b]
         fx, fy, fz = (
@@ -131,7 +132,8 @@ def predict(floats, flags, block, samples, imu_interval, receivers, channels, lo
         tau = measured.interval[b]
         Phi = measured.transition[b]
         fill_transition(Phi, C, r, fx, fy, fz, tau)
-        propagate_covariance(state.covariance[b], Phi, noise_psd[b], tau, covariance_work)
+        P = state.covariance[b].reshape(289)
+        propagate_covariance(P, Phi, noise_psd[b], tau, covariance_work)
         state.clock[b, 0] += state.clock[b, 1] * tau
         # ---- innovation
         H, z, u = measured.design[b], measured.innovation[b], measured.line_of_sight[b]
@@ -155,10 +157,11 @@ def predict(floats, flags, block, samples, imu_interval, receivers, channels, lo
             H[s, 15] = one
             H[n + s, 16] = one
         innovation_covariance(
-            state.covariance[b],
+            P,
             u,
             measured.noise_variance[b],
             measured.visible[b],
+            row_work,
             measured.innovation_cov[b],
         )
 
@@ -189,7 +192,8 @@ def update(
     """
     state, measured, _ = unpack(floats, flags, receivers, channels)
     A, A1, A2 = np.empty((8, 8)), np.empty((8, 8)), np.empty((8, 8))
-    M, B, Pc = np.empty((8, 8)), np.empty((8, 17)), np.empty((8, 17))
+    F, M, V = np.empty((8, 8)), np.empty((8, 8)), np.empty(64)
+    Pc, Q = np.empty(136), np.empty(136)
     y, x = np.empty(8), np.empty(17)
     n = channels
     for b in range(lo, hi):
@@ -212,7 +216,7 @@ def update(
             A2,
             y,
         )
-        gain_solution(state.covariance[b], A, A1, A2, y, covariance_update, M, B, Pc, x)
+        gain_solution(state.covariance[b].reshape(289), A, A1, A2, y, covariance_update, F, M, V, Pc, Q, x)
         C = state.C_eb[b]
         for j in range(3):
             c0, c1, c2 = C[0, j], C[1, j], C[2, j]

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import njit
+from .._jit import inlined, njit
 from ..earth.wgs84 import EARTH_RATE, geocentric_surface_radius, gravity
 
 STATES = 17
@@ -82,58 +82,74 @@ def fill_transition(
     Phi[15, 16] = tau
 
 
-@njit
+@inlined
 def transition_product(
-    Phi: NDArray[np.float64], X: NDArray[np.float64], Y: NDArray[np.float64]
+    Phi: NDArray[np.float64],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    row: int,
+    column: int,
+    count: int,
 ) -> None:
-    r"""Write :math:`Y = (\Phi X)^T`, using the zeros of the transition matrix.
-
-    Twice applied it gives the propagated covariance, :math:`\Phi P \Phi^T`.
+    r"""Write :math:`Y = \Phi X`, using the zeros of the transition matrix.
 
     Parameters
     ----------
     Phi : ndarray
         (17, 17), as `fill_transition` writes it.
-    X : ndarray
-        (17, 17).
-    Y : ndarray
-        (17, 17), written; not the memory of `X`.
+    x : ndarray
+        X, flat: one array with constant offsets is what compilers vectorize.
+    y : ndarray
+        Written; not the memory of `x`.
+    row, column : int
+        Distance of two rows and of two columns in both.
+    count : int
+        Number of columns.
     """
     w, w2, tau = Phi[0, 1], Phi[3, 4], Phi[15, 16]
-    for j in range(17):
-        a0, a1, a2 = X[0, j], X[1, j], X[2, j]
-        v0, v1, v2 = X[3, j], X[4, j], X[5, j]
-        p0, p1, p2 = X[6, j], X[7, j], X[8, j]
-        b0, b1, b2 = X[9, j], X[10, j], X[11, j]
-        g0, g1, g2 = X[12, j], X[13, j], X[14, j]
-        Y[j, 0] = a0 + w * a1 + Phi[0, 12] * g0 + Phi[0, 13] * g1 + Phi[0, 14] * g2
-        Y[j, 1] = a1 - w * a0 + Phi[1, 12] * g0 + Phi[1, 13] * g1 + Phi[1, 14] * g2
-        Y[j, 2] = a2 + Phi[2, 12] * g0 + Phi[2, 13] * g1 + Phi[2, 14] * g2
-        Y[j, 3] = (
-            (Phi[3, 1] * a1 + Phi[3, 2] * a2)
-            + (v0 + w2 * v1)
-            + (Phi[3, 6] * p0 + Phi[3, 7] * p1 + Phi[3, 8] * p2)
-            + (Phi[3, 9] * b0 + Phi[3, 10] * b1 + Phi[3, 11] * b2)
+    f0_12, f0_13, f0_14 = Phi[0, 12], Phi[0, 13], Phi[0, 14]
+    f1_12, f1_13, f1_14 = Phi[1, 12], Phi[1, 13], Phi[1, 14]
+    f2_12, f2_13, f2_14 = Phi[2, 12], Phi[2, 13], Phi[2, 14]
+    f3_1, f3_2 = Phi[3, 1], Phi[3, 2]
+    f3_6, f3_7, f3_8 = Phi[3, 6], Phi[3, 7], Phi[3, 8]
+    f3_9, f3_10, f3_11 = Phi[3, 9], Phi[3, 10], Phi[3, 11]
+    f4_0, f4_2 = Phi[4, 0], Phi[4, 2]
+    f4_6, f4_7, f4_8 = Phi[4, 6], Phi[4, 7], Phi[4, 8]
+    f4_9, f4_10, f4_11 = Phi[4, 9], Phi[4, 10], Phi[4, 11]
+    f5_0, f5_1 = Phi[5, 0], Phi[5, 1]
+    f5_6, f5_7, f5_8 = Phi[5, 6], Phi[5, 7], Phi[5, 8]
+    f5_9, f5_10, f5_11 = Phi[5, 9], Phi[5, 10], Phi[5, 11]
+    for j in range(count):
+        a0, a1, a2 = x[j * column], x[row + j * column], x[2 * row + j * column]
+        v0, v1, v2 = x[3 * row + j * column], x[4 * row + j * column], x[5 * row + j * column]
+        p0, p1, p2 = x[6 * row + j * column], x[7 * row + j * column], x[8 * row + j * column]
+        b0, b1, b2 = x[9 * row + j * column], x[10 * row + j * column], x[11 * row + j * column]
+        g0, g1, g2 = x[12 * row + j * column], x[13 * row + j * column], x[14 * row + j * column]
+        c0, c1 = x[15 * row + j * column], x[16 * row + j * column]
+        y[j * column] = (a0 + w * a1) + (f0_12 * g0 + f0_13 * g1 + f0_14 * g2)
+        y[row + j * column] = (a1 - w * a0) + (f1_12 * g0 + f1_13 * g1 + f1_14 * g2)
+        y[2 * row + j * column] = a2 + (f2_12 * g0 + f2_13 * g1 + f2_14 * g2)
+        y[3 * row + j * column] = (
+            (f3_1 * a1 + f3_2 * a2) + (v0 + w2 * v1)
+            + (f3_6 * p0 + f3_7 * p1 + f3_8 * p2)
+            + (f3_9 * b0 + f3_10 * b1 + f3_11 * b2)
         )
-        Y[j, 4] = (
-            (Phi[4, 0] * a0 + Phi[4, 2] * a2)
-            + (v1 - w2 * v0)
-            + (Phi[4, 6] * p0 + Phi[4, 7] * p1 + Phi[4, 8] * p2)
-            + (Phi[4, 9] * b0 + Phi[4, 10] * b1 + Phi[4, 11] * b2)
+        y[4 * row + j * column] = (
+            (f4_0 * a0 + f4_2 * a2) + (v1 - w2 * v0)
+            + (f4_6 * p0 + f4_7 * p1 + f4_8 * p2)
+            + (f4_9 * b0 + f4_10 * b1 + f4_11 * b2)
         )
-        Y[j, 5] = (
-            (Phi[5, 0] * a0 + Phi[5, 1] * a1)
-            + v2
-            + (Phi[5, 6] * p0 + Phi[5, 7] * p1 + Phi[5, 8] * p2)
-            + (Phi[5, 9] * b0 + Phi[5, 10] * b1 + Phi[5, 11] * b2)
+        y[5 * row + j * column] = (
+            (f5_0 * a0 + f5_1 * a1) + v2
+            + (f5_6 * p0 + f5_7 * p1 + f5_8 * p2)
+            + (f5_9 * b0 + f5_10 * b1 + f5_11 * b2)
         )
-        Y[j, 6] = p0 + tau * v0
-        Y[j, 7] = p1 + tau * v1
-        Y[j, 8] = p2 + tau * v2
-        Y[j, 9], Y[j, 10], Y[j, 11] = b0, b1, b2
-        Y[j, 12], Y[j, 13], Y[j, 14] = g0, g1, g2
-        Y[j, 15] = X[15, j] + tau * X[16, j]
-        Y[j, 16] = X[16, j]
+        y[6 * row + j * column] = p0 + tau * v0
+        y[7 * row + j * column] = p1 + tau * v1
+        y[8 * row + j * column] = p2 + tau * v2
+        y[9 * row + j * column], y[10 * row + j * column], y[11 * row + j * column] = b0, b1, b2
+        y[12 * row + j * column], y[13 * row + j * column], y[14 * row + j * column] = g0, g1, g2
+        y[15 * row + j * column], y[16 * row + j * column] = c0 + tau * c1, c1
 
 
 @njit
@@ -151,7 +167,7 @@ def propagate_covariance(
     Parameters
     ----------
     P : ndarray
-        (17, 17) symmetric covariance; overwritten.
+        (289,) symmetric covariance, row by row; overwritten.
     Phi : ndarray
         (17, 17) transition matrix.
     noise_psd : ndarray
@@ -159,17 +175,18 @@ def propagate_covariance(
     tau : float
         Length of the interval [s].
     work : ndarray
-        (17, 17) scratch memory.
+        (289,) scratch memory.
 
     Notes
     -----
     Groves (2013), eq. 3.46.
     """
     for i in range(17):
-        P[i, i] += 0.5 * tau * noise_psd[i]
-    transition_product(Phi, P, work)
-    transition_product(Phi, work, P)
+        P[18 * i] += 0.5 * tau * noise_psd[i]
+    transition_product(Phi, P, work, 17, 1, 17)
+    for i in range(17):  # each row of Phi P as a column, since (Phi P) Phi' is symmetric
+        transition_product(Phi, work[17 * i : 17 * i + 17], P[17 * i : 17 * i + 17], 1, 1, 1)
     for i in range(17):
-        P[i, i] += 0.5 * tau * noise_psd[i]
+        P[18 * i] += 0.5 * tau * noise_psd[i]
         for j in range(i):
-            P[i, j] = P[j, i]
+            P[17 * i + j] = P[17 * j + i]

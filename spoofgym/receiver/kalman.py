@@ -13,6 +13,8 @@ none, costs the same 8 x 8 solution.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -151,6 +153,7 @@ def innovation_covariance(
     u: NDArray[np.float64],
     R: NDArray[np.float64],
     visible: NDArray[np.bool_],
+    t: NDArray[np.float64],
     S: NDArray[np.float64],
 ) -> None:
     r"""Write the innovation covariance :math:`S = H P H^T + R` of one receiver.
@@ -158,50 +161,124 @@ def innovation_covariance(
     Parameters
     ----------
     P : ndarray
-        (17, 17) predicted covariance.
+        (289,) predicted covariance, row by row.
     u : ndarray
         (n, 3) lines of sight, ECEF.
     R : ndarray
         (2n,) noise variances.
     visible : ndarray
         (n,) bool; an invisible slot has the row and column of the identity.
+    t : ndarray
+        (17,) scratch memory.
     S : ndarray
         (2n, 2n), written.
     """
     n = u.shape[0]
-    for s in range(n):
-        for k in (s, s + n):
-            for j in range(2 * n):
-                S[k, j] = 0.0
-            S[k, k] = 1.0
+    for k in range(2 * n):
+        row = S[k]
+        for j in range(2 * n):
+            row[j] = 0.0
+        row[k] = 1.0
     for s in range(n):
         if not visible[s]:
             continue
+        ux, uy, uz = u[s, 0], u[s, 1], u[s, 2]
         for half in range(2):
-            k, o = s + half * n, 3 if half else 6
-            clock = 16 if half else 15
-            # t = Pe h', the row of H P on the eight observed states
-            t0 = u[s, 0] * P[o, 6] + u[s, 1] * P[o + 1, 6] + u[s, 2] * P[o + 2, 6] + P[clock, 6]
-            t1 = u[s, 0] * P[o, 7] + u[s, 1] * P[o + 1, 7] + u[s, 2] * P[o + 2, 7] + P[clock, 7]
-            t2 = u[s, 0] * P[o, 8] + u[s, 1] * P[o + 1, 8] + u[s, 2] * P[o + 2, 8] + P[clock, 8]
-            t3 = (
-                u[s, 0] * P[o, 15] + u[s, 1] * P[o + 1, 15] + u[s, 2] * P[o + 2, 15] + P[clock, 15]
-            )
-            t4 = u[s, 0] * P[o, 3] + u[s, 1] * P[o + 1, 3] + u[s, 2] * P[o + 2, 3] + P[clock, 3]
-            t5 = u[s, 0] * P[o, 4] + u[s, 1] * P[o + 1, 4] + u[s, 2] * P[o + 2, 4] + P[clock, 4]
-            t6 = u[s, 0] * P[o, 5] + u[s, 1] * P[o + 1, 5] + u[s, 2] * P[o + 2, 5] + P[clock, 5]
-            t7 = (
-                u[s, 0] * P[o, 16] + u[s, 1] * P[o + 1, 16] + u[s, 2] * P[o + 2, 16] + P[clock, 16]
-            )
+            k = s + half * n
+            o, clock = (17 * 3, 17 * 16) if half else (17 * 6, 17 * 15)
+            for j in range(17):  # the row of H P
+                t[j] = (ux * P[o + j] + uy * P[o + 17 + j]) + (uz * P[o + 34 + j] + P[clock + j])
+            row = S[k]
             for j in range(s, n):
                 if visible[j]:
-                    value = t0 * u[j, 0] + t1 * u[j, 1] + t2 * u[j, 2] + t3
-                    rate = t4 * u[j, 0] + t5 * u[j, 1] + t6 * u[j, 2] + t7
-                    S[k, j] = value
+                    value = (u[j, 0] * t[6] + u[j, 1] * t[7]) + (u[j, 2] * t[8] + t[15])
+                    rate = (u[j, 0] * t[3] + u[j, 1] * t[4]) + (u[j, 2] * t[5] + t[16])
+                    row[j] = value
+                    row[n + j] = rate
                     S[j, k] = value
-                    S[k, n + j] = rate
                     S[n + j, k] = rate
-            S[k, k] += R[k]
+            row[k] += R[k]
+
+
+@njit
+def factor(
+    P: NDArray[np.float64],
+    A: NDArray[np.float64],
+    F: NDArray[np.float64],
+    M: NDArray[np.float64],
+    V: NDArray[np.float64],
+    Pc: NDArray[np.float64],
+) -> None:
+    r"""Write V with :math:`V^T V = (I + A P_e)^{-1} A`, and the rows of P that it acts on.
+
+    With :math:`A = L L^T` block by block, :math:`V = C^{-1} L^T` where
+    :math:`C C^T = I + L^T P_e L`, which is well conditioned for any number of satellites.
+
+    Parameters
+    ----------
+    P : ndarray
+        (289,) predicted covariance, row by row.
+    A : ndarray
+        (8, 8) block diagonal, positive semidefinite.
+    F, M : ndarray
+        (8, 8) scratch memory.
+    V : ndarray
+        (64,), written, row by row.
+    Pc : ndarray
+        (136,), written: rows `OBSERVED` of P.
+    """
+    e = OBSERVED
+    for k in range(8):
+        for j in range(17):
+            Pc[17 * k + j] = P[17 * e[k] + j]
+    # L, block by block, into M; a pivot of rounding size has no information
+    for o in (0, 4):
+        for i in range(o, o + 4):
+            for j in range(o, i + 1):
+                value = A[i, j]
+                for k in range(o, j):
+                    value -= M[i, k] * M[j, k]
+                if i > j:
+                    M[i, j] = value / M[j, j] if M[j, j] > 0.0 else 0.0
+                else:
+                    M[i, i] = math.sqrt(value) if value > 1e-12 * A[i, i] else 0.0
+    # V = L', F = L' Pe
+    for i in range(8):
+        o = 4 * (i // 4)
+        for j in range(8):
+            V[8 * i + j] = 0.0
+            F[i, j] = 0.0
+        for k in range(i, o + 4):
+            f = M[k, i]
+            V[8 * i + k] = f
+            for j in range(8):
+                F[i, j] += f * Pc[17 * k + e[j]]
+    # M = I + F L, its factor C into F
+    for i in range(8):
+        for j in range(i + 1):
+            value = 1.0 if i == j else 0.0
+            for k in range(j, 4 * (j // 4) + 4):
+                value += F[i, k] * V[8 * j + k]
+            M[i, j] = value
+    for i in range(8):
+        for j in range(i):
+            value = M[i, j]
+            for k in range(j):
+                value -= F[i, k] * F[j, k]
+            F[i, j] = value * F[j, j]
+        value = M[i, i]
+        for k in range(i):
+            value -= F[i, k] * F[i, k]
+        F[i, i] = 1.0 / math.sqrt(value)  # the inverse: no division below
+    # forward substitution, row by row
+    for i in range(8):
+        for k in range(i):
+            f = F[i, k]
+            for j in range(8):
+                V[8 * i + j] -= f * V[8 * k + j]
+        f = F[i, i]
+        for j in range(8):
+            V[8 * i + j] *= f
 
 
 @njit
@@ -212,20 +289,23 @@ def gain_solution(
     A2: NDArray[np.float64],
     y: NDArray[np.float64],
     covariance_update: int,
+    F: NDArray[np.float64],
     M: NDArray[np.float64],
-    B: NDArray[np.float64],
+    V: NDArray[np.float64],
     Pc: NDArray[np.float64],
+    Q: NDArray[np.float64],
     dx: NDArray[np.float64],
 ) -> None:
     r"""Correct the covariance in place and write the correction of the state.
 
-    With :math:`T = (I + A P_e)^{-1}` and :math:`P_c = P E^T`,
+    With :math:`T = (I + A P_e)^{-1} = I - N P_e`, :math:`N = T A = V^T V` and
+    :math:`P_c = P E^T`,
 
     .. math::
         \delta x &= P_c T y \\
         \text{plain:}\quad P &\leftarrow P - P_c\, \mathrm{sym}(T A_1)\, P_c^T
         \quad\text{(the symmetric part of } (I - K W H) P\text{)} \\
-        \text{unweighted:}\quad P &\leftarrow P - P_c T A P_c^T \\
+        \text{unweighted:}\quad P &\leftarrow P - P_c N P_c^T \\
         \text{general:}\quad P &\leftarrow P - P_c \left(T A_1 + A_1 T^T
         - T (A_1 P_e A_1 + A_2) T^T\right) P_c^T
 
@@ -234,98 +314,169 @@ def gain_solution(
     Parameters
     ----------
     P : ndarray
-        (17, 17) predicted covariance, overwritten by the updated one.
+        (289,) predicted covariance, row by row, overwritten by the updated one.
     A, A1, A2, y : ndarray
         As `accumulate` writes them.
     covariance_update : int
         `PLAIN`, `UNWEIGHTED` or `GENERAL`; the same thing where all weights are 1.
-    M, B, Pc : ndarray
-        (8, 8), (8, 17) and (8, 17) scratch memory.
+    F, M : ndarray
+        (8, 8) scratch memory.
+    V : ndarray
+        (64,) scratch memory.
+    Pc, Q : ndarray
+        (136,) scratch memory.
     dx : ndarray
         (17,), written.
     """
     e = OBSERVED
-    columns = 17 if covariance_update == GENERAL else 9
-    for k in range(8):
-        row = P[e[k]]
-        for j in range(17):
-            Pc[k, j] = row[j]
+    factor(P, A, F, M, V, Pc)
+    # x = T y = y - V' V Pe y
+    x, v = F[0], F[1]
     for i in range(8):
-        o = 4 * (i // 4)
+        x[i] = 0.0
         for j in range(8):
-            total = 1.0 if i == j else 0.0
-            for k in range(o, o + 4):
-                total += A[i, k] * Pc[k, e[j]]
-            M[i, j] = total
-            B[i, 1 + j] = A[i, j] if covariance_update == UNWEIGHTED else A1[i, j]
-            if covariance_update == GENERAL:
-                B[i, 9 + j] = 1.0 if i == j else 0.0
-        B[i, 0] = y[i]
-    solve_in_place(M, B, columns)
+            x[i] += Pc[17 * i + e[j]] * y[j]
+    for i in range(8):
+        v[i] = 0.0
+        for j in range(8):
+            v[i] += V[8 * i + j] * x[j]
+    for i in range(8):
+        x[i] = y[i]
+    for k in range(8):
+        for i in range(8):
+            x[i] -= V[8 * k + i] * v[k]
     for j in range(17):
         dx[j] = 0.0
     for k in range(8):
-        t = B[k, 0]
         for j in range(17):
-            dx[j] += t * Pc[k, j]
-    if covariance_update == GENERAL:
-        # A becomes A1 Pe A1 + A2; M becomes T times that; A becomes the bracket
-        for i in range(8):
-            o = 4 * (i // 4)
-            for j in range(8):
-                q = 4 * (j // 4)
-                total = A2[i, j]
-                for k in range(o, o + 4):
-                    for m in range(q, q + 4):
-                        total += A1[i, k] * Pc[k, e[m]] * A1[m, j]
-                A[i, j] = total
-        for i in range(8):
-            for j in range(8):
-                total = 0.0
-                for k in range(8):
-                    total += B[i, 9 + k] * A[k, j]
-                M[i, j] = total
-        for i in range(8):
-            for j in range(8):
-                total = B[i, 1 + j] + B[j, 1 + i]
-                for k in range(8):
-                    total -= M[i, k] * B[j, 9 + k]
-                A[i, j] = total
+            dx[j] += x[k] * Pc[17 * k + j]
+    if covariance_update == UNWEIGHTED:
+        product(V, Pc, Q)
+        subtract(P, Q, Q)
     else:
-        for i in range(8):
-            for j in range(8):
-                A[i, j] = 0.5 * (B[i, 1 + j] + B[j, 1 + i])
-    _subtract_quadratic(P, A, Pc, B)
+        weighted_information(A1, A2, Pc, V, covariance_update, F, M)
+        product(V, Pc, Q)
+        subtract(P, Pc, Q)
 
 
 @njit
-def _subtract_quadratic(
-    P: NDArray[np.float64],
-    N: NDArray[np.float64],
+def weighted_information(
+    A1: NDArray[np.float64],
+    A2: NDArray[np.float64],
     Pc: NDArray[np.float64],
-    work: NDArray[np.float64],
+    V: NDArray[np.float64],
+    covariance_update: int,
+    X: NDArray[np.float64],
+    N: NDArray[np.float64],
 ) -> None:
-    """``P -= Pc' N Pc`` in place, kept exactly symmetric; `Pc` and `work` are (8, 17)."""
+    r"""Replace V by what stands between :math:`P_c` and :math:`P_c^T` in a weighted update.
+
+    Parameters
+    ----------
+    A1, A2 : ndarray
+        (8, 8) as `accumulate` writes them; both are overwritten.
+    Pc : ndarray
+        (136,) rows `OBSERVED` of P.
+    V : ndarray
+        (64,) as `factor` writes it; overwritten by the symmetric result.
+    covariance_update : int
+        `PLAIN` or `GENERAL`.
+    X, N : ndarray
+        (8, 8) scratch memory.
+    """
+    T = V.reshape((8, 8))
+    Pe = Pc.reshape((8, 17))[:, OBSERVED].copy()
+    for i in range(8):  # N = V' V
+        for j in range(8):
+            total = 0.0
+            for k in range(8):
+                total += T[k, i] * T[k, j]
+            N[i, j] = total
+    _multiply(N, Pe, X)  # T = I - N Pe
+    for i in range(8):
+        for j in range(8):
+            T[i, j] = (1.0 if i == j else 0.0) - X[i, j]
+    _multiply(T, A1, X)
+    if covariance_update == PLAIN:
+        for i in range(8):
+            for j in range(8):
+                T[i, j] = 0.5 * (X[i, j] + X[j, i])
+        return
+    _multiply(Pe, A1, N)
+    _multiply(A1, N, Pe)  # Pe becomes A1 Pe A1 + A2, the middle of the third term
+    for i in range(8):
+        for j in range(8):
+            Pe[i, j] += A2[i, j]
+    _multiply(T, Pe, N)
+    for i in range(8):  # A1 = X + X' - N T'
+        for j in range(8):
+            total = X[i, j] + X[j, i]
+            for k in range(8):
+                total -= N[i, k] * T[j, k]
+            A1[i, j] = total
+    for i in range(8):
+        for j in range(8):
+            T[i, j] = A1[i, j]
+
+
+@njit
+def _multiply(A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64]) -> None:
+    """``C = A B``, all (8, 8)."""
+    for i in range(8):
+        for j in range(8):
+            total = 0.0
+            for k in range(8):
+                total += A[i, k] * B[k, j]
+            C[i, j] = total
+
+
+@njit
+def product(N: NDArray[np.float64], Pc: NDArray[np.float64], Q: NDArray[np.float64]) -> None:
+    """Write ``Q = N Pc``; (8, 8), (8, 17) and (8, 17), all flat.
+
+    Parameters
+    ----------
+    N, Pc : ndarray
+        (64,) and (136,).
+    Q : ndarray
+        (136,), written.
+    """
     for k in range(8):
-        n0, n1, n2, n3 = N[k, 0], N[k, 1], N[k, 2], N[k, 3]
-        n4, n5, n6, n7 = N[k, 4], N[k, 5], N[k, 6], N[k, 7]
+        o = 8 * k
+        n0, n1, n2, n3 = N[o], N[o + 1], N[o + 2], N[o + 3]
+        n4, n5, n6, n7 = N[o + 4], N[o + 5], N[o + 6], N[o + 7]
+        q = Q[17 * k : 17 * k + 17]
         for j in range(17):
-            work[k, j] = (
-                (n0 * Pc[0, j] + n1 * Pc[1, j])
-                + (n2 * Pc[2, j] + n3 * Pc[3, j])
-                + (n4 * Pc[4, j] + n5 * Pc[5, j])
-                + (n6 * Pc[6, j] + n7 * Pc[7, j])
+            q[j] = (
+                (n0 * Pc[j] + n1 * Pc[17 + j])
+                + (n2 * Pc[34 + j] + n3 * Pc[51 + j])
+                + (n4 * Pc[68 + j] + n5 * Pc[85 + j])
+                + (n6 * Pc[102 + j] + n7 * Pc[119 + j])
             )
+
+
+@njit
+def subtract(P: NDArray[np.float64], X: NDArray[np.float64], Y: NDArray[np.float64]) -> None:
+    """``P -= X' Y`` in place, where the product is symmetric; kept exactly so.
+
+    Parameters
+    ----------
+    P : ndarray
+        (289,), overwritten.
+    X, Y : ndarray
+        (136,), (8, 17) row by row.
+    """
     for i in range(17):
-        n0, n1, n2, n3 = Pc[0, i], Pc[1, i], Pc[2, i], Pc[3, i]
-        n4, n5, n6, n7 = Pc[4, i], Pc[5, i], Pc[6, i], Pc[7, i]
+        n0, n1, n2, n3 = X[i], X[17 + i], X[34 + i], X[51 + i]
+        n4, n5, n6, n7 = X[68 + i], X[85 + i], X[102 + i], X[119 + i]
+        p = P[17 * i : 17 * i + 17]
         for j in range(17):
-            P[i, j] -= (
-                (n0 * work[0, j] + n1 * work[1, j])
-                + (n2 * work[2, j] + n3 * work[3, j])
-                + (n4 * work[4, j] + n5 * work[5, j])
-                + (n6 * work[6, j] + n7 * work[7, j])
+            p[j] -= (
+                (n0 * Y[j] + n1 * Y[17 + j])
+                + (n2 * Y[34 + j] + n3 * Y[51 + j])
+                + (n4 * Y[68 + j] + n5 * Y[85 + j])
+                + (n6 * Y[102 + j] + n7 * Y[119 + j])
             )
     for i in range(17):
         for j in range(i):
-            P[i, j] = P[j, i]
+            P[17 * i + j] = P[17 * j + i]

@@ -7,7 +7,7 @@ import numpy as np
 from .._jit import njit
 from ..earth.ranging import range_and_rate
 from .clock import advance_clock
-from .imu import measure_component
+from .imu import quantize, sense
 from .noise import normals
 
 
@@ -37,7 +37,7 @@ def fill_ranges(satellites, visible, position_e, velocity_e):
 
 
 @njit
-def imu_block(sensors, b, keys, epoch, truth, interval, noise, scratch):
+def imu_block(sensors, b, keys, epoch, truth, root_rate, noise, samples):
     """Measure one receiver's samples of one interval.
 
     Parameters
@@ -50,37 +50,28 @@ def imu_block(sensors, b, keys, epoch, truth, interval, noise, scratch):
         (2,) key of the sensor noise.
     truth : tuple of 6 ndarrays
         (S,) each: true samples.
-    interval : ndarray
-        (S,) their lengths [s].
+    root_rate : ndarray
+        (S,) one over the square root of their lengths [Hz^0.5].
     noise : ndarray
         (P,) scratch memory for the deviates.
-    scratch : ndarray
+    samples : ndarray
         (6, S or more), written: measured specific force and angular rate.
     """
     normals(keys[0], keys[1], epoch, noise)
-    n = interval.shape[0]
+    n = root_rate.shape[0]
+    level = sensors.imu_noise[b]
     for c in range(6):
         if c < 3:
             m = sensors.accel_matrix[b, c]
             row = (m[0], m[1], m[2], 0.0, 0.0, 0.0)
             bias = sensors.accel_bias[b, c]
-            root_psd, level = sensors.imu_noise[b, 0], sensors.imu_noise[b, 2]
         else:
             g, m = sensors.g_dependence[b, c - 3], sensors.gyro_matrix[b, c - 3]
             row = (g[0], g[1], g[2], m[0], m[1], m[2])
             bias = sensors.gyro_bias[b, c - 3]
-            root_psd, level = sensors.imu_noise[b, 1], sensors.imu_noise[b, 3]
-        sensors.residual[b, c] = measure_component(
-            truth,
-            noise[c * n : (c + 1) * n],
-            interval,
-            row,
-            bias,
-            root_psd,
-            level,
-            sensors.residual[b, c],
-            scratch[c, :n],
-        )
+        deviates = noise[c * n : (c + 1) * n]
+        sense(truth, deviates, root_rate, row, bias, level[c // 3], samples[c, :n])
+    quantize(samples, n, level[2], level[3], sensors.residual[b])
 
 
 @njit

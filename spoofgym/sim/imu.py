@@ -22,6 +22,7 @@ _DEG = math.pi / 180.0
 _DEG_PER_HOUR = _DEG / 3600.0
 _DEG_PER_ROOT_HOUR = _DEG / 60.0
 
+FloatArray = NDArray[np.float64]
 Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -149,27 +150,50 @@ IMU_GRADES: dict[str, ImuGrade] = {
 
 
 @njit
-def measure_component(
-    truth: tuple[
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.float64],
-    ],
-    noise: NDArray[np.float64],
-    interval: NDArray[np.float64],
+def sense(
+    truth: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+    noise: FloatArray,
+    root_rate: FloatArray,
     row: tuple[float, float, float, float, float, float],
     bias: float,
     root_psd: float,
-    level: float,
-    residual: float,
-    out: NDArray[np.float64],
-) -> float:
-    r"""Samples of one sensor over one interval.
+    out: FloatArray,
+) -> None:
+    r"""Samples of one sensor over one interval, before quantization.
 
-    Quantization with the residual carried on is the difference of the rounded running sum,
+    .. math:: x_i = b + m^T (f_i, w_i) + \sqrt{S / \Delta t_i} \, n_i
+
+    Parameters
+    ----------
+    truth : tuple of 6 ndarrays
+        (S,) each: true specific force and angular rate.
+    noise : ndarray
+        (S,) standard normal deviates n.
+    root_rate : ndarray
+        (S,) one over the square root of the length of the samples [Hz^0.5].
+    row : tuple of 6 floats
+        What the sensor makes of the six true components, m.
+    bias, root_psd : float
+        Of the sensor, SI.
+    out : ndarray
+        (S,), written.
+    """
+    f0, f1, f2, w0, w1, w2 = truth
+    for i in range(out.shape[0]):
+        out[i] = (
+            (bias + root_psd * noise[i] * root_rate[i])
+            + (row[0] * f0[i] + row[1] * f1[i] + row[2] * f2[i])
+            + (row[3] * w0[i] + row[4] * w1[i] + row[5] * w2[i])
+        )
+
+
+@njit
+def quantize(
+    samples: FloatArray, count: int, accel_level: float, gyro_level: float, residual: FloatArray
+) -> None:
+    r"""Round the samples of six sensors, carrying on what the rounding leaves over.
+
+    That is the difference of the rounded running sum,
 
     .. math:: m_i = q \left(\left\lfloor \tfrac{c_i}{q} + \tfrac12 \right\rfloor
         - \left\lfloor \tfrac{c_{i-1}}{q} + \tfrac12 \right\rfloor\right), \qquad
@@ -177,42 +201,45 @@ def measure_component(
 
     Parameters
     ----------
-    truth : tuple of 6 ndarrays
-        (S,) each: true specific force and angular rate.
-    noise : ndarray
-        (S,) standard normal deviates.
-    interval : ndarray
-        (S,) length of the samples [s].
-    row : tuple of 6 floats
-        What the sensor makes of the six true components.
-    bias, root_psd, level : float
-        Of the sensor, SI.
-    residual : float
-        Carried over from the sample before.
-    out : ndarray
-        (S,), written.
-
-    Returns
-    -------
-    float
-        Residual to carry on.
+    samples : ndarray
+        (6, S or more) specific force and angular rate, overwritten.
+    count : int
+        S.
+    accel_level, gyro_level : float
+        q [m/s^2], [rad/s]; 0 for no quantization.
+    residual : ndarray
+        (6,) r, carried from the last interval to the next.
     """
-    f0, f1, f2, w0, w1, w2 = truth
-    n = f0.shape[0]
-    for i in range(n):
-        out[i] = (
-            bias
-            + (row[0] * f0[i] + row[1] * f1[i] + row[2] * f2[i])
-            + (row[3] * w0[i] + row[4] * w1[i] + row[5] * w2[i])
-            + root_psd * noise[i] / math.sqrt(interval[i])
-        )
-    if level == 0.0:
-        return 0.0
-    total = residual
-    last = 0.0
-    for i in range(n):
-        total += out[i]
-        rounded = level * np.floor(total / level + 0.5)
-        out[i] = rounded - last
-        last = rounded
-    return total - last
+    s0, s1, s2, s3, s4, s5 = samples[0], samples[1], samples[2], samples[3], samples[4], samples[5]
+    c0, c1, c2, c3, c4, c5 = (
+        residual[0],
+        residual[1],
+        residual[2],
+        residual[3],
+        residual[4],
+        residual[5],
+    )
+    for i in range(count):  # six sums side by side, since each waits for its last term
+        c0 += s0[i]
+        c1 += s1[i]
+        c2 += s2[i]
+        c3 += s3[i]
+        c4 += s4[i]
+        c5 += s5[i]
+        s0[i], s1[i], s2[i], s3[i], s4[i], s5[i] = c0, c1, c2, c3, c4, c5
+    for c in range(6):
+        level = accel_level if c < 3 else gyro_level
+        row = samples[c]
+        total = row[count - 1]
+        if level > 0.0:
+            inverse = 1.0 / level
+            for i in range(count):
+                row[i] = level * np.floor(row[i] * inverse + 0.5)
+            residual[c] = total - row[count - 1]
+            before = 0.0
+        else:
+            before = residual[c]
+            residual[c] = 0.0
+        for i in range(count - 1, 0, -1):
+            row[i] -= row[i - 1]
+        row[0] -= before

@@ -201,7 +201,10 @@ class SensorBuffers:
         state.rate_offset[rows] = 0.0
         self.epoch[rows] = 0
         for row, rng in zip(rows, rngs, strict=True):
-            children = dict(zip(SOURCES, rng.spawn(len(SOURCES)), strict=True))
+            seeds = dict(
+                zip(SOURCES, rng.bit_generator.seed_seq.spawn(len(SOURCES)), strict=True)
+            )
             for key, source in enumerate(KEYED):
-                self.keys[key, row] = children[source].integers(0, 2**64, size=2, dtype=np.uint64)
-            state.satellite_bias[row] = bias_sd * children["gnss"].standard_normal(len(bias_sd))
+                self.keys[key, row] = seeds[source].generate_state(2, np.uint64)
+            biases = np.random.Generator(np.random.PCG64(seeds["gnss"]))
+            state.satellite_bias[row] = bias_sd * biases.standard_normal(len(bias_sd))

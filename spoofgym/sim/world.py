@@ -32,6 +32,8 @@ class World:
         (n,) id of each slot; ``""`` for a slot that stays empty.
     imu_interval : ndarray
         (N,) length of every sample [s].
+    imu_root_rate : ndarray
+        (N,) one over the square root of it [Hz^0.5].
     imu_truth : ndarray
         (6, N) true specific force [m/s^2] and angular rate [rad/s], body axes.
     epoch_time : ndarray
@@ -54,6 +56,7 @@ class World:
     name: str
     satellite_ids: tuple[str, ...]
     imu_interval: FloatArray
+    imu_root_rate: FloatArray
     imu_truth: FloatArray
     epoch_time: FloatArray
     epoch_end: NDArray[np.int64]
@@ -181,6 +184,7 @@ def build_world(
         name=trajectory.name,
         satellite_ids=ids,
         imu_interval=np.diff(time),
+        imu_root_rate=1.0 / np.sqrt(np.diff(time)),
         imu_truth=np.ascontiguousarray(
             np.hstack([trajectory.specific_force_b, trajectory.angular_rate_b]).T
         ),
