@@ -1,1 +1,23 @@
-""""""
+"""The game: engine, observations, actions, rewards, and its views for Gymnasium."""
+
+from .engine import Batch, Engine, Setup, Timeline
+from .game import Game, Turn
+from .observations import Observer, terms_of
+from .presets import make_game, make_setup
+from .spoof_env import SpoofEnv
+from .vector_env import SpoofVectorEnv
+
+__all__ = [
+    "Batch",
+    "Engine",
+    "Game",
+    "Observer",
+    "Setup",
+    "SpoofEnv",
+    "SpoofVectorEnv",
+    "Timeline",
+    "Turn",
+    "make_game",
+    "make_setup",
+    "terms_of",
+]

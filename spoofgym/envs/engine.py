@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -122,7 +122,8 @@ class Setup:
         interval = scenario.epoch_interval_s
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval)
         self.onset = self.quiet + self.live
-        last = self.onset + self.steps + self.hold
+        # one epoch more, which a finished receiver may run until it is reset
+        last = self.onset + self.steps + self.hold + 1
         if last >= self.world.epochs:
             raise ValueError(
                 f"an episode takes {last * interval:g} s (warm-up {timeline.warmup_s:g} s, attack "
@@ -133,11 +134,33 @@ class Setup:
         self.noise_variance, self.clock = assumed_noise(
             receiver, scenario.gnss_errors, self.bias_sd, interval
         )
+        self.onset_C_en = np.ascontiguousarray(self.world.local_frame(self.onset))
+        self._tables: dict[Any, NDArray[Any]] = {}
         C_en = self.world.local_frame(0)
         error = euler_to_dcm(*(-np.radians(scenario.imu_grade.attitude_error_deg)))
         C_ne = C_en.T
         # the error turns the local axes: C_nb (estimated) = dC C_nb
         self.first_C_eb = C_en @ (error.T @ (C_ne @ self.world.C_eb[0]))
+
+
+    def table(self, key: Hashable, build: Callable[[], NDArray[Any]]) -> NDArray[Any]:
+        """Values of the whole run, computed when first asked for.
+
+        Parameters
+        ----------
+        key : hashable
+            Whose values.
+        build : callable
+            Computes them.
+
+        Returns
+        -------
+        ndarray
+            Not to be written.
+        """
+        if key not in self._tables:
+            self._tables[key] = build()
+        return self._tables[key]
 
 
 class Batch:
@@ -179,6 +202,15 @@ class Batch:
                 world.satellite_ids,
             )
         )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """State without the view of the epoch, which a copy makes anew of its own buffers."""
+        return {name: value for name, value in self.__dict__.items() if name != "epoch"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over the state, and view the epoch."""
+        self.__dict__.update(state)
+        self.epoch = epoch_view(self.buffers)
 
     @property
     def epochs(self) -> NDArray[np.int64]:
@@ -420,6 +452,9 @@ class Batch:
         self.sensors.epoch[to] = other.sensors.epoch[rows]
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
         self.detector.memory.copy_rows(to, other.detector.memory, rows)
+        weights = self.weights.copy()
+        weights[to] = other.weights[rows]
+        self.weights = weights
         if other.verdict is not None:
             self.verdict = _merge(self.verdict, other.verdict, to, rows, self.receivers)
 

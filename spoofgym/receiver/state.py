@@ -7,7 +7,7 @@ handing over twenty arrays; a copy of the buffers is a snapshot of the batch.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -237,11 +237,24 @@ class ReceiverBuffers:
         self.flags = np.zeros(receivers * (channels + 1), dtype=np.bool_)
         self.block = np.zeros((2, receivers), dtype=np.int64)
         self.samples = np.zeros((-(-receivers // LANES), samples, 6 * LANES))
-        self.state, self.measured, self.noise_psd = unpack(
-            self.floats, self.flags, receivers, channels
-        )
+        self._name_arrays()
         self.measured.transition[:] = np.eye(STATES)
         self.measured.noise_variance[:] = 1.0
+
+    def _name_arrays(self) -> None:
+        self.state, self.measured, self.noise_psd = unpack(
+            self.floats, self.flags, self.receivers, self.channels
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Buffers without their views, which a copy makes anew of its own buffers."""
+        views = ("state", "measured", "noise_psd")
+        return {name: value for name, value in self.__dict__.items() if name not in views}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over the buffers, and name their arrays."""
+        self.__dict__.update(state)
+        self._name_arrays()
 
     def measured_samples(self, receiver: int) -> FloatArray:
         """Measured samples of one receiver's last interval.

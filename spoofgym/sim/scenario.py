@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
+from typing import Any
 
 from .._registry import check_choice
 from .constellation import CircularConstellation, Constellation
@@ -128,3 +129,51 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "groves": lambda: _preset("groves", "groves", "aviation"),
 }
 """Scenarios by name: the flight of `zhong2025` under the errors and grades that they name."""
+
+
+def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
+    """Scenario by name, or by name with some settings replaced.
+
+    Parameters
+    ----------
+    spec : str, mapping or Scenario
+        A name in `SCENARIOS`; ``{"name": ..., "setting": value, ...}``, ``"zhong2025"`` without a
+        name; or a scenario, which is returned as it is.
+
+    Returns
+    -------
+    Scenario
+        The recipe.
+
+    Raises
+    ------
+    ValueError
+        When the name or a setting is unknown; the valid ones are listed.
+    TypeError
+        When `spec` is something else.
+
+    Examples
+    --------
+    >>> from spoofgym.sim.scenario import make_scenario
+    >>> make_scenario({"name": "zhong2025", "imu": "tactical"}).imu
+    'tactical'
+    """
+    if isinstance(spec, Scenario):
+        return spec
+    if isinstance(spec, str):
+        spec = {"name": spec}
+    if not isinstance(spec, Mapping):
+        raise TypeError(
+            f"a scenario is a name ({', '.join(sorted(SCENARIOS))}), a dict or a Scenario, "
+            f"got {spec!r}"
+        )
+    settings = dict(spec)
+    name = settings.pop("name", "zhong2025")
+    check_choice("scenario", name, SCENARIOS)
+    valid = [item.name for item in fields(Scenario) if item.name != "name"]
+    for setting in settings:
+        if setting not in valid:
+            raise ValueError(f"a scenario has no setting {setting!r}; valid: {', '.join(valid)}")
+    scenario = SCENARIOS[name]()
+    changed = "".join(f" {key}={settings[key]}" for key in sorted(settings))
+    return replace(scenario, name=f"{scenario.name}{changed}", **settings)

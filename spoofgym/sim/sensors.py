@@ -5,7 +5,7 @@ As with the receivers, all floating-point arrays lie in one buffer that `unpack_
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,10 +156,20 @@ class SensorBuffers:
     """
 
     def __init__(self, receivers: int, channels: int) -> None:
+        self.receivers, self.channels = receivers, channels
         self.floats = np.zeros(sensor_size(receivers, channels))
         self.state = unpack_sensors(self.floats, receivers, channels)
         self.keys = np.zeros((len(KEYED), receivers, 2), dtype=np.uint64)
         self.epoch = np.zeros(receivers, dtype=np.int64)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Buffers without their views, which a copy makes anew of its own buffer."""
+        return {name: value for name, value in self.__dict__.items() if name != "state"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over the buffers, and name their arrays."""
+        self.__dict__.update(state)
+        self.state = unpack_sensors(self.floats, self.receivers, self.channels)
 
     def begin(
         self,

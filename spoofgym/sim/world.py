@@ -30,6 +30,8 @@ class World:
         Of the flight.
     satellite_ids : tuple of str
         (n,) id of each slot; ``""`` for a slot that stays empty.
+    imu_time : ndarray
+        (N+1,) begin of the first sample and end of every sample [s].
     imu_interval : ndarray
         (N,) length of every sample [s].
     imu_root_rate : ndarray
@@ -55,6 +57,7 @@ class World:
 
     name: str
     satellite_ids: tuple[str, ...]
+    imu_time: FloatArray
     imu_interval: FloatArray
     imu_root_rate: FloatArray
     imu_truth: FloatArray
@@ -183,6 +186,7 @@ def build_world(
     return World(
         name=trajectory.name,
         satellite_ids=ids,
+        imu_time=time.copy(),
         imu_interval=np.diff(time),
         imu_root_rate=1.0 / np.sqrt(np.diff(time)),
         imu_truth=np.ascontiguousarray(

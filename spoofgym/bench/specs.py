@@ -1,0 +1,286 @@
+"""What is run, in words: names with settings, read from text and written into results."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+import json
+import math
+import re
+from collections.abc import Mapping
+from datetime import date
+from pathlib import PurePath
+from typing import Any, TypeVar
+
+import numpy as np
+
+from .._registry import build
+
+T = TypeVar("T")
+Spec = dict[str, Any]
+_WORDS = {"None": None, "True": True, "False": False}
+
+
+def parse_spec(text: str) -> Spec:
+    """Name and settings from the text of a command line.
+
+    Parameters
+    ----------
+    text : str
+        ``name``, ``name:setting=value,setting=value``, or JSON ``{"name": ..., "setting": ...}``.
+        The name may be ``module:Class``.
+
+    Returns
+    -------
+    dict
+        With a ``name``.
+
+    Raises
+    ------
+    ValueError
+        When it is none of these.
+
+    Examples
+    --------
+    >>> parse_spec("ewma:smoothing=0.2,weight_scale=none")
+    {'name': 'ewma', 'smoothing': 0.2, 'weight_scale': None}
+    """
+    text = text.strip()
+    if text.startswith("{"):
+        try:
+            spec = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"{text!r} is not JSON: {error}") from error
+        if not isinstance(spec.get("name"), str):
+            raise ValueError(f'{text!r} must have a "name"')
+        return dict(spec)
+    name, _, rest = text.rpartition(":")
+    if not name or "=" not in rest:
+        name, rest = text, ""
+    spec = {"name": name}
+    for part in filter(None, rest.split(",")):
+        setting, equals, value = part.partition("=")
+        if not equals or not setting.strip():
+            raise ValueError(f"a setting is written `name=value`, got {part!r} in {text!r}")
+        spec[setting.strip()] = _value(value.strip())
+    return spec
+
+
+def _value(text: str) -> Any:
+    """A JSON value, none, true or false in any case, or the text itself."""
+    word = text.capitalize()
+    if word in _WORDS:
+        return _WORDS[word]
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
+
+def load_class(path: str, base: type[T]) -> type[T]:
+    """Class of a module that is not part of spoofgym.
+
+    Parameters
+    ----------
+    path : str
+        ``module:Class``.
+    base : type
+        What it must be derived from.
+
+    Returns
+    -------
+    type
+        The class.
+
+    Raises
+    ------
+    ValueError
+        When there is no such module or class, or it is of another kind.
+    """
+    module_name, _, name = path.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        raise ValueError(f"there is no module {error.name!r} for {path!r}") from error
+    found = getattr(module, name, None)
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise ValueError(
+            f"{path!r} must be a class derived from {base.__module__}.{base.__qualname__}"
+        )
+    return found
+
+
+def make(word: str, kinds: Mapping[str, type[T]], base: type[T], spec: Any) -> T:
+    """Object by name and settings; the name may be ``module:Class``.
+
+    Parameters
+    ----------
+    word : str
+        What it is, for messages.
+    kinds : mapping
+        Registered classes by name.
+    base : type
+        Their base class.
+    spec : str, dict or object
+        As `parse_spec` returns it, or an object, which is copied.
+
+    Returns
+    -------
+    object
+        A new one.
+    """
+    if isinstance(spec, str):
+        spec = {"name": spec}
+    if isinstance(spec, Mapping) and ":" in str(spec.get("name", "")):
+        settings = dict(spec)
+        kind = load_class(settings.pop("name"), base)
+        try:
+            return kind(**settings)
+        except TypeError as error:
+            raise ValueError(f"{word} {spec['name']!r}: {error}") from error
+    return build(word, kinds, base, spec)
+
+
+def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
+    """Name and all settings of an object, from which `make` makes an equal one.
+
+    Parameters
+    ----------
+    word : str
+        What it is, for messages.
+    kinds : mapping
+        Registered classes by name.
+    thing : object
+        A dataclass.
+
+    Returns
+    -------
+    dict
+        JSON-able.
+
+    Raises
+    ------
+    TypeError
+        When its settings can't be written down.
+    """
+    kind = type(thing)
+    registered = {cls: name for name, cls in kinds.items()}
+    name = registered.get(kind, f"{kind.__module__}:{kind.__qualname__}")
+    if not dataclasses.is_dataclass(thing):
+        raise TypeError(
+            f"a {word} must be a dataclass, so that results can tell its settings; "
+            f"{name} is none"
+        )
+    settings = {
+        field.name: describe(getattr(thing, field.name)) for field in dataclasses.fields(thing)
+    }
+    return {"name": name, **settings}
+
+
+def label_of(spec: Spec, default: Spec | None) -> str:
+    """Short name: what differs from the default settings stands in brackets.
+
+    Parameters
+    ----------
+    spec : dict
+        Name and settings.
+    default : dict or None
+        The same with default settings.
+
+    Returns
+    -------
+    str
+        Such as ``ewma(weight_scale=none)``; ``ramp(tuned)`` where the changed setting is tuned.
+    """
+    settings = {key: value for key, value in spec.items() if key != "name"}
+    if default is not None:
+        settings = {key: v for key, v in settings.items() if default.get(key, v) != v}
+    parts = [
+        "tuned" if value == "tuned" else f"{key}={_short(value)}" for key, value in settings.items()
+    ]
+    name = str(spec["name"]).rpartition(":")[2]
+    return f"{name}({','.join(parts)})" if parts else name
+
+
+def _short(value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def slug(label: str) -> str:
+    """File name of a label.
+
+    Parameters
+    ----------
+    label : str
+        Any.
+
+    Returns
+    -------
+    str
+        Letters, digits, dots, underscores, equals signs and hyphens.
+    """
+    return re.sub(r"[^A-Za-z0-9._=]+", "-", label).strip("-.")
+
+
+def describe(value: Any) -> Any:
+    """Settings as JSON: records by their fields, arrays by a digest.
+
+    Parameters
+    ----------
+    value : object
+        Numbers, words, dates, paths, sequences, mappings, dataclasses, arrays.
+
+    Returns
+    -------
+    object
+        JSON-able, the same for equal settings.
+
+    Raises
+    ------
+    TypeError
+        When there is no telling.
+    """
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"a setting must be finite, got {value}")
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray):
+        content = np.ascontiguousarray(value)
+        digest = hashlib.sha256(f"{content.dtype.str}{content.shape}".encode() + content.tobytes())
+        return f"sha256:{digest.hexdigest()[:16]}"
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        named = {f.name: describe(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {"kind": type(value).__qualname__, **named}
+    if isinstance(value, Mapping):
+        return {str(key): describe(item) for key, item in value.items()}
+    if hasattr(value, "_asdict"):
+        return describe(value._asdict())
+    if isinstance(value, list | tuple):
+        return [describe(item) for item in value]
+    if isinstance(value, date):
+        return value.isoformat()
+    if isinstance(value, PurePath):
+        return value.name
+    raise TypeError(f"a setting of type {type(value).__qualname__} can't be written down: {value!r}")
+
+
+def digest_of(config: Any) -> str:
+    """Digest of a configuration, whatever the order of its keys.
+
+    Parameters
+    ----------
+    config : object
+        JSON-able.
+
+    Returns
+    -------
+    str
+        16 hexadecimal digits.
+    """
+    text = json.dumps(config, sort_keys=True, allow_nan=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,388 @@
+"""What a spoofer observes: a list of small terms, each with names and bounds.
+
+Knowledge at run time has three levels: ``blind`` (own commands and time), ``tracking`` (also the
+target's true motion and the satellites in view) and ``oracle`` (also the victim's statistics and
+errors).  Every value is divided by a stated scale and clipped to finite bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._registry import check_choice
+from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
+from .engine import Engine, Setup
+from .snapshot import Snapshot, position_error_n
+
+FloatArray = NDArray[np.float64]
+KNOWLEDGE = ("blind", "tracking", "oracle")
+
+
+class ObservationTerm(Protocol):
+    """One part of the observation.
+
+    Attributes
+    ----------
+    knowledge : str
+        Least level of knowledge that it takes.
+    """
+
+    knowledge: ClassVar[str]
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """Name of every element.
+
+        Parameters
+        ----------
+        setup : Setup
+            Slots and commands.
+
+        Returns
+        -------
+        tuple of str
+            k names.
+        """
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """Bounds of all elements.
+
+        Parameters
+        ----------
+        setup : Setup
+            Not simulated yet.
+
+        Returns
+        -------
+        low, high : float
+            Finite.
+        """
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write the values; clipping follows.
+
+        Parameters
+        ----------
+        snapshot : Snapshot
+            The game.
+        out : ndarray
+            (B, k), written.
+        """
+
+
+def _short(action_names: tuple[str, ...]) -> list[str]:
+    return [name.rsplit("_", 1)[0] for name in action_names]
+
+
+@dataclass(frozen=True)
+class OwnCommand:
+    """Commanded displacement and rate.
+
+    Parameters
+    ----------
+    scale_m : float
+        Displacement that is observed as 1; the rate's scale is its limit.
+    """
+
+    scale_m: float = 100.0
+    knowledge: ClassVar[str] = "blind"
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``own_displacement_*`` and ``own_rate_*`` for every element of the action."""
+        axes = _short(setup.attack.action_names(setup.world))
+        return (*(f"own_displacement_{a}" for a in axes), *(f"own_rate_{a}" for a in axes))
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """-10 and 10."""
+        return -10.0, 10.0
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write displacement and rate over their scales."""
+        attack = snapshot.batch.attack
+        axes = out.shape[1] // 2
+        out[:, :axes] = attack.memory["displacement"] * (1.0 / self.scale_m)
+        out[:, axes:] = attack.memory["rate"] * (1.0 / attack.rate_limit_mps)
+
+
+@dataclass(frozen=True)
+class Time:
+    """Parts of the command phase that are over, and left."""
+
+    knowledge: ClassVar[str] = "blind"
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``time_since_onset`` and ``time_left``."""
+        return ("time_since_onset", "time_left")
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """0 and 1."""
+        return 0.0, 1.0
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write the two fractions."""
+        since = snapshot.step * (1.0 / snapshot.setup.steps)
+        out[:, 0] = since
+        out[:, 1] = 1.0 - since
+
+
+@dataclass(frozen=True)
+class TargetMotion:
+    """True position since the onset, and true velocity, in local axes at the onset.
+
+    Parameters
+    ----------
+    position_scale_m, velocity_scale_mps : float
+        What is observed as 1.
+    """
+
+    position_scale_m: float = 10_000.0
+    velocity_scale_mps: float = 100.0
+    knowledge: ClassVar[str] = "tracking"
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``target_position_*`` and ``target_velocity_*``."""
+        axes = ("north", "east", "down")
+        return (*(f"target_position_{a}" for a in axes), *(f"target_velocity_{a}" for a in axes))
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """-10 and 10."""
+        return -10.0, 10.0
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Look the values up in a table of the run."""
+        out[:] = self._table(snapshot.setup)[snapshot.batch.epochs]
+
+    def _table(self, setup: Setup) -> NDArray[np.float32]:
+        def build() -> NDArray[np.float32]:
+            world = setup.world
+            moved = world.position_e - world.position_e[setup.onset]
+            position = moved @ setup.onset_C_en / self.position_scale_m
+            velocity = world.velocity_e @ setup.onset_C_en / self.velocity_scale_mps
+            return np.hstack([position, velocity]).astype(np.float32)
+
+        return setup.table(self, build)
+
+
+@dataclass(frozen=True)
+class SatelliteGeometry:
+    """Line of sight to every slot in local axes, and whether it is visible; 0 where it is not."""
+
+    knowledge: ClassVar[str] = "tracking"
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``sight_*_SLOT`` and ``visible_SLOT``."""
+        slots = [f"slot{s:02d}" for s in range(setup.world.channels)]
+        sights = [f"sight_{a}_{s}" for s in slots for a in ("north", "east", "down")]
+        return (*sights, *(f"visible_{s}" for s in slots))
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """-1 and 1."""
+        return -1.0, 1.0
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Look the values up in a table of the run."""
+        out[:] = self._table(snapshot.setup)[snapshot.batch.epochs]
+
+    def _table(self, setup: Setup) -> NDArray[np.float32]:
+        def build() -> NDArray[np.float32]:
+            world = setup.world
+            latitude, longitude, _ = ecef_to_geodetic(world.position_e)
+            C_en = dcm_e_from_n(latitude, longitude)
+            sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
+            sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+            sight = np.einsum("kji,knj->kni", C_en, sight) * world.visible[:, :, None]
+            flat = sight.reshape(world.epochs, -1)
+            return np.hstack([flat, world.visible]).astype(np.float32)
+
+        return setup.table(self, build)
+
+
+@dataclass(frozen=True)
+class StatisticRatio:
+    """The detector's statistic over its threshold: 1 is an alarm."""
+
+    knowledge: ClassVar[str] = "oracle"
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``statistic_ratio_SLOT``, or ``statistic_ratio`` for a test of the whole receiver."""
+        if setup.detector.scope == "receiver":
+            return ("statistic_ratio",)
+        return tuple(f"statistic_ratio_slot{s:02d}" for s in range(setup.world.channels))
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """0 and 10."""
+        return 0.0, 10.0
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write the ratios of the last verdict; 0 before the first."""
+        verdict = snapshot.batch.verdict
+        if verdict is None:
+            out[:] = 0.0
+        else:
+            np.divide(verdict.statistic, verdict.threshold, out=out, casting="unsafe")
+
+
+@dataclass(frozen=True)
+class GainWeight:
+    """The detector's weight on the pseudorange of every slot; 1 where it only watches."""
+
+    knowledge: ClassVar[str] = "oracle"
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``weight_SLOT``."""
+        return tuple(f"weight_slot{s:02d}" for s in range(setup.world.channels))
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """0 and 1."""
+        return 0.0, 1.0
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write the weights of the last update."""
+        out[:] = snapshot.batch.weights[:, : out.shape[1]]
+
+
+@dataclass(frozen=True)
+class EstimateError:
+    """Error of the victim's position in local axes at the onset.
+
+    Parameters
+    ----------
+    scale_m : float
+        What is observed as 1.
+    """
+
+    scale_m: float = 100.0
+    knowledge: ClassVar[str] = "oracle"
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``estimate_error_north``, ``_east`` and ``_down``."""
+        return ("estimate_error_north", "estimate_error_east", "estimate_error_down")
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """-10 and 10."""
+        return -10.0, 10.0
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write estimate minus truth."""
+        out[:] = position_error_n(snapshot.setup, snapshot.batch) * (1.0 / self.scale_m)
+
+
+ALL_TERMS: tuple[ObservationTerm, ...] = (
+    OwnCommand(),
+    Time(),
+    TargetMotion(),
+    SatelliteGeometry(),
+    StatisticRatio(),
+    GainWeight(),
+    EstimateError(),
+)
+"""All terms with their default scales, from the least knowledge to the most."""
+
+
+def terms_of(knowledge: str) -> tuple[ObservationTerm, ...]:
+    """Terms that a level of knowledge allows.
+
+    Parameters
+    ----------
+    knowledge : {"blind", "tracking", "oracle"}
+        The level.
+
+    Returns
+    -------
+    tuple
+        Terms.
+
+    Raises
+    ------
+    ValueError
+        When the level is unknown.
+    """
+    check_choice("knowledge", knowledge, KNOWLEDGE)
+    level = KNOWLEDGE.index(knowledge)
+    return tuple(term for term in ALL_TERMS if KNOWLEDGE.index(term.knowledge) <= level)
+
+
+class Observer:
+    """Observations of a list of terms.
+
+    Parameters
+    ----------
+    terms : sequence of ObservationTerm
+        In the order of the observation.
+    setup : Setup
+        World, attack and detector.
+
+    Attributes
+    ----------
+    names : tuple of str
+        (o,) name of every element.
+    low, high : ndarray
+        (o,) float32 bounds.
+    knowledge : str
+        The highest level that any term takes.
+    """
+
+    def __init__(self, terms: Sequence[ObservationTerm], setup: Setup) -> None:
+        if not terms:
+            raise ValueError("an observation needs at least one term")
+        self.setup = setup
+        self._parts: list[tuple[ObservationTerm, slice]] = []
+        names: list[str] = []
+        low: list[float] = []
+        high: list[float] = []
+        for term in terms:
+            own = term.names(setup)
+            self._parts.append((term, slice(len(names), len(names) + len(own))))
+            least, most = term.bounds(setup)
+            names.extend(own)
+            low.extend([least] * len(own))
+            high.extend([most] * len(own))
+        self.names = tuple(names)
+        if len(set(names)) < len(names):
+            twice = sorted({name for name in names if names.count(name) > 1})
+            raise ValueError(f"two terms write the same observation: {', '.join(twice)}")
+        self.low, self.high = np.float32(low), np.float32(high)
+        self.knowledge = KNOWLEDGE[max(KNOWLEDGE.index(term.knowledge) for term in terms)]
+
+    def observe(self, snapshot: Snapshot) -> NDArray[np.float32]:
+        """Observe the game.
+
+        Parameters
+        ----------
+        snapshot : Snapshot
+            The game.
+
+        Returns
+        -------
+        ndarray
+            (B, o) float32, a new array within the bounds.
+        """
+        out = np.empty((snapshot.batch.receivers, len(self.names)), dtype=np.float32)
+        for term, part in self._parts:
+            term(snapshot, out[:, part])
+        # min and max, since np.clip costs three times as much on small arrays
+        np.maximum(out, self.low, out=out)
+        np.minimum(out, self.high, out=out)
+        return out
+
+    def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:
+        """Observe receivers that are all at the same step.
+
+        Parameters
+        ----------
+        engine : Engine
+            The receivers.
+        step : int
+            Commands given since the attack began.
+
+        Returns
+        -------
+        ndarray
+            (B, o) float32.
+        """
+        steps = np.full(engine.receivers, step, dtype=np.int64)
+        return self.observe(Snapshot(self.setup, engine.batch, steps))

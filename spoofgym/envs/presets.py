@@ -1,0 +1,114 @@
+"""From settings that fit into JSON to a game."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+from ..attacks import Attack, make_attack
+from ..detectors import Detector, make_detector
+from ..receiver import TightlyCoupled
+from ..sim.scenario import Scenario, make_scenario
+from .engine import Setup, Timeline
+from .game import Game
+from .observations import ObservationTerm, terms_of
+from .rewards import RewardTerm, default_rewards
+
+DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
+DEFAULT_ATTACK = "false-position"
+
+
+def _settings(word: str, kind: type, given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Keyword arguments for a dataclass; an unknown one is refused with the valid ones."""
+    valid = [field.name for field in fields(kind)]
+    settings = dict(given or {})
+    for name in settings:
+        if name not in valid:
+            raise ValueError(f"{word} has no setting {name!r}; valid: {', '.join(valid)}")
+    return settings
+
+
+def make_setup(
+    *,
+    scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
+    receiver: Mapping[str, Any] | TightlyCoupled | None = None,
+    attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
+    detector: str | Mapping[str, Any] | Detector | None = None,
+    timeline: Mapping[str, float] | Timeline | None = None,
+) -> Setup:
+    """Everything that the receivers of an engine share.
+
+    Parameters
+    ----------
+    scenario : str, mapping or Scenario
+        As `make_scenario` takes it.
+    receiver : mapping or TightlyCoupled, optional
+        Settings of `TightlyCoupled`; its grade is that of the scenario's sensors by default.
+    attack : str, mapping or Attack
+        As `make_attack` takes it.
+    detector : str, mapping or Detector, optional
+        As `make_detector` takes it; `DEFAULT_DETECTOR` by default.
+    timeline : mapping or Timeline, optional
+        Settings of `Timeline`.
+
+    Returns
+    -------
+    Setup
+        For `Engine` or `Game`.
+    """
+    world = make_scenario(scenario)
+    if not isinstance(receiver, TightlyCoupled):
+        settings = {"grade": world.imu, **_settings("the receiver", TightlyCoupled, receiver)}
+        receiver = TightlyCoupled(**settings)
+    if not isinstance(timeline, Timeline):
+        timeline = Timeline(**_settings("the timeline", Timeline, timeline))
+    judge = make_detector(DEFAULT_DETECTOR if detector is None else detector)
+    return Setup(world, receiver, make_attack(attack), judge, timeline)
+
+
+def make_game(
+    receivers: int,
+    setup: Setup,
+    *,
+    knowledge: str = "tracking",
+    observation: Sequence[ObservationTerm] | None = None,
+    reward: Sequence[RewardTerm] | None = None,
+    alarm_penalty_m: float = 10.0,
+    end_at_alarm: bool = True,
+    target_heading_deg: float = 90.0,
+    threads: int | None = None,
+) -> Game:
+    """Game with the observation of a level of knowledge.
+
+    Parameters
+    ----------
+    receivers : int
+        B.
+    setup : Setup
+        World, victim, attack, detector, timeline.
+    knowledge : {"blind", "tracking", "oracle"}
+        What the spoofer observes, where `observation` does not say it.
+    observation : sequence of ObservationTerm, optional
+        Terms of the observation.
+    reward : sequence of RewardTerm, optional
+        Terms of the reward.
+    alarm_penalty_m : float
+        Price of an alarm, where `reward` does not say it.
+    end_at_alarm, target_heading_deg, threads
+        As in `Game`.
+
+    Returns
+    -------
+    Game
+        Not reset yet.
+    """
+    return Game(
+        receivers,
+        setup,
+        observation=terms_of(knowledge) if observation is None else tuple(observation),
+        reward=default_rewards(alarm_penalty_m) if reward is None else tuple(reward),
+        end_at_alarm=end_at_alarm,
+        target_heading_deg=target_heading_deg,
+        threads=threads,
+    )

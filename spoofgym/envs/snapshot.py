@@ -1,0 +1,51 @@
+"""What observations and rewards are made of: the game at one instant."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .engine import Batch, Setup
+
+FloatArray = NDArray[np.float64]
+
+
+class Snapshot(NamedTuple):
+    """The game after a step; all truth is here, and terms choose what an agent may see.
+
+    Attributes
+    ----------
+    setup : Setup
+        World, victim, attack, detector, timeline.
+    batch : Batch
+        State of the receivers.
+    step : ndarray
+        (B,) int64 commands given since the attack began.
+    """
+
+    setup: Setup
+    batch: Batch
+    step: NDArray[np.int64]
+
+
+def position_error_n(setup: Setup, batch: Batch) -> FloatArray:
+    """Error of the estimated position, in the local axes at the onset of the attack.
+
+    Parameters
+    ----------
+    setup : Setup
+        Knows the truth.
+    batch : Batch
+        Knows the estimate.
+
+    Returns
+    -------
+    ndarray
+        (B, 3) estimate minus truth, north, east, down [m].
+    """
+    error_e = batch.buffers.state.position_e - setup.world.position_e[batch.epochs]
+    # a sum of products, since the bits of a matrix product depend on the size of the batch
+    result: FloatArray = (error_e[:, :, None] * setup.onset_C_en).sum(axis=1)
+    return result

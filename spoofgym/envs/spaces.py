@@ -1,0 +1,81 @@
+"""Spaces of a game, and the check of an action."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from .game import Game
+
+TOLERANCE = 1e-6
+
+
+def observation_space(game: Game) -> spaces.Box:
+    """Space of one receiver's observation.
+
+    Parameters
+    ----------
+    game : Game
+        Its observer knows names and bounds.
+
+    Returns
+    -------
+    Box
+        (o,) float32.
+    """
+    return spaces.Box(game.observer.low.copy(), game.observer.high.copy(), dtype=np.float32)
+
+
+def action_space(game: Game) -> spaces.Box:
+    """Space of one receiver's action.
+
+    Parameters
+    ----------
+    game : Game
+        Its attack knows what is commanded.
+
+    Returns
+    -------
+    Box
+        (a,) float32 in [-1, 1].
+    """
+    size = len(game.setup.attack.action_names(game.setup.world))
+    return spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
+
+
+def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) -> NDArray[Any]:
+    """Action as the engine takes it.
+
+    Parameters
+    ----------
+    action : array_like
+        From the user.
+    shape : tuple of int
+        (B, a) that it must have.
+    names : tuple of str
+        Name of each element, for the message.
+
+    Returns
+    -------
+    ndarray
+        (B, a) float64, C-contiguous, a copy.
+
+    Raises
+    ------
+    ValueError
+        When the shape is wrong, or a value is not finite or outside [-1, 1].
+    """
+    array = np.array(action, dtype=np.float64, order="C")
+    if array.shape != shape:
+        raise ValueError(f"an action must have shape {shape} ({', '.join(names)}), got {array.shape}")
+    # the comparison is false for NaN
+    if not np.abs(array).max(initial=0.0) <= 1.0 + TOLERANCE:
+        row, column = np.argwhere(~(np.abs(array) <= 1.0 + TOLERANCE))[0]
+        raise ValueError(
+            f"an action must be finite and in [-1, 1]; {names[column]!r} of receiver {row} is "
+            f"{array[row, column]}"
+        )
+    return array

@@ -1,0 +1,206 @@
+"""The single environment: a batch of one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from ..attacks import Attack
+from ..detectors import Detector
+from ..receiver import TightlyCoupled
+from ..sim.scenario import Scenario
+from .engine import Timeline
+from .observations import ObservationTerm
+from .presets import DEFAULT_ATTACK, make_game, make_setup
+from .rewards import RewardTerm
+from .spaces import action_space, checked_action, observation_space
+
+Observation = NDArray[np.float32]
+
+
+class SpoofEnv(gym.Env[Observation, Observation]):
+    """A spoofer against a tightly coupled GNSS/INS receiver and its detector.
+
+    **Description.** An aircraft flies with a 17-state tightly coupled GNSS/INS filter, whose
+    detector watches the innovations.  After a clean warm-up the spoofer counterfeits the satellites,
+    and moves the position they tell, one command a GNSS epoch.  It wants the filter's position to go
+    astray without an alarm.  All of it is simulated at the level of measurements.
+
+    **Action.** `Box(-1, 1, (a,), float32)`, one element for every commanded axis or channel: 1 is the
+    attack's limit of acceleration (0.05 m/s^2 by default) or of rate (5 m/s).  By default north and
+    east.  ``env.unwrapped.action_names`` names them.
+
+    **Observation.** `Box` of float32 with finite bounds; every element is scaled and clipped.
+    ``env.unwrapped.observation_names`` names them.  What is in it is up to `knowledge`:
+
+    ========  ========================================================================
+    blind     own commanded displacement and rate, time since the onset, time left
+    tracking  also the target's true position and velocity, and the satellites in view
+    oracle    also the detector's statistics and weights, and the victim's error
+    ========  ========================================================================
+
+    **Reward.** Increase of the largest displacement of the victim along the target direction [m]; at
+    an alarm, minus what was gained within the time to alert, minus the alarm penalty.  The
+    undiscounted return is the undetected displacement minus the penalty.  ``info["reward_*"]`` are the
+    parts.
+
+    **Start.** Zero command, after the warm-up.  An alarm in the warm-up is a false alarm, and shows in
+    ``info["warmup_alarm"]``; nothing is drawn again for it.
+
+    **End.** `terminated` after the last command of the attack window (300 by default), or at an alarm.
+    `truncated` never.
+
+    Parameters
+    ----------
+    scenario : str, mapping or Scenario
+        Flight, errors and sensors: a name in `SCENARIOS`, or a dict of its settings.
+    detector : str, mapping or Detector, optional
+        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied; the EWMA
+        chart with weights (m = 0.3) by default.
+    attack : str, mapping or Attack
+        A name in `ATTACKS`, a dict with a name and settings, or an object, which is copied.
+    receiver : mapping or TightlyCoupled, optional
+        Settings of the victim.
+    timeline : mapping or Timeline, optional
+        Lengths of warm-up, attack window and time to alert.
+    knowledge : {"tracking", "blind", "oracle"}
+        What the spoofer observes.
+    observation : sequence of ObservationTerm, optional
+        Own list of terms instead of `knowledge`.
+    reward : sequence of RewardTerm, optional
+        Own list of terms instead of the above.
+    alarm_penalty_m : float
+        Price of an alarm.
+    end_at_alarm : bool
+        Whether an alarm ends the episode.
+    target_heading_deg : float
+        Direction in which displacement counts, clockwise from north.
+    render_mode : None
+        There is nothing to render yet.
+
+    Attributes
+    ----------
+    observation_names, action_names : tuple of str
+        Name of every element.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import spoofgym
+    >>> env = gym.make("spoofgym/TightlyCoupled-v0", detector="snapshot-chi2", knowledge="blind")
+    >>> env.unwrapped.observation_names[:2]
+    ('own_displacement_north', 'own_displacement_east')
+    >>> env.close()
+
+    Notes
+    -----
+    Version history: v0, the first.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 2}
+
+    def __init__(
+        self,
+        *,
+        scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
+        detector: str | Mapping[str, Any] | Detector | None = None,
+        attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
+        receiver: Mapping[str, Any] | TightlyCoupled | None = None,
+        timeline: Mapping[str, float] | Timeline | None = None,
+        knowledge: str = "tracking",
+        observation: Sequence[ObservationTerm] | None = None,
+        reward: Sequence[RewardTerm] | None = None,
+        alarm_penalty_m: float = 10.0,
+        end_at_alarm: bool = True,
+        target_heading_deg: float = 90.0,
+        render_mode: None = None,
+    ) -> None:
+        if render_mode is not None:
+            raise ValueError(f"`render_mode` must be None, there is nothing to render; got {render_mode!r}")
+        self.render_mode = None
+        setup = make_setup(
+            scenario=scenario,
+            receiver=receiver,
+            attack=attack,
+            detector=detector,
+            timeline=timeline,
+        )
+        self.game = make_game(
+            1,
+            setup,
+            knowledge=knowledge,
+            observation=observation,
+            reward=reward,
+            alarm_penalty_m=alarm_penalty_m,
+            end_at_alarm=end_at_alarm,
+            target_heading_deg=target_heading_deg,
+            threads=1,
+        )
+        self.observation_names = self.game.observer.names
+        self.action_names = setup.attack.action_names(setup.world)
+        self.observation_space = observation_space(self.game)
+        self.action_space = action_space(self.game)
+        self._running = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode: warm-up, then the onset.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seeds the receiver; without it the next episode of the same stream begins.
+        options : dict, optional
+            Not used.
+
+        Returns
+        -------
+        observation : ndarray
+            (o,) float32.
+        info : dict
+            Whether the warm-up alarmed, and the time.
+        """
+        super().reset(seed=seed)
+        self.game.reset([self.np_random])
+        self._running = True
+        return self.game.observe()[0], _of_one(self.game.begin_info())
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Give one command, and run one epoch.
+
+        Parameters
+        ----------
+        action : array_like
+            (a,) in [-1, 1].
+
+        Returns
+        -------
+        observation : ndarray
+            (o,) float32.
+        reward : float
+            Sum of ``info["reward_*"]``.
+        terminated, truncated : bool
+            The second is always False.
+        info : dict
+            Parts of the reward, alarm, displacement, time.
+        """
+        if not self._running:
+            raise RuntimeError("the episode is over: call reset() before step()")
+        given = checked_action(
+            np.asarray(action)[None], (1, len(self.action_names)), self.action_names
+        )
+        turn = self.game.step(given)
+        terminated = bool(turn.terminated[0])
+        self._running = not terminated
+        observation = self.game.observe()[0]
+        return observation, float(turn.reward[0]), terminated, False, _of_one(turn.info)
+
+
+def _of_one(info: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Information of a batch of one, as plain numbers."""
+    return {name: array.item() for name, array in info.items()}

@@ -1,0 +1,296 @@
+"""The contract of a spoofer: an observation in, an action out."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._memory import Memory
+
+FloatArray = NDArray[np.float64]
+KNOWLEDGE = ("blind", "tracking", "oracle")
+AXES = ("north", "east", "down")
+"""Axes by which the actions of a false position are named."""
+
+
+class SpooferContext(NamedTuple):
+    """What a spoofer is told once, before the first command.
+
+    Attributes
+    ----------
+    receivers : int
+        B.
+    interval_s : float
+        Time between commands.
+    steps : int
+        Commands of an episode.
+    control : {"rate", "acceleration"}
+        What an action of 1 commands: the limit of the rate, or of the acceleration.
+    acceleration_limit_mps2, rate_limit_mps : float
+        Of the attack; with control by rate the first one does not bind.
+    action_names : tuple of str
+        (a,) name of every element of an action, as the attack gives them.
+    observation_names : tuple of str
+        (o,) name of every element of an observation.
+    """
+
+    receivers: int
+    interval_s: float
+    steps: int
+    control: str
+    acceleration_limit_mps2: float
+    rate_limit_mps: float
+    action_names: tuple[str, ...]
+    observation_names: tuple[str, ...] = ()
+
+
+class Spoofer(ABC):
+    """A spoofer with memory of B receivers.
+
+    A subclass declares its arrays in `bind` (``self.memory.declare(name, initial)``, with a leading
+    axis of receivers) and keeps nothing else from one command to the next, as detectors do.
+
+    Attributes
+    ----------
+    knowledge : {"blind", "tracking", "oracle"}
+        What it observes at run time: its own commands and time; also the target's true motion and
+        the satellites; also the victim's statistics.
+    tunable : str or None
+        Setting that a search under an alarm budget varies; more of it displaces further.
+    memory : Memory
+        What it remembers of every receiver.
+    """
+
+    knowledge: ClassVar[str]
+    tunable: ClassVar[str | None] = None
+    memory: Memory
+
+    def bind(self, context: SpooferContext) -> None:
+        """Prepare for a batch of receivers; call ``super().bind(context)`` first.
+
+        Parameters
+        ----------
+        context : SpooferContext
+            Sizes, limits and names.
+        """
+        self.context = context
+        self.memory = Memory(context.receivers)
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Begin a new episode in some receivers.
+
+        Parameters
+        ----------
+        mask : ndarray, optional
+            (B,) bool, which ones; all by default.
+        """
+        self.memory.reset(mask)
+
+    @abstractmethod
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Command the attack for the coming epoch.
+
+        Parameters
+        ----------
+        observation : ndarray
+            (B, o) of all receivers.
+
+        Returns
+        -------
+        ndarray
+            (B, a) in [-1, 1], C-contiguous.
+        """
+
+    @classmethod
+    def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
+        """Range of the tunable setting that is worth a search.
+
+        Parameters
+        ----------
+        context : SpooferContext
+            Limits of the attack.
+
+        Returns
+        -------
+        low, high : float
+            Both above 0.
+
+        Raises
+        ------
+        ValueError
+            When the spoofer has nothing to tune.
+        """
+        raise ValueError(f"{cls.__name__} has no setting to tune")
+
+
+@dataclass(kw_only=True)
+class ScriptedSpoofer(Spoofer):
+    r"""Pushes along one line, blindly, by a rule for the rate of every epoch.
+
+    The rate v and the displacement D that it has commanded follow the attack's own kinematics,
+
+    .. math:: D^+ = D + \tfrac12 (v + v^+) \tau \quad\text{by acceleration}, \qquad
+        D^+ = D + v^+ \tau \quad\text{by rate}
+
+    and a subclass says which rate it wants next; limits are kept here.
+
+    Parameters
+    ----------
+    heading_deg : float
+        Direction of a false position, clockwise from north.  An attack on single channels has no
+        heading: there all channels are commanded alike.
+    """
+
+    heading_deg: float = 90.0
+
+    knowledge: ClassVar[str] = "blind"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_finite("heading_deg", self.heading_deg)
+
+    def bind(self, context: SpooferContext) -> None:
+        """Prepare for a batch of receivers.
+
+        Parameters
+        ----------
+        context : SpooferContext
+            Sizes, limits and names.
+        """
+        super().bind(context)
+        self._direction = direction(context.action_names, self.heading_deg)
+        for name in ("step", "rate", "displacement"):
+            self.memory.declare(name, np.zeros(context.receivers))
+
+    @abstractmethod
+    def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
+        """Rate that is wanted at the end of the coming epoch.
+
+        Parameters
+        ----------
+        step : ndarray
+            (B,) commands given so far.
+        rate, displacement : ndarray
+            (B,) commanded so far [m/s], [m].
+
+        Returns
+        -------
+        ndarray
+            (B,) [m/s]; cut to what the attack's limits allow.
+        """
+
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Command the attack for the coming epoch.
+
+        Parameters
+        ----------
+        observation : ndarray
+            Not looked at.
+
+        Returns
+        -------
+        ndarray
+            (B, a) in [-1, 1].
+        """
+        context, memory = self.context, self.memory
+        rate = memory["rate"]
+        wanted = self.next_rate(memory["step"], rate, memory["displacement"])
+        limit = context.rate_limit_mps
+        after = np.clip(wanted, -limit, limit)
+        if context.control == "rate":
+            size, mean = after / limit, after
+        else:
+            most = context.acceleration_limit_mps2 * context.interval_s
+            size = np.clip((after - rate) / most, -1.0, 1.0)
+            after = rate + size * most
+            mean = 0.5 * (rate + after)
+        memory["displacement"] = memory["displacement"] + mean * context.interval_s
+        memory["rate"] = after
+        memory["step"] = memory["step"] + 1.0
+        return np.ascontiguousarray(size[:, None] * self._direction)
+
+
+def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
+    """Unit command along a heading, or the same command for every channel.
+
+    Parameters
+    ----------
+    action_names : tuple of str
+        Of the attack.
+    heading_deg : float
+        Clockwise from north.
+
+    Returns
+    -------
+    ndarray
+        (a,) in [-1, 1].
+
+    Raises
+    ------
+    ValueError
+        When the attack has no command along the heading.
+    """
+    axes = [name.rsplit("_", 1)[0] for name in action_names]
+    if not set(axes) <= set(AXES):
+        return np.ones(len(axes))
+    heading = math.radians(heading_deg % 360.0)
+    wanted = {"north": math.cos(heading), "east": math.sin(heading), "down": 0.0}
+    for name, part in wanted.items():
+        if abs(part) < 1e-12:
+            wanted[name] = 0.0
+        elif name not in axes:
+            raise ValueError(
+                f"`heading_deg` = {heading_deg:g} needs a command to the {name}, but the attack "
+                f"commands {', '.join(action_names)}"
+            )
+    return np.array([wanted[name] for name in axes])
+
+
+def check_finite(name: str, value: float) -> None:
+    """Raise unless a setting is a finite number.
+
+    Parameters
+    ----------
+    name : str
+        Of the setting.
+    value : float
+        What was given.
+
+    Raises
+    ------
+    ValueError
+        When it is not.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f"`{name}` must be a finite number, got {value!r}")
+
+
+def check_limit(spoofer: Spoofer, name: str, limit_name: str, limit: float) -> None:
+    """Raise where a setting exceeds a limit of the attack.
+
+    Parameters
+    ----------
+    spoofer : Spoofer
+        Has the setting.
+    name : str
+        Of the setting.
+    limit_name : str
+        Of the attack's setting.
+    limit : float
+        Its value.
+
+    Raises
+    ------
+    ValueError
+        Names both.
+    """
+    value: Any = getattr(spoofer, name)
+    if abs(value) > limit:
+        raise ValueError(
+            f"`{name}` = {value:g} is more than the attack allows: `{limit_name}` = {limit:g}"
+        )

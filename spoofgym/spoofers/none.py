@@ -1,0 +1,33 @@
+"""The spoofer that does nothing: the clean twin of every attack, and the source of false alarms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .base import FloatArray, Spoofer
+
+
+@dataclass
+class NoSpoofer(Spoofer):
+    """Commands zero."""
+
+    knowledge: ClassVar[str] = "blind"
+
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Command nothing.
+
+        Parameters
+        ----------
+        observation : ndarray
+            Not looked at.
+
+        Returns
+        -------
+        ndarray
+            (B, a) zeros.
+        """
+        return np.zeros((self.context.receivers, len(self.context.action_names)))

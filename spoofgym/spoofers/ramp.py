@@ -1,0 +1,81 @@
+"""Constant rate: the classic slow drift, which a filter gets used to while it is slow enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_finite, check_limit
+
+SLOWEST = 1e-3
+"""Slowest rate of a search, as a part of the attack's limit."""
+
+
+@dataclass(kw_only=True)
+class Ramp(ScriptedSpoofer):
+    """Pushes at a constant rate, reached at the largest acceleration that the attack allows.
+
+    Parameters
+    ----------
+    rate_mps : float
+        Rate; negative against the heading, or to shorter ranges.
+    heading_deg : float
+        As in `ScriptedSpoofer`.
+    """
+
+    rate_mps: float = 0.5
+
+    tunable: ClassVar[str | None] = "rate_mps"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        super().__post_init__()
+        check_finite("rate_mps", self.rate_mps)
+
+    def bind(self, context: SpooferContext) -> None:
+        """Prepare for a batch of receivers.
+
+        Parameters
+        ----------
+        context : SpooferContext
+            Sizes, limits and names.
+        """
+        super().bind(context)
+        check_limit(self, "rate_mps", "rate_limit_mps", context.rate_limit_mps)
+
+    def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
+        """Rate that is wanted at the end of the coming epoch.
+
+        Parameters
+        ----------
+        step, rate, displacement : ndarray
+            (B,) so far.
+
+        Returns
+        -------
+        ndarray
+            (B,) the constant rate [m/s].
+        """
+        return np.full_like(rate, self.rate_mps)
+
+    @classmethod
+    def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
+        """Up to the limit of the rate, or what the episode allows to reach.
+
+        Parameters
+        ----------
+        context : SpooferContext
+            Limits of the attack.
+
+        Returns
+        -------
+        low, high : float
+            [m/s].
+        """
+        high = context.rate_limit_mps
+        if context.control == "acceleration":
+            reached = context.acceleration_limit_mps2 * context.steps * context.interval_s
+            high = min(high, reached)
+        return SLOWEST * high, high
