@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from ..attacks import Attack, AttackContext
 from ..detectors import Detector, DetectorContext, Verdict
 from ..earth.attitude import euler_to_dcm
-from ..receiver import TightlyCoupled
-from ..receiver._kernels import predict as predict_kernel
-from ..receiver._kernels import update as update_kernel
+from ..receiver import TightlyCoupled, _kernels
 from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.matching import assumed_noise
 from ..receiver.state import LANES, ReceiverBuffers
@@ -24,7 +22,6 @@ from ..sim.noise import padded
 from ..sim.scenario import Scenario
 from ..sim.sensors import SensorBuffers
 from ..sim.world import World
-from . import _kernels
 from .workers import Workers
 
 FloatArray = NDArray[np.float64]
@@ -135,32 +132,11 @@ class Setup:
             receiver, scenario.gnss_errors, self.bias_sd, interval
         )
         self.onset_C_en = np.ascontiguousarray(self.world.local_frame(self.onset))
-        self._tables: dict[Any, NDArray[Any]] = {}
         C_en = self.world.local_frame(0)
         error = euler_to_dcm(*(-np.radians(scenario.imu_grade.attitude_error_deg)))
         C_ne = C_en.T
         # the error turns the local axes: C_nb (estimated) = dC C_nb
         self.first_C_eb = C_en @ (error.T @ (C_ne @ self.world.C_eb[0]))
-
-
-    def table(self, key: Hashable, build: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """Values of the whole run, computed when first asked for.
-
-        Parameters
-        ----------
-        key : hashable
-            Whose values.
-        build : callable
-            Computes them.
-
-        Returns
-        -------
-        ndarray
-            Not to be written.
-        """
-        if key not in self._tables:
-            self._tables[key] = build()
-        return self._tables[key]
 
 
 class Batch:
@@ -236,7 +212,7 @@ class Batch:
         state, measured = self.buffers.state, self.buffers.measured
         measured.noise_variance[:] = setup.noise_variance
         self.buffers.noise_psd[:] = setup.receiver.noise_psd(setup.clock)
-        self._measure(0, 0, self.receivers)
+        self._measure_first()
         b, n = self.receivers, setup.world.channels
         _kernels.first_fix(
             self.buffers.floats, self.buffers.flags, setup.world.position_e[0], b, n, 0, b
@@ -247,7 +223,7 @@ class Batch:
         state.covariance[:] = setup.receiver.initial_covariance()
         self.verdict, self.weights = None, self.ones
 
-    def _measure(self, advance: int, lo: int, hi: int) -> None:
+    def _measure_first(self) -> None:
         world, buffers, sensors = self.setup.world, self.buffers, self.sensors
         _kernels.measure(
             sensors.floats,
@@ -257,50 +233,53 @@ class Batch:
             buffers.flags,
             buffers.block,
             buffers.samples,
-            world.imu_truth,
-            world.imu_root_rate,
+            world.run,
             world.epoch_time,
             world.epoch_end,
             world.satellites,
-            world.visible,
             self.receivers,
             world.channels,
             self._imu_noise,
             self._gnss_noise,
-            advance,
+            0,
+            0,
+            self.receivers,
+        )
+
+    def _epochs(self, what: int, count: int, lo: int, hi: int) -> None:
+        buffers, sensors = self.buffers, self.sensors
+        world, receiver = self.setup.world, self.setup.receiver
+        _kernels.run_epochs(
+            buffers.floats,
+            buffers.flags,
+            buffers.block,
+            buffers.samples,
+            self.weights,
+            sensors.floats,
+            sensors.keys,
+            sensors.epoch,
+            world.run,
+            world.epoch_time,
+            world.epoch_end,
+            world.satellites,
+            self.receivers,
+            world.channels,
+            self._imu_noise,
+            self._gnss_noise,
+            receiver.covariance_code,
+            receiver.min_satellites,
+            receiver.orthonormalize,
+            what,
+            count,
             lo,
             hi,
         )
 
     def _advance(self, lo: int, hi: int) -> None:
-        buffers, world = self.buffers, self.setup.world
-        self._measure(1, lo, hi)
-        predict_kernel(
-            buffers.floats,
-            buffers.flags,
-            buffers.block,
-            buffers.samples,
-            world.imu_interval,
-            self.receivers,
-            world.channels,
-            lo,
-            hi,
-        )
+        self._epochs(_kernels.MEASURE + _kernels.PREDICT, 1, lo, hi)
 
     def _update(self, lo: int, hi: int) -> None:
-        receiver = self.setup.receiver
-        update_kernel(
-            self.buffers.floats,
-            self.buffers.flags,
-            self.weights,
-            self.receivers,
-            self.setup.world.channels,
-            receiver.covariance_code,
-            receiver.min_satellites,
-            receiver.orthonormalize,
-            lo,
-            hi,
-        )
+        self._epochs(_kernels.UPDATE, 1, lo, hi)
 
     def _attack_and_advance(self, lo: int, hi: int) -> None:
         sensors = self.sensors.state
@@ -371,39 +350,9 @@ class Batch:
             How many.
         """
 
-        buffers, sensors = self.buffers, self.sensors
-        world, receiver = self.setup.world, self.setup.receiver
-
-        def stretch(lo: int, hi: int) -> None:
-            _kernels.quiet(
-                sensors.floats,
-                sensors.keys,
-                sensors.epoch,
-                buffers.floats,
-                buffers.flags,
-                buffers.block,
-                buffers.samples,
-                world.imu_truth,
-                world.imu_root_rate,
-                world.imu_interval,
-                world.epoch_time,
-                world.epoch_end,
-                world.satellites,
-                world.visible,
-                self.ones,
-                self.receivers,
-                world.channels,
-                self._imu_noise,
-                self._gnss_noise,
-                receiver.covariance_code,
-                receiver.min_satellites,
-                receiver.orthonormalize,
-                count,
-                lo,
-                hi,
-            )
-
-        self._run(stretch, self.receivers)
+        self.weights = self.ones
+        what = _kernels.MEASURE + _kernels.PREDICT + _kernels.UPDATE
+        self._run(lambda lo, hi: self._epochs(what, count, lo, hi), self.receivers)
 
     def live_epochs(self, count: int) -> NDArray[np.bool_]:
         """Run clean epochs with the detector.

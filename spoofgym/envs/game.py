@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ._kernels import score
 from .engine import Engine, Setup
 from .observations import ObservationTerm, Observer
 from .rewards import Outcome, RewardTerm
-from .snapshot import Snapshot, position_error_n
+from .snapshot import Snapshot
 
 FloatArray = NDArray[np.float64]
 
@@ -89,9 +90,9 @@ class Game:
         self.setup, self.end_at_alarm = setup, end_at_alarm
         self.engine = Engine(receivers, setup, threads=threads)
         self.observer = Observer(observation, setup)
-        self.reward_terms = tuple(reward)
+        self._reward_parts = [(f"reward_{term.name}", term) for term in reward]
         heading = np.radians(target_heading_deg)
-        self._target = np.array([np.cos(heading), np.sin(heading), 0.0])
+        self._target_e = setup.onset_C_en @ np.array([np.cos(heading), np.sin(heading), 0.0])
         self._rows = np.arange(receivers)
         self.step_count = np.zeros(receivers, dtype=np.int64)
         self.detected = np.zeros(receivers, dtype=np.bool_)
@@ -145,9 +146,29 @@ class Game:
         self._origin[where] = self._projection()[where]
 
     def _projection(self) -> FloatArray:
-        error = position_error_n(self.setup, self.engine.batch)
-        result: FloatArray = (error * self._target).sum(axis=1)
+        batch = self.engine.batch
+        error_e = batch.buffers.state.position_e - self.setup.world.position_e[batch.epochs]
+        result: FloatArray = (error_e * self._target_e).sum(axis=1)
         return result
+
+    def _hold(
+        self,
+        rows: NDArray[np.intp],
+        retraction: FloatArray,
+        first: NDArray[np.bool_],
+        alarm: NDArray[np.bool_],
+    ) -> None:
+        """Run the time to alert after the last command, and write what its alarms do."""
+        if not len(rows):
+            return
+        late = self.engine.hold(rows)
+        alarmed = late.any(axis=0)
+        # index of the last epoch that counts, with the first alarm at steps + 1 + argmax
+        kept = np.maximum(self.setup.steps + late.argmax(axis=0) - self.setup.hold, 0)
+        before = self._largest[rows, self.setup.steps]
+        retraction[rows] = np.where(alarmed, self._largest[rows, kept] - before, 0.0)
+        first[rows] = alarmed
+        alarm[rows] |= alarmed
 
     def step(self, action: FloatArray) -> Turn:
         """One command of all receivers, and one epoch.
@@ -163,49 +184,48 @@ class Game:
             Rewards, ends and information.
         """
         verdict = self.engine.step(action)
-        alarm = verdict.alarm.any(axis=1)
-        rows, engine, setup = self._rows, self.engine, self.setup
-        # a receiver whose episode is over may be stepped once more before it is reset
-        self.step_count += 1
-        j = np.minimum(self.step_count, setup.steps)
-        displacement = self._projection() - self._origin
-        before = self._largest[rows, j - 1]
-        largest = np.maximum(before, displacement)
-        self._largest[rows, j] = largest
-
-        first = alarm & ~self.detected
-        gain = np.where(self.detected | first, 0.0, largest - before)
-        kept = self._largest[rows, np.maximum(j - setup.hold - 1, 0)]
-        retraction = np.where(first, kept - before, 0.0)
-
-        finished = self.step_count == setup.steps
-        holding = np.flatnonzero(finished & ~(self.detected | first))
-        if len(holding) and setup.hold:
-            late = self.engine.hold(holding)
-            alarmed = late.any(axis=0)
-            epoch = setup.steps + 1 + late.argmax(axis=0)
-            kept_late = self._largest[holding, np.maximum(epoch - setup.hold - 1, 0)]
-            retraction[holding] = np.where(alarmed, kept_late - largest[holding], 0.0)
-            first[holding] = alarmed
-            alarm[holding] |= alarmed
-        self.detected |= first
-        self.credited += gain + retraction
+        engine, setup, batch = self.engine, self.setup, self.engine.batch
+        displacement, gain, retraction = np.empty((3, self.receivers))
+        alarm, first, finished = np.empty((3, self.receivers), dtype=np.bool_)
+        score(
+            batch.buffers.state.position_e,
+            setup.world.position_e,
+            batch.epochs,
+            self._target_e,
+            np.ascontiguousarray(verdict.alarm),
+            setup.steps,
+            setup.hold,
+            self.step_count,
+            self.detected,
+            self._origin,
+            self._largest,
+            displacement,
+            gain,
+            retraction,
+            alarm,
+            first,
+            finished,
+        )
+        if finished.any() and setup.hold:
+            self._hold(np.flatnonzero(finished & ~(self.detected | first)), retraction, first, alarm)
+        np.logical_or(self.detected, first, out=self.detected)
+        self.credited += gain
+        self.credited += retraction
 
         outcome = Outcome(gain, retraction, first)
         info: dict[str, NDArray[Any]] = {
-            "time_s": setup.world.epoch_time[engine.batch.epochs],
+            "time_s": setup.world.epoch_time[batch.epochs],
             "alarm": alarm,
             "detected": self.detected.copy(),
             "warmup_alarm": engine.warmup_alarm.copy(),
-            "coasting": engine.batch.buffers.measured.coasting.copy(),
+            "coasting": batch.buffers.measured.coasting.copy(),
             "displacement_m": displacement,
             "undetected_displacement_m": self.credited.copy(),
         }
         reward = np.zeros(self.receivers)
-        for term in self.reward_terms:
-            part = term(outcome)
-            info[f"reward_{term.name}"] = part
-            reward = reward + part
+        for key, term in self._reward_parts:
+            info[key] = term(outcome)
+            reward += info[key]
         terminated = finished | self.detected if self.end_at_alarm else finished
         return Turn(reward, terminated, info)
 

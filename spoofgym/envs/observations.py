@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,9 @@ class ObservationTerm(Protocol):
             Finite.
         """
 
+class DynamicTerm(ObservationTerm, Protocol):
+    """A term that depends on what has happened."""
+
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the values; clipping follows.
 
@@ -71,6 +74,24 @@ class ObservationTerm(Protocol):
             The game.
         out : ndarray
             (B, k), written.
+        """
+
+
+class TabledTerm(ObservationTerm, Protocol):
+    """A term that only depends on the epoch, and is computed for the whole run at once."""
+
+    def table(self, setup: Setup) -> FloatArray:
+        """Values at every epoch of the run; clipping follows.
+
+        Parameters
+        ----------
+        setup : Setup
+            World and timeline.
+
+        Returns
+        -------
+        ndarray
+            (K, k).
         """
 
 
@@ -104,8 +125,11 @@ class OwnCommand:
         """Write displacement and rate over their scales."""
         attack = snapshot.batch.attack
         axes = out.shape[1] // 2
-        out[:, :axes] = attack.memory["displacement"] * (1.0 / self.scale_m)
-        out[:, axes:] = attack.memory["rate"] * (1.0 / attack.rate_limit_mps)
+        memory = attack.memory
+        np.multiply(memory["displacement"], 1.0 / self.scale_m, out=out[:, :axes], casting="unsafe")
+        np.multiply(
+            memory["rate"], 1.0 / attack.rate_limit_mps, out=out[:, axes:], casting="unsafe"
+        )
 
 
 @dataclass(frozen=True)
@@ -122,11 +146,10 @@ class Time:
         """0 and 1."""
         return 0.0, 1.0
 
-    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the two fractions."""
-        since = snapshot.step * (1.0 / snapshot.setup.steps)
-        out[:, 0] = since
-        out[:, 1] = 1.0 - since
+    def table(self, setup: Setup) -> FloatArray:
+        """The two fractions."""
+        since = (np.arange(setup.world.epochs) - setup.onset) / setup.steps
+        return np.column_stack([since, 1.0 - since])
 
 
 @dataclass(frozen=True)
@@ -152,19 +175,13 @@ class TargetMotion:
         """-10 and 10."""
         return -10.0, 10.0
 
-    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Look the values up in a table of the run."""
-        out[:] = self._table(snapshot.setup)[snapshot.batch.epochs]
-
-    def _table(self, setup: Setup) -> NDArray[np.float32]:
-        def build() -> NDArray[np.float32]:
-            world = setup.world
-            moved = world.position_e - world.position_e[setup.onset]
-            position = moved @ setup.onset_C_en / self.position_scale_m
-            velocity = world.velocity_e @ setup.onset_C_en / self.velocity_scale_mps
-            return np.hstack([position, velocity]).astype(np.float32)
-
-        return setup.table(self, build)
+    def table(self, setup: Setup) -> FloatArray:
+        """Position and velocity over their scales."""
+        world = setup.world
+        moved = world.position_e - world.position_e[setup.onset]
+        position = moved @ setup.onset_C_en / self.position_scale_m
+        velocity = world.velocity_e @ setup.onset_C_en / self.velocity_scale_mps
+        return np.hstack([position, velocity])
 
 
 @dataclass(frozen=True)
@@ -183,22 +200,15 @@ class SatelliteGeometry:
         """-1 and 1."""
         return -1.0, 1.0
 
-    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Look the values up in a table of the run."""
-        out[:] = self._table(snapshot.setup)[snapshot.batch.epochs]
-
-    def _table(self, setup: Setup) -> NDArray[np.float32]:
-        def build() -> NDArray[np.float32]:
-            world = setup.world
-            latitude, longitude, _ = ecef_to_geodetic(world.position_e)
-            C_en = dcm_e_from_n(latitude, longitude)
-            sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
-            sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-            sight = np.einsum("kji,knj->kni", C_en, sight) * world.visible[:, :, None]
-            flat = sight.reshape(world.epochs, -1)
-            return np.hstack([flat, world.visible]).astype(np.float32)
-
-        return setup.table(self, build)
+    def table(self, setup: Setup) -> FloatArray:
+        """Unit vectors, then 1 or 0."""
+        world = setup.world
+        latitude, longitude, _ = ecef_to_geodetic(world.position_e)
+        C_en = dcm_e_from_n(latitude, longitude)
+        sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
+        sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+        sight = np.einsum("kji,knj->kni", C_en, sight) * world.visible[:, :, None]
+        return np.hstack([sight.reshape(world.epochs, -1), world.visible])
 
 
 @dataclass(frozen=True)
@@ -330,17 +340,24 @@ class Observer:
         if not terms:
             raise ValueError("an observation needs at least one term")
         self.setup = setup
-        self._parts: list[tuple[ObservationTerm, slice]] = []
+        self._parts: list[tuple[DynamicTerm, slice]] = []
         names: list[str] = []
         low: list[float] = []
         high: list[float] = []
+        tables: list[FloatArray] = []
         for term in terms:
             own = term.names(setup)
-            self._parts.append((term, slice(len(names), len(names) + len(own))))
+            part = slice(len(names), len(names) + len(own))
             least, most = term.bounds(setup)
             names.extend(own)
             low.extend([least] * len(own))
             high.extend([most] * len(own))
+            if hasattr(term, "table"):
+                tables.append(np.clip(term.table(setup), least, most))
+            else:
+                self._parts.append((cast("DynamicTerm", term), part))
+                tables.append(np.zeros((setup.world.epochs, len(own))))
+        self._table = np.hstack(tables).astype(np.float32)
         self.names = tuple(names)
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
@@ -361,12 +378,13 @@ class Observer:
         ndarray
             (B, o) float32, a new array within the bounds.
         """
-        out = np.empty((snapshot.batch.receivers, len(self.names)), dtype=np.float32)
+        out = self._table[snapshot.batch.epochs]
         for term, part in self._parts:
-            term(snapshot, out[:, part])
-        # min and max, since np.clip costs three times as much on small arrays
-        np.maximum(out, self.low, out=out)
-        np.minimum(out, self.high, out=out)
+            own = out[:, part]
+            term(snapshot, own)
+            # min and max, since np.clip costs three times as much on small arrays
+            np.maximum(own, self.low[part], out=own)
+            np.minimum(own, self.high[part], out=own)
         return out
 
     def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:

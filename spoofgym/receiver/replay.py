@@ -255,7 +255,6 @@ def replay(
             )
     ends = recording.epoch_samples()
     starts = np.concatenate([[0], ends[:-1]])
-    imu_interval = np.diff(np.asarray(recording.imu_time), prepend=0.0)
     gnss_interval = np.diff(np.asarray(recording.gnss_time), prepend=0.0)
     samples = np.hstack([recording.specific_force_b, recording.angular_rate_b])
 
@@ -275,6 +274,37 @@ def replay(
         "innovation": np.empty((epochs, 2 * n)),
     }
     coasting = np.zeros(epochs, dtype=np.bool_)
+    run = np.zeros((8, len(samples)))
+    run[6] = np.diff(np.asarray(recording.imu_time), prepend=0.0)
+    nothing = np.zeros(0)
+
+    def half(what: int) -> None:
+        _kernels.run_epochs(
+            buffers.floats,
+            buffers.flags,
+            buffers.block,
+            buffers.samples,
+            weights,
+            nothing,
+            np.zeros((0, 0, 0), dtype=np.uint64),
+            np.zeros(0, dtype=np.int64),
+            run,
+            nothing,
+            np.zeros(0, dtype=np.int64),
+            np.zeros((0, 0, 0)),
+            1,
+            n,
+            0,
+            0,
+            receiver.covariance_code,
+            receiver.min_satellites,
+            receiver.orthonormalize,
+            what,
+            1,
+            0,
+            1,
+        )
+
     for k in range(epochs):
         first, count = starts[k], ends[k] - starts[k]
         buffers.put_samples(0, samples[first : first + count])
@@ -284,22 +314,9 @@ def replay(
         measured.pseudorange[0], measured.range_rate[0] = range_[k], rate[k]
         measured.satellite_position[0], measured.satellite_velocity[0] = position[k], velocity[k]
         measured.noise_variance[0] = variance[k]
-        _kernels.predict(
-            buffers.floats, buffers.flags, buffers.block, buffers.samples, imu_interval, 1, n, 0, 1
-        )
+        half(_kernels.PREDICT)
         out["innovation"][k] = measured.innovation[0]
-        _kernels.update(
-            buffers.floats,
-            buffers.flags,
-            weights,
-            1,
-            n,
-            receiver.covariance_code,
-            receiver.min_satellites,
-            receiver.orthonormalize,
-            0,
-            1,
-        )
+        half(_kernels.UPDATE)
         for name in ("position_e", "velocity_e", "C_eb", "accel_bias_b", "gyro_bias_b", "clock"):
             out[name][k] = getattr(state, name)[0]
         out["sd"][k] = np.sqrt(np.diagonal(state.covariance[0]))

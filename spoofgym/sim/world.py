@@ -32,19 +32,16 @@ class World:
         (n,) id of each slot; ``""`` for a slot that stays empty.
     imu_time : ndarray
         (N+1,) begin of the first sample and end of every sample [s].
-    imu_interval : ndarray
-        (N,) length of every sample [s].
-    imu_root_rate : ndarray
-        (N,) one over the square root of it [Hz^0.5].
-    imu_truth : ndarray
-        (6, N) true specific force [m/s^2] and angular rate [rad/s], body axes.
+    run : ndarray
+        (8, N) true specific force [m/s^2] and angular rate [rad/s], body axes; length of every sample
+        [s], and one over its square root [Hz^0.5].
     epoch_time : ndarray
         (K,) [s].
     epoch_end : ndarray
         (K,) int64, number of samples up to the epoch.
     satellites : ndarray
         (K, n, 8) satellite position and velocity, ECEF, true range [m] and range rate [m/s]
-        without clocks.
+        without clocks; the range is 0 where the slot is not visible.
     visible : ndarray
         (K, n) bool, above the mask.
     elevation, azimuth : ndarray
@@ -58,9 +55,7 @@ class World:
     name: str
     satellite_ids: tuple[str, ...]
     imu_time: FloatArray
-    imu_interval: FloatArray
-    imu_root_rate: FloatArray
-    imu_truth: FloatArray
+    run: FloatArray
     epoch_time: FloatArray
     epoch_end: NDArray[np.int64]
     satellites: FloatArray
@@ -187,10 +182,13 @@ def build_world(
         name=trajectory.name,
         satellite_ids=ids,
         imu_time=time.copy(),
-        imu_interval=np.diff(time),
-        imu_root_rate=1.0 / np.sqrt(np.diff(time)),
-        imu_truth=np.ascontiguousarray(
-            np.hstack([trajectory.specific_force_b, trajectory.angular_rate_b]).T
+        run=np.vstack(
+            [
+                trajectory.specific_force_b.T,
+                trajectory.angular_rate_b.T,
+                np.diff(time),
+                1.0 / np.sqrt(np.diff(time)),
+            ]
         ),
         epoch_time=time[epoch_end].copy(),
         epoch_end=epoch_end,

@@ -1,12 +1,13 @@
 """Rewards, ends, warm-up and autoreset."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from spoofgym.detectors import Detector, Never, Verdict
 from spoofgym.envs import Engine, make_game, make_setup
 from spoofgym.envs.observations import OwnCommand, Time, terms_of
-from spoofgym.sim.world import World
 
 from .support import SHORT, single, vector
 
@@ -190,28 +191,26 @@ def test_an_own_list_of_terms():
 def test_fewer_than_four_satellites_coast_and_say_so():
     """Satellites that sink after the first fix: the receiver coasts, and the detector is quiet."""
     setup = make_setup(timeline=SHORT, detector="ewma")
-    world: World = setup.world
-    visible = world.visible.copy()
+    visible, satellites = setup.world.visible.copy(), setup.world.satellites.copy()
     visible[45:60, 3:] = False
-    object.__setattr__(world, "visible", visible)
-    try:
-        game = make_game(2, setup)
-        game.reset([np.random.default_rng(i) for i in range(2)])
-        before = np.sqrt(game.engine.batch.buffers.state.covariance[:, 6, 6])
-        coasting = []
-        for _ in range(25):
-            turn = game.step(np.zeros((2, 2)))
-            coasting.append(turn.info["coasting"].copy())
-        coasting = np.array(coasting)
-        assert coasting[5:18].all()
-        assert not coasting[:4].any()
-        assert not coasting[20:].any()
-        after = np.sqrt(game.engine.batch.buffers.state.covariance[:, 6, 6])
-        assert (after < 2.0 * before).all()
-        assert np.isfinite(game.observe()).all()
-    finally:
-        visible = world.visible.copy()
-        make_setup.__globals__["make_scenario"].__globals__["_named_world"].cache_clear()
+    satellites[45:60, 3:, 6:] = 0.0
+    setup.world = dataclasses.replace(setup.world, visible=visible, satellites=satellites)
+    game = make_game(2, setup)
+    game.reset([np.random.default_rng(i) for i in range(2)])
+    covariance = game.engine.batch.buffers.state.covariance
+    before = np.sqrt(covariance[:, 6, 6])
+    coasting, spread = [], []
+    for _ in range(25):
+        turn = game.step(np.zeros((2, 2)))
+        coasting.append(turn.info["coasting"])
+        spread.append(np.sqrt(covariance[:, 6, 6]))
+    coasting, spread = np.array(coasting), np.array(spread)
+    assert not coasting[:4].any()
+    assert coasting[4:19].all()
+    assert not coasting[19:].any()
+    assert (np.diff(spread[5:19], axis=0) > 0.0).all()
+    assert (spread[-1] < 2.0 * before).all()
+    assert np.isfinite(game.observe()).all()
 
 
 def test_receivers_and_threads_are_checked():
