@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 import dataclasses
 import difflib
-from collections.abc import Iterable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeVar, cast
 
 T = TypeVar("T")
 
@@ -35,7 +35,7 @@ def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
         raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
 
 
-def build(word: str, kinds: Mapping[str, type[T]], base: type[T], spec: Any) -> T:
+def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: Any) -> T:
     """Object by name, by name and settings, or a copy of an object.
 
     Parameters
@@ -61,14 +61,15 @@ def build(word: str, kinds: Mapping[str, type[T]], base: type[T], spec: Any) -> 
     TypeError
         When `spec` is something else.
     """
-    if isinstance(spec, base):
+    kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
+    if isinstance(spec, kind):
         return copy.deepcopy(spec)
     if isinstance(spec, str):
         spec = {"name": spec}
     if not isinstance(spec, Mapping) or not isinstance(spec.get("name"), str):
         raise TypeError(
-            f"a {word} is a name ({', '.join(sorted(kinds))}), a dict with a `name`, or an instance "
-            f"of {base.__module__}.{base.__qualname__}, got {spec!r}"
+            f"a {word} is a name ({', '.join(sorted(kinds))}), a dict with a `name`, or an "
+            f"instance of {kind.__module__}.{kind.__qualname__}, got {spec!r}"
         )
     settings = dict(spec)
     name = settings.pop("name")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from .._registry import build
@@ -15,12 +16,12 @@ ATTACKS: dict[str, type[Attack]] = {"false-position": FalsePosition, "per-channe
 """Attacks by name."""
 
 
-def make_attack(spec: str | dict[str, Any] | Attack) -> Attack:
+def make_attack(spec: str | Mapping[str, Any] | Attack) -> Attack:
     """Attack by name, by name and settings, or a copy of an object.
 
     Parameters
     ----------
-    spec : str, dict or Attack
+    spec : str, mapping or Attack
         A name in `ATTACKS`; ``{"name": ..., "setting": value, ...}``; or an attack, which is
         copied.
 

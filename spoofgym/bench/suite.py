@@ -72,26 +72,29 @@ class Tuning:
     Parameters
     ----------
     runs : int
-        Training runs of every value.
+        Training runs.
+    sift_runs : int
+        How many of them are enough to find the neighbourhood.
     values : int
-        Log-spaced values over the whole range.
+        Log-spaced values over the whole range that are sifted.
     refined : int
-        Log-spaced values between the neighbours of the best one.
+        Log-spaced values in the neighbourhood, tried on all training runs.
     budget : float
         How much more often than without attack an alarm may come, as a part of the runs.
     """
 
     runs: int = 128
+    sift_runs: int = 32
     values: int = 20
-    refined: int = 6
+    refined: int = 5
     budget: float = 0.05
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        for name, least in (("runs", 1), ("values", 2), ("refined", 0)):
+        for name, least in (("runs", 2), ("sift_runs", 1), ("values", 3), ("refined", 2)):
             _check_count(f"tuning.{name}", getattr(self, name), least)
         if not 0.0 <= self.budget < 1.0:
-            raise ValueError(f"`budget` must be in [0, 1), got {self.budget}")
+            raise ValueError(f"`tuning.budget` must be in [0, 1), got {self.budget}")
 
 
 def _check_count(name: str, value: Any, least: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from .._registry import build
@@ -29,12 +30,12 @@ DETECTORS: dict[str, type[Detector]] = {
 """Detectors by name."""
 
 
-def make_detector(spec: str | dict[str, Any] | Detector) -> Detector:
+def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
     """Detector by name, by name and settings, or a copy of an object.
 
     Parameters
     ----------
-    spec : str, dict or Detector
+    spec : str, mapping or Detector
         A name in `DETECTORS`; ``{"name": ..., "setting": value, ...}``; or a detector, which
         is copied.
 

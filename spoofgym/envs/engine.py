@@ -349,7 +349,6 @@ class Batch:
         count : int
             How many.
         """
-
         self.weights = self.ones
         what = _kernels.MEASURE + _kernels.PREDICT + _kernels.UPDATE
         self._run(lambda lo, hi: self._epochs(what, count, lo, hi), self.receivers)
@@ -416,7 +415,7 @@ def _merge(
     receivers: int,
 ) -> Verdict:
     """Verdict with some rows of another."""
-    merged = []
+    merged: list[Any] = []
     for k, source in enumerate(theirs):
         if source is None:
             merged.append(None)
@@ -459,7 +458,7 @@ class Engine:
         self.threads = threads if threads is not None else available_threads(receivers)
         self._workers = Workers(self.threads - 1)
         self.batch = Batch(setup, receivers, self._run)
-        self.warmup_alarm = np.zeros(receivers, dtype=np.bool_)
+        self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
 
     def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
         """Call ``work(lo, hi)`` over slices of whole lanes."""
@@ -487,7 +486,7 @@ class Engine:
         batch = self.batch if everyone else Batch(self.setup, len(rngs), self._run)
         batch.begin(rngs)
         batch.quiet_epochs(self.setup.quiet)
-        alarms = batch.live_epochs(self.setup.live).any(axis=0)
+        alarms: NDArray[np.bool_] = np.logical_or.reduce(batch.live_epochs(self.setup.live), axis=0)
         if everyone:
             self.warmup_alarm = alarms
         else:

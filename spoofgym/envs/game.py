@@ -207,7 +207,9 @@ class Game:
             finished,
         )
         if finished.any() and setup.hold:
-            self._hold(np.flatnonzero(finished & ~(self.detected | first)), retraction, first, alarm)
+            self._hold(
+                np.flatnonzero(finished & ~(self.detected | first)), retraction, first, alarm
+            )
         np.logical_or(self.detected, first, out=self.detected)
         self.credited += gain
         self.credited += retraction

@@ -62,6 +62,7 @@ class ObservationTerm(Protocol):
             Finite.
         """
 
+
 class DynamicTerm(ObservationTerm, Protocol):
     """A term that depends on what has happened."""
 
@@ -362,7 +363,8 @@ class Observer:
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
             raise ValueError(f"two terms write the same observation: {', '.join(twice)}")
-        self.low, self.high = np.float32(low), np.float32(high)
+        self.low = np.array(low, dtype=np.float32)
+        self.high = np.array(high, dtype=np.float32)
         self.knowledge = KNOWLEDGE[max(KNOWLEDGE.index(term.knowledge) for term in terms)]
 
     def observe(self, snapshot: Snapshot) -> NDArray[np.float32]:

@@ -95,7 +95,7 @@ def make_game(
         Terms of the reward.
     alarm_penalty_m : float
         Price of an alarm, where `reward` does not say it.
-    end_at_alarm, target_heading_deg, threads
+    end_at_alarm, target_heading_deg, threads : optional
         As in `Game`.
 
     Returns

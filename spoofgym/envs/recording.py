@@ -25,8 +25,8 @@ def record_run(
     Parameters
     ----------
     setup : Setup
-        World, victim, attack and timeline.  Its detector is not asked, since a recording has no place
-        for weights.
+        World, victim, attack and timeline.  Its detector is not asked, since a recording has no
+        place for weights.
     rng : Generator
         Of the receiver, as `Engine.reset` takes it.
     epochs : int, optional

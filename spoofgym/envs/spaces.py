@@ -13,7 +13,7 @@ from .game import Game
 TOLERANCE = 1e-6
 
 
-def observation_space(game: Game) -> spaces.Box:
+def observation_space(game: Game) -> spaces.Space[Any]:
     """Space of one receiver's observation.
 
     Parameters
@@ -29,7 +29,7 @@ def observation_space(game: Game) -> spaces.Box:
     return spaces.Box(game.observer.low.copy(), game.observer.high.copy(), dtype=np.float32)
 
 
-def action_space(game: Game) -> spaces.Box:
+def action_space(game: Game) -> spaces.Space[Any]:
     """Space of one receiver's action.
 
     Parameters
@@ -70,7 +70,9 @@ def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) 
     """
     array = np.array(action, dtype=np.float64, order="C")
     if array.shape != shape:
-        raise ValueError(f"an action must have shape {shape} ({', '.join(names)}), got {array.shape}")
+        raise ValueError(
+            f"an action must have shape {shape} ({', '.join(names)}), got {array.shape}"
+        )
     # the comparison is false for NaN
     if not np.abs(array).max(initial=0.0) <= 1.0 + TOLERANCE:
         row, column = np.argwhere(~(np.abs(array) <= 1.0 + TOLERANCE))[0]

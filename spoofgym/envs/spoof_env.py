@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -26,13 +26,13 @@ class SpoofEnv(gym.Env[Observation, Observation]):
     """A spoofer against a tightly coupled GNSS/INS receiver and its detector.
 
     **Description.** An aircraft flies with a 17-state tightly coupled GNSS/INS filter, whose
-    detector watches the innovations.  After a clean warm-up the spoofer counterfeits the satellites,
-    and moves the position they tell, one command a GNSS epoch.  It wants the filter's position to go
-    astray without an alarm.  All of it is simulated at the level of measurements.
+    detector watches the innovations.  After a clean warm-up the spoofer counterfeits the
+    satellites, and moves the position they tell, one command a GNSS epoch.  It wants the filter's
+    position to go astray without an alarm.  All of it is simulated at the level of measurements.
 
-    **Action.** `Box(-1, 1, (a,), float32)`, one element for every commanded axis or channel: 1 is the
-    attack's limit of acceleration (0.05 m/s^2 by default) or of rate (5 m/s).  By default north and
-    east.  ``env.unwrapped.action_names`` names them.
+    **Action.** `Box(-1, 1, (a,), float32)`, one element for every commanded axis or channel: 1 is
+    the attack's limit of acceleration (0.05 m/s^2 by default) or of rate (5 m/s).  By default north
+    and east.  ``env.unwrapped.action_names`` names them.
 
     **Observation.** `Box` of float32 with finite bounds; every element is scaled and clipped.
     ``env.unwrapped.observation_names`` names them.  What is in it is up to `knowledge`:
@@ -43,24 +43,24 @@ class SpoofEnv(gym.Env[Observation, Observation]):
     oracle    also the detector's statistics and weights, and the victim's error
     ========  ========================================================================
 
-    **Reward.** Increase of the largest displacement of the victim along the target direction [m]; at
-    an alarm, minus what was gained within the time to alert, minus the alarm penalty.  The
-    undiscounted return is the undetected displacement minus the penalty.  ``info["reward_*"]`` are the
-    parts.
+    **Reward.** Increase of the largest displacement of the victim along the target direction [m];
+    at an alarm, minus what was gained within the time to alert, minus the alarm penalty.  The
+    undiscounted return is the undetected displacement minus the penalty.  ``info["reward_*"]`` are
+    the parts.
 
-    **Start.** Zero command, after the warm-up.  An alarm in the warm-up is a false alarm, and shows in
-    ``info["warmup_alarm"]``; nothing is drawn again for it.
+    **Start.** Zero command, after the warm-up.  An alarm in the warm-up is a false alarm, and shows
+    in ``info["warmup_alarm"]``; nothing is drawn again for it.
 
-    **End.** `terminated` after the last command of the attack window (300 by default), or at an alarm.
-    `truncated` never.
+    **End.** `terminated` after the last command of the attack window (300 by default), or at an
+    alarm. `truncated` never.
 
     Parameters
     ----------
     scenario : str, mapping or Scenario
         Flight, errors and sensors: a name in `SCENARIOS`, or a dict of its settings.
     detector : str, mapping or Detector, optional
-        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied; the EWMA
-        chart with weights (m = 0.3) by default.
+        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied; the
+        EWMA chart with weights (m = 0.3) by default.
     attack : str, mapping or Attack
         A name in `ATTACKS`, a dict with a name and settings, or an object, which is copied.
     receiver : mapping or TightlyCoupled, optional
@@ -101,7 +101,7 @@ class SpoofEnv(gym.Env[Observation, Observation]):
     Version history: v0, the first.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 2}
+    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 2}  # noqa: RUF012  (Gymnasium's)
 
     def __init__(
         self,
@@ -120,7 +120,9 @@ class SpoofEnv(gym.Env[Observation, Observation]):
         render_mode: None = None,
     ) -> None:
         if render_mode is not None:
-            raise ValueError(f"`render_mode` must be None, there is nothing to render; got {render_mode!r}")
+            raise ValueError(
+                f"`render_mode` must be None, there is nothing to render; got {render_mode!r}"
+            )
         self.render_mode = None
         setup = make_setup(
             scenario=scenario,

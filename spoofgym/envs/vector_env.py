@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -59,7 +59,7 @@ class SpoofVectorEnv(VectorEnv[Array, Array, Array]):
     >>> envs.close()
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012  (declared so by Gymnasium)
         "render_modes": [],
         "render_fps": 2,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -87,14 +87,17 @@ class SpoofVectorEnv(VectorEnv[Array, Array, Array]):
         if num_envs < 1:
             raise ValueError(f"`num_envs` must be at least 1, got {num_envs}")
         if render_mode is not None:
-            raise ValueError(f"`render_mode` must be None, there is nothing to render; got {render_mode!r}")
+            raise ValueError(
+                f"`render_mode` must be None, there is nothing to render; got {render_mode!r}"
+            )
         if isinstance(autoreset_mode, str):
             word = autoreset_mode.lower().removeprefix("autoresetmode.")
             check_choice("autoreset mode", word, AUTORESET_MODES)
             autoreset_mode = AUTORESET_MODES[word]
         if autoreset_mode not in AUTORESET_MODES.values():
             raise ValueError(
-                f"`autoreset_mode` must be one of {', '.join(AUTORESET_MODES)}, got {autoreset_mode}"
+                f"`autoreset_mode` must be one of {', '.join(AUTORESET_MODES)}, "
+                f"got {autoreset_mode}"
             )
         self.autoreset_mode = autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": autoreset_mode}
@@ -254,7 +257,7 @@ class SpoofVectorEnv(VectorEnv[Array, Array, Array]):
         self._restart(terminated)
         begin = self.game.begin_info()
         values = {
-            name: np.where(terminated, begin[name] if name in begin else 0, array)
+            name: np.where(terminated, begin.get(name, 0), array)
             for name, array in turn.info.items()
         }
         info = self._masked(values, ~terminated)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from queue import SimpleQueue
 from typing import Any
 
@@ -47,12 +48,12 @@ class Workers:
         """
         if self._owner != os.getpid():
             self._start()
-        slices = list(zip(bounds[1:-1], bounds[2:], strict=True))
+        first, *slices = pairwise(bounds)
         for queue, (lo, hi) in zip(self._jobs, slices, strict=False):
             queue.put((work, lo, hi))
         failure: BaseException | None = None
         try:
-            work(bounds[0], bounds[1])
+            work(*first)
         except BaseException as error:  # the other slices must end before it is raised
             failure = error
         for _ in slices:

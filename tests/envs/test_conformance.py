@@ -83,7 +83,9 @@ def test_observations_and_actions_are_named():
     assert np.isfinite(env.observation_space.low).all()
 
 
-@pytest.mark.parametrize("bad", [np.array([np.nan, 0.0]), np.array([0.0, 1.5]), np.array([np.inf, 0])])
+@pytest.mark.parametrize(
+    "bad", [np.array([np.nan, 0.0]), np.array([0.0, 1.5]), np.array([np.inf, 0])]
+)
 def test_a_bad_action_names_element_and_value(bad):
     env = single().unwrapped
     env.reset(seed=0)

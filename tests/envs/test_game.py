@@ -174,7 +174,9 @@ def test_same_step_keeps_the_final_observation():
 
 
 def test_knowledge_only_grows():
-    names = [single(knowledge=k).unwrapped.observation_names for k in ("blind", "tracking", "oracle")]
+    names = [
+        single(knowledge=k).unwrapped.observation_names for k in ("blind", "tracking", "oracle")
+    ]
     assert set(names[0]) < set(names[1]) < set(names[2])
     assert all(name.startswith(("own_", "time_")) for name in names[0])
     assert not any("statistic" in name or "error" in name for name in names[1])

@@ -12,7 +12,7 @@ from .support import SHORT, single, vector
 
 
 def rollout(env, seed, steps, row=None, rng_seed=0):
-    """Observations, rewards and ends of one receiver, under actions that only depend on the step."""
+    """Observations, rewards and ends of one receiver, under actions of the step alone."""
     actions = np.random.default_rng(rng_seed).uniform(-1, 1, (steps, 64, 2))
     observation, _ = env.reset(seed=seed)
     out = [observation if row is None else observation[row]]

@@ -1,0 +1,277 @@
+"""A campaign: every detector against every spoofer, one finished cell after the other."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from ..spoofers import SPOOFERS, Spoofer
+from .cells import make_cell
+from .run import Runs, WarmStart, play
+from .specs import make
+from .store import ResultsFolder
+from .suite import Entry, Suite
+from .tune import TuningResult, tune
+
+WARMUP_SHARE = 1.0
+"""Work of a warm-up, in cells."""
+
+
+class Progress(Protocol):
+    """Who is told how far a campaign is."""
+
+    def advance(self, amount: float, now: str) -> None:
+        """Some work is done.
+
+        Parameters
+        ----------
+        amount : float
+            In runs from the onset to the end.
+        now : str
+            What is being done.
+        """
+
+
+class Silent:
+    """Nobody is told."""
+
+    def advance(self, amount: float, now: str) -> None:
+        """Ignore it.
+
+        Parameters
+        ----------
+        amount : float
+            Work done.
+        now : str
+            What is being done.
+        """
+
+
+def expected_work(suite: Suite, folder: ResultsFolder) -> float:
+    """Work that is left, roughly.
+
+    Parameters
+    ----------
+    suite : Suite
+        What is run.
+    folder : ResultsFolder
+        What is finished.
+
+    Returns
+    -------
+    float
+        In runs from the onset to the end.
+    """
+    total = 0.0
+    for detector in suite.detector_entries:
+        cells, searches = _open(suite, folder, detector)
+        if cells:
+            total += suite.runs * (1.0 + WARMUP_SHARE)
+            total += suite.runs * sum(entry.label != "none" for entry in cells)
+        if searches:
+            total += suite.tuning.runs * (1.0 + WARMUP_SHARE)
+            total += len(searches) * search_work(suite)
+    return total
+
+
+def search_work(suite: Suite) -> float:
+    """Work of one search, roughly.
+
+    Parameters
+    ----------
+    suite : Suite
+        Settings of the search.
+
+    Returns
+    -------
+    float
+        In runs from the onset to the end.
+    """
+    settings = suite.tuning
+    return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
+
+
+def _open(suite: Suite, folder: ResultsFolder, detector: Entry) -> tuple[list[Entry], list[Entry]]:
+    """Spoofers whose cell is not finished, and those among them that are not tuned yet."""
+    cells = [
+        entry for entry in suite.spoofer_entries if not folder.has_cell(detector.label, entry.label)
+    ]
+    searches = [
+        entry
+        for entry in cells
+        if entry.tuned and folder.tuning(detector.label, entry.label) is None
+    ]
+    return cells, searches
+
+
+def run_campaign(
+    suite: Suite,
+    folder: ResultsFolder,
+    *,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Run all cells that are not finished yet.
+
+    Every cell is written as soon as it is finished, so that an interruption loses one at most.
+
+    Parameters
+    ----------
+    suite : Suite
+        What is run.
+    folder : ResultsFolder
+        Opened with the same suite.
+    threads : int, optional
+        As in `Engine`.
+    progress : Progress, optional
+        Who is told.
+    """
+    told = progress or Silent()
+    for detector in suite.detector_entries:
+        cells, searches = _open(suite, folder, detector)
+        if searches:
+            _search(suite, folder, detector, searches, threads, told)
+        if cells:
+            _cells(suite, folder, detector, cells, threads, told)
+
+
+def _search(
+    suite: Suite,
+    folder: ResultsFolder,
+    detector: Entry,
+    searches: list[Entry],
+    threads: int | None,
+    told: Progress,
+) -> None:
+    start, clean = training_start(suite, detector, threads, told)
+    for entry in searches:
+        folder.put_tuning(search(suite, detector, entry, start, clean, told))
+
+
+def training_start(
+    suite: Suite, detector: Entry, threads: int | None, told: Progress
+) -> tuple[WarmStart, Runs]:
+    """Training runs of a detector at the onset, and what they do without attack.
+
+    Parameters
+    ----------
+    suite : Suite
+        Seeds and settings.
+    detector : Entry
+        Which detector.
+    threads : int or None
+        As in `Engine`.
+    told : Progress
+        Who is told.
+
+    Returns
+    -------
+    start : WarmStart
+        At the onset.
+    clean : Runs
+        Without attack.
+    """
+    runs = suite.tuning.runs
+    now = f"{detector.label}: training runs"
+    told.advance(0.0, now)
+    setup = suite.setup(detector)
+    start = WarmStart(setup, suite.generators("training", runs), threads=threads)
+    told.advance(runs * WARMUP_SHARE, now)
+    return start, play(start, "none", tick=lambda part: told.advance(runs * part, now))
+
+
+def search(
+    suite: Suite,
+    detector: Entry,
+    entry: Entry,
+    start: WarmStart,
+    clean: Runs,
+    told: Progress,
+) -> TuningResult:
+    """Search for the setting of one spoofer.
+
+    Parameters
+    ----------
+    suite : Suite
+        Settings of the search.
+    detector, entry : Entry
+        Which detector and which spoofer.
+    start : WarmStart
+        Training runs.
+    clean : Runs
+        The same without attack.
+    told : Progress
+        Who is told.
+
+    Returns
+    -------
+    TuningResult
+        The choice.
+    """
+    now = f"{detector.label}: tuning {entry.label}"
+    left = search_work(suite)
+
+    def tick(amount: float) -> None:
+        nonlocal left
+        amount = min(amount, left)
+        left -= amount
+        told.advance(amount, now)
+
+    result = tune(start, clean, entry, detector.label, suite.tuning, tick=tick)
+    told.advance(left, now)
+    return result
+
+
+def _cells(
+    suite: Suite,
+    folder: ResultsFolder,
+    detector: Entry,
+    cells: list[Entry],
+    threads: int | None,
+    told: Progress,
+) -> None:
+    now = f"{detector.label}: evaluation runs"
+    told.advance(0.0, now)
+    setup = suite.setup(detector)
+    start = WarmStart(setup, suite.generators("evaluation", suite.runs), threads=threads)
+    told.advance(suite.runs * WARMUP_SHARE, now)
+
+    def watched(label: str) -> Any:
+        return lambda part: told.advance(suite.runs * part, f"{detector.label}: {label}")
+
+    twin = play(start, "none", tick=watched("none"))
+    for entry in cells:
+        tuning = folder.tuning(detector.label, entry.label) if entry.tuned else None
+        spec = entry.spec if tuning is None else entry.with_value(tuning.value)
+        attacked = (
+            twin if entry.label == "none" else play(start, spec, tick=watched(entry.label))
+        )
+        head = {
+            "detector": detector.label,
+            "spoofer": entry.label,
+            "detector_settings": detector.spec,
+            "spoofer_settings": spec,
+            "knowledge": knowledge_of(entry),
+            "attack": setup.attack.label,
+            "tuned_within_budget": None if tuning is None else tuning.within_budget,
+            "campaign": suite.digest,
+        }
+        folder.put_cell(make_cell(setup, head, start.warmup_alarm, attacked, twin))
+
+
+def knowledge_of(entry: Entry) -> dict[str, str]:
+    """What a spoofer knows: while it attacks, and when it was designed.
+
+    Parameters
+    ----------
+    entry : Entry
+        Which spoofer.
+
+    Returns
+    -------
+    dict
+        ``run_time`` and ``design_time``.
+    """
+    settings = {key: value for key, value in entry.spec.items() if key != entry.tuned}
+    spoofer: Spoofer = make("spoofer", SPOOFERS, Spoofer, settings)
+    designed = "detector, receiver and scenario, by tuning" if entry.tuned else "nothing"
+    return {"run_time": spoofer.knowledge, "design_time": designed}

@@ -1,0 +1,340 @@
+"""One cell of a campaign: a detector, a spoofer, and all runs side by side."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
+from ..envs.engine import Engine, Setup
+from ..envs.observations import Observer
+from ..envs.snapshot import Snapshot
+from ..spoofers import Spoofer
+from .metrics import undetected_displacement
+from .suite import make_bound_spoofer
+
+FloatArray = NDArray[np.float64]
+DROP_EVERY, DROP_PART = 10, 0.25
+"""How often, in epochs, settled runs are dropped, and from which part of all on."""
+
+
+class Runs(NamedTuple):
+    """What happened in the K epochs from the onset of the attack to the end of the hold.
+
+    Attributes
+    ----------
+    position_e : ndarray
+        (K, R, 3) estimated antenna after each epoch, ECEF [m]; NaN once a run has been dropped.
+    alarm : ndarray
+        (K, R) bool, whether any channel alarmed.
+    peak : ndarray
+        (R,) largest ratio of a statistic to its threshold.
+    """
+
+    position_e: FloatArray
+    alarm: NDArray[np.bool_]
+    peak: FloatArray
+
+    def first(self, count: int) -> Runs:
+        """Some of the runs.
+
+        Parameters
+        ----------
+        count : int
+            How many, from the first on.
+
+        Returns
+        -------
+        Runs
+            Views.
+        """
+        return Runs(self.position_e[:, :count], self.alarm[:, :count], self.peak[:count])
+
+    @property
+    def first_alarm(self) -> NDArray[np.int64]:
+        """(R,) epoch of the first alarm, from 1 on; 0 where there is none."""
+        first = self.alarm.argmax(axis=0) + 1
+        return np.where(self.alarm.any(axis=0), first, 0)
+
+
+class WarmStart:
+    """Receivers at the onset of the attack, after one warm-up that all spoofers begin from.
+
+    The warm-up is clean, so that it is the same for every spoofer: a run from here has the same
+    bits as one with a warm-up of its own.
+
+    Parameters
+    ----------
+    setup : Setup
+        World, victim, attack, detector and timeline.
+    rngs : sequence of Generator
+        One per receiver.
+    threads : int, optional
+        As in `Engine`.
+
+    Attributes
+    ----------
+    warmup_alarm : ndarray
+        (R,) bool, false alarms before the attack.
+    """
+
+    def __init__(
+        self, setup: Setup, rngs: Sequence[np.random.Generator], *, threads: int | None = None
+    ) -> None:
+        self.setup, self.receivers, self._threads = setup, len(rngs), threads
+        self._engine = Engine(len(rngs), setup, threads=threads)
+        self._engine.reset(rngs)
+        self.warmup_alarm = self._engine.warmup_alarm.copy()
+
+    def first(self, count: int) -> WarmStart:
+        """Some of the receivers, with the bits that they have among all.
+
+        Parameters
+        ----------
+        count : int
+            How many, from the first on.
+
+        Returns
+        -------
+        WarmStart
+            A smaller one.
+        """
+        part = copy.copy(self)
+        part.receivers = min(count, self.receivers)
+        part._engine = self.extract(self._engine, np.arange(part.receivers))
+        part.warmup_alarm = self.warmup_alarm[: part.receivers]
+        return part
+
+    def engine(self) -> Engine:
+        """All receivers at the onset.
+
+        Returns
+        -------
+        Engine
+            A new one.
+        """
+        return self.extract(self._engine, np.arange(self.receivers))
+
+    def extract(self, engine: Engine, rows: NDArray[np.intp]) -> Engine:
+        """Some receivers of an engine as they stand.
+
+        Parameters
+        ----------
+        engine : Engine
+            Of the same setup; left as it is.
+        rows : ndarray
+            Which receivers.
+
+        Returns
+        -------
+        Engine
+            A new one.
+        """
+        part = Engine(len(rows), self.setup, threads=self._threads)
+        part.batch.copy_rows(np.arange(len(rows)), engine.batch, rows)
+        part.batch.weights = np.ascontiguousarray(engine.batch.weights[rows])
+        part.warmup_alarm = engine.warmup_alarm[rows]
+        return part
+
+
+def play(
+    start: WarmStart,
+    spec: Any,
+    *,
+    drop_alarmed: bool = False,
+    tick: Callable[[float], None] | None = None,
+) -> Runs:
+    """Let a spoofer attack all runs, from the onset to the end of the hold.
+
+    Parameters
+    ----------
+    start : WarmStart
+        Where the runs begin.
+    spec : str, dict or Spoofer
+        The spoofer.
+    drop_alarmed : bool
+        Whether to drop runs that have alarmed, whose undetected displacement is settled.  The
+        others have the same bits either way.
+    tick : callable, optional
+        Told after every epoch by how much of the cell the work has advanced.
+
+    Returns
+    -------
+    Runs
+        What happened.
+    """
+    setup = start.setup
+    epochs, everyone = setup.steps + setup.hold, start.receivers
+    position_e = np.full((epochs, everyone, 3), np.nan)
+    alarm = np.zeros((epochs, everyone), dtype=np.bool_)
+    peak = np.zeros(everyone)
+    rows = np.arange(everyone)
+    engine = start.engine()
+    spoofer, observer = make_bound_spoofer(spec, setup, everyone)
+    for k in range(epochs):
+        verdict = engine.step(command(spoofer, observer, engine, k) if k < setup.steps else None)
+        position_e[k, rows] = engine.batch.buffers.state.position_e
+        alarm[k, rows] = verdict.alarm.any(axis=1)
+        ratio = (verdict.statistic / verdict.threshold).max(axis=1)
+        peak[rows] = np.maximum(peak[rows], ratio)
+        if tick is not None:
+            tick(1.0 / epochs)
+        if drop_alarmed and (k + 1) % DROP_EVERY == 0:
+            open_ = ~alarm[: k + 1, rows].any(axis=0)
+            if not open_.any():
+                if tick is not None:
+                    tick((epochs - k - 1) / epochs)
+                break
+            if open_.mean() <= 1.0 - DROP_PART:
+                kept = np.flatnonzero(open_)
+                engine = start.extract(engine, kept)
+                fewer, _ = make_bound_spoofer(spec, setup, len(kept))
+                fewer.memory.copy_rows(np.arange(len(kept)), spoofer.memory, kept)
+                spoofer, rows = fewer, rows[kept]
+    return Runs(position_e, alarm, peak)
+
+
+def command(
+    spoofer: Spoofer, observer: Observer, engine: Engine, step: int
+) -> NDArray[np.float64]:
+    """Action of a spoofer, checked.
+
+    Parameters
+    ----------
+    spoofer : Spoofer
+        Bound.
+    observer : Observer
+        What it sees.
+    engine : Engine
+        The receivers.
+    step : int
+        Commands given since the onset.
+
+    Returns
+    -------
+    ndarray
+        (B, a) float64, C-contiguous.
+
+    Raises
+    ------
+    ValueError
+        When the shape is wrong, or an element is not finite or outside [-1, 1].
+    """
+    steps = np.full(engine.receivers, step, dtype=np.int64)
+    seen = observer.observe(Snapshot(engine.setup, engine.batch, steps))
+    action = np.ascontiguousarray(spoofer.act(seen), dtype=np.float64)
+    names = spoofer.context.action_names
+    if action.shape != (engine.receivers, len(names)):
+        raise ValueError(
+            f"{type(spoofer).__name__} must return actions of shape "
+            f"{(engine.receivers, len(names))} ({', '.join(names)}), got {action.shape}"
+        )
+    if not (np.abs(action) <= 1.0).all():
+        worst = action.flat[int(np.argmin(np.abs(action) <= 1.0))]
+        raise ValueError(
+            f"{type(spoofer).__name__} must return actions within [-1, 1], got {worst}"
+        )
+    return action
+
+
+def local_frames(setup: Setup) -> FloatArray:
+    """North-east-down axes at the true positions of the epochs after the onset.
+
+    Parameters
+    ----------
+    setup : Setup
+        Knows the truth.
+
+    Returns
+    -------
+    ndarray
+        (K, 3, 3) to ECEF from local axes.
+    """
+    first = setup.onset + 1
+    latitude, longitude, _ = ecef_to_geodetic(
+        setup.world.position_e[first : first + setup.steps + setup.hold]
+    )
+    return np.asarray(dcm_e_from_n(latitude, longitude))
+
+
+def to_local(vector_e: FloatArray, frames: FloatArray) -> FloatArray:
+    """Vectors of every epoch in its local axes.
+
+    Parameters
+    ----------
+    vector_e : ndarray
+        (K, R, 3) ECEF axes.
+    frames : ndarray
+        (K, 3, 3) of `local_frames`.
+
+    Returns
+    -------
+    ndarray
+        (K, R, 3) north, east, down.
+    """
+    # sums written out: the bits of a matrix product depend on the number of runs
+    parts = [vector_e[:, :, i, None] * frames[:, None, i, :] for i in range(3)]
+    return np.asarray(parts[0] + parts[1] + parts[2])
+
+
+def induced_error(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
+    """Horizontal distance of the attacked solution from its clean twin.
+
+    Parameters
+    ----------
+    setup : Setup
+        World and timeline.
+    attacked, twin : Runs
+        With the same detector and the same seeds.
+
+    Returns
+    -------
+    ndarray
+        (K, R) [m].
+    """
+    apart = to_local(attacked.position_e - twin.position_e, local_frames(setup))
+    return np.hypot(apart[..., 0], apart[..., 1])
+
+
+def navigation_error(setup: Setup, runs: Runs) -> FloatArray:
+    """Horizontal distance of the solution from the truth.
+
+    Parameters
+    ----------
+    setup : Setup
+        World and timeline.
+    runs : Runs
+        Of it.
+
+    Returns
+    -------
+    ndarray
+        (K, R) [m].
+    """
+    first = setup.onset + 1
+    true_e = setup.world.position_e[first : first + len(runs.position_e)]
+    apart = to_local(runs.position_e - true_e[:, None, :], local_frames(setup))
+    return np.hypot(apart[..., 0], apart[..., 1])
+
+
+def displacement_of(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
+    """Undetected displacement of every run.
+
+    Parameters
+    ----------
+    setup : Setup
+        World and timeline.
+    attacked, twin : Runs
+        With the same detector and the same seeds.
+
+    Returns
+    -------
+    ndarray
+        (R,) [m].
+    """
+    error = induced_error(setup, attacked, twin)[: setup.steps]
+    return undetected_displacement(error, attacked.first_alarm, setup.hold)

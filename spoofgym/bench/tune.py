@@ -1,0 +1,231 @@
+"""The strongest attack of a family that keeps to an alarm budget.
+
+A run counts as alarmed when there is an alarm between the onset and the end of the hold.  The alarm
+rate of a value may exceed that of the clean runs by the budget at most; within it, the value with
+the largest mean undetected displacement is chosen.  All of it is decided on training runs, which
+share no noise with those that are scored.
+
+1. A few runs sift log-spaced values of the whole range for the neighbourhood.
+2. All training runs try the best of these, then the next larger ones as long as that is better, or
+   the next smaller ones until one is within the budget.
+3. They try log-spaced values between the best one and the next larger; where that is within the
+   budget too, and no better, between both neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ..spoofers import SPOOFERS, Spoofer
+from .run import Runs, WarmStart, displacement_of, play
+from .specs import make
+from .suite import Entry, Tuning, spoofer_context
+
+Tick = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One value on the training runs.
+
+    Parameters
+    ----------
+    value : float
+        Of the setting.
+    runs : int
+        How many.
+    alarm_rate : float
+        Part of the runs with an alarm.
+    undetected_displacement_m : float
+        Mean over all runs.
+    within_budget : bool
+        Whether the alarm rate is.
+    """
+
+    value: float
+    runs: int
+    alarm_rate: float
+    undetected_displacement_m: float
+    within_budget: bool
+
+
+@dataclass(frozen=True)
+class TuningResult:
+    """What a search found.
+
+    Parameters
+    ----------
+    detector, spoofer : str
+        Labels.
+    setting : str
+        What was varied.
+    value : float
+        The choice.
+    within_budget : bool
+        Whether there is any value within the budget; if not, the choice is the smallest.
+    budget : float
+        Allowed excess over the clean alarm rate.
+    clean_alarm_rate : float
+        Of the training runs without attack.
+    runs : int
+        Training runs.
+    warmup_alarms : int
+        How many of them had a false alarm before the attack; they count like all others.
+    trials : tuple of Trial
+        All that was tried, by value; the choice is among those on all runs.
+    """
+
+    detector: str
+    spoofer: str
+    setting: str
+    value: float
+    within_budget: bool
+    budget: float
+    clean_alarm_rate: float
+    runs: int
+    warmup_alarms: int
+    trials: tuple[Trial, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> TuningResult:
+        """Inverse of `as_dict`.
+
+        Parameters
+        ----------
+        data : dict
+            What it returned.
+
+        Returns
+        -------
+        TuningResult
+            An equal one.
+        """
+        trials = tuple(Trial(**trial) for trial in data["trials"])
+        return cls(**{**data, "trials": trials})
+
+
+class _Search:
+    """Trials of one spoofer against one detector."""
+
+    def __init__(
+        self, start: WarmStart, clean: Runs, entry: Entry, budget: float, tick: Tick | None
+    ) -> None:
+        self.start, self.clean, self.entry = start, clean, entry
+        self.budget, self.tick = budget, tick
+        self.trials: list[Trial] = []
+
+    def allowed(self, runs: int) -> float:
+        """Alarm rate that the budget allows, by the clean rate of as many runs."""
+        return float(self.clean.first(runs).alarm.any(axis=0).mean()) + self.budget
+
+    def try_value(self, value: float, runs: int) -> Trial:
+        """Let the spoofer attack with a value of its setting."""
+        start = self.start if runs >= self.start.receivers else self.start.first(runs)
+        told = self.tick
+        tick = None if told is None else lambda part: told(part * start.receivers)
+        attacked = play(start, self.entry.with_value(value), drop_alarmed=True, tick=tick)
+        displacement = displacement_of(start.setup, attacked, self.clean.first(start.receivers))
+        rate = float(attacked.alarm.any(axis=0).mean())
+        trial = Trial(
+            value=value,
+            runs=start.receivers,
+            alarm_rate=rate,
+            undetected_displacement_m=float(displacement.mean()),
+            within_budget=rate <= self.allowed(start.receivers) + 1e-9,
+        )
+        self.trials.append(trial)
+        return trial
+
+
+def _best(trials: list[Trial]) -> Trial | None:
+    """Most displacement within the budget; the smaller value where it is the same."""
+    fitting = [trial for trial in trials if trial.within_budget]
+    fitting.sort(key=lambda trial: (-trial.undetected_displacement_m, trial.value))
+    return fitting[0] if fitting else None
+
+
+def tune(
+    start: WarmStart,
+    clean: Runs,
+    entry: Entry,
+    detector: str,
+    settings: Tuning,
+    *,
+    tick: Tick | None = None,
+) -> TuningResult:
+    """Search for the value of a spoofer's tunable setting.
+
+    Parameters
+    ----------
+    start : WarmStart
+        Training runs.
+    clean : Runs
+        The same without attack.
+    entry : Entry
+        Spoofer with a setting that is ``"tuned"``.
+    detector : str
+        Label of the detector, for the result.
+    settings : Tuning
+        Of the search.
+    tick : callable, optional
+        Told of the progress, in runs from the onset to the end.
+
+    Returns
+    -------
+    TuningResult
+        Choice and all trials.
+    """
+    setting = entry.tuned
+    if setting is None:
+        raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
+    any_value: Spoofer = make("spoofer", SPOOFERS, Spoofer, entry.with_value(1.0))
+    low, high = type(any_value).tuning_range(spoofer_context(start.setup))
+    grid = _log_spaced(low, high, settings.values)
+    everyone = start.receivers
+    search = _Search(start, clean, entry, settings.budget, tick)
+    best = _best([search.try_value(value, settings.sift_runs) for value in grid])
+    at = grid.index(best.value) if best else 0
+    fine = {at: search.try_value(grid[at], everyone)}
+    while not fine[at].within_budget and at > 0:
+        at -= 1
+        fine[at] = search.try_value(grid[at], everyone)
+    while at + 1 < len(grid) and fine[at].within_budget:
+        if at + 1 not in fine:
+            fine[at + 1] = search.try_value(grid[at + 1], everyone)
+        if _best([fine[at], fine[at + 1]]) is fine[at]:
+            break
+        at += 1
+    trials = list(fine.values())
+    if fine[at].within_budget:
+        peak = at + 1 in fine and fine[at + 1].within_budget
+        ends = grid[max(at - 1, 0) if peak else at], grid[min(at + 1, len(grid) - 1)]
+        inner = _log_spaced(*ends, settings.refined + 2)[1:-1] if ends[0] < ends[1] else []
+        trials += [search.try_value(value, everyone) for value in inner]
+    chosen = _best(trials)
+    return TuningResult(
+        detector=detector,
+        spoofer=entry.label,
+        setting=setting,
+        value=chosen.value if chosen else grid[0],
+        within_budget=chosen is not None,
+        budget=settings.budget,
+        clean_alarm_rate=float(clean.alarm.any(axis=0).mean()),
+        runs=everyone,
+        warmup_alarms=int(start.warmup_alarm.sum()),
+        trials=tuple(sorted(search.trials, key=lambda trial: (trial.value, trial.runs))),
+    )
+
+
+def _log_spaced(low: float, high: float, count: int) -> list[float]:
+    """Log-spaced values, rounded down to four digits, so that a choice can be written down."""
+    values = np.geomspace(low, high, count)
+    digits = 10.0 ** (np.floor(np.log10(values)) - 3.0)
+    return [float(f"{value:.6g}") for value in np.floor(values / digits + 1e-6) * digits]

@@ -1,0 +1,46 @@
+"""The README's code runs, and its tables leave nothing out."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from spoofgym.attacks import ATTACKS
+from spoofgym.detectors import DETECTORS
+from spoofgym.spoofers import SPOOFERS
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(len(BLOCKS)))
+def test_every_block_of_code_runs(number, capsys):
+    exec(compile(BLOCKS[number], f"README.md block {number}", "exec"), {"__name__": "readme"})
+    if number == 0:
+        assert re.search(r"undetected: -?\d+\.\d m, alarm: (True|False)", capsys.readouterr().out)
+
+
+def test_the_first_loop_is_short():
+    lines = [line for line in BLOCKS[0].splitlines() if line.strip()]
+    assert len(lines) <= 12
+
+
+@pytest.mark.parametrize("kinds", [DETECTORS, SPOOFERS, ATTACKS])
+def test_every_registered_name_stands_in_a_table(kinds):
+    rows = [line for line in README.splitlines() if line.startswith("| `")]
+    named = {line.split("`")[1] for line in rows}
+    assert set(kinds) <= named
+
+
+def test_every_link_to_a_file_leads_somewhere():
+    for target in re.findall(r"\]\(([^)#:]+)\)", README):
+        assert (ROOT / target).exists(), target
+
+
+@pytest.mark.parametrize("name", sorted(DETECTORS))
+def test_the_source_of_every_detector_is_in_the_bibliography(name):
+    keys = re.findall(r"@\w+\{(\S+),", (ROOT / "references.bib").read_text())
+    assert DETECTORS[name].paper in keys
+    row = next(line for line in README.splitlines() if line.startswith(f"| `{name}`"))
+    assert f"`{DETECTORS[name].paper}`" in row
