@@ -1,0 +1,620 @@
+"""The command line: ``spoofgym list | run | tune | bench | report | perf``.
+
+Nothing that is slow to load is imported before a command needs it.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    from datetime import date
+
+    from .bench.campaign import Progress
+    from .bench.real import RealInput
+    from .bench.suite import Suite
+    from .sim.scenario import Scenario
+
+P = ParamSpec("P")
+R = TypeVar("R")
+TRACEBACK_VARIABLE = "SPOOFGYM_TRACEBACK"
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
+app = typer.Typer(
+    name="spoofgym",
+    help="GNSS spoofing and its detection as a game: a benchmark, for defence research.",
+    epilog=f"With {TRACEBACK_VARIABLE}=1 in the environment an error shows where it came from.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SPEC_HELP = (
+    "A name (see `spoofgym list`), with settings as name:key=value,key=value or as JSON "
+    '{"name": ..., "key": value}; or module:Class of your own, looked for in this folder too.'
+)
+KindArgument = Annotated[
+    str | None, typer.Argument(help="envs, scenarios, attacks, detectors or spoofers; all of them.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else.")]
+ScenarioOption = Annotated[
+    str, typer.Option(help="Scenario: a name, with settings as for a detector.")
+]
+ErrorsOption = Annotated[
+    str | None, typer.Option(help="GNSS errors instead of the scenario's own: groves, zhong2025 ...")
+]
+ImuOption = Annotated[
+    str | None,
+    typer.Option(help="Grade of the inertial sensors instead: aviation, tactical, consumer."),
+]
+TuningOption = Annotated[
+    str,
+    typer.Option(help="Noise that the receiver assumes: as the papers print it, or as the world "
+                      "has it (matched)."),
+]
+AttackOption = Annotated[str, typer.Option(help=f"What the spoofer can do. {SPEC_HELP}")]
+TrackOption = Annotated[
+    Path | None,
+    typer.Option(help="Recorded flight (.csv, .json, .parquet; .gz too) to fly instead of the "
+                      "scenario's. Needs --ephemeris."),
+]
+EphemerisOption = Annotated[
+    Path | None, typer.Option(help="RINEX 2 or 3 navigation file with the GPS satellites.")
+]
+FromOption = Annotated[
+    float | None,
+    typer.Option("--from", help="Start in the track [s] after its first row. Default: start of the "
+                                "longest airborne stretch without a gap."),
+]
+DurationOption = Annotated[
+    float | None, typer.Option(help="Duration of the track [s]. Default: ten minutes.")
+]
+DateOption = Annotated[
+    str | None,
+    typer.Option(help="Day of the flight, YYYY-MM-DD. Default: the day of the ephemerides."),
+]
+WarmupOption = Annotated[float, typer.Option(help="Clean run before the attack [s].")]
+LiveOption = Annotated[float, typer.Option(help="Its last part, with the detectors live [s].")]
+AttackTimeOption = Annotated[float, typer.Option(help="Command phase of the attack [s].")]
+AlertOption = Annotated[
+    float,
+    typer.Option(help="Time to alert [s]: what was induced this short before an alarm does not "
+                      "count."),
+]
+SeedOption = Annotated[int, typer.Option(help="All chance follows from this number.")]
+ThreadsOption = Annotated[
+    int | None, typer.Option(min=1, help="Threads of the engine. Default: as many as pay.")
+]
+BudgetOption = Annotated[
+    float,
+    typer.Option(help="Alarm budget of tuned spoofers: how much more often than without attack an "
+                      "alarm may come, as a part of the runs."),
+]
+TrainingOption = Annotated[
+    int, typer.Option(min=2, help="Training runs for tuned spoofers; they share no noise with the "
+                                  "evaluation runs.")
+]
+OutOption = Annotated[Path, typer.Option(help="Folder of the results.")]
+
+
+def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
+    """Print what users did wrong in one line, and leave with exit code 2.
+
+    Parameters
+    ----------
+    function : callable
+        A command.
+
+    Returns
+    -------
+    callable
+        The command.
+    """
+
+    @functools.wraps(function)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except (ValueError, TypeError, ImportError, OSError) as error:
+            if os.environ.get(TRACEBACK_VARIABLE):
+                raise
+            text = " ".join(str(error).split())
+            if isinstance(error, OSError) and error.filename and error.strerror:
+                text = f"{error.filename}: {error.strerror}"
+            typer.echo(f"spoofgym: error: {text}", err=True)
+            raise typer.Exit(2) from error
+
+    return wrapped
+
+
+@app.callback(invoke_without_command=True)
+def _main(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """GNSS spoofing and its detection as a game: a benchmark, for defence research."""
+    if version:
+        from . import __version__
+
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+def _print_json(value: Any) -> None:
+    typer.echo(json.dumps(value, indent=2, allow_nan=False))
+
+
+def _print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=160)
+    table = Table(*head, title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+
+
+def _specs(texts: Sequence[str]) -> list[dict[str, Any]]:
+    """Names and settings; a class of the user's may lie in the working directory."""
+    from .bench.specs import parse_spec
+
+    specs = [parse_spec(text) for text in texts]
+    if any(":" in spec["name"] for spec in specs) and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    return specs
+
+
+def _world(
+    scenario: str,
+    errors: str | None,
+    imu: str | None,
+    track: Path | None,
+    ephemeris: Path | None,
+    from_s: float | None,
+    duration_s: float | None,
+    day: str | None,
+) -> tuple[Scenario, RealInput | None]:
+    """The scenario of the options, and the reports of real input."""
+    from .sim.scenario import make_scenario
+
+    (spec,) = _specs([scenario])
+    changes = {key: value for key, value in (("errors", errors), ("imu", imu)) if value is not None}
+    if track is None and ephemeris is None:
+        for name, given in (("--from", from_s), ("--duration", duration_s), ("--date", day)):
+            if given is not None:
+                raise ValueError(f"{name} cuts a recorded track; there is no --track")
+        return make_scenario({**spec, **changes}), None
+    if track is None or ephemeris is None:
+        raise ValueError("--track and --ephemeris belong together: a flight needs its satellites")
+    from .bench.real import real_scenario
+
+    named = make_scenario({**spec, **changes})
+    real = real_scenario(
+        track,
+        ephemeris,
+        from_s=from_s,
+        duration_s=duration_s,
+        day=None if day is None else _day(day),
+        errors=named.errors,
+        imu=named.imu,
+        epoch_interval_s=named.epoch_interval_s,
+        channels=named.channels,
+        mask_deg=named.mask_deg,
+    )
+    return real.scenario, real
+
+
+def _day(text: str) -> date:
+    from datetime import date
+
+    try:
+        return date.fromisoformat(text)
+    except ValueError as error:
+        raise ValueError(f"--date must be YYYY-MM-DD, got {text!r}") from error
+
+
+class _Bar:
+    """Progress of a campaign on the terminal."""
+
+    def __init__(self, total: float) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.progress import TimeRemainingColumn
+
+        self.bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:3.0f} %"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self.task = self.bar.add_task("compiling, a minute the first time", total=total)
+
+    def advance(self, amount: float, now: str) -> None:
+        """Show it."""
+        if amount > 0.0:
+            self.bar.update(self.task, advance=amount, description=now)
+
+
+@contextmanager
+def _progress(total: float) -> Iterator[Progress]:
+    bar = _Bar(max(total, 1e-9))
+    with bar.bar:
+        yield bar
+
+
+@app.command("list")
+@clear_errors
+def list_(kind: KindArgument = None, as_json: JsonOption = False) -> None:
+    """List what there is to choose from: environments, scenarios, attacks, detectors, spoofers."""
+    from ._registry import check_choice
+    from .bench.listing import KINDS
+
+    if kind is not None:
+        check_choice("kind", kind, KINDS)
+    found = {name: rows() for name, rows in KINDS.items() if kind in {None, name}}
+    if as_json:
+        _print_json(found)
+        return
+    for name, rows in found.items():
+        lines = [
+            (row["name"], row["summary"], ", ".join(f"{k}={v}" for k, v in row["settings"].items()))
+            for row in rows
+        ]
+        _print_table(name, ("name", "what it is", "settings and their defaults"), lines)
+
+
+@app.command()
+@clear_errors
+def run(
+    detector: Annotated[str, typer.Option(help=f"Detector. {SPEC_HELP}")] = "ewma",
+    spoofer: Annotated[str, typer.Option(help=f"Spoofer. {SPEC_HELP}")] = "ramp",
+    number: Annotated[
+        int, typer.Option("--run", min=0, help="Which of the benchmark's evaluation runs.")
+    ] = 0,
+    out: Annotated[Path, typer.Option(help="File of the picture.")] = Path("episode.png"),
+    picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
+    as_json: JsonOption = False,
+    scenario: ScenarioOption = "zhong2025",
+    errors: ErrorsOption = None,
+    imu: ImuOption = None,
+    tuning: TuningOption = "paper",
+    attack: AttackOption = "false-position",
+    track: TrackOption = None,
+    ephemeris: EphemerisOption = None,
+    from_s: FromOption = None,
+    duration: DurationOption = None,
+    day: Annotated[str | None, typer.Option("--date", help="Day of the flight.")] = None,
+    warmup_s: WarmupOption = 200.0,
+    live_s: LiveOption = 60.0,
+    attack_s: AttackTimeOption = 150.0,
+    time_to_alert_s: AlertOption = 10.0,
+    seed: SeedOption = 0,
+) -> None:
+    """Play one attack beside its clean twin: a summary, and a picture.
+
+    It is the run of that number in a campaign with the same seed and settings.
+    """
+    from .bench.episode import draw_episode, play_episode
+
+    world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
+    suite = _suite(
+        world, real, tuning, attack, (warmup_s, live_s, attack_s, time_to_alert_s), seed,
+        detectors=_specs([detector]), spoofers=_specs([spoofer]),
+    )
+    player = suite.spoofer_entries[-1]
+    if player.tuned:
+        raise ValueError(
+            f"`{player.tuned}` = tuned needs a search: take the value that `spoofgym tune` finds"
+        )
+    if not as_json:
+        _print_lines(real)
+    episode = play_episode(suite, suite.detector_entries[0], player, number)
+    summary = episode.summary()
+    if picture:
+        draw_episode(episode, out)
+        summary["picture"] = str(out)
+    if as_json:
+        _print_json({**summary, "input": None if real is None else real.reports})
+        return
+    rows = [(key, "-" if value is None else str(value)) for key, value in summary.items()]
+    _print_table(f"{player.label} against {suite.detector_entries[0].label}", ("", ""), rows)
+
+
+@app.command()
+@clear_errors
+def tune(
+    detector: Annotated[
+        list[str] | None, typer.Option(help=f"Detector, may be repeated. {SPEC_HELP}")
+    ] = None,
+    spoofer: Annotated[
+        list[str] | None,
+        typer.Option(help="Spoofer, may be repeated: ramp, accelerating-ramp, step, or your own."),
+    ] = None,
+    budget: BudgetOption = 0.05,
+    seeds: TrainingOption = 128,
+    as_json: JsonOption = False,
+    scenario: ScenarioOption = "zhong2025",
+    errors: ErrorsOption = None,
+    imu: ImuOption = None,
+    tuning: TuningOption = "paper",
+    attack: AttackOption = "false-position",
+    track: TrackOption = None,
+    ephemeris: EphemerisOption = None,
+    from_s: FromOption = None,
+    duration: DurationOption = None,
+    day: DateOption = None,
+    warmup_s: WarmupOption = 200.0,
+    live_s: LiveOption = 60.0,
+    attack_s: AttackTimeOption = 150.0,
+    time_to_alert_s: AlertOption = 10.0,
+    seed: SeedOption = 0,
+    threads: ThreadsOption = None,
+) -> None:
+    """Find the strongest ramp that keeps to an alarm budget, on training runs."""
+    from .bench.campaign import Silent, search, search_work, training_start
+    from .bench.specs import make
+    from .bench.suite import DEFAULT_DETECTORS, TUNED
+    from .spoofers import SPOOFERS, Spoofer
+
+    specs = _specs(spoofer or ["ramp", "accelerating-ramp"])
+    for spec in specs:
+        settings = {key: value for key, value in spec.items() if value != TUNED}
+        tunable = make("spoofer", SPOOFERS, Spoofer, settings).tunable
+        if tunable is None:
+            raise ValueError(f"spoofer {spec['name']!r} has no setting to tune")
+        spec[tunable] = TUNED
+    world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
+    suite = _suite(
+        world, real, tuning, attack, (warmup_s, live_s, attack_s, time_to_alert_s), seed,
+        detectors=_specs(detector) if detector else list(DEFAULT_DETECTORS), spoofers=specs,
+        budget=budget, training=seeds,
+    )
+    if not as_json:
+        _print_lines(real)
+    entries = [entry for entry in suite.spoofer_entries if entry.tuned]
+    each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite)
+    results = []
+    with _progress(each * len(suite.detector_entries)) as told:
+        for judge in suite.detector_entries:
+            start, clean = training_start(suite, judge, threads, told or Silent())
+            results += [search(suite, judge, entry, start, clean, told) for entry in entries]
+    if as_json:
+        _print_json([result.as_dict() for result in results])
+        return
+    for result in results:
+        rows = [
+            (
+                f"{trial.value:g}" + (" (chosen)" if _chosen(trial, result) else ""),
+                str(trial.runs),
+                f"{100 * trial.alarm_rate:.1f}",
+                f"{trial.undetected_displacement_m:.2f}",
+                "yes" if trial.within_budget else "no",
+            )
+            for trial in result.trials
+        ]
+        _print_table(
+            f"{result.spoofer} against {result.detector}: alarm rate at most {100 * budget:g} % "
+            f"above {100 * result.clean_alarm_rate:.1f} %, {result.runs} training runs",
+            (result.setting, "runs", "alarm rate [%]", "undetected displacement [m]", "in budget"),
+            rows,
+        )
+        if not result.within_budget:
+            typer.echo(f"nothing is within the budget; the smallest value is {result.value:g}")
+
+
+def _chosen(trial: Any, result: Any) -> bool:
+    return bool(trial.value == result.value and trial.runs == result.runs)
+
+
+@app.command()
+@clear_errors
+def bench(
+    detector: Annotated[
+        list[str] | None,
+        typer.Option(
+            help=f"Detector, may be repeated. Default: snapshot-chi2 and ewma. {SPEC_HELP}"
+        ),
+    ] = None,
+    spoofer: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Spoofer, may be repeated; a setting may be `tuned`, as in "
+            "ramp:rate_mps=tuned. Default: none, step, tuned ramp, tuned accelerating-ramp."
+        ),
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option(min=2, help="Evaluation runs of every cell, the same for all.")
+    ] = 200,
+    out: OutOption = Path("results"),
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the results of another campaign.")
+    ] = False,
+    as_json: JsonOption = False,
+    scenario: ScenarioOption = "zhong2025",
+    errors: ErrorsOption = None,
+    imu: ImuOption = None,
+    tuning: TuningOption = "paper",
+    attack: AttackOption = "false-position",
+    track: TrackOption = None,
+    ephemeris: EphemerisOption = None,
+    from_s: FromOption = None,
+    duration: DurationOption = None,
+    day: DateOption = None,
+    warmup_s: WarmupOption = 200.0,
+    live_s: LiveOption = 60.0,
+    attack_s: AttackTimeOption = 150.0,
+    time_to_alert_s: AlertOption = 10.0,
+    budget: BudgetOption = 0.05,
+    training_seeds: TrainingOption = 128,
+    seed: SeedOption = 0,
+    threads: ThreadsOption = None,
+) -> None:
+    """Play all detectors against all spoofers on the same runs, and score them.
+
+    Every finished cell is kept in the folder of the results; after an interruption the same command
+    goes on where it stopped.
+    """
+    from .bench.campaign import expected_work, run_campaign
+    from .bench.store import ResultsFolder
+    from .bench.suite import DEFAULT_DETECTORS, DEFAULT_SPOOFERS
+
+    world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
+    suite = _suite(
+        world, real, tuning, attack, (warmup_s, live_s, attack_s, time_to_alert_s), seed,
+        detectors=_specs(detector) if detector else list(DEFAULT_DETECTORS),
+        spoofers=_specs(spoofer) if spoofer else list(DEFAULT_SPOOFERS),
+        budget=budget, training=training_seeds, runs=seeds,
+    )
+    folder = ResultsFolder(out)
+    folder.open(suite, overwrite=overwrite)
+    if not as_json:
+        _print_lines(real)
+    try:
+        with _progress(expected_work(suite, folder)) as told:
+            run_campaign(suite, folder, threads=threads, progress=told)
+    except KeyboardInterrupt:
+        done = sum(
+            folder.has_cell(judge.label, player.label)
+            for judge in suite.detector_entries
+            for player in suite.spoofer_entries
+        )
+        total = len(suite.detector_entries) * len(suite.spoofer_entries)
+        typer.echo(
+            f"interrupted: {done} of {total} cells are finished and kept in {out}; the same "
+            "command goes on from there",
+            err=True,
+        )
+        raise typer.Exit(INTERRUPTED) from None
+    _report(folder, as_json, None if real is None else real.reports)
+
+
+@app.command()
+@clear_errors
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder of the results.")] = Path("results"),
+    as_json: JsonOption = False,
+) -> None:
+    """Score the finished cells of a folder again, and write its table and picture anew."""
+    from .bench.store import ResultsFolder
+
+    _report(ResultsFolder(folder), as_json, None)
+
+
+@app.command()
+@clear_errors
+def perf(
+    num_envs: Annotated[int, typer.Option(min=1, help="Receivers of the vector environment.")] = 64,
+    threads: ThreadsOption = None,
+    duration: Annotated[float, typer.Option(help="Shortest time of each measurement [s].")] = 10.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how fast this machine steps the environments.
+
+    1 Hz epochs of 100 inertial samples, ewma, default observations, no end at an alarm; resets with
+    their warm-up are part of it.
+    """
+    from .bench.perf import machine, single_speed, vector_speed
+
+    found = {
+        "machine": machine(),
+        "single": single_speed(duration),
+        "vector": vector_speed(num_envs, threads, duration),
+    }
+    if as_json:
+        _print_json(found)
+        return
+    rows = [(key, *(str(found[kind].get(key, "-")) for kind in ("single", "vector")))
+            for key in found["vector"]]
+    _print_table("speed", ("", "single", "vector"), rows)
+
+
+def _suite(
+    world: Scenario,
+    real: RealInput | None,
+    tuning: str,
+    attack: str,
+    times: tuple[float, float, float, float],
+    seed: int,
+    *,
+    detectors: list[dict[str, Any]],
+    spoofers: list[dict[str, Any]],
+    budget: float = 0.05,
+    training: int = 128,
+    runs: int = 200,
+) -> Suite:
+    """The suite of the options."""
+    from .bench.suite import Suite, Tuning
+    from .envs.engine import Timeline
+
+    (attack_spec,) = _specs([attack])
+    return Suite(
+        scenario=world,
+        receiver={"tuning": tuning},
+        attack=attack_spec,
+        timeline=Timeline(
+            **dict(zip(("warmup_s", "live_s", "attack_s", "time_to_alert_s"), times, strict=True))
+        ),
+        detectors=detectors,
+        spoofers=spoofers,
+        runs=runs,
+        entropy=seed,
+        tuning=Tuning(runs=training, sift_runs=max(training // 4, 1), budget=budget),
+        notes=() if real is None else real.lines,
+    )
+
+
+def _print_lines(real: RealInput | None) -> None:
+    if real is not None:
+        for line in real.lines:
+            typer.echo(line)
+
+
+def _report(folder: Any, as_json: bool, reports: Any) -> None:
+    """Write table, scores and picture, and print the tables."""
+    from .bench.picture import draw_campaign
+    from .bench.report import ATTACKS_HEAD, CLEAN_HEAD, attack_rows, clean_rows, markdown
+    from .bench.store import SUMMARY, TABLE
+    from .bench.summary import summarize
+
+    summary = summarize(folder)
+    if not summary["cells"]:
+        raise ValueError(f"{folder.path} holds no finished cell yet")
+    written = [
+        folder.put_text(SUMMARY, json.dumps(summary, indent=1, allow_nan=False) + "\n"),
+        folder.put_text(TABLE, markdown(folder.config(), summary)),
+    ]
+    try:
+        written.append(draw_campaign(folder, summary))
+    except ImportError as error:
+        typer.echo(f"no picture: {error}", err=True)
+    if as_json:
+        _print_json({**summary, "folder": str(folder.path), "input": reports})
+        return
+    _print_table(f"{summary['scenario']}: attacks", ATTACKS_HEAD, attack_rows(summary))
+    _print_table("without attack", CLEAN_HEAD, clean_rows(summary))
+    if summary["missing"]:
+        typer.echo(f"not finished: {', '.join(summary['missing'])}")
+    typer.echo(f"written: {', '.join(str(path) for path in written)}")
+
+
+def main() -> None:
+    """Run the command line."""
+    app()

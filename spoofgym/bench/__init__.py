@@ -1,1 +1,16 @@
-""""""
+"""The benchmark: detectors x spoofers x paired seeds, and their scores.
+
+suite      what is run, with a digest of everything that results depend on
+run        one cell: all runs side by side, from a warm-up that all spoofers share
+tune       the strongest attack of a family within an alarm budget
+metrics    proportions, delays, displacements and their intervals
+campaign   all cells, each kept as soon as it is finished
+summary    the scores of a campaign, read from its folder
+"""
+
+from .campaign import run_campaign
+from .store import ResultsFolder
+from .suite import Suite, Tuning
+from .summary import summarize
+
+__all__ = ["ResultsFolder", "Suite", "Tuning", "run_campaign", "summarize"]

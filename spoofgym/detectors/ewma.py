@@ -52,7 +52,7 @@ FloatArray = NDArray[np.float64]
 
 
 @inlined
-def ewma_threshold(sd: float, count: float, smoothing: float, quantile: float) -> float:
+def ewma_threshold(sd: float, decay: float, smoothing: float, quantile: float) -> float:
     r"""Threshold of the chart after some epochs.
 
     .. math:: T = z \sigma \sqrt{\tfrac{\lambda}{2 - \lambda} (1 - (1 - \lambda)^{2k})}
@@ -61,8 +61,8 @@ def ewma_threshold(sd: float, count: float, smoothing: float, quantile: float) -
     ----------
     sd : float
         Standard deviation of the innovation [m].
-    count : float
-        Epochs averaged so far, k.
+    decay : float
+        :math:`(1 - \lambda)^{2k}` after k epochs.
     smoothing : float
         Lambda.
     quantile : float
@@ -73,8 +73,7 @@ def ewma_threshold(sd: float, count: float, smoothing: float, quantile: float) -
     float
         T [m].
     """
-    widening = 1.0 - (1.0 - smoothing) ** (2.0 * count)
-    return quantile * sd * math.sqrt(smoothing / (2.0 - smoothing) * widening)
+    return quantile * sd * math.sqrt(smoothing / (2.0 - smoothing) * (1.0 - decay))
 
 
 @njit
@@ -86,7 +85,7 @@ def judge_channels(
     quantile: float,
     weight_scale: float,
     average: FloatArray,
-    count: FloatArray,
+    decay: FloatArray,
     size: FloatArray,
     threshold: FloatArray,
     weights: FloatArray,
@@ -99,7 +98,7 @@ def judge_channels(
         (B, 2n), (B, 2n, 2n), (B, n), of the epoch.
     smoothing, quantile, weight_scale : float
         Lambda, z and m.
-    average, count : ndarray
+    average, decay : ndarray
         (B, n) memory, overwritten.
     size, threshold : ndarray
         (B, n), written: statistic and threshold [m].
@@ -109,12 +108,13 @@ def judge_channels(
     for b in range(visible.shape[0]):
         for j in range(visible.shape[1]):
             if visible[b, j]:
-                count[b, j] += 1.0
+                decay[b, j] *= (1.0 - smoothing) * (1.0 - smoothing)
                 average[b, j] += smoothing * (innovation[b, j] - average[b, j])
             else:
-                count[b, j], average[b, j] = 0.0, 0.0
+                decay[b, j], average[b, j] = 1.0, 0.0
             sd = math.sqrt(innovation_cov[b, j, j])
-            limit = ewma_threshold(sd, max(count[b, j], 1.0), smoothing, quantile)
+            first = (1.0 - smoothing) * (1.0 - smoothing)
+            limit = ewma_threshold(sd, min(decay[b, j], first), smoothing, quantile)
             size[b, j] = abs(average[b, j])
             threshold[b, j] = limit
             reject = weight_scale * limit
@@ -162,7 +162,7 @@ class Ewma(Detector):
         super().bind(context)
         shape = (context.receivers, context.channels)
         self.memory.declare("average", np.zeros(shape))
-        self.memory.declare("count", np.zeros(shape))
+        self.memory.declare("decay", np.ones(shape))
         self._quantile = two_sided_quantile(self.false_alarm)
 
     def judge(self, epoch: Epoch) -> Verdict:
@@ -189,7 +189,7 @@ class Ewma(Detector):
             self._quantile,
             1.0 if self.weight_scale is None else self.weight_scale,
             self.memory["average"],
-            self.memory["count"],
+            self.memory["decay"],
             size,
             threshold,
             weights,

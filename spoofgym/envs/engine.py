@@ -128,8 +128,8 @@ class Setup:
                 f"{self.world.name!r} lasts {self.world.epoch_time[-1]:g} s"
             )
         self.bias_sd = scenario.gnss_errors.bias_sd(self.world.first_elevation)
-        self.noise_variance, self.clock = assumed_noise(
-            receiver, scenario.gnss_errors, self.bias_sd, interval
+        self.noise_variance, self.noise = assumed_noise(
+            receiver, scenario.gnss_errors, self.bias_sd, self.world, last
         )
         self.onset_C_en = np.ascontiguousarray(self.world.local_frame(self.onset))
         C_en = self.world.local_frame(0)
@@ -211,7 +211,7 @@ class Batch:
         self.detector.reset()
         state, measured = self.buffers.state, self.buffers.measured
         measured.noise_variance[:] = setup.noise_variance
-        self.buffers.noise_psd[:] = setup.receiver.noise_psd(setup.clock)
+        self.buffers.noise_psd[:] = setup.receiver.noise_psd(setup.noise)
         self._measure_first()
         b, n = self.receivers, setup.world.channels
         _kernels.first_fix(
@@ -220,7 +220,7 @@ class Batch:
         state.C_eb[:] = setup.first_C_eb
         state.accel_bias_b[:] = 0.0
         state.gyro_bias_b[:] = 0.0
-        state.covariance[:] = setup.receiver.initial_covariance()
+        state.covariance[:] = setup.receiver.initial_covariance(setup.noise)
         self.verdict, self.weights = None, self.ones
 
     def _measure_first(self) -> None:

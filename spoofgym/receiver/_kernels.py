@@ -13,8 +13,8 @@ from .kalman import accumulate, gain_solution, innovation_covariance, solve_in_p
 from .state import unpack
 from .strapdown import strapdown_step
 
-L = 8  # state.LANES, as a constant that the compiler sees
-HALF = 4  # lanes go by the width of a vector of doubles
+L = 16  # state.LANES, as a constant that the compiler sees
+WIDTH = 4  # lanes go by the width of a vector of doubles
 _X = 31 * L
 MEASURE, PREDICT, UPDATE = 1, 2, 4
 
@@ -101,7 +101,9 @@ def strapdown_lanes(x, m, lanes):
 
 
 @njit
-def predict(floats, flags, block, samples, imu_interval, receivers, channels, lo, hi):
+def predict(
+    floats, flags, block, samples, imu_interval, receivers, channels, lo, hi, for_detector=True
+):
     """Mechanize one block of samples, propagate, and form innovation and covariance.
 
     Parameters
@@ -114,6 +116,8 @@ def predict(floats, flags, block, samples, imu_interval, receivers, channels, lo
         B and n.
     lo, hi : int
         Slice of receivers; `lo` is a multiple of the number of lanes.
+    for_detector : bool
+        Whether to write the design and the innovation covariance, which only a detector looks at.
     """
     state, measured, noise_psd = unpack(floats, flags, receivers, channels)
     covariance_work, row_work = np.empty(289), np.empty(17)
@@ -122,8 +126,15 @@ def predict(floats, flags, block, samples, imu_interval, receivers, channels, lo
     for b in range(lo, hi):
         if b % L == 0:
             mechanize(
-                state, measured, block, samples, imu_interval, b // L, hi,
-                HALF * (2 if hi - b > HALF else 1), lane_work,
+                state,
+                measured,
+                block,
+                samples,
+                imu_interval,
+                b // L,
+                hi,
+                WIDTH * ((min(hi - b, L) + WIDTH - 1) // WIDTH),
+                lane_work,
             )
         C, v, r = state.C_eb[b], state.velocity_e[b], state.position_e[b]
         fx, fy, fz = (
@@ -154,25 +165,36 @@ def predict(floats, flags, block, samples, imu_interval, receivers, channels, lo
                 z[s], z[n + s] = 0.0, 0.0
                 u[s, 0], u[s, 1], u[s, 2] = 0.0, 0.0, 0.0
                 one = 0.0
+            if not for_detector:
+                continue
             for i in range(3):
                 H[s, 6 + i] = u[s, i]
                 H[n + s, 3 + i] = u[s, i]
             H[s, 15] = one
             H[n + s, 16] = one
-        innovation_covariance(
-            P,
-            u,
-            measured.noise_variance[b],
-            measured.visible[b],
-            row_work,
-            measured.innovation_cov[b],
-        )
+        if for_detector:
+            innovation_covariance(
+                P,
+                u,
+                measured.noise_variance[b],
+                measured.visible[b],
+                row_work,
+                measured.innovation_cov[b],
+            )
 
 
 @njit
 def update(
-    floats, flags, weights, receivers, channels, covariance_update, min_satellites, orthonormalize,
-    lo, hi
+    floats,
+    flags,
+    weights,
+    receivers,
+    channels,
+    covariance_update,
+    min_satellites,
+    orthonormalize,
+    lo,
+    hi,
 ):
     """Correct the predicted state with the weighted gain, and feed it back.
 
@@ -219,7 +241,9 @@ def update(
             A2,
             y,
         )
-        gain_solution(state.covariance[b].reshape(289), A, A1, A2, y, covariance_update, F, M, V, Pc, Q, x)
+        gain_solution(
+            state.covariance[b].reshape(289), A, A1, A2, y, covariance_update, F, M, V, Pc, Q, x
+        )
         C = state.C_eb[b]
         for j in range(3):
             c0, c1, c2 = C[0, j], C[1, j], C[2, j]
@@ -473,7 +497,8 @@ def run_epochs(
                 hi,
             )
         if what & PREDICT:
-            predict(floats, flags, block, samples, run[6], receivers, channels, lo, hi)
+            seen = what & UPDATE == 0
+            predict(floats, flags, block, samples, run[6], receivers, channels, lo, hi, seen)
         if what & UPDATE:
             update(
                 floats,

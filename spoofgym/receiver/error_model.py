@@ -1,8 +1,8 @@
 """The 17 states of the error-state filter, and how their errors grow between two epochs.
 
 Order: attitude (ECEF axes), velocity, position, accelerometer biases, gyro biases, clock bias,
-clock drift.  The state is the error of the estimate: estimate minus truth, but for the clock,
-which is estimated as it is.
+clock drift.  The state is the error of the estimate: estimate minus truth for attitude, velocity
+and position, truth minus estimate for biases and clock.
 """
 
 from __future__ import annotations

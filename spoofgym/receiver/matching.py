@@ -1,20 +1,158 @@
-"""What a receiver assumes of GNSS noise and of its clock, in a given world."""
+r"""What a matched receiver assumes: the noise of the world that it is in, and of its own sensors.
+
+The filter has 17 states and takes everything else for white noise.  Two kinds of error are not
+white: satellite biases that last for the whole run, and what scale-factor and cross-coupling
+errors make of manoeuvres.  Both are entered as inflated noise, sized so that the covariance ends
+up at the spread of the errors.
+
+**Constant biases.**  Over N epochs of the same geometry with white noise :math:`\sigma_w` and
+constant biases :math:`\sigma_b`, the averaged pseudoranges have errors of variance
+:math:`\sigma_w^2 / N + \sigma_b^2`, and so the best fixed gain leaves
+
+.. math:: P = \left(H^T \mathrm{diag}(\sigma_w^2 / N + \sigma_b^2)^{-1} H\right)^{-1}.
+
+A filter that takes the errors for white of variance R believes in
+:math:`(N H^T R^{-1} H)^{-1}` instead.  The two agree at
+
+.. math:: R = \sigma_w^2 + N \sigma_b^2,
+
+with N the number of epochs of the episode, since a filter that has range rates of 2 cm/s forgets
+hardly anything of its position within minutes.  The belief is right at the end of the episode;
+after k < N epochs its position variance is too large by about N / k.  The price is in the
+innovation covariance, where R stands alone: it overstates the innovations of pseudoranges by about
+:math:`\sqrt{N}`, so that tests of them that rely on S have hardly any power.  Only states for the
+biases would do better.  Range rates have no biases, and keep their variance and their power.
+
+**Manoeuvres.**  A rotation :math:`\int \omega\,dt` leaves an error of attitude of m times its
+size, with m a typical scale-factor or cross-coupling error, and a change :math:`\Delta f` of the
+specific force moves the effective bias of an accelerometer by :math:`m \Delta f`.  The filter
+takes the first for white noise of the gyros and the second for a random walk of the biases,
+which over `WINDOW_S` add up to the same variance, in the window of the run where it is largest:
+
+.. math::
+    S_\omega = N_\omega^2 + m_\omega^2 \max_t \tfrac1W \Big|\int_t^{t+W} \omega\,dt\Big|^2, \qquad
+    S_{ba} = m_f^2 \max_t \tfrac1W |f(t + W) - f(t)|^2
+
+and the same with the g-dependent error for the gyro biases.  With m the root mean square of the
+nine elements of the data sheet, initial biases have the variance of the biases and of what the
+specific force of 1 g makes of the errors of scale.
+"""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import math
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..earth.wgs84 import STANDARD_GRAVITY
 from ..sim.gnss import GnssErrors
-from .tight import NoiseModel, TightlyCoupled
+from ..sim.imu import IMU_GRADES
+from ..sim.world import World
+from .tight import FILTER_GRADES, FilterGrade, NoiseModel, TightlyCoupled
 
 FloatArray = NDArray[np.float64]
 
+WINDOW_S = 16
+"""Whole seconds over which manoeuvres are summed, between the length of a turn and of a pull-up.
+
+On the flights of the project, half or twice of it changes the normalized error squared of all 17
+states by less than a half.
+"""
+
+
+class Motion(NamedTuple):
+    """How much a vehicle manoeuvres.
+
+    Attributes
+    ----------
+    turning : float
+        Squared rotation by time [rad^2/s].
+    forcing : float
+        Squared change of the specific force by time [m^2/s^5].
+    """
+
+    turning: float = 0.0
+    forcing: float = 0.0
+
+
+def motion_of(world: World, epochs: int) -> Motion:
+    r"""Largest manoeuvring of a run.
+
+    .. math:: \max_t \tfrac1W \Big|\int_t^{t+W} \omega\,dt\Big|^2, \qquad
+        \max_t \tfrac1W |f(t + W) - f(t)|^2
+
+    with W = `WINDOW_S`, or less where the run is shorter, and f averaged over a second.
+
+    Parameters
+    ----------
+    world : World
+        Truth.
+    epochs : int
+        Number of epochs of the run to look at.
+
+    Returns
+    -------
+    Motion
+        0 for a run of less than 3 s.
+    """
+    time = world.imu_time[: world.epoch_end[epochs] + 1]
+    samples = world.run[:6, : len(time) - 1] * np.diff(time)
+    sums = np.concatenate([np.zeros((6, 1)), np.cumsum(samples, axis=1)], axis=1)
+    seconds = np.arange(math.floor(time[-1] + 1e-6) + 1.0)
+    if len(seconds) < 4:
+        return Motion()
+    delta_v, turn = np.split(np.stack([np.interp(seconds, time, row) for row in sums]), 2)
+    force = np.diff(delta_v, axis=1)
+    window = min(WINDOW_S, force.shape[1] - 1)
+    return Motion(_largest_change(turn, window), _largest_change(force, window))
+
+
+def _largest_change(history: FloatArray, window: int) -> float:
+    """Largest squared change over a window, by its length; `history` is (3, seconds)."""
+    change = history[:, window:] - history[:, :-window]
+    return float(np.max(np.sum(change**2, axis=0))) / window
+
+
+def matched_sensors(grade: str, motion: Motion) -> FilterGrade:
+    """Tuning of the filter by the data sheet of its sensors and the manoeuvres to be expected.
+
+    Parameters
+    ----------
+    grade : str
+        A name in `IMU_GRADES`.
+    motion : Motion
+        How much the vehicle manoeuvres.
+
+    Returns
+    -------
+    FilterGrade
+        Initial attitude, velocity and position as in `FILTER_GRADES`, all else matched.
+    """
+    sheet = IMU_GRADES[grade]
+    accel_noise, gyro_noise = sheet.noise[:2]
+    accel_scale = _rms(sheet.accel_matrix - np.eye(3))
+    gyro_scale = _rms(sheet.gyro_matrix - np.eye(3))
+    g_dependence = _rms(sheet.g_dependence)
+    return FILTER_GRADES[grade]._replace(
+        accel_bias_sd=math.hypot(_rms(sheet.accel_bias), accel_scale * STANDARD_GRAVITY),
+        gyro_bias_sd=math.hypot(_rms(sheet.gyro_bias), g_dependence * STANDARD_GRAVITY),
+        gyro_noise_psd=float(gyro_noise**2 + gyro_scale**2 * motion.turning),
+        accel_noise_psd=float(accel_noise**2),
+        accel_bias_psd=accel_scale**2 * motion.forcing,
+        gyro_bias_psd=g_dependence**2 * motion.forcing,
+    )
+
+
+def _rms(values: ArrayLike) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
 
 def assumed_noise(
-    receiver: TightlyCoupled, errors: GnssErrors, bias_sd: FloatArray, interval_s: float
+    receiver: TightlyCoupled, errors: GnssErrors, bias_sd: FloatArray, world: World, epochs: int
 ) -> tuple[FloatArray, NoiseModel]:
-    r"""Measurement noise variances and clock of a receiver.
+    r"""Measurement noise variances, clock and inertial sensors that a receiver assumes.
 
     Parameters
     ----------
@@ -24,24 +162,28 @@ def assumed_noise(
         Of the world.
     bias_sd : ndarray
         (n,) standard deviation of the constant biases [m].
-    interval_s : float
-        Time between epochs [s].
+    world : World
+        Where the receiver is; a matched one is told how much it manoeuvres.
+    epochs : int
+        Length of the episode, N in :math:`R = \sigma_w^2 + N \sigma_b^2`.
 
     Returns
     -------
     variance : ndarray
         (2n,) R, pseudoranges first [m^2], [m^2/s^2].
-    clock : NoiseModel
-        Process noise of the clock.
+    noise : NoiseModel
+        Clock and inertial sensors; its two standard deviations are those without biases.
     """
     n = len(bias_sd)
     if receiver.tuning == "paper" or receiver.noise is not None:
         model = receiver.noise_model
         return np.repeat([model.pseudorange_sd**2, model.range_rate_sd**2], n), model
-    variance = np.concatenate(
-        [errors.code_sd_m**2 + bias_sd**2, np.full(n, errors.range_rate_sd_mps**2)]
+    model = NoiseModel(
+        pseudorange_sd=errors.code_sd_m,
+        range_rate_sd=errors.range_rate_sd_mps,
+        clock_phase_psd=errors.clock.phase_psd,
+        clock_frequency_psd=errors.clock.frequency_psd,
+        inertial=matched_sensors(receiver.grade, motion_of(world, epochs)),
     )
-    clock = NoiseModel(
-        clock_phase_psd=errors.clock.phase_psd, clock_frequency_psd=errors.clock.frequency_psd
-    )
-    return variance, clock
+    pseudorange = model.pseudorange_sd**2 + epochs * bias_sd**2
+    return np.concatenate([pseudorange, np.full(n, model.range_rate_sd**2)]), model

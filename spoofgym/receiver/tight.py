@@ -93,7 +93,7 @@ FILTER_GRADES: dict[str, FilterGrade] = {
 
 
 class NoiseModel(NamedTuple):
-    """What the filter assumes of GNSS errors and of its clock.
+    """What the filter assumes of GNSS errors, of its clock and of its inertial sensors.
 
     Attributes
     ----------
@@ -101,12 +101,15 @@ class NoiseModel(NamedTuple):
         Standard deviations [m], [m/s].
     clock_phase_psd, clock_frequency_psd : float
         [m^2/s], [m^2/s^3].
+    inertial : FilterGrade or None
+        Inertial sensors and initial errors, if other than those of `FILTER_GRADES`.
     """
 
     pseudorange_sd: float = 2.5
     range_rate_sd: float = 0.1
     clock_phase_psd: float = 1.0
     clock_frequency_psd: float = 1.0
+    inertial: FilterGrade | None = None
 
 
 def _choice(name: str, value: str, valid: tuple[str, ...]) -> None:
@@ -124,8 +127,13 @@ class TightlyCoupled:
         Inertial sensors that the filter is tuned for.
     tuning : {"paper", "matched"}
         ``"paper"``: the noise that the papers print, 2.5 m and 0.1 m/s and a clock PSD of 1, which
-        overstates the world's.  ``"matched"``: the noise of the world that the receiver is in;
-        a replay of measurements, which knows no world, takes `noise` instead.
+        overstates the world's, and the inertial sensors of the book's software.  ``"matched"``:
+        GNSS noise and clock as the world has them, satellite biases that last for the run as a
+        pseudorange noise that leaves the position their spread, and the data sheet of the inertial
+        sensors with what its errors of scale make of the run's manoeuvres (`matching` derives
+        both).  Its covariance is that of its errors where there are no such biases; with them it
+        is too large early in the run, and the innovation covariance of pseudoranges all the time.
+        A replay of measurements, which knows no world, takes `noise` instead.
     covariance_update : {"unweighted", "plain", "general"}
         What a detector's weights W on the gain do to the covariance: nothing, ``(I - K H) P``;
         the symmetric part of ``(I - K W H) P``; or the form right for any gain.  The three are the
@@ -136,7 +144,7 @@ class TightlyCoupled:
     min_satellites : int
         With fewer visible satellites the receiver coasts on its inertial sensors, 0 to 32.
     noise : NoiseModel, optional
-        Overrides the assumed GNSS noise and clock.
+        Overrides the assumed GNSS noise and clock, and the inertial sensors where it names any.
 
     Raises
     ------
@@ -160,7 +168,11 @@ class TightlyCoupled:
         if not 0 <= self.min_satellites <= 32:
             raise ValueError(f"`min_satellites` must be 0 to 32, got {self.min_satellites}")
         if self.noise is not None:
-            for name, value in zip(self.noise._fields, self.noise, strict=True):
+            values = self.noise._asdict()
+            inertial = values.pop("inertial")
+            if inertial is not None:
+                values |= {f"inertial.{name}": x for name, x in inertial._asdict().items()}
+            for name, value in values.items():
                 if not (math.isfinite(value) and value >= 0.0):
                     raise ValueError(f"`noise.{name}` must be finite and >= 0, got {value}")
             if min(self.noise.pseudorange_sd, self.noise.range_rate_sd) <= 0.0:
@@ -170,6 +182,22 @@ class TightlyCoupled:
     def noise_model(self) -> NoiseModel:
         """Assumed GNSS noise and clock where no world says otherwise."""
         return self.noise if self.noise is not None else NoiseModel()
+
+    def sensors(self, noise: NoiseModel | None = None) -> FilterGrade:
+        """Tuning for the inertial sensors, and the initial errors.
+
+        Parameters
+        ----------
+        noise : NoiseModel, optional
+            What to assume instead of `noise_model`.
+
+        Returns
+        -------
+        FilterGrade
+            That of the noise model if it names one, else that of `FILTER_GRADES`.
+        """
+        model = self.noise_model if noise is None else noise
+        return FILTER_GRADES[self.grade] if model.inertial is None else model.inertial
 
     @property
     def covariance_code(self) -> int:
@@ -181,15 +209,20 @@ class TightlyCoupled:
         """Whether the attitude matrix is re-orthonormalized after each update."""
         return self.conventions == "orthonormal"
 
-    def initial_covariance(self) -> NDArray[np.float64]:
+    def initial_covariance(self, noise: NoiseModel | None = None) -> NDArray[np.float64]:
         """Covariance of the state at time zero.
+
+        Parameters
+        ----------
+        noise : NoiseModel, optional
+            What to assume instead of `noise_model`.
 
         Returns
         -------
         ndarray
             (17, 17) diagonal.
         """
-        g = FILTER_GRADES[self.grade]
+        g = self.sensors(noise)
         sd = np.zeros(STATES)
         sd[ATTITUDE : ATTITUDE + 3] = g.attitude_sd
         sd[VELOCITY : VELOCITY + 3] = g.velocity_sd
@@ -205,14 +238,14 @@ class TightlyCoupled:
         Parameters
         ----------
         noise : NoiseModel, optional
-            Clock to assume instead of that of `noise_model`.
+            What to assume instead of `noise_model`.
 
         Returns
         -------
         ndarray
             (17,).
         """
-        g = FILTER_GRADES[self.grade]
+        g = self.sensors(noise)
         clock = self.noise_model if noise is None else noise
         psd = np.zeros(STATES)
         psd[ATTITUDE : ATTITUDE + 3] = g.gyro_noise_psd

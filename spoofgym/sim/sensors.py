@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from .._jit import njit
 from .gnss import GnssErrors
 from .imu import ImuGrade
+from .noise import normals, padded
 
 FloatArray = NDArray[np.float64]
-SOURCES = ("trajectory", "imu", "clock", "gnss", "domain", "spoofer")
-"""Sources of chance; a receiver's generator spawns one child for each at every reset."""
-KEYED = ("imu", "clock", "gnss")
+SOURCES = ("imu", "clock", "gnss", "bias", "trajectory", "domain", "spoofer")
+"""Sources of chance; each has a key of its own in every episode."""
 
 
 class SensorState(NamedTuple):
@@ -150,7 +150,7 @@ class SensorBuffers:
     state : SensorState
         What it returns.
     keys : ndarray
-        (3, B, 2) uint64, key of the noise of each of `KEYED`.
+        (S, B, 2) uint64, key of the noise of each of `SOURCES`.
     epoch : ndarray
         (B,) int64, the epoch that each receiver is at.
     """
@@ -159,7 +159,7 @@ class SensorBuffers:
         self.receivers, self.channels = receivers, channels
         self.floats = np.zeros(sensor_size(receivers, channels))
         self.state = unpack_sensors(self.floats, receivers, channels)
-        self.keys = np.zeros((len(KEYED), receivers, 2), dtype=np.uint64)
+        self.keys = np.zeros((len(SOURCES), receivers, 2), dtype=np.uint64)
         self.epoch = np.zeros(receivers, dtype=np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -186,8 +186,9 @@ class SensorBuffers:
         rows : ndarray
             Receivers that begin.
         rngs : list of Generator
-            One per row.  Each spawns a child for every source, and these give the keys and the
-            biases, so that no source depends on how much another draws.
+            One per row.  Its seed sequence spawns one child an episode, and that gives every source
+            a key, so that no source depends on how much another draws, or on when the last
+            episode ended.
         grade : ImuGrade
             Inertial sensors.
         errors : GnssErrors
@@ -210,11 +211,9 @@ class SensorBuffers:
         state.range_offset[rows] = 0.0
         state.rate_offset[rows] = 0.0
         self.epoch[rows] = 0
+        deviates = np.empty(padded(len(bias_sd)))
         for row, rng in zip(rows, rngs, strict=True):
-            seeds = dict(
-                zip(SOURCES, rng.bit_generator.seed_seq.spawn(len(SOURCES)), strict=True)
-            )
-            for key, source in enumerate(KEYED):
-                self.keys[key, row] = seeds[source].generate_state(2, np.uint64)
-            biases = np.random.Generator(np.random.PCG64(seeds["gnss"]))
-            state.satellite_bias[row] = bias_sd * biases.standard_normal(len(bias_sd))
+            episode = rng.bit_generator.seed_seq.spawn(1)[0]
+            self.keys[:, row] = episode.generate_state(2 * len(SOURCES), np.uint64).reshape(-1, 2)
+            normals(*self.keys[SOURCES.index("bias"), row], 0, deviates)
+            state.satellite_bias[row] = bias_sd * deviates[: len(bias_sd)]

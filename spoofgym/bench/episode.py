@@ -1,0 +1,281 @@
+"""One run looked at closely: an attack beside its clean twin, epoch by epoch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..earth.frames import ecef_to_geodetic
+from ..envs.engine import Engine
+from .metrics import undetected_displacement
+from .picture import GREY, figure_class
+from .run import command, local_frames
+from .suite import Entry, Suite, make_bound_spoofer
+
+FloatArray = NDArray[np.float64]
+ATTACKED, TWIN = 0, 1
+"""Rows of the two receivers."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A run under attack and its clean twin.
+
+    Times are since the onset, negative in the last part of the warm-up; L epochs of it and K from
+    the onset to the end are kept.
+
+    Parameters
+    ----------
+    suite : Suite
+        Scenario, receiver, attack, timeline and seed.
+    detector, spoofer : Entry
+        Who plays.
+    run : int
+        Which of the evaluation runs.
+    time : ndarray
+        (L + K,) [s].
+    ratio : ndarray
+        (L + K, 2) largest ratio of a statistic to its threshold, attacked and twin.
+    alarm : ndarray
+        (L + K, 2) bool.
+    error_n : ndarray
+        (K, 2, 3) distance from the truth, north, east, down [m].
+    displacement : ndarray
+        (K, a) commanded displacement [m].
+    channels : tuple of str
+        (a,) what is displaced.
+    """
+
+    suite: Suite
+    detector: Entry
+    spoofer: Entry
+    run: int
+    time: FloatArray
+    ratio: FloatArray
+    alarm: NDArray[np.bool_]
+    error_n: FloatArray
+    displacement: FloatArray
+    channels: tuple[str, ...]
+
+    @property
+    def onset(self) -> int:
+        """Epochs before the onset, L."""
+        return len(self.time) - len(self.error_n)
+
+    @property
+    def induced(self) -> FloatArray:
+        """(K,) horizontal distance from the clean twin [m]."""
+        apart = self.error_n[:, ATTACKED] - self.error_n[:, TWIN]
+        return np.hypot(apart[:, 0], apart[:, 1])
+
+    @property
+    def first_alarm(self) -> int:
+        """Epoch of the first alarm after the onset, from 1 on; 0 for none."""
+        alarm = self.alarm[self.onset :, ATTACKED]
+        return int(alarm.argmax()) + 1 if alarm.any() else 0
+
+    def summary(self) -> dict[str, Any]:
+        """What came of it, JSON-able."""
+        setup = self.suite.setup(self.detector)
+        interval, induced, first = setup.scenario.epoch_interval_s, self.induced, self.first_alarm
+        commanded = induced[: setup.steps]
+        alarms = self.alarm[: self.onset, ATTACKED]
+        undetected = undetected_displacement(commanded[:, None], [first], setup.hold)[0]
+        twin = self.error_n[:, TWIN, :2]
+        return {
+            "scenario": setup.scenario.name,
+            "detector": self.detector.spec,
+            "spoofer": self.spoofer.spec,
+            "attack": setup.attack.label,
+            "entropy": self.suite.entropy,
+            "run": self.run,
+            "warmup_alarm": bool(alarms.any()),
+            "alarm": first > 0,
+            "delay_s": first * interval if first else None,
+            "undetected_displacement_m": round(float(undetected), 4),
+            "largest_error_m": round(float(commanded.max()), 4),
+            "final_error_m": round(float(commanded[-1]), 4),
+            "peak_ratio": round(float(self.ratio[self.onset :, ATTACKED].max()), 4),
+            "clean_rms_m": round(float(np.sqrt((twin * twin).sum(axis=1).mean())), 4),
+        }
+
+
+def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) -> Episode:
+    """Play one of the evaluation runs, attacked and not, side by side.
+
+    Parameters
+    ----------
+    suite : Suite
+        Scenario, receiver, attack, timeline and seed.
+    detector, spoofer : Entry
+        Who plays.
+    run : int
+        Which of the evaluation runs.
+
+    Returns
+    -------
+    Episode
+        What happened.
+    """
+    setup = suite.setup(detector)
+    player, observer = make_bound_spoofer(spoofer.spec, setup, 2)
+    engine = Engine(2, setup, threads=1)
+    batch = engine.batch
+    batch.begin([suite.generators("evaluation", run + 1)[run] for _ in range(2)])
+    batch.quiet_epochs(setup.quiet)
+    epochs = setup.steps + setup.hold
+    ratio = np.zeros((setup.live + epochs, 2))
+    alarm = np.zeros(ratio.shape, dtype=np.bool_)
+    error_e = np.zeros((epochs, 2, 3))
+    displacement = np.zeros((epochs, len(setup.attack.action_names(setup.world))))
+    for k in range(setup.live + epochs):
+        step = k - setup.live
+        if step < 0:
+            batch.advance()
+            verdict = batch.judge()
+            batch.update(verdict.weights)
+        elif step < setup.steps:
+            action = command(player, observer, engine, step)
+            action[TWIN] = 0.0
+            verdict = engine.step(action)
+        else:
+            verdict = engine.step(None)
+        ratio[k] = (verdict.statistic / verdict.threshold).max(axis=1)
+        alarm[k] = verdict.alarm.any(axis=1)
+        if step >= 0:
+            truth = setup.world.position_e[setup.onset + 1 + step]
+            error_e[step] = batch.buffers.state.position_e - truth
+            displacement[step] = batch.attack.memory["displacement"][ATTACKED]
+    names = setup.attack.action_names(setup.world)
+    return Episode(
+        suite=suite,
+        detector=detector,
+        spoofer=spoofer,
+        run=run,
+        time=np.arange(1 - setup.live, epochs + 1) * setup.scenario.epoch_interval_s,
+        ratio=ratio,
+        alarm=alarm,
+        error_n=np.einsum("kri,kij->krj", error_e, local_frames(setup)),
+        displacement=displacement,
+        channels=tuple(name.rsplit("_", 1)[0] for name in names),
+    )
+
+
+ORANGE, BLUE, GREEN = "#D55E00", "#0072B2", "#009E73"
+
+
+def draw_episode(episode: Episode, path: Path) -> None:
+    """Picture of an episode: the flight, the displacement, the statistic, the error.
+
+    Parameters
+    ----------
+    episode : Episode
+        What happened.
+    path : Path
+        Where to write the picture; its ending tells the format.
+    """
+    figure = figure_class()(figsize=(11.0, 8.2), layout="constrained")
+    axes = figure.subplots(2, 2)
+    for ax in axes.flat:
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.grid(True, color="#dddddd", lw=0.6)
+        ax.set_axisbelow(True)
+    _draw_flight(axes[0, 0], episode)
+    _draw_displacement(axes[0, 1], episode)
+    _draw_statistic(axes[1, 0], episode)
+    _draw_error(axes[1, 1], episode)
+    summary = episode.summary()
+    figure.suptitle(
+        f"{summary['scenario']}: {episode.spoofer.label} against {episode.detector.label}, "
+        f"run {episode.run}",
+        fontsize=13,
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+
+
+def _draw_flight(ax: Any, episode: Episode) -> None:
+    """True ground track; the part under attack stands out."""
+    setup = episode.suite.setup(episode.detector)
+    world, onset, steps = setup.world, setup.onset, setup.steps
+    end = onset + steps + setup.hold
+    latitude, longitude, _ = ecef_to_geodetic(world.position_e)
+    radius = 6_371.0
+    north = (latitude - latitude[onset]) * radius
+    east = (longitude - longitude[onset]) * radius * np.cos(latitude[onset])
+    ax.plot(east, north, color="#cccccc", lw=2, label="flight")
+    ax.plot(east[: onset + 1], north[: onset + 1], color=GREY, lw=2, label="warm-up")
+    ax.plot(east[onset : end + 1], north[onset : end + 1], color=ORANGE, lw=2.5, label="attack")
+    ax.plot(east[0], north[0], "o", color=GREY, ms=5)
+    ax.set(title="true flight", xlabel="east of the onset [km]", ylabel="north [km]")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.legend(frameon=False, fontsize=9)
+
+
+def _draw_displacement(ax: Any, episode: Episode) -> None:
+    """Estimated less true position of both receivers, and what was commanded."""
+    for row, colour, label in ((TWIN, BLUE, "clean twin"), (ATTACKED, ORANGE, "attacked")):
+        north, east = episode.error_n[:, row, 0], episode.error_n[:, row, 1]
+        ax.plot(east, north, color=colour, lw=1.6, label=label)
+        ax.plot(east[-1], north[-1], "o", color=colour, ms=6)
+    if set(episode.channels) <= {"north", "east", "down"}:
+        moved = dict(zip(episode.channels, episode.displacement.T, strict=True))
+        still = np.zeros(len(episode.displacement))
+        east, north = moved.get("east", still), moved.get("north", still)
+        ax.plot(east, north, color=GREEN, lw=1.4, ls="--", label="commanded")
+        ax.plot(east[-1], north[-1], "s", color=GREEN, ms=5)
+    ax.plot(0, 0, "+", color="black", ms=10, label="truth")
+    if (first := episode.first_alarm) > 0:
+        error = episode.error_n[first - 1, ATTACKED]
+        ax.plot(error[1], error[0], "X", color="black", ms=9, label="first alarm")
+    ax.set(title="estimated less true position", xlabel="east [m]", ylabel="north [m]")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.legend(frameon=False, fontsize=9)
+
+
+def _phases(ax: Any, episode: Episode) -> None:
+    setup = episode.suite.setup(episode.detector)
+    interval = setup.scenario.epoch_interval_s
+    end = setup.steps * interval
+    ax.axvline(0.0, color=GREY, lw=1)
+    ax.axvspan(end, end + setup.hold * interval, color=GREY, alpha=0.12, lw=0)
+
+
+def _draw_statistic(ax: Any, episode: Episode) -> None:
+    """Statistic over threshold of both receivers."""
+    _phases(ax, episode)
+    ax.axhline(1.0, color="black", lw=1, ls=":")
+    ax.plot(episode.time, episode.ratio[:, TWIN], color=BLUE, lw=1.2, label="clean twin")
+    ax.plot(episode.time, episode.ratio[:, ATTACKED], color=ORANGE, lw=1.6, label="attacked")
+    for row, colour in ((TWIN, BLUE), (ATTACKED, ORANGE)):
+        alarm = episode.alarm[:, row]
+        ax.plot(episode.time[alarm], episode.ratio[alarm, row], ".", color=colour, ms=5)
+    ax.set(title="largest statistic over its threshold", xlabel="time since the onset [s]")
+    top = float(episode.ratio.max())
+    if top > 5.0:
+        ax.set_yscale("symlog", linthresh=1.0)
+    ax.set_ylim(0.0, 1.15 * max(top, 1.0))
+    ax.legend(frameon=False, fontsize=9, loc="upper left")
+
+
+def _draw_error(ax: Any, episode: Episode) -> None:
+    """Induced error, and what of it counts."""
+    _phases(ax, episode)
+    summary, window = episode.summary(), episode.time[episode.onset :]
+    size = np.linalg.norm(episode.displacement, axis=1)
+    if set(episode.channels) <= {"north", "east", "down"}:
+        ax.plot(window, size, color=GREEN, lw=1.4, ls="--", label="commanded")
+    ax.plot(window, episode.induced, color=ORANGE, lw=1.8, label="distance from the clean twin")
+    counted = summary["undetected_displacement_m"]
+    ax.axhline(counted, color="black", lw=1, ls=":", label=f"undetected: {counted:.1f} m")
+    if summary["delay_s"] is not None:
+        ax.axvline(
+            summary["delay_s"], color="black", lw=1.2, label=f"first alarm: {summary['delay_s']:g} s"
+        )
+    ax.set(title="induced error [m]", xlabel="time since the onset [s]")
+    ax.set_ylim(bottom=0.0)
+    ax.legend(frameon=False, fontsize=9, loc="upper left")

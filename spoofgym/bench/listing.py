@@ -1,0 +1,109 @@
+"""What there is to choose from, by kind."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from ..attacks import ATTACKS
+from ..detectors import DETECTORS
+from ..sim.scenario import SCENARIOS
+from ..spoofers import SPOOFERS
+from .specs import describe
+
+
+def summary_of(thing: Any) -> str:
+    """First sentence of a docstring.
+
+    Parameters
+    ----------
+    thing : object
+        With a docstring.
+
+    Returns
+    -------
+    str
+        One line.
+    """
+    text = inspect.getdoc(thing) or ""
+    paragraph = " ".join(text.split("\n\n")[0].split())
+    return paragraph.split(". ")[0].rstrip(".") if paragraph else ""
+
+
+def _classes(kinds: Mapping[str, type[Any]], *more: str) -> list[dict[str, Any]]:
+    """Registered dataclasses with their settings."""
+    return [
+        {
+            "name": name,
+            "summary": summary_of(kind),
+            "settings": {field.name: _default(field) for field in dataclasses.fields(kind)},
+            **{key: getattr(kind, key) for key in more},
+        }
+        for name, kind in sorted(kinds.items())
+    ]
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    if field.default_factory is not dataclasses.MISSING:
+        return describe(field.default_factory())
+    return None if field.default is dataclasses.MISSING else describe(field.default)
+
+
+def _scenarios() -> list[dict[str, Any]]:
+    rows = []
+    for name, build in SCENARIOS.items():
+        made = build()
+        flight = made.flight if isinstance(made.flight, str) else made.flight.name
+        errors = made.errors if isinstance(made.errors, str) else type(made.errors).__name__
+        rows.append(
+            {
+                "name": name,
+                "summary": f"flight {flight}, errors {errors}, {made.imu} inertial sensors",
+                "settings": {
+                    "flight": flight,
+                    "errors": errors,
+                    "imu": made.imu,
+                    "epoch_interval_s": made.epoch_interval_s,
+                    "channels": made.channels,
+                    "mask_deg": made.mask_deg,
+                },
+            }
+        )
+    return rows
+
+
+def _envs() -> list[dict[str, Any]]:
+    import gymnasium
+    from gymnasium.envs.registration import load_env_creator
+
+    rows = []
+    for name, spec in sorted(gymnasium.registry.items()):
+        if spec.namespace != "spoofgym":
+            continue
+        entry = spec.entry_point
+        creator = load_env_creator(entry) if isinstance(entry, str) else entry
+        parameters = inspect.signature(creator).parameters if creator is not None else {}
+        rows.append(
+            {
+                "name": name,
+                "summary": summary_of(creator),
+                "settings": {
+                    key: describe(parameter.default)
+                    for key, parameter in parameters.items()
+                    if parameter.default is not parameter.empty
+                },
+            }
+        )
+    return rows
+
+
+KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
+    "envs": _envs,
+    "scenarios": _scenarios,
+    "attacks": lambda: _classes(ATTACKS),
+    "detectors": lambda: _classes(DETECTORS, "paper", "scope"),
+    "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
+}
+"""Lists by kind; each row has a name, a summary and settings with their defaults."""

@@ -1,0 +1,135 @@
+"""How fast this machine steps the environments, measured as Gymnasium measures it.
+
+The vector environment has 64 receivers with epochs of 1 s (100 inertial samples), the ``ewma``
+detector and the default observations; episodes do not end at an alarm.  The loop lasts at least as
+long as asked for, and until every receiver has begun a second episode, so that its share of resets
+with their warm-up is counted.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from typing import Any
+
+import numpy as np
+
+ENV = "spoofgym/TightlyCoupled-v0"
+SETTINGS: dict[str, Any] = {
+    "scenario": {"name": "zhong2025", "epoch_interval_s": 1.0},
+    "detector": "ewma",
+    "end_at_alarm": False,
+}
+
+
+def vector_speed(
+    num_envs: int = 64, threads: int | None = None, duration_s: float = 10.0, **settings: Any
+) -> dict[str, Any]:
+    """Steps a second of the vector environment, all receivers together.
+
+    Parameters
+    ----------
+    num_envs : int
+        Receivers.
+    threads : int, optional
+        Of the engine; as many as it finds worth while by default.
+    duration_s : float
+        Shortest time of the loop.
+    **settings
+        Of the environment, instead of those of `SETTINGS`.
+
+    Returns
+    -------
+    dict
+        ``num_envs``, ``threads``, ``steps_per_s``, ``steps``, ``episodes``, ``duration_s``.
+    """
+    import gymnasium as gym
+
+    envs = gym.make_vec(ENV, num_envs=num_envs, threads=threads, **{**SETTINGS, **settings})
+    used = envs.unwrapped.game.engine.threads  # type: ignore[attr-defined]
+    envs.action_space.seed(0)
+    envs.reset(seed=0)
+    actions = envs.action_space.sample()
+    envs.step(actions)
+    steps, ended = 0, np.zeros(num_envs, dtype=np.int64)
+    began = time.perf_counter()
+    while True:
+        _, _, terminated, truncated, _ = envs.step(actions)
+        steps += num_envs
+        ended += terminated | truncated
+        passed = time.perf_counter() - began
+        # the step after the end is the one that begins the next episode
+        if passed >= duration_s and ended.min() >= 1 and not (terminated | truncated).any():
+            break
+    envs.close()
+    return {
+        "num_envs": num_envs,
+        "threads": used,
+        "steps_per_s": round(steps / passed, 1),
+        "steps": steps,
+        "episodes": int(ended.sum()),
+        "duration_s": round(passed, 3),
+    }
+
+
+def single_speed(duration_s: float = 5.0, **settings: Any) -> dict[str, Any]:
+    """Steps a second of the single environment, resets included.
+
+    Parameters
+    ----------
+    duration_s : float
+        Shortest time of the loop, which ends with an episode.
+    **settings
+        Of the environment, instead of those of `SETTINGS`.
+
+    Returns
+    -------
+    dict
+        ``steps_per_s``, ``steps``, ``episodes``, ``duration_s``.
+    """
+    import gymnasium as gym
+
+    env = gym.make(ENV, **{**SETTINGS, **settings})
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    env.step(action)
+    env.reset()
+    steps = episodes = 0
+    began = time.perf_counter()
+    while True:
+        _, _, terminated, truncated, _ = env.step(action)
+        steps += 1
+        if terminated or truncated:
+            episodes += 1
+            env.reset()
+            passed = time.perf_counter() - began
+            if passed >= duration_s:
+                break
+    env.close()
+    return {
+        "steps_per_s": round(steps / passed, 1),
+        "steps": steps,
+        "episodes": episodes,
+        "duration_s": round(passed, 3),
+    }
+
+
+def machine() -> dict[str, Any]:
+    """What it was measured on.
+
+    Returns
+    -------
+    dict
+        Processors, their kind, and Python.
+    """
+    try:
+        usable = len(os.sched_getaffinity(0))
+    except AttributeError:
+        usable = os.cpu_count() or 1
+    return {
+        "processors": usable,
+        "processor": platform.processor() or platform.machine(),
+        "python": platform.python_version(),
+    }
