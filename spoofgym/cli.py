@@ -74,23 +74,25 @@ EphemerisOption = Annotated[
 ]
 FromOption = Annotated[
     float | None,
-    typer.Option("--from", help="Start in the track [s] after its first row. Default: start of the "
+    typer.Option("--from", help="Start, in seconds after the first row of the track. Default: that of the "
                                 "longest airborne stretch without a gap."),
 ]
 DurationOption = Annotated[
-    float | None, typer.Option(help="Duration of the track [s]. Default: ten minutes.")
+    float | None, typer.Option(help="Duration of the flight in seconds. Default: ten minutes.")
 ]
 DateOption = Annotated[
     str | None,
-    typer.Option(help="Day of the flight, YYYY-MM-DD. Default: the day of the ephemerides."),
+    typer.Option(
+        "--date", help="Day of the flight, YYYY-MM-DD. Default: the day of the ephemerides."
+    ),
 ]
-WarmupOption = Annotated[float, typer.Option(help="Clean run before the attack [s].")]
-LiveOption = Annotated[float, typer.Option(help="Its last part, with the detectors live [s].")]
-AttackTimeOption = Annotated[float, typer.Option(help="Command phase of the attack [s].")]
+WarmupOption = Annotated[float, typer.Option(help="Clean run before the attack, in seconds.")]
+LiveOption = Annotated[float, typer.Option(help="Its last part, with the detectors live, in seconds.")]
+AttackTimeOption = Annotated[float, typer.Option(help="Command phase of the attack, in seconds.")]
 AlertOption = Annotated[
     float,
-    typer.Option(help="Time to alert [s]: what was induced this short before an alarm does not "
-                      "count."),
+    typer.Option(help="Time to alert, in seconds: what was induced this short before an alarm "
+                      "does not count."),
 ]
 SeedOption = Annotated[int, typer.Option(help="All chance follows from this number.")]
 ThreadsOption = Annotated[
@@ -158,13 +160,17 @@ def _print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]])
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     console = Console()
     if not console.is_terminal:
         console = Console(width=160)
-    table = Table(*head, title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    # as Text, since rich takes a unit in brackets for a style
+    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD)
+    for name in head:
+        table.add_column(Text(name), overflow="fold")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(Text, row))
     console.print(table)
 
 
@@ -301,7 +307,7 @@ def run(
     ephemeris: EphemerisOption = None,
     from_s: FromOption = None,
     duration: DurationOption = None,
-    day: Annotated[str | None, typer.Option("--date", help="Day of the flight.")] = None,
+    day: DateOption = None,
     warmup_s: WarmupOption = 200.0,
     live_s: LiveOption = 60.0,
     attack_s: AttackTimeOption = 150.0,
@@ -469,8 +475,7 @@ def bench(
 ) -> None:
     """Play all detectors against all spoofers on the same runs, and score them.
 
-    Every finished cell is kept in the folder of the results; after an interruption the same command
-    goes on where it stopped.
+    Every finished cell is kept. After an interruption the same command goes on.
     """
     from .bench.campaign import expected_work, run_campaign
     from .bench.store import ResultsFolder
@@ -512,7 +517,7 @@ def report(
     folder: Annotated[Path, typer.Argument(help="Folder of the results.")] = Path("results"),
     as_json: JsonOption = False,
 ) -> None:
-    """Score the finished cells of a folder again, and write its table and picture anew."""
+    """Score the finished cells of a folder anew, with table and picture."""
     from .bench.store import ResultsFolder
 
     _report(ResultsFolder(folder), as_json, None)
@@ -523,13 +528,12 @@ def report(
 def perf(
     num_envs: Annotated[int, typer.Option(min=1, help="Receivers of the vector environment.")] = 64,
     threads: ThreadsOption = None,
-    duration: Annotated[float, typer.Option(help="Shortest time of each measurement [s].")] = 10.0,
+    duration: Annotated[float, typer.Option(help="Shortest time of each measurement, in seconds.")] = 10.0,
     as_json: JsonOption = False,
 ) -> None:
     """Measure how fast this machine steps the environments.
 
-    1 Hz epochs of 100 inertial samples, ewma, default observations, no end at an alarm; resets with
-    their warm-up are part of it.
+    Epochs of 1 s with 100 inertial samples, ewma, no end at alarms, resets included.
     """
     from .bench.perf import machine, single_speed, vector_speed
 

@@ -213,7 +213,7 @@ def _draw_flight(ax: Any, episode: Episode) -> None:
     ax.plot(east[0], north[0], "o", color=GREY, ms=5)
     ax.set(title="true flight", xlabel="east of the onset [km]", ylabel="north [km]")
     ax.set_aspect("equal", adjustable="datalim")
-    ax.legend(frameon=False, fontsize=9)
+    ax.legend(fontsize=9, framealpha=0.9)
 
 
 def _draw_displacement(ax: Any, episode: Episode) -> None:
@@ -234,7 +234,7 @@ def _draw_displacement(ax: Any, episode: Episode) -> None:
         ax.plot(error[1], error[0], "X", color="black", ms=9, label="first alarm")
     ax.set(title="estimated less true position", xlabel="east [m]", ylabel="north [m]")
     ax.set_aspect("equal", adjustable="datalim")
-    ax.legend(frameon=False, fontsize=9)
+    ax.legend(fontsize=9, framealpha=0.9)
 
 
 def _phases(ax: Any, episode: Episode) -> None:
@@ -258,8 +258,8 @@ def _draw_statistic(ax: Any, episode: Episode) -> None:
     top = float(episode.ratio.max())
     if top > 5.0:
         ax.set_yscale("symlog", linthresh=1.0)
-    ax.set_ylim(0.0, 1.15 * max(top, 1.0))
-    ax.legend(frameon=False, fontsize=9, loc="upper left")
+    ax.set_ylim(0.0, 1.35 * max(top, 1.0))
+    ax.legend(fontsize=9, loc="upper left", framealpha=0.9)
 
 
 def _draw_error(ax: Any, episode: Episode) -> None:
@@ -277,5 +277,5 @@ def _draw_error(ax: Any, episode: Episode) -> None:
             summary["delay_s"], color="black", lw=1.2, label=f"first alarm: {summary['delay_s']:g} s"
         )
     ax.set(title="induced error [m]", xlabel="time since the onset [s]")
-    ax.set_ylim(bottom=0.0)
-    ax.legend(frameon=False, fontsize=9, loc="upper left")
+    ax.set_ylim(0.0, 1.35 * max(float(size.max()), float(episode.induced.max()), 1e-3))
+    ax.legend(fontsize=9, loc="upper left", framealpha=0.9)

@@ -72,10 +72,12 @@ def _value(text: str) -> Any:
     word = text.capitalize()
     if word in _WORDS:
         return _WORDS[word]
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError:
-        return text
+    for read in (json.loads, float):
+        try:
+            return read(text)
+        except ValueError:
+            continue
+    return text
 
 
 def load_class(path: str, base: type[T]) -> type[T]:

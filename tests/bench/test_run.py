@@ -1,0 +1,168 @@
+"""One cell: shared warm-ups, dropped runs and observations change no bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from spoofgym.bench.run import (
+    WarmStart,
+    displacement_of,
+    induced_error,
+    local_frames,
+    play,
+    to_local,
+)
+from spoofgym.bench.suite import Suite
+from spoofgym.detectors import Ewma
+from spoofgym.envs.engine import Engine, Setup
+from spoofgym.spoofers import Ramp, Spoofer
+
+from .support import small_suite
+
+FAST = {"name": "ramp", "rate_mps": 0.6}
+RUNS = 40
+
+
+@pytest.fixture(scope="module")
+def suite() -> Suite:
+    # a low threshold, so that some runs of twenty seconds alarm and others do not
+    return small_suite(detectors=(Ewma(false_alarm=0.02),))
+
+
+@pytest.fixture(scope="module")
+def start(suite: Suite) -> WarmStart:
+    setup = suite.setup(suite.detector_entries[0])
+    return WarmStart(setup, suite.generators("evaluation", RUNS), threads=1)
+
+
+@dataclass
+class Mirror(Spoofer):
+    """Commands what it observes; all the bits of an observation show in its run."""
+
+    knowledge: ClassVar[str] = "oracle"
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        a = len(self.context.action_names)
+        return np.ascontiguousarray(np.clip(observation[:, -a:].astype(np.float64), -1.0, 1.0))
+
+
+def anew(suite: Suite, setup: Setup, spoofer: Ramp) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and alarms by an engine that runs its own warm-up."""
+    engine = Engine(RUNS, setup, threads=1)
+    engine.reset(suite.generators("evaluation", RUNS))
+    position, alarm = [], []
+    action = np.zeros((RUNS, 2))
+    rate = 0.0
+    for k in range(setup.steps + setup.hold):
+        change = min(max(spoofer.rate_mps - rate, -0.025), 0.025)
+        rate += change
+        action[:, 1] = change / 0.025
+        verdict = engine.step(action if k < setup.steps else None)
+        position.append(engine.batch.buffers.state.position_e.copy())
+        alarm.append(verdict.alarm.any(axis=1))
+    return np.array(position), np.array(alarm)
+
+
+def test_a_shared_warm_up_gives_the_bits_of_one_of_its_own(suite: Suite, start: WarmStart) -> None:
+    play(start, "step")
+    runs = play(start, FAST)
+    position, alarm = anew(suite, start.setup, Ramp(rate_mps=0.6))
+    np.testing.assert_allclose(runs.position_e, position, rtol=0.0, atol=1e-9)
+    np.testing.assert_array_equal(runs.alarm, alarm)
+
+
+@pytest.mark.parametrize("spec", [FAST, Mirror()])
+def test_no_cell_leaves_a_trace_in_the_next(start: WarmStart, spec: object) -> None:
+    first = play(start, spec)
+    play(start, "step")
+    second = play(start, spec)
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_an_observing_spoofer_sees_the_warm_up_it_would_have_had(
+    suite: Suite, start: WarmStart
+) -> None:
+    fresh = WarmStart(start.setup, suite.generators("evaluation", RUNS), threads=1)
+    np.testing.assert_array_equal(
+        fresh._engine.batch.weights, start.engine().batch.weights
+    )
+    np.testing.assert_array_equal(play(fresh, Mirror()).position_e, play(start, Mirror()).position_e)
+
+
+def test_dropping_settled_runs_changes_no_score(start: WarmStart) -> None:
+    clean = play(start, "none")
+    whole, dropped = play(start, FAST), play(start, FAST, drop_alarmed=True)
+    assert 0.3 < whole.alarm.any(axis=0).mean() < 1.0
+    assert np.isnan(dropped.position_e).any()
+    np.testing.assert_array_equal(whole.first_alarm, dropped.first_alarm)
+    np.testing.assert_array_equal(
+        displacement_of(start.setup, whole, clean), displacement_of(start.setup, dropped, clean)
+    )
+    known = np.isfinite(dropped.position_e)
+    np.testing.assert_array_equal(whole.position_e[known], dropped.position_e[known])
+
+
+def test_fewer_runs_are_the_first_of_all(start: WarmStart) -> None:
+    few = play(start.first(7), FAST)
+    for one, other in zip(few, play(start, FAST).first(7), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_threads_change_no_bit(suite: Suite, start: WarmStart) -> None:
+    two = WarmStart(start.setup, suite.generators("evaluation", RUNS), threads=2)
+    np.testing.assert_array_equal(play(two, FAST).position_e, play(start, FAST).position_e)
+
+
+def test_no_attack_induces_nothing(start: WarmStart) -> None:
+    clean = play(start, "none")
+    still = play(start, {"name": "ramp", "rate_mps": 0.0})
+    assert not induced_error(start.setup, still, clean).any()
+    assert not displacement_of(start.setup, still, clean).any()
+
+
+def test_a_slow_ramp_carries_the_victim_along(start: WarmStart) -> None:
+    clean, slow = play(start, "none"), play(start, {"name": "ramp", "rate_mps": 0.1})
+    error = induced_error(start.setup, slow, clean)
+    commanded = 0.1 * (20.0 - 1.0)
+    assert error[start.setup.steps - 1].mean() == pytest.approx(commanded, rel=0.5)
+
+
+def test_local_axes_keep_lengths(start: WarmStart) -> None:
+    rng = np.random.default_rng(0)
+    frames = local_frames(start.setup)
+    vector = rng.standard_normal((len(frames), 3, 3))
+    np.testing.assert_allclose(
+        np.linalg.norm(to_local(vector, frames), axis=-1), np.linalg.norm(vector, axis=-1)
+    )
+
+
+@dataclass
+class Wild(Spoofer):
+    """Commands what no attack takes."""
+
+    value: float = float("nan")
+    wide: int = 0
+
+    knowledge: ClassVar[str] = "blind"
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        a = len(self.context.action_names) + self.wide
+        return np.full((len(observation), a), self.value)
+
+
+@pytest.mark.parametrize(
+    ("spoofer", "message"),
+    [
+        (Wild(), r"Wild must return actions within \[-1, 1\], got nan"),
+        (Wild(value=1.5), r"within \[-1, 1\], got 1.5"),
+        (Wild(value=0.0, wide=1), r"actions of shape \(40, 2\) .* got \(40, 3\)"),
+    ],
+)
+def test_bad_actions_are_refused(start: WarmStart, spoofer: Spoofer, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        play(start, spoofer)

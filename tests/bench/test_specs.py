@@ -1,0 +1,85 @@
+"""Names with settings: text, objects and labels."""
+
+from __future__ import annotations
+
+from datetime import date
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spoofgym.bench.specs import describe, digest_of, load_class, make, parse_spec, slug, spec_of
+from spoofgym.bench.suite import detector_entry, spoofer_entry
+from spoofgym.detectors import DETECTORS, Detector, Ewma
+from spoofgym.spoofers import SPOOFERS, Ramp, Spoofer
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("ewma", {"name": "ewma"}),
+        ("ewma:smoothing=0.2", {"name": "ewma", "smoothing": 0.2}),
+        ("ewma:weight_scale=none", {"name": "ewma", "weight_scale": None}),
+        ("ewma:a=1, b=true,c=both", {"name": "ewma", "a": 1, "b": True, "c": "both"}),
+        ('{"name": "ewma", "smoothing": 1}', {"name": "ewma", "smoothing": 1}),
+        ("my.module:Class", {"name": "my.module:Class"}),
+        ("my.module:Class:size=3", {"name": "my.module:Class", "size": 3}),
+    ],
+)
+def test_text_becomes_name_and_settings(text: str, expected: dict[str, Any]) -> None:
+    assert parse_spec(text) == expected
+
+
+@pytest.mark.parametrize("text", ['{"smoothing": 1}', "{name: ewma}", "ewma:=3", "ewma:a=1,b"])
+def test_bad_text_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"must have a|is not JSON|is written `name=value`"):
+        parse_spec(text)
+
+
+def test_settings_make_an_equal_object_again() -> None:
+    for thing, word, kinds, base in (
+        (Ewma(smoothing=0.3, weight_scale=None), "detector", DETECTORS, Detector),
+        (Ramp(rate_mps=0.25), "spoofer", SPOOFERS, Spoofer),
+    ):
+        spec = spec_of(word, kinds, thing)
+        assert make(word, kinds, base, spec) == thing
+
+
+def test_labels_tell_what_is_not_default() -> None:
+    assert detector_entry("ewma").label == "ewma"
+    assert detector_entry(Ewma(smoothing=0.1)).label == "ewma"
+    entry = detector_entry({"name": "ewma", "weight_scale": None, "smoothing": 0.25})
+    assert entry.label == "ewma(smoothing=0.25,weight_scale=none)"
+    assert slug(entry.label) == "ewma-smoothing=0.25-weight_scale=none"
+    assert spoofer_entry({"name": "ramp", "rate_mps": "tuned"}).label == "ramp(tuned)"
+
+
+def test_only_the_tunable_setting_is_tuned() -> None:
+    assert spoofer_entry({"name": "step", "size_m": "tuned"}).tuned == "size_m"
+    with pytest.raises(ValueError, match="`heading_deg` of spoofer 'ramp' can't be tuned; tunable"):
+        spoofer_entry({"name": "ramp", "heading_deg": "tuned"})
+    with pytest.raises(ValueError, match="tunable: nothing"):
+        spoofer_entry({"name": "none", "rate_mps": "tuned"})
+
+
+def test_a_class_of_the_user() -> None:
+    assert load_class("spoofgym.detectors.ewma:Ewma", Detector) is Ewma
+    entry = detector_entry({"name": "spoofgym.detectors.ewma:Ewma", "smoothing": 0.5})
+    assert entry.spec["name"] == "ewma"
+    with pytest.raises(ValueError, match="there is no module 'nowhere'"):
+        load_class("nowhere:Thing", Detector)
+    with pytest.raises(ValueError, match=r"must be a class derived from spoofgym\.detectors\.base"):
+        load_class("spoofgym.spoofers:Ramp", Detector)
+    with pytest.raises(ValueError, match="unexpected keyword argument 'smooth'"):
+        make("detector", DETECTORS, Detector, {"name": "spoofgym.detectors.ewma:Ewma", "smooth": 1})
+
+
+def test_arrays_are_described_by_what_is_in_them() -> None:
+    one = describe({"x": np.arange(3.0), "day": date(2012, 10, 31), "n": np.int64(4)})
+    assert one == describe({"n": 4, "x": np.arange(3.0), "day": date(2012, 10, 31)})
+    assert one["x"] != describe(np.arange(3))
+    assert digest_of(one) == digest_of(dict(reversed(one.items())))
+    with pytest.raises(ValueError, match="must be finite"):
+        describe(float("nan"))
+    with pytest.raises(TypeError, match="can't be written down"):
+        describe({1, 2})

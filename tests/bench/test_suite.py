@@ -1,0 +1,90 @@
+"""What a campaign runs, and where its chance comes from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spoofgym.bench.specs import digest_of
+from spoofgym.bench.suite import SPLITS, Suite, Tuning, seed_sequences
+
+from .support import small_suite
+
+
+def words(seed: np.random.SeedSequence) -> tuple[int, ...]:
+    return tuple(int(word) for word in seed.generate_state(4))
+
+
+def test_runs_share_no_noise_between_splits_scenarios_runs_and_campaigns() -> None:
+    found = {
+        words(seed)
+        for entropy in (0, 1)
+        for split in SPLITS
+        for scenario in ("zhong2025", "groves")
+        for seed in seed_sequences(entropy, split, scenario, 5)
+    }
+    assert len(found) == 2 * len(SPLITS) * 2 * 5
+
+
+def test_more_runs_begin_with_the_same_ones() -> None:
+    few = [words(seed) for seed in seed_sequences(3, "evaluation", "zhong2025", 4)]
+    many = [words(seed) for seed in seed_sequences(3, "evaluation", "zhong2025", 9)]
+    assert many[:4] == few
+
+
+def test_the_digest_follows_everything_that_results_depend_on() -> None:
+    digests = [
+        small_suite(**changes).digest
+        for changes in (
+            {},
+            {"runs": 6},
+            {"entropy": 1},
+            {"scenario": "groves"},
+            {"receiver": {"tuning": "matched"}},
+            {"attack": {"name": "false-position", "coherent": False}},
+            {"detectors": ("ewma",)},
+            {"spoofers": ("step",)},
+            {"tuning": Tuning(budget=0.1)},
+        )
+    ]
+    assert len(set(digests)) == len(digests)
+    assert small_suite().digest == digests[0]
+    # a default that is written out changes nothing
+    written_out = small_suite(detectors=("snapshot-chi2", {"name": "ewma", "smoothing": 0.1}))
+    assert digest_of(written_out.config) == digests[0]
+
+
+def test_the_clean_twin_is_always_played_first() -> None:
+    suite = small_suite(spoofers=("step", "none"))
+    assert [entry.label for entry in suite.spoofer_entries] == ["none", "step"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"runs": 1}, "`runs` must be a whole number of at least 2, got 1"),
+        ({"entropy": -1}, "`entropy` must be a whole number of at least 0"),
+        ({"detectors": ()}, "at least one detector"),
+        ({"detectors": ("ewma", "ewma")}, "listed twice: ewma"),
+        ({"detectors": ("emwa",)}, "unknown detector 'emwa'; valid: .*did you mean 'ewma'"),
+        ({"spoofers": ("rmap",)}, "unknown spoofer 'rmap'"),
+    ],
+)
+def test_bad_suites_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Suite(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"budget": 1.0}, r"`tuning.budget` must be in \[0, 1\)"),
+        ({"budget": float("nan")}, r"`tuning.budget` must be in \[0, 1\)"),
+        ({"values": 2}, "`tuning.values` must be a whole number of at least 3"),
+    ],
+)
+def test_bad_searches_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Tuning(**changes)

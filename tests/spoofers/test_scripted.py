@@ -1,0 +1,199 @@
+"""Scripted spoofers: closed forms of what they command, seen through the attack's own kinematics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from spoofgym.attacks._kernels import kinematic_step
+from spoofgym.spoofers import SPOOFERS, Spoofer, SpooferContext, make_spoofer
+
+pytestmark = pytest.mark.nojit
+
+PLANE = ("north", "east")
+NOTHING = np.zeros((3, 0), dtype=np.float32)
+
+
+def context(control: str = "acceleration", **changes: Any) -> SpooferContext:
+    axes = changes.pop("axes", PLANE)
+    given_ = {
+        "receivers": 3,
+        "interval_s": 0.5,
+        "steps": 300,
+        "control": control,
+        "acceleration_limit_mps2": 0.05,
+        "rate_limit_mps": 5.0,
+        "action_names": tuple(f"{axis}_{control}" for axis in axes),
+        **changes,
+    }
+    return SpooferContext(**given_)
+
+
+def flown(spoofer: Spoofer, told: SpooferContext) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and rate (steps, a) of the first receiver, by the attack's kinematics."""
+    spoofer.bind(told)
+    spoofer.reset()
+    displacement, rate = np.zeros(len(told.action_names)), np.zeros(len(told.action_names))
+    vector = told.action_names[0].startswith(("north", "east", "down"))
+    by_rate = told.control == "rate"
+    unit = told.rate_limit_mps if by_rate else told.acceleration_limit_mps2
+    rows = []
+    for _ in range(told.steps):
+        action = spoofer.act(NOTHING)
+        assert action.shape == (told.receivers, len(told.action_names))
+        assert action.dtype == np.float64
+        assert np.abs(action).max() <= 1.0
+        kinematic_step(
+            np.ascontiguousarray(action[0]),
+            False,
+            told.interval_s,
+            vector,
+            by_rate,
+            unit,
+            told.rate_limit_mps,
+            displacement,
+            rate,
+        )
+        rows.append((displacement.copy(), rate.copy()))
+    both = np.array(rows)
+    return both[:, 0], both[:, 1]
+
+
+@pytest.mark.parametrize("name", sorted(SPOOFERS))
+@pytest.mark.parametrize("control", ["rate", "acceleration"])
+def test_what_is_remembered_is_what_the_attack_does(name: str, control: str) -> None:
+    spoofer = make_spoofer(name)
+    displacement, rate = flown(spoofer, context(control))
+    if name == "none":
+        assert not displacement.any()
+        return
+    assert spoofer.memory["displacement"][0] == pytest.approx(displacement[-1, 1], rel=1e-12)
+    assert spoofer.memory["rate"][0] == pytest.approx(rate[-1, 1], abs=1e-12)
+    assert not displacement[:, 0].any()
+
+
+def test_a_ramp_by_rate_is_a_straight_line() -> None:
+    displacement, _ = flown(make_spoofer({"name": "ramp", "rate_mps": 0.2}), context("rate"))
+    np.testing.assert_allclose(displacement[:, 1], 0.1 * np.arange(1, 301), rtol=1e-12)
+
+
+def test_a_ramp_by_acceleration_reaches_its_rate_at_the_limit() -> None:
+    displacement, rate = flown(make_spoofer({"name": "ramp", "rate_mps": 0.2}), context())
+    # 4 s at 0.05 m/s^2, then constant
+    assert rate[7, 1] == pytest.approx(0.2)
+    np.testing.assert_allclose(rate[7:, 1], 0.2)
+    assert displacement[-1, 1] == pytest.approx(0.2 * (150.0 - 2.0))
+
+
+@pytest.mark.parametrize("control", ["rate", "acceleration"])
+def test_an_accelerating_ramp_is_a_parabola_up_to_the_limit_of_the_rate(control: str) -> None:
+    told = context(control, rate_limit_mps=1.0)
+    spoofer = make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.01})
+    displacement, rate = flown(spoofer, told)
+    time = 0.5 * np.arange(1, 301)
+    np.testing.assert_allclose(rate[:, 1], np.minimum(0.01 * time, 1.0), atol=1e-12)
+    # held over the interval, a rate covers a little more than its mean
+    more = 0.5 * 0.5 * np.minimum(0.01 * time, 1.0) if control == "rate" else 0.0
+    parabola = np.where(time <= 100.0, 0.005 * time**2, 50.0 + (time - 100.0))
+    np.testing.assert_allclose(displacement[:, 1], parabola + more, atol=1e-9)
+
+
+@given(
+    size=st.floats(0.01, 400.0),
+    limit=st.floats(0.01, 1.0),
+    fastest=st.floats(0.2, 10.0),
+    interval=st.sampled_from([0.2, 0.5, 1.0]),
+)
+def test_a_step_arrives_stops_and_never_overshoots(
+    size: float, limit: float, fastest: float, interval: float
+) -> None:
+    told = context(
+        acceleration_limit_mps2=limit, rate_limit_mps=fastest, interval_s=interval, steps=400
+    )
+    displacement, rate = flown(make_spoofer({"name": "step", "size_m": size}), told)
+    d, v = displacement[:, 1], rate[:, 1]
+    assert d.max() <= size * (1.0 + 1e-9)
+    assert (np.diff(d) >= -1e-9).all()
+    # bang, cruise, bang takes this long in continuous time; epochs add one or two
+    least = 2.0 * np.sqrt(size / limit)
+    if fastest**2 / limit < size:
+        least = size / fastest + fastest / limit
+    arrived = int(np.ceil(least / interval)) + 2
+    if arrived < told.steps:
+        np.testing.assert_allclose(d[arrived:], size, rtol=1e-9)
+        np.testing.assert_allclose(v[arrived:], 0.0, atol=1e-9)
+
+
+def test_a_step_by_rate_moves_at_the_limit() -> None:
+    told = context("rate", rate_limit_mps=4.0)
+    displacement, _ = flown(make_spoofer({"name": "step", "size_m": 7.0}), told)
+    np.testing.assert_allclose(displacement[:5, 1], [2.0, 4.0, 6.0, 7.0, 7.0])
+
+
+@pytest.mark.parametrize("name", ["ramp", "step", "accelerating-ramp"])
+def test_a_heading_and_its_opposite_mirror_each_other(name: str) -> None:
+    one, _ = flown(make_spoofer({"name": name, "heading_deg": 30.0}), context())
+    other, _ = flown(make_spoofer({"name": name, "heading_deg": 210.0}), context())
+    np.testing.assert_allclose(one, -other, atol=1e-12)
+    np.testing.assert_allclose(one[1:, 1] / one[1:, 0], np.tan(np.radians(30.0)), rtol=1e-9)
+
+
+def test_single_channels_are_all_commanded_alike() -> None:
+    told = context(axes=("S01", "S07", "S11"))
+    displacement, _ = flown(make_spoofer({"name": "ramp", "rate_mps": -0.1}), told)
+    assert (displacement[-1] < -14.0).all()
+    assert np.ptp(displacement, axis=1).max() == 0.0
+
+
+def test_reset_of_some_receivers_begins_anew_there_only() -> None:
+    spoofer = make_spoofer("step")
+    spoofer.bind(context())
+    first = [spoofer.act(NOTHING) for _ in range(5)]
+    spoofer.reset(np.array([True, False, True]))
+    again = spoofer.act(NOTHING)
+    np.testing.assert_array_equal(again[[0, 2]], first[0][[0, 2]])
+    np.testing.assert_array_equal(spoofer.memory["step"], [1.0, 6.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("rampe", r"unknown spoofer 'rampe'; valid: .*did you mean 'ramp'"),
+        ({"name": "ramp", "rate": 1.0}, "no setting 'rate'; valid: heading_deg, rate_mps"),
+        ({"name": "ramp", "rate_mps": float("nan")}, "`rate_mps` must be a finite number"),
+        ({"name": "step", "size_m": "far"}, "`size_m` must be a finite number"),
+        ({"name": "step", "heading_deg": float("inf")}, "`heading_deg` must be a finite number"),
+    ],
+)
+def test_bad_settings_are_refused_at_birth(spec: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_spoofer(spec)
+
+
+def test_what_the_attack_does_not_allow_is_refused_with_both_names() -> None:
+    with pytest.raises(ValueError, match="`rate_mps` = 6 .* `rate_limit_mps` = 5"):
+        make_spoofer({"name": "ramp", "rate_mps": 6.0}).bind(context())
+    fast = make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.06})
+    with pytest.raises(ValueError, match="`acceleration_mps2` = 0.06 .* `acceleration_limit_mps2`"):
+        fast.bind(context())
+    fast.bind(context("rate"))
+    with pytest.raises(ValueError, match="`heading_deg` = 0 needs a command to the north"):
+        make_spoofer({"name": "ramp", "heading_deg": 0.0}).bind(context(axes=("east", "down")))
+
+
+@pytest.mark.parametrize("name", sorted(SPOOFERS))
+def test_the_range_of_a_search_can_be_bound(name: str) -> None:
+    kind = SPOOFERS[name]
+    for control in ("rate", "acceleration"):
+        if kind.tunable is None:
+            with pytest.raises(ValueError, match="has no setting to tune"):
+                kind.tuning_range(context(control))
+            continue
+        low, high = kind.tuning_range(context(control))
+        assert 0.0 < low < high
+        for value in (low, high):
+            make_spoofer({"name": name, kind.tunable: value}).bind(context(control))
