@@ -26,7 +26,7 @@ from .workers import Workers
 
 FloatArray = NDArray[np.float64]
 RECEIVERS_PER_THREAD = 16
-RECEIVERS_FOR_THREADED_UPDATE = 128
+RECEIVERS_FOR_THREADED_UPDATE = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -353,25 +353,36 @@ class Batch:
         what = _kernels.MEASURE + _kernels.PREDICT + _kernels.UPDATE
         self._run(lambda lo, hi: self._epochs(what, count, lo, hi), self.receivers)
 
-    def live_epochs(self, count: int) -> NDArray[np.bool_]:
-        """Run clean epochs with the detector.
+    def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
+        """Run epochs with the detector, without new commands.
 
         Parameters
         ----------
         count : int
             How many.
+        holding : bool
+            Whether the attack holds its rate, or has not begun.
 
         Returns
         -------
         ndarray
             (count, B) bool, whether any channel alarmed.
         """
+        self._action = None
+        first = self._attack_and_advance if holding else self._advance
+
+        def onwards(lo: int, hi: int) -> None:
+            self._update(lo, hi)
+            first(lo, hi)
+
         alarms = np.zeros((count, self.receivers), dtype=np.bool_)
         for k in range(count):
-            self.advance()
+            self._run(onwards if k else first, self.receivers)
             verdict = self.judge()
             alarms[k] = verdict.alarm.any(axis=1)
-            self.update(verdict.weights)
+            self.weights = self.ones if verdict.weights is None else verdict.weights
+        if count:
+            self._run(self._update, self.receivers)
         return alarms
 
     def copy_rows(self, to: NDArray[np.intp], other: Batch, rows: NDArray[np.intp]) -> None:
@@ -565,12 +576,7 @@ class Engine:
         here = np.arange(len(rows))
         if not everyone:
             batch.copy_rows(here, self.batch, rows)
-        alarms = np.zeros((self.setup.hold, len(rows)), dtype=np.bool_)
-        for k in range(self.setup.hold):
-            batch.advance_attacked(None)
-            verdict = batch.judge()
-            alarms[k] = verdict.alarm.any(axis=1)
-            batch.update(verdict.weights)
+        alarms = batch.live_epochs(self.setup.hold, holding=True)
         if not everyone:
             self.batch.copy_rows(rows, batch, here)
         return alarms

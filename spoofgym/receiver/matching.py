@@ -17,8 +17,10 @@ A filter that takes the errors for white of variance R believes in
 .. math:: R = \sigma_w^2 + N \sigma_b^2,
 
 with N the number of epochs of the episode, since a filter that has range rates of 2 cm/s forgets
-hardly anything of its position within minutes.  The belief is right at the end of the episode;
-after k < N epochs its position variance is too large by about N / k.  The price is in the
+hardly anything of its position within minutes.  The first fix has the same biases once more, and
+so must not count: its position and clock offset are taken for unknown to `FIRST_FIX_SD_M`.  The
+belief is right at the end of the episode; after k < N epochs its position variance is too large by
+about N / k.  The price is in the
 innovation covariance, where R stands alone: it overstates the innovations of pseudoranges by about
 :math:`\sqrt{N}`, so that tests of them that rely on S have hardly any power.  Only states for the
 biases would do better.  Range rates have no biases, and keep their variance and their power.
@@ -60,6 +62,11 @@ WINDOW_S = 16
 On the flights of the project, half or twice of it changes the normalized error squared of all 17
 states by less than a half.
 """
+
+
+FIRST_FIX_SD_M = 100.0
+"""Initial standard deviation of position and clock offset [m]; without biases the first pseudoranges
+replace it at once."""
 
 
 class Motion(NamedTuple):
@@ -128,7 +135,7 @@ def matched_sensors(grade: str, motion: Motion) -> FilterGrade:
     Returns
     -------
     FilterGrade
-        Initial attitude, velocity and position as in `FILTER_GRADES`, all else matched.
+        Initial attitude and velocity as in `FILTER_GRADES`, all else matched.
     """
     sheet = IMU_GRADES[grade]
     accel_noise, gyro_noise = sheet.noise[:2]
@@ -136,6 +143,7 @@ def matched_sensors(grade: str, motion: Motion) -> FilterGrade:
     gyro_scale = _rms(sheet.gyro_matrix - np.eye(3))
     g_dependence = _rms(sheet.g_dependence)
     return FILTER_GRADES[grade]._replace(
+        position_sd=FIRST_FIX_SD_M,
         accel_bias_sd=math.hypot(_rms(sheet.accel_bias), accel_scale * STANDARD_GRAVITY),
         gyro_bias_sd=math.hypot(_rms(sheet.gyro_bias), g_dependence * STANDARD_GRAVITY),
         gyro_noise_psd=float(gyro_noise**2 + gyro_scale**2 * motion.turning),

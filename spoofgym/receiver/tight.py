@@ -34,7 +34,7 @@ class FilterGrade(NamedTuple):
     Attributes
     ----------
     attitude_sd, velocity_sd, position_sd : float
-        Initial standard deviations [rad], [m/s], [m].
+        Initial standard deviations [rad], [m/s], [m]; the last two also of clock drift and offset.
     accel_bias_sd, gyro_bias_sd : float
         Initial standard deviations [m/s^2], [rad/s].
     gyro_noise_psd, accel_noise_psd : float
@@ -229,7 +229,7 @@ class TightlyCoupled:
         sd[POSITION : POSITION + 3] = g.position_sd
         sd[ACCEL_BIAS : ACCEL_BIAS + 3] = g.accel_bias_sd
         sd[GYRO_BIAS : GYRO_BIAS + 3] = g.gyro_bias_sd
-        sd[CLOCK_BIAS], sd[CLOCK_DRIFT] = 10.0, 0.1
+        sd[CLOCK_BIAS], sd[CLOCK_DRIFT] = g.position_sd, g.velocity_sd
         return np.diag(sd**2)
 
     def noise_psd(self, noise: NoiseModel | None = None) -> NDArray[np.float64]:
