@@ -52,7 +52,8 @@ ScenarioOption = Annotated[
     str, typer.Option(help="Scenario: a name, with settings as for a detector.")
 ]
 ErrorsOption = Annotated[
-    str | None, typer.Option(help="GNSS errors instead of the scenario's own: groves, zhong2025 ...")
+    str | None,
+    typer.Option(help="GNSS errors instead of the scenario's own: groves, zhong2025 ..."),
 ]
 ImuOption = Annotated[
     str | None,
@@ -60,22 +61,29 @@ ImuOption = Annotated[
 ]
 TuningOption = Annotated[
     str,
-    typer.Option(help="Noise that the receiver assumes: as the papers print it, or as the world "
-                      "has it (matched)."),
+    typer.Option(
+        help="Noise that the receiver assumes: as the papers print it, or as the world "
+        "has it (matched)."
+    ),
 ]
 AttackOption = Annotated[str, typer.Option(help=f"What the spoofer can do. {SPEC_HELP}")]
 TrackOption = Annotated[
     Path | None,
-    typer.Option(help="Recorded flight (.csv, .json, .parquet; .gz too) to fly instead of the "
-                      "scenario's. Needs --ephemeris."),
+    typer.Option(
+        help="Recorded flight (.csv, .json, .parquet; .gz too) to fly instead of the "
+        "scenario's. Needs --ephemeris."
+    ),
 ]
 EphemerisOption = Annotated[
     Path | None, typer.Option(help="RINEX 2 or 3 navigation file with the GPS satellites.")
 ]
 FromOption = Annotated[
     float | None,
-    typer.Option("--from", help="Start, in seconds after the first row of the track. Default: that of the "
-                                "longest airborne stretch without a gap."),
+    typer.Option(
+        "--from",
+        help="Start, in seconds after the first row of the track. Default: that of the "
+        "longest airborne stretch without a gap.",
+    ),
 ]
 DurationOption = Annotated[
     float | None, typer.Option(help="Duration of the flight in seconds. Default: ten minutes.")
@@ -87,12 +95,16 @@ DateOption = Annotated[
     ),
 ]
 WarmupOption = Annotated[float, typer.Option(help="Clean run before the attack, in seconds.")]
-LiveOption = Annotated[float, typer.Option(help="Its last part, with the detectors live, in seconds.")]
+LiveOption = Annotated[
+    float, typer.Option(help="Its last part, with the detectors live, in seconds.")
+]
 AttackTimeOption = Annotated[float, typer.Option(help="Command phase of the attack, in seconds.")]
 AlertOption = Annotated[
     float,
-    typer.Option(help="Time to alert, in seconds: what was induced this short before an alarm "
-                      "does not count."),
+    typer.Option(
+        help="Time to alert, in seconds: what was induced this short before an alarm "
+        "does not count."
+    ),
 ]
 SeedOption = Annotated[int, typer.Option(help="All chance follows from this number.")]
 ThreadsOption = Annotated[
@@ -100,12 +112,17 @@ ThreadsOption = Annotated[
 ]
 BudgetOption = Annotated[
     float,
-    typer.Option(help="Alarm budget of tuned spoofers: how much more often than without attack an "
-                      "alarm may come, as a part of the runs."),
+    typer.Option(
+        help="Alarm budget of tuned spoofers: how much more often than without attack an "
+        "alarm may come, as a part of the runs."
+    ),
 ]
 TrainingOption = Annotated[
-    int, typer.Option(min=2, help="Training runs for tuned spoofers; they share no noise with the "
-                                  "evaluation runs.")
+    int,
+    typer.Option(
+        min=2,
+        help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
+    ),
 ]
 OutOption = Annotated[Path, typer.Option(help="Folder of the results.")]
 
@@ -126,6 +143,7 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        """Call the command."""
         try:
             return function(*args, **kwargs)
         except (ValueError, TypeError, ImportError, OSError) as error:
@@ -237,9 +255,15 @@ class _Bar:
     """Progress of a campaign on the terminal."""
 
     def __init__(self, total: float) -> None:
+        """Show it, empty."""
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-        from rich.progress import TimeRemainingColumn
+        from rich.progress import (
+            BarColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
 
         self.bar = Progress(
             TextColumn("{task.description}"),
@@ -314,16 +338,19 @@ def run(
     time_to_alert_s: AlertOption = 10.0,
     seed: SeedOption = 0,
 ) -> None:
-    """Play one attack beside its clean twin: a summary, and a picture.
-
-    It is the run of that number in a campaign with the same seed and settings.
-    """
+    """Play one run of the benchmark beside its clean twin: a summary, and a picture."""
     from .bench.episode import draw_episode, play_episode
 
     world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
     suite = _suite(
-        world, real, tuning, attack, (warmup_s, live_s, attack_s, time_to_alert_s), seed,
-        detectors=_specs([detector]), spoofers=_specs([spoofer]),
+        world,
+        real,
+        tuning,
+        attack,
+        (warmup_s, live_s, attack_s, time_to_alert_s),
+        seed,
+        detectors=_specs([detector]),
+        spoofers=_specs([spoofer]),
     )
     player = suite.spoofer_entries[-1]
     if player.tuned:
@@ -355,7 +382,7 @@ def tune(
         typer.Option(help="Spoofer, may be repeated: ramp, accelerating-ramp, step, or your own."),
     ] = None,
     budget: BudgetOption = 0.05,
-    seeds: TrainingOption = 128,
+    training_seeds: TrainingOption = 128,
     as_json: JsonOption = False,
     scenario: ScenarioOption = "zhong2025",
     errors: ErrorsOption = None,
@@ -389,9 +416,16 @@ def tune(
         spec[tunable] = TUNED
     world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
     suite = _suite(
-        world, real, tuning, attack, (warmup_s, live_s, attack_s, time_to_alert_s), seed,
-        detectors=_specs(detector) if detector else list(DEFAULT_DETECTORS), spoofers=specs,
-        budget=budget, training=seeds,
+        world,
+        real,
+        tuning,
+        attack,
+        (warmup_s, live_s, attack_s, time_to_alert_s),
+        seed,
+        detectors=_specs(detector) if detector else list(DEFAULT_DETECTORS),
+        spoofers=specs,
+        budget=budget,
+        training=training_seeds,
     )
     if not as_json:
         _print_lines(real)
@@ -473,20 +507,24 @@ def bench(
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
 ) -> None:
-    """Play all detectors against all spoofers on the same runs, and score them.
-
-    Every finished cell is kept. After an interruption the same command goes on.
-    """
+    """Play detectors against spoofers on the same runs; interrupted, it goes on when run again."""
     from .bench.campaign import expected_work, run_campaign
     from .bench.store import ResultsFolder
     from .bench.suite import DEFAULT_DETECTORS, DEFAULT_SPOOFERS
 
     world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
     suite = _suite(
-        world, real, tuning, attack, (warmup_s, live_s, attack_s, time_to_alert_s), seed,
+        world,
+        real,
+        tuning,
+        attack,
+        (warmup_s, live_s, attack_s, time_to_alert_s),
+        seed,
         detectors=_specs(detector) if detector else list(DEFAULT_DETECTORS),
         spoofers=_specs(spoofer) if spoofer else list(DEFAULT_SPOOFERS),
-        budget=budget, training=training_seeds, runs=seeds,
+        budget=budget,
+        training=training_seeds,
+        runs=seeds,
     )
     folder = ResultsFolder(out)
     folder.open(suite, overwrite=overwrite)
@@ -528,13 +566,12 @@ def report(
 def perf(
     num_envs: Annotated[int, typer.Option(min=1, help="Receivers of the vector environment.")] = 64,
     threads: ThreadsOption = None,
-    duration: Annotated[float, typer.Option(help="Shortest time of each measurement, in seconds.")] = 10.0,
+    duration: Annotated[
+        float, typer.Option(help="Shortest time of each measurement, in seconds.")
+    ] = 10.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how fast this machine steps the environments.
-
-    Epochs of 1 s with 100 inertial samples, ewma, no end at alarms, resets included.
-    """
+    """Measure how fast this machine steps the environments, resets included."""
     from .bench.perf import machine, single_speed, vector_speed
 
     found = {
@@ -545,8 +582,10 @@ def perf(
     if as_json:
         _print_json(found)
         return
-    rows = [(key, *(str(found[kind].get(key, "-")) for kind in ("single", "vector")))
-            for key in found["vector"]]
+    rows = [
+        (key, *(str(found[kind].get(key, "-")) for kind in ("single", "vector")))
+        for key in found["vector"]
+    ]
     _print_table("speed", ("", "single", "vector"), rows)
 
 

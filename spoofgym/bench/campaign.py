@@ -211,6 +211,7 @@ def search(
     left = search_work(suite)
 
     def tick(amount: float) -> None:
+        """Tell of it, but of no more than was expected."""
         nonlocal left
         amount = min(amount, left)
         left -= amount
@@ -242,9 +243,7 @@ def _cells(
     for entry in cells:
         tuning = folder.tuning(detector.label, entry.label) if entry.tuned else None
         spec = entry.spec if tuning is None else entry.with_value(tuning.value)
-        attacked = (
-            twin if entry.label == "none" else play(start, spec, tick=watched(entry.label))
-        )
+        attacked = twin if entry.label == "none" else play(start, spec, tick=watched(entry.label))
         head = {
             "detector": detector.label,
             "spoofer": entry.label,

@@ -156,7 +156,7 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
         detector=detector,
         spoofer=spoofer,
         run=run,
-        time=np.arange(1 - setup.live, epochs + 1) * setup.scenario.epoch_interval_s,
+        time=np.arange(1.0 - setup.live, epochs + 1) * setup.scenario.epoch_interval_s,
         ratio=ratio,
         alarm=alarm,
         error_n=np.einsum("kri,kij->krj", error_e, local_frames(setup)),
@@ -274,7 +274,10 @@ def _draw_error(ax: Any, episode: Episode) -> None:
     ax.axhline(counted, color="black", lw=1, ls=":", label=f"undetected: {counted:.1f} m")
     if summary["delay_s"] is not None:
         ax.axvline(
-            summary["delay_s"], color="black", lw=1.2, label=f"first alarm: {summary['delay_s']:g} s"
+            summary["delay_s"],
+            color="black",
+            lw=1.2,
+            label=f"first alarm: {summary['delay_s']:g} s",
         )
     ax.set(title="induced error [m]", xlabel="time since the onset [s]")
     ax.set_ylim(0.0, 1.35 * max(float(size.max()), float(episode.induced.max()), 1e-3))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,7 +10,7 @@ from ..attacks import ATTACKS
 from ..detectors import DETECTORS
 from ..sim.scenario import SCENARIOS
 from ..spoofers import SPOOFERS
-from .specs import describe
+from .specs import describe, settings_of
 
 
 def summary_of(thing: Any) -> str:
@@ -33,22 +32,25 @@ def summary_of(thing: Any) -> str:
 
 
 def _classes(kinds: Mapping[str, type[Any]], *more: str) -> list[dict[str, Any]]:
-    """Registered dataclasses with their settings."""
+    """Registered classes with their settings."""
     return [
         {
             "name": name,
             "summary": summary_of(kind),
-            "settings": {field.name: _default(field) for field in dataclasses.fields(kind)},
+            "settings": _defaults(kind),
             **{key: getattr(kind, key) for key in more},
         }
         for name, kind in sorted(kinds.items())
     ]
 
 
-def _default(field: dataclasses.Field[Any]) -> Any:
-    if field.default_factory is not dataclasses.MISSING:
-        return describe(field.default_factory())
-    return None if field.default is dataclasses.MISSING else describe(field.default)
+def _defaults(kind: Callable[..., Any]) -> dict[str, Any]:
+    """Settings with their defaults, without those that have none."""
+    return {
+        key: describe(value)
+        for key, value in settings_of(kind).items()
+        if value is not inspect.Parameter.empty
+    }
 
 
 def _scenarios() -> list[dict[str, Any]]:
@@ -84,16 +86,11 @@ def _envs() -> list[dict[str, Any]]:
             continue
         entry = spec.entry_point
         creator = load_env_creator(entry) if isinstance(entry, str) else entry
-        parameters = inspect.signature(creator).parameters if creator is not None else {}
         rows.append(
             {
                 "name": name,
                 "summary": summary_of(creator),
-                "settings": {
-                    key: describe(parameter.default)
-                    for key, parameter in parameters.items()
-                    if parameter.default is not parameter.empty
-                },
+                "settings": _defaults(creator) if creator is not None else {},
             }
         )
     return rows

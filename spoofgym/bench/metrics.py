@@ -125,7 +125,9 @@ def clopper_pearson(events: float, trials: float, confidence: float = CONFIDENCE
     return Estimate(events / trials, low, high)
 
 
-def clustered_proportion(events: ArrayLike, trials: int, confidence: float = CONFIDENCE) -> Estimate:
+def clustered_proportion(
+    events: ArrayLike, trials: int, confidence: float = CONFIDENCE
+) -> Estimate:
     r"""Proportion of epochs, which come in runs, with an exact interval for as many as they count.
 
     Alarms of one run hang together, so that its epochs are worth less than as many independent

@@ -67,9 +67,7 @@ def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
     figure = figure_class()(
         figsize=(max(4.6 * columns, 7.5), 9.6 * max(len(blocks), 1) + 1.0), layout="constrained"
     )
-    axes = figure.subplots(
-        3 * len(blocks), columns, sharey="row", squeeze=False
-    )
+    axes = figure.subplots(3 * len(blocks), columns, sharey="row", squeeze=False)
     for b, block in enumerate(blocks):
         for c in range(columns):
             column = axes[3 * b : 3 * b + 3, c]
@@ -78,13 +76,9 @@ def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
                     ax.set_visible(False)
                 continue
             detector = block[c]
-            cells = {
-                s: folder.cell(detector, s) for s in spoofers if folder.has_cell(detector, s)
-            }
+            cells = {s: folder.cell(detector, s) for s in spoofers if folder.has_cell(detector, s)}
             scores = {
-                cell["spoofer"]: cell
-                for cell in summary["cells"]
-                if cell["detector"] == detector
+                cell["spoofer"]: cell for cell in summary["cells"] if cell["detector"] == detector
             }
             searches = [x for x in summary["tuning"] if x["detector"] == detector]
             _trade(column[0], scores, searches, colour)
@@ -146,8 +140,14 @@ def _trade(
         ax.axvspan(100 * rate["low"], 100 * rate["high"], color=GREY, alpha=0.15, lw=0)
         ax.axvline(100 * rate["value"], color=GREY, lw=1.2)
         ax.annotate(
-            "no attack", (100 * rate["value"], 0.02), xycoords=("data", "axes fraction"),
-            xytext=(4, 0), textcoords="offset points", color=GREY, fontsize=8, rotation=90,
+            "no attack",
+            (100 * rate["value"], 0.02),
+            xycoords=("data", "axes fraction"),
+            xytext=(4, 0),
+            textcoords="offset points",
+            color=GREY,
+            fontsize=8,
+            rotation=90,
             va="bottom",
         )
     for search in searches:
@@ -192,8 +192,13 @@ def _exceedance(ax: Axes, cells: dict[str, Cell], colour: dict[str, str]) -> Non
     _style(ax)
     ax.axvline(TABLE_LIMIT_M, color=GREY, lw=1, ls=":")
     ax.annotate(
-        f"{TABLE_LIMIT_M:g} m", (TABLE_LIMIT_M, 1.0), xycoords=("data", "axes fraction"),
-        xytext=(3, -10), textcoords="offset points", color=GREY, fontsize=8,
+        f"{TABLE_LIMIT_M:g} m",
+        (TABLE_LIMIT_M, 1.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(3, -10),
+        textcoords="offset points",
+        color=GREY,
+        fontsize=8,
     )
     limits = np.geomspace(1.0, 1000.0, 400)
     for label, cell in cells.items():
@@ -226,8 +231,15 @@ def _course(ax: Axes, cells: dict[str, Cell], colour: dict[str, str]) -> None:
     if cells:
         ax.axvspan(end, time[-1], color=GREY, alpha=0.12, lw=0)
         ax.annotate(
-            "hold", (end, 0.02), xycoords=("data", "axes fraction"), xytext=(2, 0),
-            textcoords="offset points", color=GREY, fontsize=8, rotation=90, va="bottom",
+            "hold",
+            (end, 0.02),
+            xycoords=("data", "axes fraction"),
+            xytext=(2, 0),
+            textcoords="offset points",
+            color=GREY,
+            fontsize=8,
+            rotation=90,
+            va="bottom",
         )
         ax.set_xlim(0.0, time[-1])
     _log_metres(ax)

@@ -99,7 +99,7 @@ def attack_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
     list of tuple
         Text.
     """
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for cell in summary["cells"]:
         clean = cell["spoofer"] == "none"
         limit = next(p for p in cell["p_hmi"] if p["alert_limit_m"] == TABLE_LIMIT_M)
@@ -177,7 +177,7 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
     ]
     if summary["differences"]:
         lines += ["## Detectors compared, run by run", ""]
-        rows = [
+        rows: list[tuple[str, ...]] = [
             (
                 row["spoofer"],
                 f"{row['detector']} less {row['reference']}",
@@ -227,11 +227,11 @@ def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
     excluded = {cell["detector"]: cell["delay_excluded"] for cell in summary["cells"]}
     told = ", ".join(f"{count} with {detector}" for detector, count in excluded.items())
     return [
-        f"In brackets: 95 % intervals. *Alarm rate*: runs with an alarm within {horizon:g} s of the "
-        "onset (Wilson). *Delay*: from the onset to the first alarm, restricted mean with horizon "
-        f"{horizon:g} s, missed runs censored (Kaplan-Meier, bootstrap); runs with a false alarm in "
-        f"the warm-up are excluded ({told}). *Undetected displacement*: largest horizontal distance "
-        "from the clean twin (same seed, same detector, no attack) with no alarm up to "
+        f"In brackets: 95 % intervals. *Alarm rate*: runs with an alarm within {horizon:g} s of "
+        "the onset (Wilson). *Delay*: from the onset to the first alarm, restricted mean with "
+        f"horizon {horizon:g} s, missed runs censored (Kaplan-Meier, bootstrap); runs with a false "
+        f"alarm in the warm-up are excluded ({told}). *Undetected displacement*: largest "
+        "horizontal distance from the clean twin (same seed, same detector, no attack) with no alarm up to "
         f"{alert:g} s after it, mean over all runs, alarmed ones with what they had until then "
         "(bootstrap, paired over runs).",
     ]
@@ -248,13 +248,13 @@ def _tunings(searches: list[dict[str, Any]]) -> list[str]:
         lines += [
             f"### {search['detector']} / {search['spoofer']}",
             "",
-            f"Chosen: {chosen}. Budget: alarm rate at most {100 * search['budget']:g} % of the runs "
-            f"above the clean one, which is {100 * search['clean_alarm_rate']:.1f} % of {runs} "
-            f"training runs; none is excluded, {search['warmup_alarms']} of them had a false alarm "
-            "in the warm-up.",
+            f"Chosen: {chosen}. Budget: alarm rate at most {100 * search['budget']:g} % of the "
+            f"runs above the clean one, which is {100 * search['clean_alarm_rate']:.1f} % of "
+            f"{runs} training runs; none is excluded, {search['warmup_alarms']} of them had a false "
+            "alarm in the warm-up.",
             "",
         ]
-        rows = [
+        rows: list[tuple[str, ...]] = [
             (
                 f"{trial['value']:g}" + (" (chosen)" if _is_choice(search, trial) else ""),
                 str(trial["runs"]),

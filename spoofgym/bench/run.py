@@ -136,7 +136,6 @@ class WarmStart:
         """
         part = Engine(len(rows), self.setup, threads=self._threads)
         part.batch.copy_rows(np.arange(len(rows)), engine.batch, rows)
-        part.batch.weights = np.ascontiguousarray(engine.batch.weights[rows])
         part.warmup_alarm = engine.warmup_alarm[rows]
         return part
 
@@ -198,9 +197,7 @@ def play(
     return Runs(position_e, alarm, peak)
 
 
-def command(
-    spoofer: Spoofer, observer: Observer, engine: Engine, step: int
-) -> NDArray[np.float64]:
+def command(spoofer: Spoofer, observer: Observer, engine: Engine, step: int) -> NDArray[np.float64]:
     """Action of a spoofer, checked.
 
     Parameters

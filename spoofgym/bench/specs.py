@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib
+import inspect
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import date
 from pathlib import PurePath
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -80,7 +81,7 @@ def _value(text: str) -> Any:
     return text
 
 
-def load_class(path: str, base: type[T]) -> type[T]:
+def load_class(path: str, base: Callable[..., T]) -> type[T]:
     """Class of a module that is not part of spoofgym.
 
     Parameters
@@ -100,20 +101,21 @@ def load_class(path: str, base: type[T]) -> type[T]:
     ValueError
         When there is no such module or class, or it is of another kind.
     """
+    kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
     module_name, _, name = path.partition(":")
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         raise ValueError(f"there is no module {error.name!r} for {path!r}") from error
     found = getattr(module, name, None)
-    if not (isinstance(found, type) and issubclass(found, base)):
+    if not (isinstance(found, type) and issubclass(found, kind)):
         raise ValueError(
-            f"{path!r} must be a class derived from {base.__module__}.{base.__qualname__}"
+            f"{path!r} must be a class derived from {kind.__module__}.{kind.__qualname__}"
         )
     return found
 
 
-def make(word: str, kinds: Mapping[str, type[T]], base: type[T], spec: Any) -> T:
+def make(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: Any) -> T:
     """Object by name and settings; the name may be ``module:Class``.
 
     Parameters
@@ -154,7 +156,7 @@ def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
     kinds : mapping
         Registered classes by name.
     thing : object
-        A dataclass.
+        Keeps every argument of its constructor under the same name, as dataclasses do.
 
     Returns
     -------
@@ -169,15 +171,31 @@ def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
     kind = type(thing)
     registered = {cls: name for name, cls in kinds.items()}
     name = registered.get(kind, f"{kind.__module__}:{kind.__qualname__}")
-    if not dataclasses.is_dataclass(thing):
+    missing = [key for key in settings_of(kind) if not hasattr(thing, key)]
+    if missing:
         raise TypeError(
-            f"a {word} must be a dataclass, so that results can tell its settings; "
-            f"{name} is none"
+            f"{word} {name!r} must keep its settings under their names, so that results can tell "
+            f"them; it has no {', '.join(map(repr, missing))}"
         )
-    settings = {
-        field.name: describe(getattr(thing, field.name)) for field in dataclasses.fields(thing)
-    }
-    return {"name": name, **settings}
+    return {"name": name, **{key: describe(getattr(thing, key)) for key in settings_of(kind)}}
+
+
+def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
+    """Settings of a class or function, with their defaults.
+
+    Parameters
+    ----------
+    kind : callable
+        With named arguments.
+
+    Returns
+    -------
+    dict
+        Default by name; `inspect.Parameter.empty` where there is none.
+    """
+    parameters = inspect.signature(kind).parameters.values()
+    spread = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    return {item.name: item.default for item in parameters if item.kind not in spread}
 
 
 def label_of(spec: Spec, default: Spec | None) -> str:
@@ -255,20 +273,27 @@ def describe(value: Any) -> Any:
         content = np.ascontiguousarray(value)
         digest = hashlib.sha256(f"{content.dtype.str}{content.shape}".encode() + content.tobytes())
         return f"sha256:{digest.hexdigest()[:16]}"
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        named = {f.name: describe(getattr(value, f.name)) for f in dataclasses.fields(value)}
-        return {"kind": type(value).__qualname__, **named}
-    if isinstance(value, Mapping):
-        return {str(key): describe(item) for key, item in value.items()}
-    if hasattr(value, "_asdict"):
-        return describe(value._asdict())
-    if isinstance(value, list | tuple):
-        return [describe(item) for item in value]
     if isinstance(value, date):
         return value.isoformat()
     if isinstance(value, PurePath):
         return value.name
-    raise TypeError(f"a setting of type {type(value).__qualname__} can't be written down: {value!r}")
+    return _describe_parts(value)
+
+
+def _describe_parts(value: Any) -> Any:
+    """A record, mapping or sequence as JSON."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        named = {f.name: describe(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {"kind": type(value).__qualname__, **named}
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, Mapping):
+        return {str(key): describe(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [describe(item) for item in value]
+    raise TypeError(
+        f"a setting of type {type(value).__qualname__} can't be written down: {value!r}"
+    )
 
 
 def digest_of(config: Any) -> str:

@@ -176,7 +176,9 @@ def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
         When another setting than the tunable one is to be tuned.
     """
     settings: Any = dict(spec) if isinstance(spec, Mapping) else spec
-    tuned = [key for key, value in settings.items() if value == TUNED] if settings is not spec else []
+    tuned = (
+        [key for key, value in settings.items() if value == TUNED] if settings is not spec else []
+    )
     for key in tuned:
         del settings[key]
     spoofer: Spoofer = make("spoofer", SPOOFERS, Spoofer, settings)
@@ -272,7 +274,9 @@ class Suite:
         return make_setup(
             scenario=self.world,
             receiver=self.receiver,
-            attack=make_attack(self.attack if not isinstance(self.attack, Mapping) else dict(self.attack)),
+            attack=make_attack(
+                self.attack if not isinstance(self.attack, Mapping) else dict(self.attack)
+            ),
             detector="never",
             timeline=timeline,
         )
@@ -292,7 +296,6 @@ class Suite:
         """
         setup = copy.copy(self._setup)
         setup.detector = make("detector", DETECTORS, Detector, detector.spec)
-        setup._tables = {}
         return setup
 
     def generators(self, split: str, runs: int) -> list[np.random.Generator]:

@@ -85,8 +85,11 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
         "cells": [score_cell(cell, samples, counts) for cell in cells.values()],
         "differences": _differences(cells, detectors, spoofers, samples),
         "tuning": [search.as_dict() for search in searches if search is not None],
-        "missing": [f"{detector} / {spoofer}" for detector, spoofer in pairs
-                    if (detector, spoofer) not in cells],
+        "missing": [
+            f"{detector} / {spoofer}"
+            for detector, spoofer in pairs
+            if (detector, spoofer) not in cells
+        ],
     }
 
 

@@ -92,7 +92,7 @@ class TuningResult:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able."""
-        return asdict(self)
+        return {**asdict(self), "trials": [asdict(trial) for trial in self.trials]}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> TuningResult:

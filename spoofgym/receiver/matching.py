@@ -65,8 +65,8 @@ states by less than a half.
 
 
 FIRST_FIX_SD_M = 100.0
-"""Initial standard deviation of position and clock offset [m]; without biases the first pseudoranges
-replace it at once."""
+"""Initial standard deviation of position and clock offset [m]; without biases the first epoch's
+pseudoranges replace it."""
 
 
 class Motion(NamedTuple):

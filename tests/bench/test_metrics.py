@@ -28,7 +28,15 @@ Z = 1.959963984540054
 def test_undetected_displacement_by_hand() -> None:
     # five epochs of errors, two epochs to alert
     error = np.array([[1.0, 3.0, 2.0, 5.0, 4.0]]).T
-    for first_alarm, expected in [(0, 5.0), (7, 5.0), (6, 3.0), (5, 3.0), (4, 1.0), (3, 0.0), (1, 0.0)]:
+    for first_alarm, expected in [
+        (0, 5.0),
+        (7, 5.0),
+        (6, 3.0),
+        (5, 3.0),
+        (4, 1.0),
+        (3, 0.0),
+        (1, 0.0),
+    ]:
         assert undetected_displacement(error, [first_alarm], 2)[0] == expected
 
 
@@ -48,9 +56,7 @@ def test_undetected_displacement_is_what_its_definition_says(
     alarm = np.array(alarms[: len(error) + hold])
     first = int(alarm.argmax()) + 1 if alarm.any() else 0
     # the largest error at k with no alarm in epochs 1 to k + hold
-    expected = max(
-        [0.0] + [e for k, e in enumerate(error, start=1) if not alarm[: k + hold].any()]
-    )
+    expected = max([0.0] + [e for k, e in enumerate(error, start=1) if not alarm[: k + hold].any()])
     assert undetected_displacement(np.array(error)[:, None], [first], hold)[0] == expected
 
 

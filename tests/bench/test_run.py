@@ -16,10 +16,10 @@ from spoofgym.bench.run import (
     play,
     to_local,
 )
-from spoofgym.bench.suite import Suite
+from spoofgym.bench.suite import Suite, make_bound_spoofer
 from spoofgym.detectors import Ewma
-from spoofgym.envs.engine import Engine, Setup
-from spoofgym.spoofers import Ramp, Spoofer
+from spoofgym.envs.engine import Engine
+from spoofgym.spoofers import Spoofer
 
 from .support import small_suite
 
@@ -50,29 +50,18 @@ class Mirror(Spoofer):
         return np.ascontiguousarray(np.clip(observation[:, -a:].astype(np.float64), -1.0, 1.0))
 
 
-def anew(suite: Suite, setup: Setup, spoofer: Ramp) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and alarms by an engine that runs its own warm-up."""
-    engine = Engine(RUNS, setup, threads=1)
-    engine.reset(suite.generators("evaluation", RUNS))
-    position, alarm = [], []
-    action = np.zeros((RUNS, 2))
-    rate = 0.0
-    for k in range(setup.steps + setup.hold):
-        change = min(max(spoofer.rate_mps - rate, -0.025), 0.025)
-        rate += change
-        action[:, 1] = change / 0.025
-        verdict = engine.step(action if k < setup.steps else None)
-        position.append(engine.batch.buffers.state.position_e.copy())
-        alarm.append(verdict.alarm.any(axis=1))
-    return np.array(position), np.array(alarm)
-
-
 def test_a_shared_warm_up_gives_the_bits_of_one_of_its_own(suite: Suite, start: WarmStart) -> None:
     play(start, "step")
     runs = play(start, FAST)
-    position, alarm = anew(suite, start.setup, Ramp(rate_mps=0.6))
-    np.testing.assert_allclose(runs.position_e, position, rtol=0.0, atol=1e-9)
-    np.testing.assert_array_equal(runs.alarm, alarm)
+    setup = start.setup
+    engine = Engine(RUNS, setup, threads=1)
+    engine.reset(suite.generators("evaluation", RUNS))
+    spoofer, observer = make_bound_spoofer(FAST, setup, RUNS)
+    for k in range(setup.steps + setup.hold):
+        action = spoofer.act(observer(engine, k)) if k < setup.steps else None
+        verdict = engine.step(action)
+        np.testing.assert_array_equal(runs.position_e[k], engine.batch.buffers.state.position_e)
+        np.testing.assert_array_equal(runs.alarm[k], verdict.alarm.any(axis=1))
 
 
 @pytest.mark.parametrize("spec", [FAST, Mirror()])
@@ -88,10 +77,10 @@ def test_an_observing_spoofer_sees_the_warm_up_it_would_have_had(
     suite: Suite, start: WarmStart
 ) -> None:
     fresh = WarmStart(start.setup, suite.generators("evaluation", RUNS), threads=1)
+    np.testing.assert_array_equal(fresh._engine.batch.weights, start.engine().batch.weights)
     np.testing.assert_array_equal(
-        fresh._engine.batch.weights, start.engine().batch.weights
+        play(fresh, Mirror()).position_e, play(start, Mirror()).position_e
     )
-    np.testing.assert_array_equal(play(fresh, Mirror()).position_e, play(start, Mirror()).position_e)
 
 
 def test_dropping_settled_runs_changes_no_score(start: WarmStart) -> None:

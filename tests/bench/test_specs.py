@@ -83,3 +83,31 @@ def test_arrays_are_described_by_what_is_in_them() -> None:
         describe(float("nan"))
     with pytest.raises(TypeError, match="can't be written down"):
         describe({1, 2})
+
+
+class Plain(Detector):
+    """Not a dataclass, but keeps its settings under their names."""
+
+    paper = "barshalom2001"
+
+    def __init__(self, *, level: float = 2.0) -> None:
+        self.level = level
+
+    def bind(self, context: Any) -> None:
+        super().bind(context)
+
+    def judge(self, epoch: Any) -> Any:
+        raise NotImplementedError
+
+
+class Forgetful(Plain):
+    def __init__(self, factor: float = 2.0) -> None:
+        super().__init__(level=2.0 * factor)
+
+
+def test_a_detector_need_not_be_a_dataclass() -> None:
+    entry = detector_entry({"name": f"{__name__}:Plain", "level": 3.0})
+    assert entry.label == "Plain(level=3)"
+    assert make("detector", DETECTORS, Detector, entry.spec).level == 3.0
+    with pytest.raises(TypeError, match=r"must keep its settings .* it has no 'factor'"):
+        detector_entry(Forgetful())

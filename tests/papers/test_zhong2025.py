@@ -12,7 +12,7 @@ nearest in redundancy, which matters more.
 """
 
 import math
-from functools import lru_cache
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +65,7 @@ class Campaign(NamedTuple):
         return np.where(reverse.any(axis=0), reverse.argmax(axis=0) * EPOCH, np.inf)
 
 
-@lru_cache(maxsize=None)
+@cache
 def campaign(attack, weight_scale, satellite="S15", smoothing=0.1):
     kind, size = attack
     setup = Setup(

@@ -52,9 +52,9 @@ def matched(grade):
     return TightlyCoupled(grade=grade, tuning="matched")
 
 
-def mean_errors(scenario, receiver, times, *groups, seconds=None):
+def mean_errors(scenario, receiver, times, *groups):
     """Mean normalized error squared by degree of freedom, (times, groups)."""
-    batch = begin(scenario, receiver, RUNS, times[-1] if seconds is None else seconds)
+    batch = begin(scenario, receiver, RUNS, times[-1])
     rows = []
     for time in times:
         advance_to(batch, time)
@@ -102,23 +102,16 @@ def test_innovations_are_those_of_their_covariance_where_noise_is_white(grade):
 
 @pytest.mark.parametrize("errors", ["zhong2025", "groves"])
 def test_position_ends_at_the_spread_that_constant_biases_give_it(errors):
-    times, end = (20.0, 60.0, 110.0, 200.0, 300.0, 400.0), 400.0
-    position, motion = mean_errors(
-        Scenario(errors=errors),
-        matched("aviation"),
-        times,
-        POSITION_AND_CLOCK,
-        VELOCITY_AND_DRIFT,
-        seconds=end,
-    ).T
+    times = np.array((20.0, 60.0, 110.0, 200.0, 300.0, 400.0))
+    scenario, groups = Scenario(errors=errors), (POSITION_AND_CLOCK, VELOCITY_AND_DRIFT)
+    position, motion = mean_errors(scenario, matched("aviation"), times, *groups).T
     low, high = bounds(RUNS * 4, len(times))
     assert (motion > low).all(), motion
     assert (motion < high).all(), motion
-    assert (position < high).all(), position
-    assert position[-1] > low, position
-    # the variance of the position is too large by N / k, the more so the less of N is over
-    assert (np.diff(position) > 0.0).all(), position
-    assert position[3] < 0.5 * (1.0 + high)
+    # after k of N epochs the variance is too large by N / k: cautious, and right in the end
+    worst = position * times[-1] / times
+    assert (worst > low).all(), worst
+    assert (worst < high).all(), worst
 
 
 def test_taking_constant_biases_for_white_noise_is_what_the_inflation_prevents():

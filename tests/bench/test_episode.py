@@ -1,0 +1,58 @@
+"""One run looked at closely is the run of the campaign."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spoofgym.bench.episode import TWIN, Episode, draw_episode, play_episode
+from spoofgym.bench.run import WarmStart, displacement_of, induced_error, play
+from spoofgym.bench.suite import Suite
+from spoofgym.detectors import Ewma
+
+from .support import small_suite
+
+SPOOFER = {"name": "ramp", "rate_mps": 0.4}
+
+
+@pytest.fixture(scope="module")
+def suite() -> Suite:
+    return small_suite(detectors=("ewma",), spoofers=(SPOOFER,))
+
+
+@pytest.fixture(scope="module")
+def episode(suite: Suite) -> Episode:
+    return play_episode(suite, suite.detector_entries[0], suite.spoofer_entries[1], run=3)
+
+
+def test_it_is_the_run_of_that_number(suite: Suite, episode: Episode) -> None:
+    setup = suite.setup(suite.detector_entries[0])
+    start = WarmStart(setup, suite.generators("evaluation", 5), threads=1)
+    attacked, clean = play(start, SPOOFER), play(start, "none")
+    onset = episode.onset
+    np.testing.assert_array_equal(episode.alarm[onset:, 0], attacked.alarm[:, 3])
+    np.testing.assert_allclose(episode.induced, induced_error(setup, attacked, clean)[:, 3])
+    summary = episode.summary()
+    expected = displacement_of(setup, attacked, clean)[3]
+    assert summary["undetected_displacement_m"] == pytest.approx(expected, abs=1e-4)
+    assert summary["warmup_alarm"] == start.warmup_alarm[3]
+    assert summary["peak_ratio"] == pytest.approx(attacked.peak[3], abs=1e-4)
+
+
+def test_the_twin_is_not_attacked(episode: Episode) -> None:
+    onset = episode.onset
+    np.testing.assert_array_equal(episode.ratio[:onset, 0], episode.ratio[:onset, TWIN])
+    assert episode.time[onset - 1] == 0.0
+    assert np.abs(episode.error_n[:, TWIN, :2]).max() < 10.0
+    assert episode.displacement[-1, 1] > 5.0
+
+
+@pytest.mark.parametrize("attack", ["false-position", "per-channel"])
+def test_it_can_be_drawn(tmp_path: Path, attack: str) -> None:
+    suite = small_suite(detectors=(Ewma(false_alarm=0.5),), spoofers=("step",), attack=attack)
+    drawn = play_episode(suite, suite.detector_entries[0], suite.spoofer_entries[1])
+    assert drawn.summary()["alarm"]
+    draw_episode(drawn, tmp_path / "new" / "picture.png")
+    assert (tmp_path / "new" / "picture.png").stat().st_size > 10_000

@@ -1,0 +1,309 @@
+"""The command line: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from spoofgym import __version__
+from spoofgym.bench.store import ResultsFolder
+from spoofgym.cli import app
+from spoofgym.detectors import DETECTORS
+from spoofgym.spoofers import SPOOFERS
+
+SHORT = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "20", "--time-to-alert-s", "5"]
+TRAINING = [*SHORT, "--training-seeds", "4", "--budget", "0.25", "--threads", "1"]
+QUICK = [*TRAINING, "--seeds", "4"]
+TWO = ["--detector", "ewma", "--spoofer", "none", "--spoofer", "ramp:rate_mps=0.4"]
+
+
+def call(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def refused(*arguments: str | Path) -> str:
+    """The one line that a wrong command prints."""
+    result = call(*arguments)
+    assert result.exit_code == 2, result.output
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("spoofgym: error: ")
+    return lines[0]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_help_of_every_command() -> None:
+    text = call("--help").output
+    for command in ("list", "run", "tune", "bench", "report", "perf"):
+        assert command in text
+        page = call(command, "--help")
+        assert page.exit_code == 0
+        assert "Usage" in page.output
+    assert call("--version").output.strip() == __version__
+
+
+def test_it_starts_quickly_and_as_a_module() -> None:
+    began = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "spoofgym", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "bench" in done.stdout
+    assert time.perf_counter() - began < 10.0  # what is imported counts, not a busy machine
+    for slow in ("matplotlib", "pandas", "scipy", "numba"):
+        assert f" {slow}\n" not in done.stderr
+
+
+def test_list_names_all_there_is() -> None:
+    found = json.loads(call("list", "--json").stdout)
+    assert set(found) == {"envs", "scenarios", "attacks", "detectors", "spoofers"}
+    assert {row["name"] for row in found["detectors"]} == set(DETECTORS)
+    assert {row["name"] for row in found["spoofers"]} == set(SPOOFERS)
+    assert "spoofgym/TightlyCoupled-v0" in {row["name"] for row in found["envs"]}
+    for rows in found.values():
+        assert all(row["summary"] for row in rows)
+    (ramp,) = [row for row in found["spoofers"] if row["name"] == "ramp"]
+    assert ramp["settings"]["rate_mps"] == 0.5
+    assert (ramp["tunable"], ramp["knowledge"]) == ("rate_mps", "blind")
+    table = call("list", "detectors").output
+    assert "snapshot-chi2" in table
+    assert "accelerating-ramp" not in table
+
+
+def test_bench_writes_table_picture_and_json() -> None:
+    result = call("bench", *QUICK, "--out", "out", "--spoofer", "ramp:rate_mps=tuned")
+    assert result.exit_code == 0, result.output
+    assert "undetected displacement [m]" in " ".join(result.output.split())
+    for name in ("config.json", "results.md", "summary.json", "campaign.png"):
+        assert Path("out", name).is_file()
+    assert not list(Path("out").rglob("*.part"))
+    again = call("bench", *QUICK, "--out", "out", "--spoofer", "ramp:rate_mps=tuned", "--json")
+    summary = json.loads(again.stdout)
+    assert {cell["detector"] for cell in summary["cells"]} == {"snapshot-chi2", "ewma"}
+    assert {cell["spoofer"] for cell in summary["cells"]} == {"none", "ramp(tuned)"}
+    assert summary["runs"] == 4
+    written = json.loads(Path("out", "summary.json").read_text())
+    assert written == {k: v for k, v in summary.items() if k not in {"folder", "input"}}
+    Path("out", "results.md").unlink()
+    assert json.loads(call("report", "out", "--json").stdout)["cells"] == summary["cells"]
+    assert Path("out", "results.md").is_file()
+
+
+def test_an_interrupted_bench_is_kept_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    original = ResultsFolder.put_cell
+
+    def interrupted(self: ResultsFolder, cell: Any) -> None:
+        original(self, cell)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ResultsFolder, "put_cell", interrupted)
+        result = call("bench", *QUICK, *TWO, "--out", "out")
+    assert result.exit_code == 130
+    assert "interrupted: 1 of 2 cells are finished and kept in out" in result.stderr
+    assert call("bench", *QUICK, *TWO, "--out", "out").exit_code == 0
+    assert "another campaign (different: runs)" in refused(
+        "bench", *QUICK, *TWO, "--out", "out", "--seeds", "5"
+    )
+    assert call("bench", *QUICK, *TWO, "--out", "out", "--seeds", "5", "--overwrite").exit_code == 0
+
+
+def test_run_draws_one_attack() -> None:
+    result = call("run", *SHORT, "--spoofer", "step:size_m=20", "--out", "a.png", "--json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    assert summary["spoofer"]["size_m"] == 20
+    assert summary["largest_error_m"] > 1.0
+    assert Path("a.png").is_file()
+    plain = call("run", *SHORT, "--no-picture")
+    assert "undetected_displacement_m" in plain.output
+    assert not Path("episode.png").exists()
+
+
+def test_run_is_a_run_of_the_bench() -> None:
+    call("bench", *QUICK, *TWO, "--out", "out")
+    cell = ResultsFolder("out").cell("ewma", "ramp(rate_mps=0.4)")
+    result = call(
+        "run", *SHORT, "--spoofer", "ramp:rate_mps=0.4", "--run", "2", "--no-picture", "--json"
+    )
+    summary = json.loads(result.stdout)
+    assert summary["final_error_m"] == pytest.approx(cell.records["final_error_m"][2], abs=1e-4)
+
+
+def test_tune_tells_what_it_tried() -> None:
+    result = call("tune", *TRAINING, "--detector", "ewma", "--spoofer", "ramp", "--json")
+    (found,) = json.loads(result.stdout)
+    assert (found["setting"], found["runs"], found["budget"]) == ("rate_mps", 4, 0.25)
+    assert len({trial["value"] for trial in found["trials"]}) >= 20
+    table = call("tune", *TRAINING, "--detector", "ewma", "--spoofer", "ramp").output
+    assert "(chosen)" in table
+
+
+def test_settings_reach_what_is_run() -> None:
+    call(
+        "bench",
+        *QUICK,
+        *TWO,
+        "--out",
+        "out",
+        "--tuning",
+        "matched",
+        "--imu",
+        "tactical",
+        "--errors",
+        "groves",
+        "--attack",
+        "false-position:rate_limit_mps=2",
+        "--seed",
+        "7",
+    )
+    config = json.loads(Path("out", "config.json").read_text())
+    assert config["receiver"]["tuning"] == "matched"
+    assert (config["receiver"]["grade"], config["scenario"]["imu"]) == ("tactical", "tactical")
+    assert config["scenario"]["errors"] == "groves"
+    assert config["attack"]["rate_limit_mps"] == 2
+    assert config["entropy"] == 7
+    assert config["timeline"]["attack_s"] == 20.0
+
+
+def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
+    Path("homemade.py").write_text(
+        "from dataclasses import dataclass\n"
+        "from spoofgym.detectors import Ewma\n"
+        "from spoofgym.spoofers import Ramp\n\n"
+        "@dataclass\n"
+        "class Nervous(Ewma):\n"
+        "    false_alarm: float = 0.5\n\n"
+        "class Slow(Ramp):\n"
+        "    pass\n"
+    )
+    try:
+        result = call(
+            "bench",
+            *QUICK,
+            "--out",
+            "out",
+            "--json",
+            "--detector",
+            "homemade:Nervous",
+            "--spoofer",
+            "homemade:Slow:rate_mps=0.1",
+        )
+    finally:
+        sys.path.remove(str(Path.cwd()))
+    assert result.exit_code == 0, result.output
+    cells = json.loads(result.stdout)["cells"]
+    assert {cell["detector"] for cell in cells} == {"Nervous"}
+    assert cells[0]["alarm_rate"]["value"] == 1.0
+    assert cells[1]["spoofer"] == "Slow(rate_mps=0.1)"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["list", "planes"], "unknown kind 'planes'; valid: attacks, detectors, envs"),
+        (["bench", "--detector", "emwa"], "unknown detector 'emwa'; valid: "),
+        (["bench", "--spoofer", "ramp:rate=1"], "spoofer 'ramp' has no setting 'rate'; valid: "),
+        (["run", "--scenario", "zhong"], "unknown scenario 'zhong'; valid: "),
+        (["run", "--errors", "none"], "unknown errors 'none'; valid: "),
+        (["run", "--imu", "toy"], "unknown imu grade 'toy'; valid: "),
+        (["run", "--tuning", "loose"], "`tuning` must be one of 'paper', 'matched'"),
+        (["run", "--attack", "radio"], "unknown attack 'radio'; valid: "),
+        (["run", "--spoofer", "ramp:rate_mps=nan"], "`rate_mps` must be a finite number"),
+        (["run", "--spoofer", "ramp:rate_mps=9"], "`rate_mps` = 9 is more than the attack allows"),
+        (["run", "--attack-s", "nan"], "`attack_s` must be finite"),
+        (["run", "--attack-s", "900"], "an episode takes"),
+        (["run", "--detector", "nowhere:Thing"], "there is no module 'nowhere'"),
+        (["run", "--spoofer", "ramp:rate_mps=tuned"], "needs a search"),
+        (["tune", "--spoofer", "none"], "spoofer 'none' has no setting to tune"),
+        (["bench", "--seed", "-1"], "`entropy` must be a whole number"),
+        (["bench", "--track", "a.json"], "--track and --ephemeris belong together"),
+        (["bench", "--from", "3"], "there is no --track"),
+        (["bench", "--track", "a.json", "--ephemeris", "b.n"], "a.json: No such file"),
+        (["report", "nowhere"], "nowhere holds no results of a campaign"),
+    ],
+)
+def test_wrong_input_gets_one_clear_line(arguments: list[str], message: str) -> None:
+    assert message in refused(*arguments)
+
+
+def test_a_folder_of_something_else_is_left_alone() -> None:
+    Path("out").mkdir()
+    Path("out", "letter.txt").write_text("dear")
+    assert "letter.txt" in refused("bench", *QUICK, *TWO, "--out", "out", "--overwrite")
+    assert [path.name for path in Path("out").iterdir()] == ["letter.txt"]
+
+
+def rows(count: int) -> list[dict[str, float]]:
+    return [
+        {
+            "timestamp": 1_515_758_400 + 5 * k,
+            "latitude": 41.0 + 0.005 * k,
+            "longitude": 8.0,
+            "altitude": 10_000.0,
+        }
+        for k in range(count)
+    ]
+
+
+def test_bad_tracks_and_ephemerides_are_refused(data_folder: Path) -> None:
+    broadcast = data_folder / "gnss_broadcast" / "brdc3050.12n"
+    flight = data_folder / "adsb_flights" / "ajaccio.json.gz"
+    for name, content, message in (
+        ("empty.json", [], "a track must have rows, got none"),
+        ("backwards.json", rows(50)[::-1], "time must not run backwards"),
+        ("short.json", rows(3), "at least"),
+    ):
+        Path(name).write_text(json.dumps(content))
+        assert message in refused("bench", "--track", name, "--ephemeris", broadcast)
+    header, _, body = broadcast.read_text().partition("END OF HEADER")
+    Path("none.12n").write_text(f"{header}END OF HEADER\n")
+    assert "holds no usable GPS satellite" in refused(
+        "bench", "--track", flight, "--ephemeris", "none.12n"
+    )
+    # records of the early morning only, while the flight begins at noon
+    early = "\n".join(body.splitlines()[1:9])
+    Path("early.12n").write_text(f"{header}END OF HEADER\n{early}\n")
+    assert "must be within 2 h of a healthy record" in refused(
+        "bench", "--track", flight, "--ephemeris", "early.12n"
+    )
+    assert "`from_s` must lie in an airborne stretch" in refused(
+        "bench", "--track", flight, "--ephemeris", broadcast, "--from", "1e6"
+    )
+    assert "--date must be YYYY-MM-DD" in refused(
+        "bench", "--track", flight, "--ephemeris", broadcast, "--date", "today"
+    )
+
+
+def test_bench_on_a_real_flight(data_folder: Path) -> None:
+    flight = data_folder / "adsb_flights" / "ajaccio.json.gz"
+    broadcast = data_folder / "gnss_broadcast" / "brdc3050.12n"
+    cut = ["--track", str(flight), "--ephemeris", str(broadcast), "--duration", "120"]
+    result = call("bench", *QUICK, *TWO, *cut, "--out", "out")
+    assert result.exit_code == 0, result.output
+    text = " ".join(result.output.split())
+    for part in (
+        "of them modulo 256",
+        "the barometric altitude is taken as height above the ellipsoid",
+        "the time of day is mapped to another day",
+        "distance of the fixes: RMS",
+    ):
+        assert part in text
+        assert part in Path("out", "results.md").read_text()
+    reports = json.loads(call("bench", *QUICK, *TWO, *cut, "--out", "out", "--json").stdout)[
+        "input"
+    ]
+    assert reports["track"]["interpolated"] == 1210
