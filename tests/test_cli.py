@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -90,7 +91,8 @@ def test_bench_writes_table_picture_and_json() -> None:
     for name in ("config.json", "results.md", "summary.json", "campaign.png"):
         assert Path("out", name).is_file()
     assert not list(Path("out").rglob("*.part"))
-    again = call("bench", *QUICK, "--out", "out", "--spoofer", "ramp:rate_mps=tuned", "--json")
+    # a ramp without settings is tuned, so that this is the same campaign
+    again = call("bench", *QUICK, "--out", "out", "--spoofer", "ramp", "--json")
     summary = json.loads(again.stdout)
     assert {cell["detector"] for cell in summary["cells"]} == {"snapshot-chi2", "ewma"}
     assert {cell["spoofer"] for cell in summary["cells"]} == {"none", "ramp(tuned)"}
@@ -119,6 +121,39 @@ def test_an_interrupted_bench_is_kept_and_goes_on(monkeypatch: pytest.MonkeyPatc
         "bench", *QUICK, *TWO, "--out", "out", "--seeds", "5"
     )
     assert call("bench", *QUICK, *TWO, "--out", "out", "--seeds", "5", "--overwrite").exit_code == 0
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_what_is_finished() -> None:
+    command = [*QUICK, "--detector", "ewma", "--spoofer", "ramp:rate_mps=0.4", "--out", "out"]
+    # so many runs that there is time to interrupt it after the first cell
+    long = ["bench", *command, "--seeds", "2000", "--attack-s", "100"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "spoofgym", *long], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    deadline = time.monotonic() + 300.0
+    while not Path("out", "cells", "ewma--none.jsonl").exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60.0)
+    assert process.returncode == 130
+    assert b"interrupted: 1 of 2 cells are finished and kept in out" in said
+    assert b"Traceback" not in said
+    assert not Path("out", "results.md").exists()
+    assert call("report", "out").exit_code == 0
+    assert "**Not finished**: ewma / ramp" in Path("out", "results.md").read_text()
+
+
+def test_perf_measures_both_environments() -> None:
+    result = call("perf", "--num-envs", "2", "--threads", "1", "--duration", "0.1", "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["single"]["steps_per_s"] > 0.0
+    assert (found["vector"]["num_envs"], found["vector"]["threads"]) == (2, 1)
+    assert found["vector"]["episodes"] >= 2  # every receiver has begun another one
+    assert found["vector"]["steps"] % 2 == 0
 
 
 def test_run_draws_one_attack() -> None:

@@ -137,7 +137,7 @@ def clustered_proportion(
         n = R K / \max(D, 1)
 
     Without any event, or without anything else, the design effect is unknown, and only the runs
-    count, n = R.
+    count, n = R.  Korn and Graubard's small correction by quantiles of t is left out.
 
     Parameters
     ----------

@@ -116,6 +116,11 @@ def _style(ax: Axes) -> None:
     ax.set_axisbelow(True)
 
 
+def _width(label: str, colour: dict[str, str]) -> float:
+    """Width of a line, thinner for later ones, so that earlier ones show beneath them."""
+    return max(3.2 - 0.7 * list(colour).index(label), 1.2)
+
+
 def _log_metres(ax: Axes) -> None:
     """Vertical axis of displacements, by powers of ten in plain numbers."""
     from matplotlib.ticker import FuncFormatter, NullFormatter
@@ -204,7 +209,7 @@ def _exceedance(ax: Axes, cells: dict[str, Cell], colour: dict[str, str]) -> Non
     for label, cell in cells.items():
         x = cell.records["undetected_displacement_m"]
         part = (x[None, :] > limits[:, None]).mean(axis=1)
-        ax.plot(limits, part, color=colour[label], lw=2)
+        ax.plot(limits, part, color=colour[label], lw=_width(label, colour))
     ax.set_xscale("log")
     ax.set_xlim(1.0, 1000.0)
     ax.set_xticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
@@ -223,7 +228,8 @@ def _course(ax: Axes, cells: dict[str, Cell], colour: dict[str, str]) -> None:
         ax.fill_between(time, low, high, color=colour[label], alpha=0.15, lw=0)
         alarmed = np.array(cell.series["alarmed"]) >= 0.5
         known = int(alarmed.argmax()) if alarmed.any() else len(time)
-        ax.plot(time[: known + 1], middle[: known + 1], color=colour[label], lw=2)
+        width = _width(label, colour)
+        ax.plot(time[: known + 1], middle[: known + 1], color=colour[label], lw=width)
         ax.plot(time[known:], middle[known:], color=colour[label], lw=1.2, ls=":")
         if known < len(time):
             ax.plot(time[known], middle[known], "X", color=colour[label], ms=10, mec="white")

@@ -78,7 +78,7 @@ def setting_of(cell: dict[str, Any]) -> str:
     """
     settings = cell["spoofer_settings"]
     parts = [
-        f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}"
+        f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}"
         for key, value in settings.items()
         if key not in {"name", "heading_deg"}
     ]
@@ -228,12 +228,13 @@ def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
     told = ", ".join(f"{count} with {detector}" for detector, count in excluded.items())
     return [
         f"In brackets: 95 % intervals. *Alarm rate*: runs with an alarm within {horizon:g} s of "
-        "the onset (Wilson). *Delay*: from the onset to the first alarm, restricted mean with "
-        f"horizon {horizon:g} s, missed runs censored (Kaplan-Meier, bootstrap); runs with a false "
-        f"alarm in the warm-up are excluded ({told}). *Undetected displacement*: largest "
-        "horizontal distance from the clean twin (same seed, same detector, no attack) with no alarm up to "
-        f"{alert:g} s after it, mean over all runs, alarmed ones with what they had until then "
-        "(bootstrap, paired over runs).",
+        "the onset (Wilson), under attack the detection probability. *Delay*: from the onset to "
+        f"the first alarm, restricted mean with horizon {horizon:g} s, missed runs censored "
+        "(Kaplan-Meier, bootstrap); runs with a false alarm in the warm-up are excluded "
+        f"({told}). *Undetected displacement*: largest "
+        "horizontal distance from the clean twin (same seed, same detector, no attack) with no "
+        f"alarm up to {alert:g} s after it, mean over all runs, alarmed ones with what they had "
+        "until then (bootstrap, paired over runs).",
     ]
 
 
@@ -250,8 +251,8 @@ def _tunings(searches: list[dict[str, Any]]) -> list[str]:
             "",
             f"Chosen: {chosen}. Budget: alarm rate at most {100 * search['budget']:g} % of the "
             f"runs above the clean one, which is {100 * search['clean_alarm_rate']:.1f} % of "
-            f"{runs} training runs; none is excluded, {search['warmup_alarms']} of them had a false "
-            "alarm in the warm-up.",
+            f"{runs} training runs; none is excluded, {search['warmup_alarms']} of them had a "
+            "false alarm in the warm-up.",
             "",
         ]
         rows: list[tuple[str, ...]] = [

@@ -143,7 +143,8 @@ class ScriptedSpoofer(Spoofer):
     ----------
     heading_deg : float
         Direction of a false position, clockwise from north.  An attack on single channels has no
-        heading: there all channels are commanded alike.
+        heading: there all channels are commanded alike, which moves the receiver's clock alone if
+        they are all that it sees.
     """
 
     heading_deg: float = 90.0

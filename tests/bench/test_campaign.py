@@ -204,7 +204,7 @@ def test_the_report_tells_what_was_run_and_what_came_out(finished: ResultsFolder
     text = markdown(finished.config(), summarize(finished))
     for part in (
         "# Campaign: zhong2025",
-        "| ewma | ramp(tuned) | rate_mps = ",
+        "| ewma | ramp(tuned) | rate_mps=",
         "5 evaluation runs, the same for all cells (entropy 0)",
         "knowledge of the spoofers at run time: blind",
         "runs with a false alarm in the warm-up are excluded",

@@ -1,6 +1,8 @@
 """The README's code runs, and its tables leave nothing out."""
 
 import re
+import sys
+import types
 from pathlib import Path
 
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from spoofgym.attacks import ATTACKS
 from spoofgym.detectors import DETECTORS
 from spoofgym.spoofers import SPOOFERS
+from spoofgym.testing import check_detector
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
@@ -15,8 +18,10 @@ BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
-def test_every_block_of_code_runs(number, capsys):
-    exec(compile(BLOCKS[number], f"README.md block {number}", "exec"), {"__name__": "readme"})
+def test_every_block_of_code_runs(number, capsys, monkeypatch):
+    module = types.ModuleType("readme")
+    monkeypatch.setitem(sys.modules, "readme", module)  # pickle looks classes up
+    exec(compile(BLOCKS[number], f"README.md block {number}", "exec"), module.__dict__)
     if number == 0:
         assert re.search(r"undetected: -?\d+\.\d m, alarm: (True|False)", capsys.readouterr().out)
 
@@ -44,3 +49,12 @@ def test_the_source_of_every_detector_is_in_the_bibliography(name):
     assert DETECTORS[name].paper in keys
     row = next(line for line in README.splitlines() if line.startswith(f"| `{name}`"))
     assert f"`{DETECTORS[name].paper}`" in row
+
+
+def test_the_detector_of_the_contributors_guide_keeps_the_contract(monkeypatch):
+    guide = (ROOT / "CONTRIBUTING.md").read_text()
+    (block,) = re.findall(r"```python\n(.*?)```", guide, flags=re.DOTALL)
+    module = types.ModuleType("contributed")
+    monkeypatch.setitem(sys.modules, "contributed", module)  # pickle looks classes up
+    exec(compile(block, "CONTRIBUTING.md", "exec"), module.__dict__)
+    check_detector(module.CumulativeSum())
