@@ -13,7 +13,7 @@ from .kalman import accumulate, gain_solution, innovation_covariance, solve_in_p
 from .state import unpack
 from .strapdown import strapdown_step
 
-L = 16  # state.LANES, as a constant that the compiler sees
+L = 8  # state.LANES, as a constant that the compiler sees
 WIDTH = 4  # lanes go by the width of a vector of doubles
 _X = 31 * L
 MEASURE, PREDICT, UPDATE = 1, 2, 4

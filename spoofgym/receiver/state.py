@@ -204,7 +204,7 @@ def unpack(
     return state, measured, noise_psd
 
 
-LANES = 16
+LANES = 8
 """Receivers whose inertial samples are mechanized side by side."""
 
 
