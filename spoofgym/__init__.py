@@ -3,8 +3,8 @@
 All of it is simulation at the level of measurements, for defence research: no radio signal is
 ever generated.
 
-Map
----
+**Map**
+
 earth      the ellipsoid and its gravity, frames, attitude, ranges over the turning Earth
 sim        the authentic world: flights, inertial sensors, clocks, satellites, errors, noise
 attacks    what a spoofer can physically do to measurements
@@ -17,33 +17,34 @@ bench      campaigns: detectors x spoofers x paired seeds, and their scores
 testing    check_detector, check_attack, check_spoofer
 cli        spoofgym list | run | tune | bench | perf | report
 
-Frames
-------
+**Frames**
+
 e  Earth-centred, Earth-fixed (WGS-84).
 n  local north, east, down.
 b  body: forward, right, down; the antenna and the inertial sensors are at its origin.
 
-A suffix tells the axes of a vector: `velocity_n`, `specific_force_b`.  `C_nb` is the matrix to n from
-b; inner letters meet in a product, ``C_en @ C_nb``.
+A suffix tells the axes of a vector: `velocity_n`, `specific_force_b`.  `C_nb` is the matrix to n
+from b; inner letters meet in a product, ``C_en @ C_nb``.
 
-Units
------
-SI and radians inside.  At borders (settings, observations, info keys, files, command line) names end
-with their unit: `_m`, `_mps`, `_mps2`, `_deg`, `_s`.
+**Units**
 
-States
-------
-The filter's 17 states are the errors (estimate minus truth) of attitude about ECEF axes, velocity,
-position, accelerometer bias, gyro bias, then clock bias and drift in units of range.
+SI and radians inside.  At borders (settings, observations, info keys, files, command line) names
+end with their unit: `_m`, `_mps`, `_mps2`, `_deg`, `_s`.
 
-Vocabulary
-----------
-A *spoofer* decides, an *attack* obeys physics, a *detector* judges an *epoch* and raises an *alarm*
-where its *statistic* exceeds its *threshold*; a *scenario* is flight x errors x grade of the sensors.
-Prefixes tell whose value it is: `true_`, `estimated_`, `counterfeit_`.
+**States**
 
-Environments
-------------
+The filter's 17 states are the errors of attitude about ECEF axes, velocity and position (estimate
+minus truth), then of accelerometer bias, gyro bias, and clock bias and drift in units of range
+(truth minus estimate).
+
+**Vocabulary**
+
+A *spoofer* decides, an *attack* obeys physics, a *detector* judges an *epoch* and raises an
+*alarm* where its *statistic* exceeds its *threshold*; a *scenario* is flight x errors x grade of
+the sensors.  Prefixes tell whose value it is: `true_`, `estimated_`, `counterfeit_`.
+
+**Environments**
+
 Importing the package registers ``spoofgym/TightlyCoupled-v0`` for `gymnasium.make` and
 `gymnasium.make_vec`.
 """

@@ -7,9 +7,11 @@ digest of the sources and of the numba version, so that any edit of them starts 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import shutil
+import stat
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -80,6 +82,25 @@ def _is_writable(folder: Path) -> bool:
         return False
 
 
+def _is_own(folder: Path) -> bool:
+    """Whether nobody else can leave code there, which is loaded unseen."""
+    if not hasattr(os, "getuid"):
+        return True
+    status = folder.stat()
+    return status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def _temporary_parent() -> Path:
+    """Folder for when the user's own cannot be written: of this user, or else of this process."""
+    user = getattr(os, "getuid", lambda: "user")()
+    folder = Path(tempfile.gettempdir()) / f"spoofgym-cache-{user}"
+    with contextlib.suppress(OSError):
+        folder.mkdir(mode=0o700)
+    if _is_writable(folder) and _is_own(folder):
+        return folder
+    return Path(tempfile.mkdtemp(prefix="spoofgym-cache-"))
+
+
 def _prune(parent: Path, keep: Path) -> None:
     """Drop all but the `KEPT_DIGESTS` most recently used digests; failures do not matter."""
     try:
@@ -108,17 +129,14 @@ def cache_parent() -> Path:
     parent = Path(wanted) if wanted else Path(platformdirs.user_cache_dir("spoofgym")) / "numba"
     if _is_writable(parent):
         return parent
-    user = getattr(os, "getuid", lambda: "user")()
-    fallback = Path(tempfile.gettempdir()) / f"spoofgym-cache-{user}"
+    fallback = _temporary_parent()
     warnings.warn(
         f"the cache folder {parent} is not writable; compiled code goes to {fallback} "
         f"(set {CACHE_VARIABLE} to choose another folder)",
         RuntimeWarning,
         stacklevel=2,
     )
-    if _is_writable(fallback):
-        return fallback
-    return Path(tempfile.mkdtemp(prefix="spoofgym-cache-"))
+    return fallback
 
 
 @lru_cache(maxsize=len(COMPILED_LAYERS))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,11 @@ class Memory(dict[str, NDArray[Any]]):
         super().__init__()
         self.receivers = receivers
         self._initial: dict[str, NDArray[Any]] = {}
+
+    @property
+    def declared(self) -> Mapping[str, NDArray[Any]]:
+        """Values at the begin of an episode, by name."""
+        return self._initial
 
     def declare(self, name: str, initial: NDArray[Any]) -> None:
         """Add an array.

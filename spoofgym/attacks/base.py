@@ -43,8 +43,8 @@ class Attack(ABC):
 
     .. math:: v^+ = v + a \tau, \qquad D^+ = D + v \tau + \tfrac12 a \tau^2
 
-    where a command of acceleration is limited in size, and shortened where the rate would exceed its
-    limit; a command of rate is held over the interval, :math:`D^+ = D + v^+ \tau`.
+    where a command of acceleration is limited in size, and shortened where the rate would exceed
+    its limit; a command of rate is held over the interval, :math:`D^+ = D + v^+ \tau`.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Attack(ABC):
         if isinstance(self.channels, str):
             if self.channels != "all":
                 raise ValueError(
-                    f"`channels` must be 'all' or a sequence of satellite ids, got {self.channels!r}"
+                    f"`channels` must be 'all' or some satellite ids, got {self.channels!r}"
                 )
         else:
             self.channels = tuple(self.channels)

@@ -16,11 +16,10 @@ from ..sim.broadcast import (
     GPS_EPOCH,
     BroadcastConstellation,
     Ephemerides,
-    ScreeningReport,
     gps_seconds,
-    screen,
 )
 from ..sim.scenario import Scenario
+from ..sim.screening import ScreeningReport, screen
 from ..sim.track_fit import fit_track
 
 

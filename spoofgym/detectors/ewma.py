@@ -15,16 +15,16 @@ The same statistic weighs the satellite's column of the Kalman gain by IGG-III b
 :math:`T_{d0} = T_{d1} / 2` and :math:`T_{d1} = m T_k`, so that the filter does not get used to
 an offset, and an offset of one satellite does not reach the others.
 
-Symbols: z innovation of pseudorange j [m], S innovation covariance, :math:`\lambda` smoothing factor,
-:math:`\alpha` false-alarm probability of one epoch, m scale of the weight thresholds.
+Symbols: z innovation of pseudorange j [m], S innovation covariance, :math:`\lambda` smoothing
+factor, :math:`\alpha` false-alarm probability of one epoch, m scale of the weight thresholds.
 
 Assumptions: innovations are white and of the variance that the filter believes in.  In the papers'
 receiver they are smaller, and correlated by constant satellite biases.
 
 Deviations from `zhong2025`, whose method M2 this is:
 
-1. The paper writes the case limits of the weights for :math:`\Lambda`; as the chart is two-sided they
-   are taken for its size.
+1. The paper writes the case limits of the weights for :math:`\Lambda`; as the chart is two-sided
+   they are taken for its size.
 2. :math:`\lambda` is not printed; 0.1 reproduces its delays.
 3. m = 0.1 as printed locks satellites out for good; the default is 0.3.
 4. The range rates keep weight 1, and the covariance update with the unweighted gain is the

@@ -1,7 +1,7 @@
 r"""Snapshot chi-square test of the innovation.
 
-The innovations of one epoch, normalized by the covariance that the filter believes in, are chi-square
-distributed when nothing is wrong:
+The innovations of one epoch, normalized by the covariance that the filter believes in, are
+chi-square distributed when nothing is wrong:
 
 .. math:: q_k = z_k^T S_k^{-1} z_k \sim \chi^2(d)
 

@@ -372,6 +372,7 @@ class Batch:
         first = self._attack_and_advance if holding else self._advance
 
         def onwards(lo: int, hi: int) -> None:
+            """Update of one epoch, and measurements of the next."""
             self._update(lo, hi)
             first(lo, hi)
 

@@ -27,10 +27,9 @@ from ..sim.broadcast import (
     SECONDS_PER_WEEK,
     BroadcastConstellation,
     Ephemerides,
-    ScreeningReport,
     gps_seconds,
-    screen,
 )
+from ..sim.screening import ScreeningReport, screen
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -86,7 +85,7 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
     Returns
     -------
     Ephemerides
-        All GPS records, copies and unhealthy ones included; see `spoofgym.sim.broadcast.screen`.
+        All GPS records, copies and unhealthy ones included; see `spoofgym.sim.screening.screen`.
     """
     path = Path(path)
     lines = _read_lines(path)

@@ -1,1 +1,1 @@
-""""""
+"""How far an attack can go unseen, whoever looks."""

@@ -459,8 +459,8 @@ def run_epochs(
     sensor_floats, keys, epochs : ndarray
         Of `SensorBuffers`; only for `MEASURE`.
     run : ndarray
-        (8, N) true samples, their lengths and root rates, as `World.run`; only the lengths are needed
-        without `MEASURE`.
+        (8, N) true samples, their lengths and root rates, as `World.run`; only the lengths are
+        needed without `MEASURE`.
     epoch_time, epoch_end, satellites : ndarray
         Of `World`; only for `MEASURE`.
     receivers, channels, padded_imu, padded_gnss : int

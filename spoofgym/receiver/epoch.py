@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +103,7 @@ def epoch_view(buffers: ReceiverBuffers) -> Epoch:
         "predicted_position": s.position_e,
         "predicted_velocity": s.velocity_e,
     }
-    views = {}
+    views: dict[str, NDArray[Any]] = {}
     for name, array in arrays.items():
         views[name] = array.view()
         views[name].flags.writeable = False

@@ -130,17 +130,20 @@ def transition_product(
         y[row + j * column] = (a1 - w * a0) + (f1_12 * g0 + f1_13 * g1 + f1_14 * g2)
         y[2 * row + j * column] = a2 + (f2_12 * g0 + f2_13 * g1 + f2_14 * g2)
         y[3 * row + j * column] = (
-            (f3_1 * a1 + f3_2 * a2) + (v0 + w2 * v1)
+            (f3_1 * a1 + f3_2 * a2)
+            + (v0 + w2 * v1)
             + (f3_6 * p0 + f3_7 * p1 + f3_8 * p2)
             + (f3_9 * b0 + f3_10 * b1 + f3_11 * b2)
         )
         y[4 * row + j * column] = (
-            (f4_0 * a0 + f4_2 * a2) + (v1 - w2 * v0)
+            (f4_0 * a0 + f4_2 * a2)
+            + (v1 - w2 * v0)
             + (f4_6 * p0 + f4_7 * p1 + f4_8 * p2)
             + (f4_9 * b0 + f4_10 * b1 + f4_11 * b2)
         )
         y[5 * row + j * column] = (
-            (f5_0 * a0 + f5_1 * a1) + v2
+            (f5_0 * a0 + f5_1 * a1)
+            + v2
             + (f5_6 * p0 + f5_7 * p1 + f5_8 * p2)
             + (f5_9 * b0 + f5_10 * b1 + f5_11 * b2)
         )

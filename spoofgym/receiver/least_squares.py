@@ -77,7 +77,7 @@ def least_squares_fix(
         raise ValueError(f"a fix needs at least 4 satellites, got {len(pr)}")
     r, bias = np.array(guess_e, dtype=float), 0.0
     for _ in range(MAX_ITERATIONS):
-        turned, u, distance = _geometry(sp, r)
+        u, distance = _geometry(sp, r)
         H = np.column_stack([-u, np.ones(len(u))])
         if not np.linalg.cond(H) < MAX_GDOP:
             raise ValueError("the geometry of the satellites is singular")
@@ -87,7 +87,7 @@ def least_squares_fix(
             break
     else:
         raise ValueError(f"no convergence within {MAX_ITERATIONS} iterations")
-    _, u, _ = _geometry(sp, r)
+    u, _ = _geometry(sp, r)
     a = EARTH_RATE * np.linalg.norm(sp - r, axis=-1) / SPEED_OF_LIGHT
     spin = np.array([0.0, 0.0, EARTH_RATE])
     moving = sv + np.cross(spin, sp)
@@ -100,10 +100,10 @@ def least_squares_fix(
 
 def _geometry(
     satellites: NDArray[np.float64], r: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Turned satellite positions, lines of sight and distances, Sagnac to first order."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lines of sight and distances, Sagnac to first order."""
     a = EARTH_RATE * np.linalg.norm(satellites - r, axis=-1) / SPEED_OF_LIGHT
     shift = np.column_stack([a * satellites[:, 1], -a * satellites[:, 0], np.zeros(len(a))])
     turned = satellites + shift
     distance = np.linalg.norm(turned - r, axis=-1)
-    return turned, (turned - r) / distance[:, None], distance
+    return (turned - r) / distance[:, None], distance

@@ -84,7 +84,8 @@ class Recording:
             if steps.min() <= 0.0:
                 k = int(steps.argmin())
                 raise ValueError(
-                    f"`{name}` must increase from above 0, got {getattr(self, name)[k]} at index {k}"
+                    f"`{name}` must increase from above 0, "
+                    f"got {getattr(self, name)[k]} at index {k}"
                 )
         self.epoch_samples()
 
@@ -107,12 +108,14 @@ class Recording:
         if (off > 0.5 * sample).any():
             k = int(np.argmax(off > 0.5 * sample))
             raise ValueError(
-                f"no sample ends within half a sample of the epoch at {gnss_time[k]} s; the nearest "
-                f"ends at {imu_time[found[k]]} s"
+                f"no sample ends within half a sample of the epoch at {gnss_time[k]} s; "
+                f"the nearest ends at {imu_time[found[k]]} s"
             )
         if (np.diff(found) < 1).any():
             k = int(np.argmax(np.diff(found) < 1))
-            raise ValueError(f"the epochs at {gnss_time[k]} and {gnss_time[k + 1]} s share a sample")
+            raise ValueError(
+                f"the epochs at {gnss_time[k]} and {gnss_time[k + 1]} s share a sample"
+            )
         return found + 1
 
 
@@ -243,9 +246,10 @@ def replay(
     visible = np.isfinite(range_) & np.isfinite(rate)
     visible &= np.isfinite(position).all(axis=-1) & np.isfinite(velocity).all(axis=-1)
     model = receiver.noise_model
+    variance: NDArray[np.float64]
     if noise_variance is None:
-        variance = np.repeat([model.pseudorange_sd**2, model.range_rate_sd**2], n)
-        variance = np.broadcast_to(variance, (epochs, 2 * n))
+        one = np.repeat([model.pseudorange_sd**2, model.range_rate_sd**2], n)
+        variance = np.tile(one, (epochs, 1))
     else:
         variance = np.asarray(noise_variance, dtype=np.float64)
         if variance.shape != (epochs, 2 * n) or not (variance > 0.0).all():
@@ -255,7 +259,8 @@ def replay(
             )
     ends = recording.epoch_samples()
     starts = np.concatenate([[0], ends[:-1]])
-    gnss_interval = np.diff(np.asarray(recording.gnss_time), prepend=0.0)
+    gnss_time = np.asarray(recording.gnss_time)
+    gnss_interval = np.diff(gnss_time, prepend=0.0)
     samples = np.hstack([recording.specific_force_b, recording.angular_rate_b])
 
     buffers = ReceiverBuffers(1, n, int((ends - starts).max()))
@@ -279,6 +284,7 @@ def replay(
     nothing = np.zeros(0)
 
     def half(what: int) -> None:
+        """Run one half of the epoch in the buffers."""
         _kernels.run_epochs(
             buffers.floats,
             buffers.flags,
@@ -309,7 +315,7 @@ def replay(
         first, count = starts[k], ends[k] - starts[k]
         buffers.put_samples(0, samples[first : first + count])
         buffers.block[:, 0] = first, count
-        measured.time[0], measured.interval[0] = np.asarray(recording.gnss_time)[k], gnss_interval[k]
+        measured.time[0], measured.interval[0] = gnss_time[k], gnss_interval[k]
         measured.visible[0] = visible[k]
         measured.pseudorange[0], measured.range_rate[0] = range_[k], rate[k]
         measured.satellite_position[0], measured.satellite_velocity[0] = position[k], velocity[k]

@@ -271,7 +271,7 @@ class ReceiverBuffers:
         """
         group, lane = divmod(receiver, LANES)
         lanes = self.samples[group].reshape(-1, 6, LANES)
-        return lanes[: self.block[1, receiver], :, lane].copy()
+        return np.array(lanes[: self.block[1, receiver], :, lane])
 
     def put_samples(self, receiver: int, samples: FloatArray) -> None:
         """Write one receiver's samples of an interval.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from .._jit import njit
 from ..earth.ranging import range_and_rate
 from .clock import advance_clock
@@ -75,7 +73,9 @@ def imu_block(sensors, b, keys, epoch, truth, root_rate, noise, samples):
 
 
 @njit
-def gnss_epoch(sensors, b, gnss_keys, clock_keys, epoch, tau, satellites, noise, out_range, out_rate):
+def gnss_epoch(
+    sensors, b, gnss_keys, clock_keys, epoch, tau, satellites, noise, out_range, out_rate
+):
     """Measure one receiver's pseudoranges and range rates at one epoch.
 
     Parameters

@@ -213,7 +213,8 @@ class SensorBuffers:
         self.epoch[rows] = 0
         deviates = np.empty(padded(len(bias_sd)))
         for row, rng in zip(rows, rngs, strict=True):
-            episode = rng.bit_generator.seed_seq.spawn(1)[0]
+            episode = rng.bit_generator.seed_seq.spawn(1)[0]  # type: ignore[attr-defined]
             self.keys[:, row] = episode.generate_state(2 * len(SOURCES), np.uint64).reshape(-1, 2)
-            normals(*self.keys[SOURCES.index("bias"), row], 0, deviates)
+            k0, k1 = self.keys[SOURCES.index("bias"), row]
+            normals(k0, k1, 0, deviates)
             state.satellite_bias[row] = bias_sd * deviates[: len(bias_sd)]

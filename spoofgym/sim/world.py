@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,8 @@ class World:
     imu_time : ndarray
         (N+1,) begin of the first sample and end of every sample [s].
     run : ndarray
-        (8, N) true specific force [m/s^2] and angular rate [rad/s], body axes; length of every sample
-        [s], and one over its square root [Hz^0.5].
+        (8, N) true specific force [m/s^2] and angular rate [rad/s], body axes; length of every
+        sample [s], and one over its square root [Hz^0.5].
     epoch_time : ndarray
         (K,) [s].
     epoch_end : ndarray
@@ -161,41 +162,39 @@ def build_world(
     usable = np.isfinite(states.position_e).all(-1) & np.isfinite(states.velocity_e).all(-1)
     visible = usable & (elevation > np.radians(mask_deg))
     chosen = _choose(visible, channels)
-    pad = channels - len(chosen)
-    ids = tuple(constellation.satellite_ids[i] for i in chosen) + ("",) * pad
+    ids = tuple(constellation.satellite_ids[i] for i in chosen)
+    ids += ("",) * (channels - len(chosen))
 
-    def slots(array: NDArray[np.generic], fill: object) -> NDArray[np.generic]:
-        widths = [(0, 0), (0, pad)] + [(0, 0)] * (array.ndim - 2)
-        return np.pad(array[:, chosen], widths, constant_values=fill)  # type: ignore[call-overload]
-
-    seen = slots(visible, False).astype(np.bool_)
+    seen = _in_slots(visible, chosen, channels).astype(np.bool_)
     if seen[0].sum() < 4:
         raise ValueError(
             f"only {seen[0].sum()} satellites are above {mask_deg:g} deg at time zero; "
             "a first fix needs 4"
         )
     satellites = np.zeros((len(epoch_end), channels, 8))
-    satellites[:, :, :3] = np.nan_to_num(slots(states.position_e, 0.0))
-    satellites[:, :, 3:6] = np.nan_to_num(slots(states.velocity_e, 0.0))
+    satellites[:, :, :3] = _in_slots(states.position_e, chosen, channels)
+    satellites[:, :, 3:6] = _in_slots(states.velocity_e, chosen, channels)
     fill_ranges(satellites, seen, position_e, velocity_e)
     return World(
         name=trajectory.name,
         satellite_ids=ids,
         imu_time=time.copy(),
-        run=np.vstack(
-            [
-                trajectory.specific_force_b.T,
-                trajectory.angular_rate_b.T,
-                np.diff(time),
-                1.0 / np.sqrt(np.diff(time)),
-            ]
+        run=np.ascontiguousarray(  # stacked columns would lie as columns
+            np.vstack(
+                [
+                    trajectory.specific_force_b.T,
+                    trajectory.angular_rate_b.T,
+                    np.diff(time),
+                    1.0 / np.sqrt(np.diff(time)),
+                ]
+            )
         ),
         epoch_time=time[epoch_end].copy(),
         epoch_end=epoch_end,
         satellites=satellites,
         visible=seen,
-        elevation=np.nan_to_num(slots(elevation, 0.0)),
-        azimuth=np.nan_to_num(slots(azimuth, 0.0)),
+        elevation=_in_slots(elevation, chosen, channels),
+        azimuth=_in_slots(azimuth, chosen, channels),
         position_e=position_e.copy(),
         velocity_e=velocity_e.copy(),
         C_eb=trajectory.C_eb[epoch_end].copy(),
@@ -209,6 +208,13 @@ def _look(satellites: FloatArray, position_e: FloatArray) -> tuple[FloatArray, F
     sight = np.einsum("kji,knj->kni", C_en, satellites - position_e[:, None, :])
     horizontal = np.hypot(sight[..., 0], sight[..., 1])
     return np.arctan2(-sight[..., 2], horizontal), np.arctan2(sight[..., 1], sight[..., 0])
+
+
+def _in_slots(array: NDArray[Any], chosen: list[int], channels: int) -> FloatArray:
+    """Columns of the chosen satellites, then zeros up to the number of channels; NaN become 0."""
+    slots = np.zeros((len(array), channels, *array.shape[2:]))
+    slots[:, : len(chosen)] = np.nan_to_num(array[:, chosen])
+    return slots
 
 
 def _choose(visible: NDArray[np.bool_], channels: int) -> list[int]:

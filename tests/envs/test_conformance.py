@@ -107,7 +107,7 @@ def test_a_bad_action_names_element_and_value(bad):
         ({"attack": "meaconer"}, "unknown attack"),
         ({"scenario": "mars"}, "unknown scenario"),
         ({"scenario": {"imu": "toy"}}, "unknown imu grade"),
-        ({"receiver": {"tunning": "paper"}}, "no setting 'tunning'"),
+        ({"receiver": {"tunes": "paper"}}, "no setting 'tunes'"),
         ({"knowledge": "omniscient"}, "unknown knowledge"),
         ({"timeline": {"warmup_s": 500.0}}, "lasts 418 s"),
         ({"timeline": {"attack_s": -1.0}}, "`attack_s` must be"),

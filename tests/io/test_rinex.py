@@ -12,7 +12,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from spoofgym.io.rinex import load_broadcast, read_navigation
-from spoofgym.sim.broadcast import SECONDS_PER_WEEK, Ephemerides, gps_seconds, screen
+from spoofgym.sim.broadcast import SECONDS_PER_WEEK, Ephemerides, gps_seconds
+from spoofgym.sim.screening import screen
 
 HEADER_2 = """\
      2.10           N: GPS NAV DATA                         RINEX VERSION / TYPE

@@ -1,0 +1,365 @@
+"""What every attack has to keep, tried on the truth of the default scenario."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..attacks import Attack, AttackContext, FalsePosition, make_attack
+from ..sim.scenario import Scenario
+from ..sim.world import World
+from .contract import first_difference, require, same_bits
+from .trial import Record, Trial, run_trial
+
+FloatArray = NDArray[np.float64]
+ONSET = 60
+STARTS = np.array([ONSET, ONSET + 1, ONSET + 15, ONSET + 40, ONSET + 140])
+"""Epochs that the receivers are at first; each is in an episode of its own."""
+COMMANDS = 30
+ROUNDING = 1e-9
+CLOSURE_M = 1e-5
+"""Largest difference of a counterfeit range and the integral of its rate over an epoch [m]."""
+
+
+def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
+    """Check that an attack keeps its contract.
+
+    It is bound to the default scenario and commanded, and has to show that
+
+    - its label tells whether range rates follow, and its actions have names;
+    - before any command it changes nothing, exactly; it never touches a satellite that is not
+      captured;
+    - offsets are the commanded motion, within the limits of rate and acceleration, and without a
+      command they keep their rate;
+    - range rates are the derivative of the ranges where they are coherent, and untouched else;
+    - a receiver's offsets don't depend on the batch or the slice that it is in, bit for bit;
+    - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
+      be reset, moved, copied and pickled.
+
+    Parameters
+    ----------
+    attack : Attack, str or mapping
+        What `make_attack` takes.  The object itself is left as it is.
+
+    Raises
+    ------
+    AssertionError
+        Says what was expected, what came, and how to mend it.
+
+    Examples
+    --------
+    >>> from spoofgym.testing import check_attack
+    >>> check_attack({"name": "false-position", "control": "rate"})
+    """
+    unbound = make_attack(attack)
+    world = copy.deepcopy(Scenario().world())
+    truth = _fingerprint(world)
+    axes = _check_declarations(unbound, world)
+    _check_begin(unbound, world, axes)
+    _check_idle(unbound, world, axes)
+    trial = _AttackTrial(unbound, world, _actions(axes))
+    steps = [Step(**_filled(record)) for record in run_trial(trial)]
+    _check_motion(unbound, steps, trial.actions)
+    _check_channels(unbound, world, steps)
+    _check_slices(trial, steps)
+    _check_limits(unbound, world, axes)
+    _check_rates(unbound, world, axes)
+    require(
+        _fingerprint(world) == truth,
+        "the attack has changed the arrays of the `World`, which all receivers share; copy them",
+    )
+
+
+class Step(NamedTuple):
+    """What one command brought about.
+
+    Attributes
+    ----------
+    d_range, d_rate : ndarray
+        (B, n) offsets [m], [m/s].
+    displacement, rate : ndarray
+        (B, a) of the memory [m], [m/s].
+    interval : ndarray
+        (B,) length of the epoch [s].
+    visible : ndarray
+        (B, n) bool.
+    """
+
+    d_range: FloatArray
+    d_rate: FloatArray
+    displacement: FloatArray
+    rate: FloatArray
+    interval: FloatArray
+    visible: NDArray[np.bool_]
+
+
+def _filled(record: Record) -> dict[str, NDArray[Any]]:
+    return {name: array for name, array in record.items() if array is not None}
+
+
+class _AttackTrial(Trial[Attack]):
+    """An attack that is given one action an epoch."""
+
+    word, call = "attack", "command"
+
+    def __init__(
+        self,
+        unbound: Attack,
+        world: World,
+        actions: Sequence[FloatArray | None],
+        starts: NDArray[np.int64] = STARTS,
+    ) -> None:
+        self.unbound, self.world, self.actions, self.starts = unbound, world, actions, starts
+        self.receivers, self.turns = len(starts), len(actions)
+
+    def bind(self, rows: NDArray[np.intp]) -> Attack:
+        bound = copy.deepcopy(self.unbound)
+        bound.bind(AttackContext(len(rows), self.world, ONSET))
+        return bound
+
+    def command(
+        self,
+        bound: Attack,
+        number: int,
+        rows: NDArray[np.intp],
+        slices: Sequence[tuple[int, int]],
+    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Offsets of ranges and range rates, NaN where nothing was written, and the action."""
+        given = self.actions[number]
+        own = None if given is None else np.ascontiguousarray(given[rows])
+        action = None if own is None else own.copy()
+        epochs = self.starts[rows] + number
+        before = epochs.copy()
+        d_range = np.full((len(rows), self.world.channels), np.nan)
+        d_rate = d_range.copy()
+        for lo, hi in slices:
+            bound.command(action, epochs, d_range, d_rate, lo, hi)
+        require(
+            same_bits(before, epochs) and same_bits(action, own),
+            "`command` must not write to `action` or `epochs`; copy them first",
+        )
+        return d_range, d_rate, action
+
+    def turn(self, bound: Attack, number: int, rows: NDArray[np.intp], spoil: bool) -> Record:
+        d_range, d_rate, action = self.command(bound, number, rows, [(0, len(rows))])
+        for name, array in (("d_range", d_range), ("d_rate", d_rate)):
+            require(
+                bool(np.isfinite(array).all()),
+                f"`command` must write a finite number into every element of `{name}`, for the "
+                "receivers lo to hi; 0.0 where there is nothing to change",
+            )
+        if spoil and action is not None:
+            action[:] = 1.0 - action
+        after = self.starts[rows] + number + 1
+        return {
+            "d_range": d_range,
+            "d_rate": d_rate,
+            "displacement": bound.memory["displacement"].copy(),
+            "rate": bound.memory["rate"].copy(),
+            "interval": self.world.epoch_time[after] - self.world.epoch_time[after - 1],
+            "visible": self.world.visible[after],
+        }
+
+    def steps(self) -> list[Step]:
+        """What all actions bring about."""
+        everyone = np.arange(self.receivers)
+        records = self.play(self.bind(everyone), everyone, range(self.turns))
+        return [Step(**_filled(record)) for record in records]
+
+
+def _actions(axes: int) -> list[FloatArray | None]:
+    """Commands, also outside of [-1, 1], with a hold amid them."""
+    rng = np.random.default_rng(3)
+    actions: list[FloatArray | None] = [
+        rng.uniform(-1.5, 1.5, (len(STARTS), axes)) for _ in range(COMMANDS)
+    ]
+    for k in range(COMMANDS // 3, COMMANDS // 2):
+        actions[k] = None
+    return actions
+
+
+def _fingerprint(world: World) -> tuple[bytes, ...]:
+    arrays = (world.epoch_time, world.satellites, world.visible, world.position_e)
+    return tuple(array.tobytes() for array in arrays)
+
+
+def _check_declarations(attack: Attack, world: World) -> int:
+    """Check names, and return the number of elements of an action."""
+    require(
+        isinstance(attack.label, str) and bool(attack.label),
+        f"`label` must name the threat, got {attack.label!r}",
+    )
+    require(
+        ("pseudorange-only" in attack.label) != attack.coherent,
+        "`label` must say 'pseudorange-only' where the range rates do not follow, and only there; "
+        f"got {attack.label!r} with coherent={attack.coherent}",
+    )
+    captured = attack.captured(world)
+    named = np.array([bool(name) for name in world.satellite_ids])
+    require(
+        captured.shape == (world.channels,) and captured.dtype == np.bool_,
+        f"`captured` must return ({world.channels},) bool, got {captured.shape} {captured.dtype}",
+    )
+    require(
+        not (captured & ~named).any(),
+        "`captured` must not name an empty slot, whose id is ''",
+    )
+    names = attack.action_names(world)
+    require(
+        isinstance(names, tuple)
+        and len(names) > 0
+        and all(isinstance(name, str) and name for name in names)
+        and len(set(names)) == len(names),
+        f"`action_names` must be a tuple of different names, one an element, got {names!r}",
+    )
+    return len(names)
+
+
+def _check_begin(attack: Attack, world: World, axes: int) -> None:
+    bound = copy.deepcopy(attack)
+    for receivers in (len(STARTS), 1):
+        bound.bind(AttackContext(receivers, world, ONSET))
+        for name in ("displacement", "rate"):
+            array = bound.memory.get(name)
+            require(
+                array is not None and array.shape == (receivers, axes) and not array.any(),
+                f"after `bind` the memory must hold {name!r}, zeros of shape {(receivers, axes)}, "
+                f"got {array!r}; call `super().bind(context)` first",
+            )
+
+
+def _check_idle(attack: Attack, world: World, axes: int) -> None:
+    for word, action in (("an action of zeros", np.zeros((len(STARTS), axes))), ("None", None)):
+        for step in _AttackTrial(attack, world, [action] * 5).steps():
+            require(
+                not step.d_range.any() and not step.d_rate.any(),
+                f"before any command {word} must leave the measurements as they are, exactly: a "
+                "run without attack has to be the clean run, bit for bit; got "
+                f"{np.abs(step.d_range).max():g} m and {np.abs(step.d_rate).max():g} m/s",
+            )
+
+
+def _check_motion(
+    attack: Attack, steps: Sequence[Step], actions: Sequence[FloatArray | None]
+) -> None:
+    displacement = np.zeros_like(steps[0].displacement)
+    rate = np.zeros_like(displacement)
+    by_rate = attack.control == "rate"
+    for step, action in zip(steps, actions, strict=True):
+        tau = step.interval[:, None]
+        require(
+            action is not None or same_bits(step.rate, rate),
+            "without a command (None) the rate must stay as it is, got a change at "
+            f"{first_difference(step.rate, rate)}",
+        )
+        first = step.rate if by_rate else rate
+        moved = displacement + 0.5 * (first + step.rate) * tau
+        error = np.abs(step.displacement - moved).max()
+        require(
+            bool(error <= ROUNDING * (1.0 + np.abs(moved).max())),
+            "the displacement must follow from the rate, D+ = D + "
+            f"{'v+ tau' if by_rate else '(v + v+) tau / 2'}, got {error:g} m off it; the range "
+            "rate of a counterfeit signal is the derivative of its range",
+        )
+        displacement, rate = step.displacement, step.rate
+
+
+def _size(attack: Attack, vector: FloatArray) -> float:
+    """Largest size of a vector, or of an element where each has a limit of its own."""
+    if isinstance(attack, FalsePosition):
+        return float(np.linalg.norm(vector, axis=-1).max())
+    return float(np.abs(vector).max())
+
+
+def _check_limits(attack: Attack, world: World, axes: int) -> None:
+    acceleration, limit = attack.acceleration_limit_mps2, attack.rate_limit_mps
+    by_rate, start = attack.control == "rate", np.array([ONSET])
+    sign = np.where(np.arange(axes) % 2 == 0, 1.0, -1.0)[None, :]
+    epochs = min(world.epochs - ONSET - 2, 400)
+    for size in (1.0, 3.0):
+        rate = np.zeros((1, axes))
+        for step in _AttackTrial(attack, world, [size * sign] * epochs, start).steps():
+            found = _size(attack, step.rate)
+            require(
+                found <= limit * (1.0 + ROUNDING),
+                f"the rate must not exceed `rate_limit_mps` = {limit:g}, got {found:g} after "
+                f"actions of {size:g}; actions beyond 1 are cut to 1",
+            )
+            change = _size(attack, step.rate - rate) / float(step.interval[0])
+            require(
+                by_rate or change <= acceleration * (1.0 + ROUNDING),
+                f"the rate must not change by more than `acceleration_limit_mps2` = "
+                f"{acceleration:g}, got {change:g} m/s^2 after actions of {size:g}",
+            )
+            rate = step.rate
+    # well below the limits an action is obeyed to the letter
+    action = -0.3 / np.sqrt(axes) * sign
+    step = _AttackTrial(attack, world, [action], start).steps()[0]
+    want = attack.unit_scale * action * (1.0 if by_rate else step.interval[0])
+    require(
+        not _size(attack, want) < limit or bool(np.allclose(step.rate, want, ROUNDING, 0.0)),
+        f"an action of {action[0, 0]:g} must command {attack.unit_scale:g} times as much "
+        f"({attack.control}), hence a rate of {want[0, 0]:g} m/s, got {step.rate[0, 0]:g}",
+    )
+
+
+def _check_channels(attack: Attack, world: World, steps: Sequence[Step]) -> None:
+    captured = attack.captured(world)
+    for step in steps:
+        require(
+            not step.d_range[:, ~captured].any() and not step.d_rate[:, ~captured].any(),
+            "offsets must be 0 for satellites that are not captured",
+        )
+        require(
+            attack.coherent or not step.d_rate.any(),
+            "with coherent=False the range rates must be left alone, got "
+            f"{np.abs(step.d_rate).max():g} m/s",
+        )
+    require(
+        bool(np.any([step.d_range for step in steps])),
+        "commands must change at least one pseudorange, got none changed",
+    )
+
+
+def _check_rates(attack: Attack, world: World, axes: int) -> None:
+    if not attack.coherent:
+        return
+    captured = attack.captured(world)
+    action = np.full((len(STARTS), axes), 0.5 / np.sqrt(axes))
+    for before, step in pairwise(_AttackTrial(attack, world, [action] * COMMANDS).steps()):
+        change = step.d_range - before.d_range
+        mean_rate = 0.5 * (before.d_rate + step.d_rate)
+        error = np.abs(change - mean_rate * step.interval[:, None])
+        error = error[captured & before.visible & step.visible]
+        require(
+            bool((error <= CLOSURE_M).all()),
+            "with coherent=True the range rate must be the derivative of the range, else the code "
+            "drifts away from the carrier; over one epoch they differ by "
+            f"{error.max(initial=0.0):g} m",
+        )
+
+
+def _check_slices(trial: _AttackTrial, steps: Sequence[Step]) -> None:
+    everyone = np.arange(trial.receivers)
+    bound = trial.bind(everyone)
+    for number, step in enumerate(steps):
+        slices = [(2, trial.receivers), (0, 2)]
+        d_range, d_rate, _ = trial.command(bound, number, everyone, slices)
+        require(
+            same_bits(d_range, step.d_range) and same_bits(d_rate, step.d_rate),
+            "`command` must do the same for receivers lo to hi as for all, since threads share a "
+            f"batch; command {number} differs at {first_difference(d_range, step.d_range)}",
+        )
+    before = copy.deepcopy(bound.memory)
+    d_range, d_rate, _ = trial.command(bound, 0, everyone, [(1, 3)])
+    others = np.array([0, 3, 4])
+    require(
+        bool(np.isnan(d_range[others]).all() and np.isnan(d_rate[others]).all())
+        and all(same_bits(before[name][others], bound.memory[name][others]) for name in before),
+        "`command` must leave receivers outside lo to hi alone, since another thread works on them",
+    )

@@ -1,0 +1,258 @@
+"""What every detector has to keep, tried on epochs of all kinds."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..detectors import Detector, Verdict, make_detector
+from ..receiver.epoch import Epoch
+from .contract import read_only_given, require, require_fresh, same_bits
+from .epochs import OPTIONAL, Script, engine_script, trying_script
+from .trial import Record, Trial, check_memory, run_trial
+
+SCOPES = ("channel", "receiver")
+
+
+def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
+    """Check that a detector keeps its contract.
+
+    It is bound, fed with epochs of a run of the default scenario and with made-up ones (satellites
+    that come and go, or none at all; unequal intervals; no innovation, and a huge one), and has to
+    show that
+
+    - it cites a paper, states its scope, and needs only what an epoch can have;
+    - verdicts have the right shapes and types, and are finite; weights lie within 0 and 1; an
+      invisible channel has statistic 0, no alarm and weight 1;
+    - it neither writes to an epoch nor keeps it, nor hands out arrays that it goes on using;
+    - a receiver's verdicts don't depend on the batch that it is in, bit for bit;
+    - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
+      be reset, moved, copied and pickled.
+
+    Parameters
+    ----------
+    detector : Detector, str or mapping
+        What `make_detector` takes.  The object itself is left as it is.
+
+    Raises
+    ------
+    AssertionError
+        Says what was expected, what came, and how to mend it.
+
+    Examples
+    --------
+    >>> from spoofgym.testing import check_detector
+    >>> check_detector({"name": "ewma", "smoothing": 0.2})
+    """
+    unbound = make_detector(detector)
+    _check_declarations(unbound)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        for script in (engine_script(), trying_script()):
+            trial = _DetectorTrial(unbound, script)
+            _check_bound_again(trial)
+            _check_verdicts(trial)
+            run_trial(trial)
+
+
+class _DetectorTrial(Trial[Detector]):
+    """A detector that judges the epochs of a script."""
+
+    word, call = "detector", "judge"
+
+    def __init__(self, unbound: Detector, script: Script) -> None:
+        self.unbound, self.script = unbound, script
+        self.receivers, self.turns = script.context.receivers, len(script.epochs)
+
+    def bind(self, rows: NDArray[np.intp]) -> Detector:
+        bound = copy.deepcopy(self.unbound)
+        context = self.script.context
+        noise = context.noise_variance.copy()
+        try:
+            bound.bind(context._replace(receivers=len(rows), noise_variance=noise))
+        except AttributeError as error:
+            if hasattr(bound, "memory"):
+                raise
+            raise AssertionError(
+                f"`bind` finds no memory ({error}); call `super().bind(context)` first, then "
+                "`self.memory.declare(name, initial)`"
+            ) from error
+        return bound
+
+    def reset(self, bound: Detector, mask: NDArray[np.bool_] | None) -> None:
+        bound.reset(mask)
+
+    def judge(
+        self, bound: Detector, number: int, rows: NDArray[np.intp]
+    ) -> tuple[Verdict, dict[str, NDArray[Any]]]:
+        """Verdict on a read-only copy of an epoch, and the arrays of that copy."""
+        given = self.script.epoch(number, rows, bound.needs)
+        own = {name: array.copy() for name, array in given.items()}
+        seen = {name: array.view() for name, array in own.items()}
+        for view in seen.values():
+            view.flags.writeable = False
+        with read_only_given("detector", "epoch"):
+            verdict: object = bound.judge(Epoch(**seen))
+        for name, array in own.items():
+            require(
+                same_bits(array, given[name]),
+                f"the detector has changed `epoch.{name}`, which others see as well; copy the "
+                "array first",
+            )
+        if not isinstance(verdict, Verdict):
+            raise AssertionError(
+                f"`judge` must return a `Verdict`, got {type(verdict).__name__}; "
+                "`from spoofgym.detectors import Verdict`"
+            )
+        return verdict, own
+
+    def turn(self, bound: Detector, number: int, rows: NDArray[np.intp], spoil: bool) -> Record:
+        verdict, own = self.judge(bound, number, rows)
+        record = {name: None if a is None else a.copy() for name, a in verdict._asdict().items()}
+        if spoil:
+            for array in own.values():
+                array[...] = ~array if array.dtype == np.bool_ else np.nan
+        return record
+
+
+def _check_declarations(detector: Detector) -> None:
+    kind = type(detector).__name__
+    paper = getattr(detector, "paper", None)
+    require(
+        isinstance(paper, str) and bool(paper.strip()),
+        f"`{kind}.paper` must be a key in references.bib, for a classic too, got {paper!r}",
+    )
+    require(
+        detector.scope in SCOPES,
+        f"`{kind}.scope` must be 'channel' (c = n) or 'receiver' (c = 1), got {detector.scope!r}",
+    )
+    needs = detector.needs
+    require(
+        isinstance(needs, frozenset) and needs <= set(OPTIONAL),
+        f"`{kind}.needs` must be a frozenset of optional fields of an epoch "
+        f"({', '.join(OPTIONAL)}), got {needs!r}",
+    )
+
+
+def _check_bound_again(trial: _DetectorTrial) -> None:
+    """A detector that is bound a second time begins anew, with another number of receivers."""
+    bound = trial.bind(np.arange(trial.receivers))
+    check_memory(bound, trial.receivers, "detector")
+    bound.bind(trial.script.context._replace(receivers=1))
+    check_memory(bound, 1, "detector")
+
+
+def _check_verdicts(trial: _DetectorTrial) -> None:
+    everyone = np.arange(trial.receivers)
+    bound = trial.bind(everyone)
+    verdicts, copies = [], []
+    for number in range(trial.turns):
+        verdict, own = trial.judge(bound, number, everyone)
+        check_memory(bound, trial.receivers, "detector")
+        _check_arrays(bound, verdict, own)
+        _check_shapes(bound, trial.script, number, verdict)
+        _check_invisible(bound, trial.script, number, verdict)
+        verdicts.append(verdict)
+        copies.append(copy.deepcopy(verdict))
+    for verdict, copied in zip(verdicts, copies, strict=True):
+        for name in Verdict._fields:
+            require(
+                same_bits(getattr(verdict, name), getattr(copied, name)),
+                f"the verdict's `{name}` has changed while the detector went on; return a new "
+                "array at every epoch",
+            )
+    require(
+        len({verdict.weights is None for verdict in verdicts}) == 1,
+        "`weights` must be an array at every epoch or None at every epoch, got both; a detector "
+        "that has nothing to say returns ones",
+    )
+
+
+def _check_arrays(detector: Detector, verdict: Verdict, own: Mapping[str, NDArray[Any]]) -> None:
+    """Raise unless a verdict consists of arrays of its own."""
+    owners = {f"`epoch.{name}`": array for name, array in own.items()}
+    owners |= {f"`memory[{name!r}]`": array for name, array in detector.memory.items()}
+    for name, array in verdict._asdict().items():
+        if array is None and name == "weights":
+            continue
+        require(
+            isinstance(array, np.ndarray),
+            f"the verdict's `{name}` must be an array, got {type(array).__name__}",
+        )
+        require_fresh(f"the verdict's `{name}`", array, owners, "the next epoch")
+    weights = verdict.weights
+    require(
+        weights is None or (weights.flags.c_contiguous and weights.flags.writeable),
+        "`weights` must be a C-contiguous array that may be written to, since the kernels are "
+        "compiled for such; `np.array(weights)` makes one",
+    )
+
+
+def _at(script: Script, number: int) -> str:
+    return f"on {script.name}, at {script.epochs[number].time[0]:g} s,"
+
+
+def _check_shapes(detector: Detector, script: Script, number: int, verdict: Verdict) -> None:
+    b, n = script.epochs[number].visible.shape
+    columns = n if detector.scope == "channel" else 1
+    where = _at(script, number)
+    expected: dict[str, tuple[int, Any]] = {
+        "statistic": (columns, np.float64),
+        "threshold": (columns, np.float64),
+        "alarm": (columns, np.bool_),
+        "weights": (2 * n, np.float64),
+    }
+    for name, (size, dtype) in expected.items():
+        array = getattr(verdict, name)
+        if array is None:
+            continue
+        require(
+            array.shape == (b, size),
+            f"{where} `{name}` must have shape {(b, size)} for {b} receivers with {n} channels and "
+            f"scope {detector.scope!r}, got {array.shape}",
+        )
+        require(
+            array.dtype == dtype,
+            f"{where} `{name}` must be of type {np.dtype(dtype)}, got {array.dtype}; a comparison "
+            "gives bool, `np.empty(shape)` float64",
+        )
+        bad = ~np.isfinite(array)
+        require(
+            not bad.any(),
+            f"{where} `{name}` must be finite, got {array[bad][:1]} at {np.argwhere(bad)[:1]}; the "
+            "variance of a channel that isn't visible is 1, so that nothing is divided by 0",
+        )
+    if verdict.weights is not None:
+        outside = (verdict.weights < 0.0) | (verdict.weights > 1.0)
+        require(
+            not outside.any(),
+            f"{where} `weights` must lie within 0 and 1, got {verdict.weights[outside][:1]}; "
+            "`np.clip(weights, 0.0, 1.0)`",
+        )
+
+
+def _check_invisible(detector: Detector, script: Script, number: int, verdict: Verdict) -> None:
+    absent, where = ~script.epochs[number].visible, _at(script, number)
+    if detector.scope == "channel":
+        require(
+            not verdict.statistic[absent].any(),
+            f"{where} the statistic of a channel that isn't visible must be 0, got "
+            f"{np.abs(verdict.statistic[absent]).max(initial=0.0):g}; "
+            "`statistic[~epoch.visible] = 0.0`",
+        )
+        require(
+            not verdict.alarm[absent].any(),
+            f"{where} a channel that isn't visible must not alarm; `alarm &= epoch.visible`",
+        )
+    if verdict.weights is not None:
+        weights = verdict.weights[np.hstack([absent, absent])]
+        require(
+            bool((weights == 1.0).all()),
+            f"{where} the weights of a channel that isn't visible must be 1, of pseudorange and "
+            f"range rate, got {weights.min(initial=1.0):g}",
+        )

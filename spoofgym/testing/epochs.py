@@ -1,0 +1,220 @@
+"""Epochs to try detectors on: some of a real run, and some that a run seldom shows."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..attacks import FalsePosition
+from ..detectors import DetectorContext, Never
+from ..envs.engine import Engine, Setup, Timeline
+from ..receiver import TightlyCoupled
+from ..receiver.epoch import Epoch
+from ..sim.scenario import Scenario
+
+OPTIONAL = tuple(Epoch._field_defaults)
+"""Fields of an epoch that a detector only gets when its `needs` names them."""
+RECEIVERS = 5
+ATTACK_S = 10.0
+
+
+class Script(NamedTuple):
+    """What a detector gets to see, in order.
+
+    Attributes
+    ----------
+    name : str
+        Of the script, for messages.
+    context : DetectorContext
+        What the detector is bound with.
+    epochs : tuple of Epoch
+        All optional fields are filled in.
+    """
+
+    name: str
+    context: DetectorContext
+    epochs: tuple[Epoch, ...]
+
+    def epoch(
+        self, number: int, rows: NDArray[np.intp], needs: Collection[str]
+    ) -> dict[str, NDArray[Any]]:
+        """An epoch of some receivers.
+
+        Parameters
+        ----------
+        number : int
+            Which epoch.
+        rows : ndarray
+            Which receivers, in this order; one may stand there twice.
+        needs : collection of str
+            Optional fields to fill in.
+
+        Returns
+        -------
+        dict
+            C-contiguous copies of its arrays.
+        """
+        return {
+            name: np.ascontiguousarray(array[rows])
+            for name, array in self.epochs[number]._asdict().items()
+            if name not in OPTIONAL or name in needs
+        }
+
+
+@lru_cache(maxsize=1)
+def engine_script() -> Script:
+    """Epochs of a clean, then attacked run of the default scenario.
+
+    Returns
+    -------
+    Script
+        Of `RECEIVERS` receivers.  What is optional in an epoch is made up, where the run has none.
+    """
+    scenario = Scenario()
+    timeline = Timeline(warmup_s=5.0, live_s=5.0, attack_s=ATTACK_S, time_to_alert_s=0.0)
+    setup = Setup(scenario, TightlyCoupled(), FalsePosition(), Never(), timeline)
+    engine = Engine(RECEIVERS, setup, threads=1)
+    engine.reset([np.random.default_rng(seed) for seed in range(RECEIVERS)])
+    rng = np.random.default_rng(1)
+    action = np.linspace(-1.0, 1.0, 2 * RECEIVERS).reshape(RECEIVERS, 2)
+    epochs = []
+    for _ in range(setup.steps):
+        epoch = engine.predict(action)
+        epochs.append(_with_optional_fields(epoch, rng))
+        engine.update(engine.judge())
+    context = DetectorContext(
+        RECEIVERS,
+        setup.world.channels,
+        scenario.epoch_interval_s,
+        setup.noise_variance.copy(),
+        setup.world.satellite_ids,
+    )
+    return Script("a run of the default scenario", context, tuple(epochs))
+
+
+def _with_optional_fields(epoch: Epoch, rng: np.random.Generator) -> Epoch:
+    """Copy of an epoch, with what is missing made up."""
+    b, n = epoch.visible.shape
+    fields = {name: np.array(array) for name, array in epoch._asdict().items()}
+    made_up = {
+        "gnss_position": epoch.predicted_position + 2.0 * rng.standard_normal((b, 3)),
+        "auxiliary_position": epoch.predicted_position + 5.0 * rng.standard_normal((b, 3)),
+        "cn0_dbhz": 45.0 + rng.standard_normal((b, n)),
+    }
+    for name in OPTIONAL:
+        if getattr(epoch, name) is None:
+            fields[name] = made_up[name]
+    return Epoch(**fields)
+
+
+CHANNELS = 7
+COUNT = 60
+_INTERVALS = (0.5, 0.5, 1.0, 0.1, 0.5, 5.0)
+_EMPTY = CHANNELS - 1
+ALL_MISSING = (24, 25)
+ZERO = 14
+OUTLIER = 18
+ATTACKED_FROM = 35
+
+
+@lru_cache(maxsize=1)
+def trying_script() -> Script:
+    """Made-up epochs with all that is awkward.
+
+    Satellites appear and disappear, one slot stays empty, at two epochs nothing is in view;
+    intervals differ; once all innovations are zero, once there is an outlier of a thousand standard
+    deviations; in the end one satellite drifts away.  Innovations are drawn from the covariance
+    that they are said to have.
+
+    Returns
+    -------
+    Script
+        Of `RECEIVERS` receivers.
+    """
+    rng = np.random.default_rng(2)
+    noise = np.repeat([6.25, 0.01], CHANNELS)
+    time = np.zeros(RECEIVERS)
+    epochs = []
+    for k in range(COUNT):
+        interval = _INTERVALS[k % len(_INTERVALS)]
+        time = time + interval
+        epochs.append(_made_up(k, time, interval, _visible(k), noise, rng))
+    ids = (*(f"G{j:02d}" for j in range(1, CHANNELS)), "")
+    context = DetectorContext(RECEIVERS, CHANNELS, 0.5, noise, ids)
+    return Script("made-up epochs", context, tuple(epochs))
+
+
+def _visible(k: int) -> NDArray[np.bool_]:
+    visible = np.ones((RECEIVERS, CHANNELS), dtype=np.bool_)
+    visible[:, _EMPTY] = False
+    visible[:, 2] = k >= 8  # rises
+    visible[:, 4] = k < 30  # sets
+    visible[1:3, 3] = k % 7 != 0  # flickers
+    visible[3] &= not 20 <= k < 23  # one receiver in the dark
+    if k in ALL_MISSING:
+        visible[:] = False
+    return visible
+
+
+def _made_up(
+    k: int,
+    time: NDArray[np.float64],
+    interval: float,
+    visible: NDArray[np.bool_],
+    noise: NDArray[np.float64],
+    rng: np.random.Generator,
+) -> Epoch:
+    b, n = visible.shape
+    azimuth = 2.0 * np.pi * np.arange(n) / n + 0.001 * k
+    elevation = 0.3 + 0.15 * np.arange(n)
+    u = np.column_stack(
+        [
+            np.sin(elevation),
+            np.cos(elevation) * np.sin(azimuth),
+            np.cos(elevation) * np.cos(azimuth),
+        ]
+    )
+    root = rng.standard_normal((b, 17, 17)) * np.repeat([1e-4, 0.05, 1.0, 1e-3, 1e-6, 0.5], 3)[:17]
+    covariance = np.einsum("bki,bkj->bij", root, root)
+    seen = np.hstack([visible, visible])
+    design = np.zeros((b, 2 * n, 17))
+    design[:, :n, 6:9], design[:, :n, 15] = u, 1.0
+    design[:, n:, 3:6], design[:, n:, 16] = u, 1.0
+    design *= seen[:, :, None]
+    belief = np.einsum("bik,bkl,bjl->bij", design, covariance, design)
+    belief += np.where(seen, noise, 1.0)[:, :, None] * np.eye(2 * n)
+    innovation = np.einsum(
+        "bij,bj->bi", np.linalg.cholesky(belief), rng.standard_normal((b, 2 * n))
+    )
+    if k == ZERO:
+        innovation[:] = 0.0
+    if k == OUTLIER:
+        innovation[:, 1] += 1e3 * np.sqrt(belief[:, 1, 1])
+    innovation[:, 0] += 0.5 * max(0, k - ATTACKED_FROM)
+    innovation[~seen] = 0.0
+    position = np.array([6_378_137.0, 0.0, 0.0]) + np.outer(time, [0.0, 100.0, 0.0])
+    satellites = position[:, None, :] + 2.2e7 * u
+    return _with_optional_fields(
+        Epoch(
+            time=time,
+            interval=np.full(b, interval),
+            innovation=innovation,
+            innovation_cov=belief,
+            predicted_cov=covariance,
+            design=design,
+            transition=np.tile(np.eye(17), (b, 1, 1)),
+            imu_delta=rng.standard_normal((b, 6)) * np.repeat([0.1, 1e-3], 3),
+            pseudorange=np.where(visible, 2.2e7 + 1e4 + innovation[:, :n], 0.0),
+            range_rate=np.where(visible, 100.0 + innovation[:, n:], 0.0),
+            satellite_position=satellites,
+            satellite_velocity=np.tile([0.0, 100.0, 0.0], (b, n, 1)),
+            visible=visible,
+            predicted_position=position,
+            predicted_velocity=np.tile([0.0, 100.0, 0.0], (b, 1)),
+        ),
+        rng,
+    )

@@ -1,0 +1,184 @@
+"""What every spoofer has to keep, tried in front of receivers of the default scenario."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..attacks import Attack
+from ..envs.engine import Engine, Setup, Timeline
+from ..envs.observations import Observer, terms_of
+from ..envs.presets import make_setup
+from ..envs.snapshot import Snapshot
+from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
+from .contract import no_global_chance, read_only_given, require, require_fresh
+from .trial import Record, Trial, check_memory, run_trial
+
+FloatArray = NDArray[np.float64]
+Observation = NDArray[np.float32]
+RECEIVERS = 5
+TIMELINE = Timeline(warmup_s=3.0, live_s=1.0, attack_s=12.0, time_to_alert_s=0.0)
+
+
+def check_spoofer(
+    spoofer: Spoofer | dict[str, Any] | str,
+    *,
+    attack: Attack | Mapping[str, Any] | str = "false-position",
+) -> None:
+    """Check that a spoofer keeps its contract.
+
+    It commands the attack against receivers of the default scenario, and has to show that
+
+    - it states its knowledge, and its tunable setting, if any, has a range;
+    - actions have the right shape and type, are finite, and lie within -1 and 1;
+    - it neither writes to an observation nor keeps it, nor hands out an array that it goes on
+      using;
+    - a receiver's actions don't depend on the batch that it is in, bit for bit;
+    - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
+      be reset, moved, copied and pickled.
+
+    Parameters
+    ----------
+    spoofer : Spoofer, str or dict
+        What `make_spoofer` takes.  The object itself is left as it is.
+    attack : Attack, str or mapping
+        What it commands.
+
+    Raises
+    ------
+    AssertionError
+        Says what was expected, what came, and how to mend it.
+
+    Examples
+    --------
+    >>> from spoofgym.testing import check_spoofer
+    >>> check_spoofer({"name": "ramp", "rate_mps": 0.2}, attack="per-channel")
+    """
+    unbound = make_spoofer(spoofer)
+    _check_declarations(unbound)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        setup = make_setup(attack=attack, timeline=TIMELINE, detector="ewma")
+        observer = Observer(terms_of(unbound.knowledge), setup)
+        context = _context(setup, observer)
+        _check_tuning(unbound, context)
+        observations = _perform(unbound, setup, observer, context)
+        run_trial(_SpooferTrial(unbound, context, observations))
+
+
+def _check_declarations(spoofer: Spoofer) -> None:
+    kind = type(spoofer).__name__
+    knowledge = getattr(spoofer, "knowledge", None)
+    require(
+        knowledge in KNOWLEDGE,
+        f"`{kind}.knowledge` must be one of {', '.join(map(repr, KNOWLEDGE))}, got {knowledge!r}",
+    )
+    tunable = spoofer.tunable
+    require(
+        tunable is None or isinstance(getattr(spoofer, tunable, None), int | float),
+        f"`{kind}.tunable` must name a setting that is a number, or be None, got {tunable!r}",
+    )
+
+
+def _check_tuning(spoofer: Spoofer, context: SpooferContext) -> None:
+    if spoofer.tunable is None:
+        return
+    low, high = type(spoofer).tuning_range(context)
+    require(
+        0.0 < low < high < np.inf,
+        f"`tuning_range` must return two numbers, 0 < low < high, got {low} and {high}",
+    )
+
+
+def _context(setup: Setup, observer: Observer) -> SpooferContext:
+    attack = setup.attack
+    return SpooferContext(
+        receivers=RECEIVERS,
+        interval_s=setup.scenario.epoch_interval_s,
+        steps=setup.steps,
+        control=attack.control,
+        acceleration_limit_mps2=attack.acceleration_limit_mps2,
+        rate_limit_mps=attack.rate_limit_mps,
+        action_names=attack.action_names(setup.world),
+        observation_names=observer.names,
+    )
+
+
+def _bind(spoofer: Spoofer, context: SpooferContext) -> Spoofer:
+    bound = copy.deepcopy(spoofer)
+    bound.bind(context)
+    check_memory(bound, context.receivers, "spoofer")
+    return bound
+
+
+def _perform(
+    spoofer: Spoofer, setup: Setup, observer: Observer, context: SpooferContext
+) -> list[Observation]:
+    """Let the spoofer attack, and note what it sees."""
+    engine = Engine(RECEIVERS, setup, threads=1)
+    engine.reset([np.random.default_rng(seed) for seed in range(RECEIVERS)])
+    observations = []
+    with no_global_chance("spoofer"):
+        bound = _bind(spoofer, context)
+        for k in range(setup.steps):
+            seen = observer.observe(Snapshot(setup, engine.batch, np.full(RECEIVERS, k)))
+            observations.append(seen.copy())
+            engine.step(_act(bound, seen, k))
+    return observations
+
+
+def _act(spoofer: Spoofer, observation: Observation, number: int) -> FloatArray:
+    """Action on an observation, checked, and copied."""
+    seen = observation.view()
+    seen.flags.writeable = False
+    with read_only_given("spoofer", "observation"):
+        action: object = spoofer.act(seen)
+    context = spoofer.context
+    shape = (context.receivers, len(context.action_names))
+    if not isinstance(action, np.ndarray):
+        raise AssertionError(f"`act` must return an array, got {type(action).__name__}")
+    require(
+        action.shape == shape and action.dtype == np.float64 and action.flags.c_contiguous,
+        f"`act` must return a C-contiguous float64 array of shape {shape}, one row a receiver and "
+        f"one column for each of {', '.join(context.action_names)}; got {action.dtype} of shape "
+        f"{action.shape}",
+    )
+    require(
+        bool((np.abs(action) <= 1.0).all()),
+        f"actions must be finite and within [-1, 1], got {np.abs(action).max():g} at command "
+        f"{number}; `np.clip(action, -1.0, 1.0)`",
+    )
+    owners = {"the observation": observation}
+    owners |= {f"`memory[{name!r}]`": array for name, array in spoofer.memory.items()}
+    require_fresh("the action", action, owners, "the next command")
+    return action.copy()
+
+
+class _SpooferTrial(Trial[Spoofer]):
+    """A spoofer that is shown one observation an epoch."""
+
+    word, call = "spoofer", "act"
+
+    def __init__(
+        self, unbound: Spoofer, context: SpooferContext, observations: Sequence[Observation]
+    ) -> None:
+        self.unbound, self.context, self.observations = unbound, context, observations
+        self.receivers, self.turns = context.receivers, len(observations)
+
+    def bind(self, rows: NDArray[np.intp]) -> Spoofer:
+        return _bind(self.unbound, self.context._replace(receivers=len(rows)))
+
+    def reset(self, bound: Spoofer, mask: NDArray[np.bool_] | None) -> None:
+        bound.reset(mask)
+
+    def turn(self, bound: Spoofer, number: int, rows: NDArray[np.intp], spoil: bool) -> Record:
+        own = np.ascontiguousarray(self.observations[number][rows])
+        action = _act(bound, own, number)
+        if spoil:
+            own[:] = np.nan
+        return {"action": action}

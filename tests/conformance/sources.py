@@ -1,0 +1,48 @@
+"""The project's own sources and modules, for tests of how it is written."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import spoofgym
+
+ROOT = Path(spoofgym.__file__).parent
+CHECKOUT = ROOT.parent
+
+
+def files() -> list[Path]:
+    return sorted(ROOT.rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def modules() -> Iterator[ModuleType]:
+    """All modules but those that need packages which are not installed."""
+    for info in pkgutil.walk_packages(spoofgym.__path__, "spoofgym."):
+        if info.name.endswith("__main__"):
+            continue
+        try:
+            yield importlib.import_module(info.name)
+        except ModuleNotFoundError as error:
+            if error.name is None or error.name.startswith("spoofgym"):
+                raise
+
+
+def public_classes() -> list:
+    """Public classes, each with the module that defines it."""
+    found = []
+    for module in modules():
+        for name, member in vars(module).items():
+            own = inspect.isclass(member) and member.__module__ == module.__name__
+            if own and not name.startswith("_"):
+                found.append(pytest.param(member, id=f"{module.__name__}.{name}"))
+    return found

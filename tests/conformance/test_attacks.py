@@ -1,0 +1,228 @@
+"""Every attack keeps the contract, and `check_attack` catches whoever breaks it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from spoofgym.attacks import ATTACKS, FalsePosition, PerChannel
+from spoofgym.testing import check_attack
+
+SOME = ("S05", "S11", "S30")
+
+
+@pytest.mark.parametrize("channels", ["all", SOME], ids=["all", "some"])
+@pytest.mark.parametrize("coherent", [True, False], ids=["coherent", "pseudorange-only"])
+@pytest.mark.parametrize("control", ["acceleration", "rate"])
+@pytest.mark.parametrize("name", ATTACKS)
+def test_every_attack_keeps_the_contract(name, control, coherent, channels):
+    check_attack({"name": name, "control": control, "coherent": coherent, "channels": channels})
+
+
+@pytest.mark.parametrize("axes", ["n", "d", "end"])
+def test_a_false_position_keeps_the_contract_along_any_axes(axes):
+    check_attack(FalsePosition(axes=axes, acceleration_limit_mps2=1.0, rate_limit_mps=3.0))
+
+
+def test_the_attack_itself_is_left_alone():
+    attack = PerChannel()
+    check_attack(attack)
+    assert not hasattr(attack, "memory")
+
+
+class Silent(PerChannel):
+    label = ""
+
+
+class Mislabelled(FalsePosition):
+    label = "false-position-pseudorange-only"
+
+
+class CapturesEmptySlots(PerChannel):
+    def captured(self, world):
+        return np.ones(world.channels, dtype=bool)
+
+
+class CapturesByNumber(PerChannel):
+    def captured(self, world):
+        return super().captured(world).astype(int)
+
+
+class SameNames(FalsePosition):
+    def action_names(self, world):
+        return ("push",) * len(self.axes)
+
+
+class NoBase(FalsePosition):
+    def bind(self, context):
+        super().bind(context)
+        del self.memory["rate"]
+
+
+class NeverStill(PerChannel):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+        d_range[lo:hi, self.mask] += 1e-12
+
+
+class WritesToTheAction(FalsePosition):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        if action is not None:
+            np.clip(action, -1.0, 1.0, out=action)
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+
+
+class LeavesHoles(PerChannel):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        full, unused = np.zeros_like(d_range), np.zeros_like(d_rate)
+        super().command(action, epochs, full, unused, lo, hi)
+        d_range[lo:hi, self.mask] = full[lo:hi, self.mask]
+        d_rate[lo:hi, self.mask] = unused[lo:hi, self.mask]
+
+
+class TakesAll(FalsePosition):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+        d_range[lo:hi, ~self.mask] = self.memory["rate"][lo:hi, :1]
+
+
+class WholeBatch(PerChannel):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        super().command(action, epochs, d_range, d_rate, 0, len(epochs))
+
+
+class BrakesWhenHolding(PerChannel):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        if action is None:
+            self.memory["rate"][lo:hi] *= 0.5
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+
+
+class Jumps(PerChannel):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        if action is not None:
+            self.memory["displacement"][lo:hi] += 0.1 * action[lo:hi]
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+
+
+@dataclass(kw_only=True)
+class Hurries(PerChannel):
+    """Takes twice the limit that it states, of acceleration or of rate."""
+
+    factor: float = 2.0
+
+    @property
+    def unit_scale(self):
+        return self.factor * super().unit_scale
+
+
+class Overshoots(Hurries):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        stated, self.rate_limit_mps = self.rate_limit_mps, 1e9
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+        self.rate_limit_mps = stated
+
+
+class Lazy(PerChannel):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        weak = None if action is None else 0.5 * action
+        super().command(weak, epochs, d_range, d_rate, lo, hi)
+
+
+class LagsBehind(FalsePosition):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+        d_rate[lo:hi] *= 0.99
+
+
+class RatesAnyhow(PerChannel):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+        d_rate[lo:hi, self.mask] = self.memory["rate"][lo:hi]
+
+
+class Powerless(PerChannel):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+        d_range[lo:hi], d_rate[lo:hi] = 0.0, 0.0
+
+
+class Trembles(PerChannel):
+    def bind(self, context):
+        super().bind(context)
+        self.rng = np.random.default_rng()
+
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+        d_range[lo:hi, self.mask] *= 1.0 + 1e-3 * self.rng.standard_normal()
+
+
+class KeepsTheAction(PerChannel):
+    def bind(self, context):
+        super().bind(context)
+        self.last = None
+
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        later, self.last = self.last, action
+        super().command(later, epochs, d_range, d_rate, lo, hi)
+
+
+class RemembersOutside(PerChannel):
+    def bind(self, context):
+        super().bind(context)
+        self.moved = np.zeros(context.receivers)
+
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+        d_range[lo:hi, self.mask] *= 1.0 + self.moved[lo:hi, None]
+        self.moved[lo:hi] += 0.1
+
+
+class BendsTheWorld(PerChannel):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+        self.world.position_e[-1] += 1.0
+
+
+BROKEN = [
+    (Silent(), "`label` must name the threat"),
+    (Mislabelled(), "`label` must say 'pseudorange-only' where"),
+    (CapturesEmptySlots(), "must not name an empty slot"),
+    (CapturesByNumber(), "`captured` must return \\(12,\\) bool, got \\(12,\\) int64"),
+    (SameNames(), "a tuple of different names, one an element, got \\('push', 'push'\\)"),
+    (NoBase(), "the memory must hold 'rate', zeros of shape \\(5, 2\\), got None"),
+    (NeverStill(), "before any command an action of zeros must leave the measurements as they are"),
+    (WritesToTheAction(), "must not write to `action` or `epochs`"),
+    (LeavesHoles(), "a finite number into every element of `d_range`"),
+    (TakesAll(channels=SOME), "0 for satellites that are not captured"),
+    (WholeBatch(), "the same for receivers lo to hi as for all|leave receivers outside lo to hi"),
+    (BrakesWhenHolding(), "without a command \\(None\\) the rate must stay as it is"),
+    (Jumps(), "must follow from the rate, D\\+ = D \\+ \\(v \\+ v\\+\\) tau / 2"),
+    (Hurries(), "must not change by more than `acceleration_limit_mps2` = 0.05, got 0.1"),
+    (Hurries(control="rate"), "must not exceed `rate_limit_mps` = 5, got 10"),
+    (Overshoots(factor=1.0), "must not exceed `rate_limit_mps` = 5, got"),
+    (Lazy(), "an action of -0.1.* must command 0.05 times as much"),
+    (LagsBehind(), "the range rate must be the derivative of the range"),
+    (RatesAnyhow(coherent=False), "with coherent=False the range rates must be left alone"),
+    (Powerless(), "must change at least one pseudorange"),
+    (Trembles(), "When all is done again, the attack must do the same"),
+    (KeepsTheAction(), "valid during `command` only"),
+    (RemembersOutside(), "After a reset the attack must be as it was after `bind`"),
+    (BendsTheWorld(), "has changed the arrays of the `World`"),
+]
+
+
+@pytest.mark.parametrize(
+    ("attack", "said"),
+    [pytest.param(*pair, id=type(pair[0]).__name__) for pair in BROKEN],
+)
+def test_a_broken_attack_is_caught(attack, said):
+    with pytest.raises(AssertionError, match=said):
+        check_attack(attack)
+
+
+def test_what_is_no_attack_is_refused():
+    with pytest.raises(TypeError, match=r"^a attack is a name"):
+        check_attack(FalsePosition)

@@ -1,0 +1,93 @@
+"""What is compiled stands where the cache is named by the sources that it comes from."""
+
+from __future__ import annotations
+
+import ast
+
+import pytest
+
+from spoofgym._jit import COMPILED_LAYERS, layer_of
+
+from . import sources
+
+PLAIN = {"_jit", "_memory", "_registry"}
+"""Modules below all packages; they hold nothing that a kernel could take in but `_jit`'s own."""
+
+
+@pytest.fixture(params=sources.files(), ids=sources.name_of)
+def source(request):
+    return request.param
+
+
+def imported(tree, path):
+    """Absolute name and imported names of every import of a file."""
+    package = ("spoofgym", *path.relative_to(sources.ROOT).parent.parts)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name, []
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            module = ".".join((*base, *(node.module or "").split("."))).strip(".")
+            yield module, [alias.name for alias in node.names]
+
+
+def test_numba_is_used_by_the_one_decorator_alone(source):
+    tree = ast.parse(source.read_text())
+    used = [name for name, _ in imported(tree, source) if name.split(".")[0] == "numba"]
+    assert sources.name_of(source) == "_jit.py" or not used
+
+
+def test_compiled_functions_stand_in_compiled_layers(source):
+    tree = ast.parse(source.read_text())
+    parts = source.relative_to(sources.ROOT).parts
+    takes = [
+        (module, names)
+        for module, names in imported(tree, source)
+        if module == "spoofgym._jit" or "_jit" in names
+    ]
+    if parts == ("_jit.py",) or not takes:
+        return
+    assert len(parts) > 1, "only packages are compiled"
+    assert parts[0] in COMPILED_LAYERS, f"{parts[0]} must be named in `_jit.COMPILED_LAYERS`"
+    for module, names in takes:
+        assert module == "spoofgym._jit", "import the decorator itself, so that its use shows"
+        assert set(names) <= {"njit", "inlined"}
+
+
+def test_decorators_are_bare(source):
+    """``@njit(...)`` would have settings of its own."""
+    tree = ast.parse(source.read_text())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            for decorator in node.decorator_list:
+                called = isinstance(decorator, ast.Call) and ast.unparse(decorator.func)
+                assert called not in {"njit", "inlined"}, node.name
+
+
+def test_compiled_layers_import_only_from_those_whose_sources_count(source):
+    """A constant or a function of a layer that isn't in the digest would go stale."""
+    parts = source.relative_to(sources.ROOT).parts
+    if len(parts) < 2 or parts[0] not in COMPILED_LAYERS:
+        return
+    counted = COMPILED_LAYERS[: COMPILED_LAYERS.index(parts[0]) + 1]
+    tree = ast.parse(source.read_text())
+    for module, names in imported(tree, source):
+        path = module.split(".")
+        if path[0] != "spoofgym":
+            continue
+        for package in path[1:2] or names:
+            assert package in PLAIN or package in counted, f"{package} is not in its digest"
+
+
+def test_no_layer_reaches_for_threads_of_its_own(source):
+    """After a parallel region of GNU OpenMP, a forked child dies."""
+    assert "prange" not in source.read_text()
+
+
+def test_every_layer_is_a_package_in_the_order_of_the_imports():
+    for package in COMPILED_LAYERS:
+        assert (sources.ROOT / package / "__init__.py").is_file()
+    assert [layer_of(f"spoofgym.{package}.x") for package in COMPILED_LAYERS] == list(
+        range(len(COMPILED_LAYERS))
+    )

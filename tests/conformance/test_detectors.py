@@ -1,0 +1,387 @@
+"""Every detector keeps the contract, and `check_detector` catches whoever breaks it."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from spoofgym.detectors import DETECTORS, Detector, Verdict
+from spoofgym.testing import check_detector
+
+VARIANTS = [
+    *DETECTORS,
+    {"name": "ewma", "weight_scale": None},
+    {"name": "ewma", "smoothing": 1.0, "false_alarm": 0.1, "weight_scale": 1.0},
+    {"name": "snapshot-chi2", "signals": "pseudorange"},
+    {"name": "snapshot-chi2", "signals": "range_rate", "false_alarm": 0.5},
+]
+
+
+@pytest.mark.parametrize("detector", VARIANTS, ids=str)
+def test_every_detector_keeps_the_contract(detector):
+    check_detector(detector)
+
+
+class Sum(Detector):
+    """A detector that does all as it should: a cumulative sum that weighs channels down."""
+
+    paper = "page1954"
+    scope = "channel"
+    drift = 0.5
+
+    def bind(self, context):
+        super().bind(context)
+        self.memory.declare("sum", np.zeros((context.receivers, context.channels)))
+
+    def statistic(self, epoch):
+        n = epoch.visible.shape[1]
+        variance = np.diagonal(epoch.innovation_cov, axis1=1, axis2=2)[:, :n]
+        normalized = np.abs(epoch.innovation[:, :n]) / np.sqrt(variance)
+        total = np.maximum(0.0, self.memory["sum"] + normalized - self.drift)
+        total[~epoch.visible] = 0.0
+        return total
+
+    def judge(self, epoch):
+        total = self.statistic(epoch)
+        self.memory["sum"] = total.copy()
+        weights = np.ones_like(epoch.innovation)
+        weights[:, : total.shape[1]] = 1.0 / (1.0 + total)
+        return Verdict(total, np.full_like(total, 5.0), total > 5.0, weights)
+
+
+class AnyChannel(Sum):
+    """The same, as a test of the whole receiver that only watches."""
+
+    scope = "receiver"
+
+    def judge(self, epoch):
+        statistic = super().judge(epoch).statistic.max(axis=1, keepdims=True)
+        return Verdict(statistic, np.full_like(statistic, 5.0), statistic > 5.0)
+
+
+class Odometer(Sum):
+    """Needs what an epoch does not have by default."""
+
+    needs = frozenset({"auxiliary_position", "gnss_position", "cn0_dbhz"})
+
+    def statistic(self, epoch):
+        apart = np.linalg.norm(epoch.auxiliary_position - epoch.gnss_position, axis=1)
+        return np.where(epoch.visible, super().statistic(epoch) + apart[:, None], 0.0)
+
+
+@pytest.mark.parametrize("detector", [Sum(), AnyChannel(), Odometer()])
+def test_a_new_detector_that_keeps_the_contract_passes(detector):
+    check_detector(detector)
+    assert not hasattr(detector, "memory")  # the object itself was left alone
+
+
+class NoPaper(Sum):
+    paper = " "
+
+
+class OddScope(Sum):
+    scope = "satellite"
+
+
+class UnknownNeed(Sum):
+    needs = frozenset({"true_position"})
+
+
+class NoBase(Sum):
+    def bind(self, context):
+        self.total = np.zeros((context.receivers, context.channels))
+
+
+class NoBaseButDeclares(Sum):
+    def bind(self, context):
+        self.memory.declare("sum", np.zeros((context.receivers, context.channels)))
+
+
+class BoundOnce(Sum):
+    def bind(self, context):
+        if not hasattr(self, "memory"):
+            super().bind(context)
+
+
+class Undeclared(Sum):
+    def judge(self, epoch):
+        self.memory["last"] = epoch.innovation.copy()
+        return super().judge(epoch)
+
+
+class Shrunk(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        self.memory["sum"] = self.memory["sum"].max(axis=1)
+        return verdict
+
+
+class PlainTuple(Sum):
+    def judge(self, epoch):
+        return tuple(super().judge(epoch))
+
+
+class ListOfAlarms(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        return verdict._replace(alarm=verdict.alarm.tolist())
+
+
+class OneColumn(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        return verdict._replace(statistic=verdict.statistic[:, :1].copy())
+
+
+class SinglePrecision(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        return verdict._replace(statistic=verdict.statistic.astype(np.float32))
+
+
+class NumberedAlarms(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        return verdict._replace(alarm=verdict.alarm.astype(int))
+
+
+class RelativeInnovation(Sum):
+    def statistic(self, epoch):
+        n = epoch.visible.shape[1]
+        with np.errstate(invalid="ignore"):
+            share = np.abs(epoch.innovation[:, :n]) / np.abs(epoch.innovation).sum(axis=1)[:, None]
+        return np.where(epoch.visible, share, 0.0)
+
+
+class MeanOfNone(AnyChannel):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        visible = epoch.visible.sum(axis=1, keepdims=True)
+        mean = np.abs(epoch.innovation).sum(axis=1, keepdims=True) / visible
+        return verdict._replace(statistic=np.nan_to_num(mean))
+
+
+class NegativeWeights(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        return verdict._replace(weights=1.0 - 2.0 * (verdict.weights < 1.0))
+
+
+class SeesTheInvisible(Sum):
+    def statistic(self, epoch):
+        return super().statistic(epoch) + 0.1
+
+
+class AlarmsInTheDark(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        return verdict._replace(alarm=verdict.alarm | ~epoch.visible)
+
+
+class RejectsTheInvisible(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        n = epoch.visible.shape[1]
+        verdict.weights[:, n:] = epoch.visible
+        return verdict
+
+
+class Writes(Sum):
+    def judge(self, epoch):
+        epoch.innovation[~np.hstack([epoch.visible, epoch.visible])] = 0.0
+        return super().judge(epoch)
+
+
+class BreaksTheSeal(Sum):
+    def judge(self, epoch):
+        epoch.innovation.flags.writeable = True
+        epoch.innovation[:, 0] += 1.0
+        return super().judge(epoch)
+
+
+class KeepsTheEpoch(Sum):
+    def bind(self, context):
+        super().bind(context)
+        self.last = None
+
+    def statistic(self, epoch):
+        total = super().statistic(epoch)
+        if self.last is not None:
+            total[epoch.visible] += np.abs(self.last).max()
+        self.last = epoch.innovation
+        return total
+
+
+class HandsOutItsMemory(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        return verdict._replace(statistic=self.memory["sum"])
+
+
+class HandsOutTheEpoch(Sum):
+    def judge(self, epoch):
+        return super().judge(epoch)._replace(alarm=epoch.visible)
+
+
+class OneBuffer(Sum):
+    def bind(self, context):
+        super().bind(context)
+        self.out = np.zeros((context.receivers, context.channels))
+
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        self.out[:] = verdict.statistic
+        return verdict._replace(statistic=self.out)
+
+
+class BroadcastWeights(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        return verdict._replace(weights=np.broadcast_to(1.0, epoch.innovation.shape))
+
+
+class SometimesWatches(Sum):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        return verdict if verdict.alarm.any() else verdict._replace(weights=None)
+
+
+class AveragesReceivers(Sum):
+    def statistic(self, epoch):
+        total = super().statistic(epoch)
+        return np.where(epoch.visible, total + total.mean(axis=0), 0.0)
+
+
+class RollsGlobalDice(Sum):
+    def judge(self, epoch):
+        np.random.random()  # noqa: NPY002 - what nobody may do
+        return super().judge(epoch)
+
+
+class RollsDice(Sum):
+    def bind(self, context):
+        super().bind(context)
+        self.rng = np.random.default_rng()
+
+    def statistic(self, epoch):
+        return np.where(epoch.visible, super().statistic(epoch) + self.rng.random(), 0.0)
+
+
+class RollsSeededDice(RollsDice):
+    def bind(self, context):
+        super().bind(context)
+        self.rng = np.random.default_rng(0)
+
+    def statistic(self, epoch):
+        jitter = self.rng.random(epoch.visible.shape)
+        return np.where(epoch.visible, Sum.statistic(self, epoch) + jitter, 0.0)
+
+
+class CountsInTheClass(Sum):
+    seen = 0
+
+    def statistic(self, epoch):
+        type(self).seen += 1
+        return np.where(epoch.visible, super().statistic(epoch) + self.seen, 0.0)
+
+
+class CountsOutsideTheMemory(Sum):
+    def bind(self, context):
+        super().bind(context)
+        self.count = np.zeros(context.receivers)
+
+    def statistic(self, epoch):
+        self.count += 1.0
+        return np.where(epoch.visible, super().statistic(epoch) + self.count[:, None], 0.0)
+
+
+class CountsOutsideButResets(CountsOutsideTheMemory):
+    def reset(self, mask=None):
+        super().reset(mask)
+        self.count[slice(None) if mask is None else mask] = 0.0
+
+
+class NeverForgets(Sum):
+    def reset(self, mask=None):
+        pass
+
+
+class ForgetsAll(Sum):
+    def reset(self, mask=None):
+        super().reset(None)
+
+
+class HoldsALambda(Sum):
+    def bind(self, context):
+        super().bind(context)
+        self.curve = lambda x: x
+
+
+class ForgetsWhenCopied(Sum):
+    def __getstate__(self):
+        state = copy.copy(self.__dict__)
+        if "memory" in state:
+            state["memory"] = copy.copy(self.memory)
+            state["memory"].reset()
+        return state
+
+
+BROKEN = {
+    NoPaper: "`NoPaper.paper` must be a key in references.bib",
+    OddScope: "`OddScope.scope` must be 'channel' .* got 'satellite'",
+    UnknownNeed: "optional fields of an epoch .* got frozenset\\({'true_position'}\\)",
+    NoBase: "must have a `memory` made by the base class, got None",
+    NoBaseButDeclares: "`bind` finds no memory .* call `super\\(\\).bind",
+    BoundOnce: "must be of 1 receivers, got 5; make it anew in every `bind`",
+    Undeclared: "keeps 'last' in its memory without having declared it",
+    Shrunk: "memory 'sum' .* declared as float64 of shape \\(5, 12\\) and has become .* \\(5,\\)",
+    PlainTuple: "must return a `Verdict`, got tuple",
+    ListOfAlarms: "`alarm` must be an array, got list",
+    OneColumn: "`statistic` must have shape \\(5, 12\\) .* got \\(5, 1\\)",
+    SinglePrecision: "`statistic` must be of type float64, got float32",
+    NumberedAlarms: "`alarm` must be of type bool, got int64",
+    RelativeInnovation: "`statistic` must be finite, got \\[nan\\]",
+    NegativeWeights: "`weights` must lie within 0 and 1, got \\[-1.",
+    SeesTheInvisible: "the statistic of a channel that isn't visible must be 0, got 0.1",
+    AlarmsInTheDark: "a channel that isn't visible must not alarm",
+    RejectsTheInvisible: "the weights of a channel that isn't visible must be 1, .* got 0",
+    Writes: "the detector writes into its epoch, which is read-only",
+    BreaksTheSeal: "has changed `epoch.innovation`",
+    KeepsTheEpoch: "valid during `judge` only",
+    HandsOutItsMemory: "`statistic` is \\(part of\\) `memory\\['sum'\\]`",
+    HandsOutTheEpoch: "`alarm` is \\(part of\\) `epoch.visible`",
+    OneBuffer: "`statistic` has changed while the detector went on",
+    BroadcastWeights: "`weights` must be a C-contiguous array",
+    SometimesWatches: "an array at every epoch or None at every epoch",
+    AveragesReceivers: "must be the same, bit for bit, among 1 and among 5 receivers",
+    RollsGlobalDice: "uses the global random numbers",
+    RollsDice: "When all is done again, the detector must do the same",
+    RollsSeededDice: "must be the same, bit for bit, among 1 and among 5 receivers",
+    CountsInTheClass: "When all is done again, the detector must do the same",
+    CountsOutsideTheMemory: "After a reset the detector must be as it was after `bind`",
+    CountsOutsideButResets: "When the rows of its memory are moved to another batch",
+    NeverForgets: "After a reset the detector must be as it was after `bind`",
+    ForgetsAll: "A reset of some receivers must leave the others alone",
+    HoldsALambda: "cannot be pickled",
+    ForgetsWhenCopied: "A deep-copied detector must go on as if it had not been",
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN, ids=lambda kind: kind.__name__)
+def test_a_broken_detector_is_caught(kind):
+    with pytest.raises(AssertionError, match=BROKEN[kind]):
+        check_detector(kind())
+
+
+def test_a_warning_where_nothing_is_in_view_is_an_error():
+    with pytest.raises(RuntimeWarning, match="invalid value encountered in divide"):
+        check_detector(MeanOfNone())
+
+
+def test_what_is_no_detector_is_refused():
+    with pytest.raises(TypeError, match="a detector is a name"):
+        check_detector(Sum)
+    with pytest.raises(ValueError, match=r"unknown detector 'ewna'.*did you mean 'ewma'"):
+        check_detector("ewna")

@@ -1,0 +1,70 @@
+"""Rotations: closed forms about single axes, order of the Euler angles, round trips."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from spoofgym.earth.attitude import dcm_to_euler, euler_to_dcm, skew
+
+ANGLES = st.floats(-math.pi, math.pi, exclude_min=True)
+PITCHES = st.floats(-math.pi / 2, math.pi / 2)
+VECTORS = st.tuples(*[st.floats(-1e3, 1e3)] * 3)
+
+
+@given(VECTORS, VECTORS)
+def test_the_cross_product_matrix_multiplies_crosswise(a, b):
+    np.testing.assert_allclose(skew(a) @ np.array(b), np.cross(a, b), rtol=1e-12, atol=1e-9)
+    np.testing.assert_array_equal(skew(a).T, -skew(a))
+
+
+def test_the_cross_product_matrix_broadcasts():
+    vectors = np.arange(12.0).reshape(2, 2, 3)
+    assert skew(vectors).shape == (2, 2, 3, 3)
+    np.testing.assert_array_equal(skew(vectors)[1, 0], skew(vectors[1, 0]))
+
+
+def test_quarter_turns():
+    forward, right, down = np.eye(3)
+    # yaw turns the nose from north to east, pitch lifts it, roll lowers the right wing
+    turned = euler_to_dcm(0.0, 0.0, math.pi / 2)
+    np.testing.assert_allclose(turned @ forward, [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(turned @ right, [-1, 0, 0], atol=1e-15)
+    lifted = euler_to_dcm(0.0, math.pi / 2, 0.0)
+    np.testing.assert_allclose(lifted @ forward, [0, 0, -1], atol=1e-15)
+    np.testing.assert_allclose(lifted @ down, [1, 0, 0], atol=1e-15)
+    banked = euler_to_dcm(math.pi / 2, 0.0, 0.0)
+    np.testing.assert_allclose(banked @ right, [0, 0, 1], atol=1e-15)
+    np.testing.assert_allclose(banked @ forward, [1, 0, 0], atol=1e-15)
+
+
+@given(ANGLES, PITCHES, ANGLES)
+def test_angles_are_yaw_then_pitch_then_roll(roll, pitch, yaw):
+    expected = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    np.testing.assert_allclose(euler_to_dcm(roll, pitch, yaw), expected, rtol=0, atol=5e-15)
+
+
+@given(ANGLES, PITCHES, ANGLES)
+def test_to_a_matrix_and_back(roll, pitch, yaw):
+    C_nb = euler_to_dcm(roll, pitch, yaw)
+    found = dcm_to_euler(C_nb)
+    # near the vertical only the sum of roll and yaw is told; the matrix comes back anywhere
+    np.testing.assert_allclose(euler_to_dcm(*found), C_nb, rtol=0, atol=5e-8)
+    if abs(pitch) < 1.5:
+        assert found[1] == pytest.approx(pitch, abs=1e-12)
+        for angle, given_ in ((found[0], roll), (found[2], yaw)):
+            assert math.remainder(angle - given_, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_matrix_that_rounding_left_beyond_one_has_a_pitch():
+    C_nb = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0 - 1e-15, 0.0, 0.0]])
+    assert dcm_to_euler(C_nb)[1] == math.pi / 2
+
+
+def test_angles_broadcast():
+    assert euler_to_dcm(np.zeros(4), 0.1, np.zeros((3, 1))).shape == (3, 4, 3, 3)
+    roll, pitch, yaw = dcm_to_euler(np.tile(np.eye(3), (2, 5, 1, 1)))
+    assert roll.shape == pitch.shape == yaw.shape == (2, 5)

@@ -1,0 +1,391 @@
+"""Replay against a plain receiver, with satellites that rise and set and uneven epochs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spoofgym.earth.attitude import skew
+from spoofgym.earth.frames import dcm_e_from_n, ecef_to_geodetic
+from spoofgym.earth.ranging import range_and_rate
+from spoofgym.receiver import NavState, NoiseModel, Recording, TightlyCoupled, replay
+from spoofgym.sim.constellation import CircularConstellation
+from spoofgym.sim.manoeuvres import Climb, Straight, Turn, fly
+from spoofgym.sim.trajectory import inverse_kinematics
+
+from . import reference
+
+N = 10
+STEP = 0.02
+EPOCH_SAMPLES = (25, 25, 50, 5, 70, 25, 1)
+"""Numbers of samples between epochs, in turn."""
+
+
+@pytest.fixture(scope="module")
+def flight():
+    manoeuvres = [Straight(6.0), Turn(30.0), Climb(40.0), Straight(10.0)]
+    return inverse_kinematics(
+        fly(
+            manoeuvres,
+            latitude_deg=48.0,
+            longitude_deg=11.0,
+            height_m=500.0,
+            speed_mps=80.0,
+            heading_deg=30.0,
+            rate_hz=1.0 / STEP,
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def truth(flight):
+    """Satellites in view, (K, N, 3), and their ranges and rates, (K, N), at uneven epochs."""
+    ends = np.cumsum(np.resize(EPOCH_SAMPLES, 1000))
+    ends = ends[ends < len(flight.time)]
+    states = CircularConstellation(satellites=36).states(flight.time[ends])
+    latitude, longitude, _ = ecef_to_geodetic(flight.position_e[0])
+    up = -dcm_e_from_n(latitude, longitude)[:, 2]
+    sight = states.position_e[0] - flight.position_e[0]
+    chosen = np.sort(np.argsort(-(sight @ up) / np.linalg.norm(sight, axis=1))[:N])
+    position, velocity = states.position_e[:, chosen], states.velocity_e[:, chosen]
+    ranges = np.array(
+        [
+            [
+                range_and_rate(*s, *sv, *flight.position_e[end], *flight.velocity_e[end])[:2]
+                for s, sv in zip(position[k], velocity[k], strict=True)
+            ]
+            for k, end in enumerate(ends)
+        ]
+    )
+    return ends, position, velocity, ranges
+
+
+def recorded(flight, truth, seed=0, noise=1.0):
+    """Measurements with noise and biases, and satellites that come and go."""
+    ends, position, velocity, ranges = truth
+    rng = np.random.default_rng(seed)
+    K, samples = len(ends), len(flight.specific_force_b)
+    time = flight.time[ends]
+    clock = 5000.0 + 30.0 * time[:, None]
+    pseudorange = ranges[..., 0] + clock + noise * rng.normal(0.0, 1.5, (K, N))
+    range_rate = ranges[..., 1] + 30.0 + noise * rng.normal(0.0, 0.05, (K, N))
+    position, velocity = position.copy(), velocity.copy()
+    pseudorange[: K // 3, 2] = np.nan  # rises
+    range_rate[K // 2 :, 5] = np.nan  # sets
+    position[K // 4 : K // 2, 7, 1] = np.nan  # without an ephemeris for a while
+    velocity[::3, 8] = np.nan  # flickers
+    pseudorange[K - 6 : K - 3, 3:] = np.nan  # three are left: the receiver coasts
+    range_rate[K // 5] = np.nan  # none
+    bias = np.repeat([2e-3, 1e-5], 3)
+    felt = np.hstack([flight.specific_force_b, flight.angular_rate_b]) + bias
+    felt += noise * rng.normal(0.0, 1.0, (samples, 6)) * np.repeat([5e-3, 2e-5], 3)
+    return Recording(
+        imu_time=flight.time[1:],
+        specific_force_b=felt[:, :3],
+        angular_rate_b=felt[:, 3:],
+        gnss_time=time,
+        pseudorange=pseudorange,
+        range_rate=range_rate,
+        satellite_position_e=position,
+        satellite_velocity_e=velocity,
+    )
+
+
+def initial(flight, error=1.0):
+    return NavState(
+        position_e=flight.position_e[0] + error * np.array([3.0, -4.0, 5.0]),
+        velocity_e=flight.velocity_e[0] + error * np.array([0.05, 0.1, -0.05]),
+        C_eb=(np.eye(3) + error * skew([1e-4, -2e-4, 1e-4])) @ flight.C_eb[0],
+        clock_bias_m=5000.0 + 4.0 * error,
+        clock_drift_mps=30.0 + 0.1 * error,
+    )
+
+
+RECEIVERS = {
+    "tactical": TightlyCoupled(grade="tactical"),
+    "plain": TightlyCoupled(grade="aviation", covariance_update="plain"),
+    "general": TightlyCoupled(grade="consumer", covariance_update="general"),
+    "own noise": TightlyCoupled(
+        grade="tactical",
+        noise=NoiseModel(
+            pseudorange_sd=1.5, range_rate_sd=0.05, clock_phase_psd=0.1, clock_frequency_psd=0.01
+        ),
+    ),
+    "never coasts": TightlyCoupled(grade="tactical", min_satellites=0),
+}
+
+
+@pytest.mark.parametrize("name", RECEIVERS)
+def test_the_replay_is_the_plain_receiver(flight, truth, name):
+    receiver, recording = RECEIVERS[name], recorded(flight, truth)
+    start = initial(flight)
+    solution = replay(recording, receiver, initial=start)
+    model = receiver.noise_model
+    R = np.repeat([model.pseudorange_sd**2, model.range_rate_sd**2], N)
+    plain = reference.replay(
+        recording,
+        truth[0],
+        receiver.initial_covariance(),
+        receiver.noise_psd(),
+        R,
+        start,
+        receiver.min_satellites,
+    )
+    want = reference.Epoch(*(np.array(column) for column in zip(*plain, strict=True)))
+    # single measurements are of 2e7 m, hence rounded to 4e-9 m
+    np.testing.assert_allclose(solution.innovation, want.innovation, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(solution.position_e, want.position_e, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(solution.velocity_e, want.velocity_e, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(solution.C_eb, want.C_eb, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(solution.accel_bias_b, want.accel_bias_b, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(solution.gyro_bias_b, want.gyro_bias_b, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(solution.clock_bias_m, want.clock[:, 0], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(solution.clock_drift_mps, want.clock[:, 1], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(solution.sd, want.sd, rtol=1e-7)
+    np.testing.assert_array_equal(solution.coasting, want.coasting)
+    assert solution.coasting.any() == (name != "never coasts")
+
+
+def test_without_errors_the_flight_is_found(flight, truth):
+    solution = replay(
+        perfect(flight, truth), TightlyCoupled(grade="tactical"), initial=initial(flight, 0.0)
+    )
+    ends = truth[0]
+    np.testing.assert_allclose(solution.position_e, flight.position_e[ends], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(solution.velocity_e, flight.velocity_e[ends], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(solution.C_eb, flight.C_eb[ends], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(solution.clock_bias_m, 5000.0 + 30.0 * solution.time, atol=1e-4)
+    np.testing.assert_allclose(solution.innovation, 0.0, atol=1e-4)
+
+
+def perfect(flight, truth):
+    recording = recorded(flight, truth, noise=0.0)
+    return replace(
+        recording,
+        specific_force_b=flight.specific_force_b,
+        angular_rate_b=flight.angular_rate_b,
+    )
+
+
+def test_errors_stay_within_what_the_filter_believes(flight, truth):
+    receiver = TightlyCoupled(
+        grade="tactical",
+        noise=NoiseModel(
+            pseudorange_sd=1.5, range_rate_sd=0.05, clock_phase_psd=1e-4, clock_frequency_psd=1e-4
+        ),
+    )
+    ratios = []
+    for seed in range(12):
+        solution = replay(recorded(flight, truth, seed), receiver, initial=initial(flight))
+        ends = truth[0]
+        errors = np.hstack(
+            [
+                solution.velocity_e - flight.velocity_e[ends],
+                solution.position_e - flight.position_e[ends],
+            ]
+        )
+        ratios.append(errors / solution.sd[:, 3:9])
+    late = np.array(ratios)[:, len(truth[0]) // 3 :]
+    assert np.sqrt(np.mean(late**2)) < 1.5
+
+
+def test_with_too_few_satellites_the_receiver_coasts(flight, truth):
+    """It goes on by its inertial sensors, is told so, and gets less sure."""
+    recording = recorded(flight, truth)
+    ends = truth[0]
+    few = np.array(recording.pseudorange)
+    few[4:, 3:] = np.nan
+    solution = replay(
+        replace(recording, pseudorange=few),
+        TightlyCoupled(grade="tactical"),
+        initial=initial(flight),
+    )
+    assert solution.coasting[4:].all()
+    biases = np.hstack([solution.accel_bias_b, solution.gyro_bias_b])
+    np.testing.assert_array_equal(biases[4:], np.tile(biases[3], (len(ends) - 4, 1)))
+    C, v, r = solution.C_eb[3], solution.velocity_e[3], solution.position_e[3]
+    for i in range(ends[3], ends[-1]):
+        felt = np.hstack([recording.specific_force_b[i], recording.angular_rate_b[i]]) - biases[3]
+        C, v, r = reference.mechanize(C, v, r, felt[:3], felt[3:], STEP)
+    np.testing.assert_allclose(solution.position_e[-1], r, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(solution.velocity_e[-1], v, rtol=0, atol=1e-6)
+    assert (np.diff(solution.sd[3:, 3:9], axis=0) > 0.0).all()
+    # what is left of the innovations is told nevertheless
+    assert solution.innovation[5, :3].any()
+
+
+def test_an_absent_satellite_has_no_innovation(flight, truth):
+    recording = recorded(flight, truth)
+    solution = replay(recording, TightlyCoupled(), initial=initial(flight))
+    absent = ~np.isfinite(recording.pseudorange) | ~np.isfinite(recording.range_rate)
+    both = np.hstack([absent, absent])
+    assert not solution.innovation[both].any()
+    assert np.isfinite(solution.innovation).all()
+
+
+def test_what_an_absent_satellite_holds_does_not_matter(flight, truth):
+    recording = recorded(flight, truth)
+    other = np.array(recording.range_rate)
+    other[np.isnan(recording.pseudorange)] = 1e9
+    a, b = (
+        replay(r, TightlyCoupled(), initial=initial(flight))
+        for r in (recording, replace(recording, range_rate=other))
+    )
+    np.testing.assert_array_equal(a.position_e, b.position_e)
+
+
+def test_samples_after_the_last_epoch_are_not_needed(flight, truth):
+    recording = recorded(flight, truth)
+    last = truth[0][-1]
+    cut = replace(
+        recording,
+        imu_time=recording.imu_time[:last],
+        specific_force_b=recording.specific_force_b[:last],
+        angular_rate_b=recording.angular_rate_b[:last],
+    )
+    a, b = (replay(r, TightlyCoupled(), initial=initial(flight)) for r in (recording, cut))
+    np.testing.assert_array_equal(a.position_e, b.position_e)
+
+
+def test_epochs_may_be_off_by_less_than_half_a_sample(flight, truth):
+    """As times of files are, that were computed otherwise."""
+    recording = recorded(flight, truth)
+    shifted = replace(recording, gnss_time=recording.gnss_time + 1e-12)
+    a, b = (replay(r, TightlyCoupled(), initial=initial(flight)) for r in (recording, shifted))
+    np.testing.assert_allclose(a.position_e, b.position_e, rtol=0, atol=1e-6)
+
+
+def test_an_orthonormal_attitude_stays_one(flight, truth):
+    recording = recorded(flight, truth)
+    groves, orthonormal = (
+        replay(recording, TightlyCoupled(conventions=c), initial=initial(flight))
+        for c in ("groves", "orthonormal")
+    )
+
+    def off(solution):
+        return np.abs(solution.C_eb @ solution.C_eb.transpose(0, 2, 1) - np.eye(3)).max()
+
+    assert off(orthonormal) < 1e-12 < off(groves)
+    np.testing.assert_allclose(orthonormal.C_eb, groves.C_eb, rtol=0, atol=1e-6)
+
+
+def test_the_noise_may_be_given_by_epoch_and_channel(flight, truth):
+    recording = recorded(flight, truth)
+    receiver = TightlyCoupled(grade="tactical")
+    K = len(truth[0])
+    same = np.tile(np.repeat([6.25, 0.01], N), (K, 1))
+    a = replay(recording, receiver, initial=initial(flight))
+    b = replay(recording, receiver, initial=initial(flight), noise_variance=same)
+    np.testing.assert_array_equal(a.position_e, b.position_e)
+    unsure = same.copy()
+    unsure[:, 4] = 1e12  # a pseudorange that is not trusted at all
+    without = np.array(recording.pseudorange)
+    without[:, 4] += 1e4
+    c = replay(
+        replace(recording, pseudorange=without),
+        receiver,
+        initial=initial(flight),
+        noise_variance=unsure,
+    )
+    assert np.abs(c.position_e - a.position_e).max() < 5.0
+
+
+@pytest.mark.parametrize("bad", [np.ones((3, 2 * N)), np.zeros((1, 2 * N)), -1.0])
+def test_a_noise_that_cannot_be_is_refused(flight, truth, bad):
+    recording = recorded(flight, truth)
+    if np.ndim(bad) == 0:
+        bad = np.full((len(truth[0]), 2 * N), bad)
+    with pytest.raises(ValueError, match="`noise_variance` must be positive and of shape"):
+        replay(recording, TightlyCoupled(), initial=initial(flight), noise_variance=bad)
+
+
+def test_a_matched_receiver_needs_something_to_match(flight, truth):
+    recording = recorded(flight, truth)
+    with pytest.raises(ValueError, match="a replay knows no world to match"):
+        replay(recording, TightlyCoupled(tuning="matched"), initial=initial(flight))
+    replay(recording, TightlyCoupled(tuning="matched", noise=NoiseModel()), initial=initial(flight))
+
+
+# --- recordings ------------------------------------------------------------------------------
+
+
+def small(**changes):
+    arrays = {
+        "imu_time": np.arange(1, 11) * 0.1,
+        "specific_force_b": np.zeros((10, 3)),
+        "angular_rate_b": np.zeros((10, 3)),
+        "gnss_time": [0.5, 1.0],
+        "pseudorange": np.full((2, 4), 2e7),
+        "range_rate": np.zeros((2, 4)),
+        "satellite_position_e": np.ones((2, 4, 3)),
+        "satellite_velocity_e": np.ones((2, 4, 3)),
+    }
+    return Recording(**arrays | changes)
+
+
+TIMES = np.arange(1, 11) * 0.1
+SWAPPED = TIMES[[0, 1, 3, 2, *range(4, 10)]]
+NOT_A_NUMBER = np.where(np.arange(10)[:, None] == 4, np.nan, np.zeros((10, 3)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"imu_time": TIMES[:, None]}, r"`imu_time` must have shape \(N\), got \(10, 1\)"),
+        ({"pseudorange": np.ones(2)}, r"`pseudorange` must have shape \(K, n\), got \(2,\)"),
+        ({"specific_force_b": np.zeros((9, 3))}, r"has shape \(9, 3\), but N is 10"),
+        ({"angular_rate_b": np.zeros((10, 2))}, r"has shape \(10, 2\), but 3 is 3"),
+        ({"range_rate": np.zeros((2, 5))}, r"`range_rate` has shape \(2, 5\), but n is 4"),
+        ({"satellite_position_e": np.ones((3, 4, 3))}, "but K is 2"),
+        ({"specific_force_b": NOT_A_NUMBER}, "`specific_force_b` must be finite"),
+        ({"angular_rate_b": NOT_A_NUMBER}, "`angular_rate_b` must be finite"),
+        ({"gnss_time": [0.5, np.nan]}, "`gnss_time` must be finite"),
+        ({"imu_time": np.append(TIMES[:9], np.inf)}, "`imu_time` must be finite"),
+        ({"imu_time": SWAPPED}, "`imu_time` must increase from above 0, got 0.3.* at index 3"),
+        ({"imu_time": TIMES - 0.1}, "`imu_time` must increase from above 0, got 0.0 at index 0"),
+        ({"gnss_time": [1.0, 0.5]}, "`gnss_time` must increase from above 0, got 0.5 at index 1"),
+        ({"gnss_time": [0.5, 0.5]}, "`gnss_time` must increase from above 0"),
+        ({"gnss_time": [0.0, 1.0]}, "`gnss_time` must increase from above 0, got 0.0 at index 0"),
+        ({"gnss_time": [-0.5, 1.0]}, "`gnss_time` must increase from above 0, got -0.5"),
+        ({"gnss_time": [0.5, 1.06]}, "half a sample of the epoch at 1.06 s; .* ends at 1.0 s"),
+        ({"gnss_time": [0.04, 1.0]}, "half a sample of the epoch at 0.04 s; .* ends at 0.1 s"),
+        ({"gnss_time": [0.98, 1.0]}, "the epochs at 0.98 and 1.0 s share a sample"),
+    ],
+)
+def test_a_recording_that_cannot_be_is_refused(changes, said):
+    with pytest.raises(ValueError, match=said):
+        small(**changes)
+
+
+def test_an_empty_recording_is_refused():
+    with pytest.raises(ValueError, match="at least one sample and one epoch"):
+        small(
+            gnss_time=[],
+            pseudorange=np.ones((0, 4)),
+            range_rate=np.ones((0, 4)),
+            satellite_position_e=np.ones((0, 4, 3)),
+            satellite_velocity_e=np.ones((0, 4, 3)),
+        )
+
+
+def test_what_is_not_measured_may_be_nan():
+    recording = small(pseudorange=np.full((2, 4), np.nan))
+    np.testing.assert_array_equal(recording.epoch_samples(), [5, 10])
+
+
+def test_epochs_are_matched_to_the_nearest_sample():
+    uneven = np.array([0.1, 0.2, 0.4, 0.5, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4])
+    recording = small(imu_time=uneven, gnss_time=[0.31, 1.04])
+    np.testing.assert_array_equal(recording.epoch_samples(), [3, 6])
+    # as `np.arange` and the times of a file differ
+    recording = small(gnss_time=[0.5 + 1e-9, 1.0 - 1e-9])
+    np.testing.assert_array_equal(recording.epoch_samples(), [5, 10])
+
+
+def test_a_recording_is_frozen_and_its_own():
+    force = np.zeros((10, 3))
+    recording = small(specific_force_b=force)
+    force[:] = 1.0
+    assert not np.any(recording.specific_force_b)
+    with pytest.raises(ValueError, match="read-only"):
+        recording.specific_force_b[0, 0] = 1.0

@@ -1,0 +1,129 @@
+"""The arrays of a batch of sensors: what an episode begins with."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from spoofgym.sim.clock import ReceiverClock
+from spoofgym.sim.gnss import ERRORS, GnssErrors
+from spoofgym.sim.imu import IMU_GRADES
+from spoofgym.sim.sensors import SOURCES, SensorBuffers, sensor_size, unpack_sensors
+
+N = 5
+BIAS_SD = np.linspace(1.0, 3.0, N)
+
+
+def begun(seeds, rows=None, receivers=None, errors=ERRORS["groves"], grade="tactical"):
+    rows = np.arange(len(seeds)) if rows is None else np.array(rows)
+    buffers = SensorBuffers(len(seeds) if receivers is None else receivers, N)
+    generators = [np.random.default_rng(seed) for seed in seeds]
+    buffers.begin(rows, generators, IMU_GRADES[grade], errors, BIAS_SD)
+    return buffers
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize(("receivers", "channels"), [(1, 4), (3, 12)])
+def test_arrays_fill_the_buffer_without_overlap(receivers, channels):
+    floats = np.arange(float(sensor_size(receivers, channels)))
+    state = unpack_sensors(floats, receivers, channels)
+    values = np.concatenate([array.ravel() for array in state])
+    np.testing.assert_array_equal(np.sort(values), floats)
+    for array in state:
+        assert array.shape[0] == receivers
+        assert np.shares_memory(array, floats)
+        assert array.flags.c_contiguous
+
+
+def test_an_episode_begins_with_the_errors_of_the_grade():
+    clock = ReceiverClock(offset_m=7.0, drift_mps=3.0, phase_psd=0.1, frequency_psd=0.2)
+    errors = GnssErrors(
+        code_sd_m=0.5,
+        range_rate_sd_mps=0.1,
+        signal_in_space_sd_m=1.0,
+        zenith_iono_sd_m=0.0,
+        zenith_tropo_sd_m=0.0,
+        clock=clock,
+    )
+    buffers = SensorBuffers(2, N)
+    buffers.floats[:] = np.nan
+    buffers.epoch[:] = 9
+    generators = [np.random.default_rng(seed) for seed in (1, 2)]
+    grade = IMU_GRADES["consumer"]
+    buffers.begin(np.arange(2), generators, grade, errors, BIAS_SD)
+    state = buffers.state
+    assert np.isfinite(buffers.floats).all()
+    for b in range(2):
+        np.testing.assert_array_equal(state.accel_bias[b], grade.accel_bias)
+        np.testing.assert_array_equal(state.gyro_matrix[b], grade.gyro_matrix)
+        np.testing.assert_array_equal(state.g_dependence[b], grade.g_dependence)
+        np.testing.assert_array_equal(state.clock[b], [7.0, 3.0])
+        np.testing.assert_array_equal(state.clock_psd[b], [0.1, 0.2])
+        np.testing.assert_array_equal(state.gnss_noise[b], [0.5, 0.1])
+        for zero in (state.residual, state.range_offset, state.rate_offset):
+            assert not zero[b].any()
+    assert not buffers.epoch.any()
+
+
+def test_chance_depends_on_the_seed_alone():
+    batch = begun([10, 11, 12])
+    for row, seed in enumerate([10, 11, 12]):
+        alone = begun([seed])
+        np.testing.assert_array_equal(batch.keys[:, row], alone.keys[:, 0])
+        np.testing.assert_array_equal(
+            batch.state.satellite_bias[row], alone.state.satellite_bias[0]
+        )
+
+
+def test_sources_receivers_and_episodes_have_keys_of_their_own():
+    generator = np.random.default_rng(4)
+    buffers = SensorBuffers(1, N)
+    seen = []
+    for _ in range(3):  # three episodes of one receiver
+        buffers.begin(np.arange(1), [generator], IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD)
+        seen += [tuple(key) for key in buffers.keys[:, 0]]
+    seen += [tuple(key) for key in begun([5]).keys[:, 0]]
+    assert len(set(seen)) == 4 * len(SOURCES)
+
+
+def test_an_episode_depends_on_its_number_and_not_on_what_was_drawn():
+    first, second = np.random.default_rng(4), np.random.default_rng(4)
+    second.standard_normal(1000)  # draws of the generator itself move no key
+    a, b = SensorBuffers(1, N), SensorBuffers(1, N)
+    for _ in range(2):
+        for buffers, generator in ((a, first), (b, second)):
+            buffers.begin(
+                np.arange(1), [generator], IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD
+            )
+    np.testing.assert_array_equal(a.keys, b.keys)
+    np.testing.assert_array_equal(a.state.satellite_bias, b.state.satellite_bias)
+
+
+def test_only_the_receivers_that_begin_are_touched():
+    buffers = begun([1, 2, 3])
+    buffers.state.clock[:] = 5.0
+    before = copy.deepcopy(buffers)
+    generators = [np.random.default_rng(7)]
+    buffers.begin(np.array([1]), generators, IMU_GRADES["tactical"], ERRORS["groves"], BIAS_SD)
+    for b in (0, 2):
+        for array, old in zip(buffers.state, before.state, strict=True):
+            np.testing.assert_array_equal(array[b], old[b])
+        np.testing.assert_array_equal(buffers.keys[:, b], before.keys[:, b])
+    assert (buffers.keys[:, 1] != before.keys[:, 1]).any()
+
+
+def test_biases_have_the_standard_deviations_given():
+    biases = begun(range(400)).state.satellite_bias / BIAS_SD
+    assert abs(biases.mean()) < 4.0 / np.sqrt(biases.size)
+    assert biases.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * biases.size))
+    assert np.abs(np.corrcoef(biases.T) - np.eye(N)).max() < 0.2
+
+
+@pytest.mark.parametrize("way", [copy.deepcopy, lambda b: pickle.loads(pickle.dumps(b))])
+def test_a_copy_has_arrays_of_its_own(way):
+    buffers = begun([1, 2])
+    copied = way(buffers)
+    copied.state.clock[:] = -1.0
+    assert (copied.floats == -1.0).sum() >= 4  # views of its own buffer
+    assert (buffers.state.clock != -1.0).all()

@@ -1,0 +1,91 @@
+"""Objects by name: what is right is built, what is wrong is told with what would be right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from spoofgym._registry import build, check_choice
+
+
+class Shape:
+    pass
+
+
+@dataclass
+class Square(Shape):
+    side: float = 1.0
+    tags: list = field(default_factory=list)
+
+
+@dataclass
+class Circle(Shape):
+    radius: float = 1.0
+
+
+@dataclass
+class Point(Shape):
+    pass
+
+
+KINDS = {"square": Square, "circle": Circle, "point": Point}
+
+
+def make(spec):
+    return build("shape", KINDS, Shape, spec)
+
+
+def test_by_name_and_by_name_with_settings():
+    assert make("square") == Square()
+    assert make({"name": "square"}) == Square()
+    assert make({"name": "circle", "radius": 3.0}) == Circle(3.0)
+
+
+def test_the_given_mapping_is_left_alone():
+    spec = {"name": "circle", "radius": 3.0}
+    make(spec)
+    assert spec == {"name": "circle", "radius": 3.0}
+
+
+def test_an_object_is_copied():
+    mine = Square(2.0, ["a"])
+    copied = make(mine)
+    assert copied == mine
+    assert copied is not mine
+    copied.tags.append("b")
+    assert mine.tags == ["a"]
+
+
+@pytest.mark.parametrize(
+    ("spec", "said"),
+    [
+        (
+            "circel",
+            r"unknown shape 'circel'; valid: circle, point, square; did you mean 'circle'\?",
+        ),
+        ("xyz", r"unknown shape 'xyz'; valid: circle, point, square$"),
+        (
+            {"name": "square", "sidee": 1},
+            "shape 'square' has no setting 'sidee'; valid: side, tags",
+        ),
+        ({"name": "point", "x": 1}, "shape 'point' has no setting 'x'; valid: none"),
+    ],
+)
+def test_an_unknown_name_or_setting_is_told_with_the_valid_ones(spec, said):
+    with pytest.raises(ValueError, match=said):
+        make(spec)
+
+
+@pytest.mark.parametrize("spec", [None, 3, Square, {}, {"side": 1.0}, {"name": 3}, ["square"]])
+def test_anything_else_is_no_shape(spec):
+    with pytest.raises(
+        TypeError, match=r"a shape is a name \(circle, point, square\), a dict with"
+    ):
+        make(spec)
+
+
+def test_a_choice_among_the_valid_ones_passes():
+    check_choice("colour", "red", {"red": 1, "blue": 2})
+    with pytest.raises(ValueError, match="unknown colour 'rad'; valid: blue, red; did you mean"):
+        check_choice("colour", "rad", ["red", "blue"])
