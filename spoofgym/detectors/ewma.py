@@ -103,7 +103,7 @@ def judge_channels(
     size, threshold : ndarray
         (B, n), written: statistic and threshold [m].
     weights : ndarray
-        (B, 2n), the first n columns written.
+        (B, 2n), written: IGG-III for pseudoranges, 1 for range rates.
     """
     for b in range(visible.shape[0]):
         for j in range(visible.shape[1]):
@@ -119,6 +119,7 @@ def judge_channels(
             threshold[b, j] = limit
             reject = weight_scale * limit
             weights[b, j] = igg3_weight(size[b, j], 0.5 * reject, reject)
+            weights[b, visible.shape[1] + j] = 1.0
 
 
 @dataclass
@@ -180,7 +181,7 @@ class Ewma(Detector):
         """
         shape = epoch.visible.shape
         size, threshold = np.empty(shape), np.empty(shape)
-        weights = np.ones_like(epoch.innovation)
+        weights = np.empty(epoch.innovation.shape)
         judge_channels(
             epoch.innovation,
             epoch.innovation_cov,

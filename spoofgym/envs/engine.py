@@ -417,6 +417,11 @@ class Batch:
         self.weights = weights
         if other.verdict is not None:
             self.verdict = _merge(self.verdict, other.verdict, to, rows, self.receivers)
+        elif self.verdict is not None:
+            # nothing has been judged in the new episode; the verdict of the old one is over
+            statistic, alarm = self.verdict.statistic.copy(), self.verdict.alarm.copy()
+            statistic[to], alarm[to] = 0.0, False
+            self.verdict = self.verdict._replace(statistic=statistic, alarm=alarm)
 
 
 def _merge(

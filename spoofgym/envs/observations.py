@@ -380,7 +380,7 @@ class Observer:
         ndarray
             (B, o) float32, a new array within the bounds.
         """
-        out = self._table[snapshot.batch.epochs]
+        out = np.take(self._table, snapshot.batch.epochs, axis=0)
         for term, part in self._parts:
             own = out[:, part]
             term(snapshot, own)

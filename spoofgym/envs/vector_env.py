@@ -181,10 +181,10 @@ class SpoofVectorEnv(VectorEnv[Array, Array, Array]):
     @staticmethod
     def _masked(info: dict[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
         """Arrays with the masks that tell which receivers have them."""
-        result: dict[str, Any] = {}
-        for name, array in info.items():
-            result[name] = array
-            result[f"_{name}"] = mask.copy()
+        result: dict[str, Any] = dict(info)
+        masks = np.tile(mask, (len(info), 1))  # a row each, so that none is shared
+        for name, row in zip(info, masks, strict=True):
+            result[f"_{name}"] = row
         return result
 
     def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:

@@ -19,22 +19,24 @@ def source(request):
     return request.param
 
 
-def imported(tree, path):
-    """Absolute name and imported names of every import of a file."""
-    package = ("spoofgym", *path.relative_to(sources.ROOT).parent.parts)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield alias.name, []
-        elif isinstance(node, ast.ImportFrom):
-            base = package[: len(package) - node.level + 1] if node.level else ()
-            module = ".".join((*base, *(node.module or "").split("."))).strip(".")
-            yield module, [alias.name for alias in node.names]
+def test_imports_are_told_by_their_absolute_names():
+    path = sources.ROOT / "detectors" / "somewhere.py"
+    code = (
+        "import os.path\nfrom .._jit import njit\nfrom . import base\nfrom ..sim.clock import a, b"
+    )
+    assert list(sources.imported(ast.parse(code), path)) == [
+        ("os.path", []),
+        ("spoofgym._jit", ["njit"]),
+        ("spoofgym.detectors", ["base"]),
+        ("spoofgym.sim.clock", ["a", "b"]),
+    ]
+    outside = list(sources.imported(ast.parse("from .. import _jit"), path))
+    assert outside == [("spoofgym", ["_jit"])]
 
 
 def test_numba_is_used_by_the_one_decorator_alone(source):
     tree = ast.parse(source.read_text())
-    used = [name for name, _ in imported(tree, source) if name.split(".")[0] == "numba"]
+    used = [name for name, _ in sources.imported(tree, source) if name.split(".")[0] == "numba"]
     assert sources.name_of(source) == "_jit.py" or not used
 
 
@@ -43,7 +45,7 @@ def test_compiled_functions_stand_in_compiled_layers(source):
     parts = source.relative_to(sources.ROOT).parts
     takes = [
         (module, names)
-        for module, names in imported(tree, source)
+        for module, names in sources.imported(tree, source)
         if module == "spoofgym._jit" or "_jit" in names
     ]
     if parts == ("_jit.py",) or not takes:
@@ -72,7 +74,7 @@ def test_compiled_layers_import_only_from_those_whose_sources_count(source):
         return
     counted = COMPILED_LAYERS[: COMPILED_LAYERS.index(parts[0]) + 1]
     tree = ast.parse(source.read_text())
-    for module, names in imported(tree, source):
+    for module, names in sources.imported(tree, source):
         path = module.split(".")
         if path[0] != "spoofgym":
             continue

@@ -16,19 +16,6 @@ KEYS = set(
 CITED = re.compile(r"`([a-z]{2,}(?:19|20)\d\d[a-z]?)`")
 
 
-def table_of_detectors():
-    """First cells of the README's tables whose head speaks of detectors."""
-    cells, inside = [], False
-    for line in (sources.CHECKOUT / "README.md").read_text().splitlines():
-        if not line.startswith("|"):
-            inside = False
-        elif inside:
-            cells.append(line)
-        else:
-            inside = "detector" in line.lower()
-    return "\n".join(cells)
-
-
 def test_keys_are_unique():
     text = (sources.CHECKOUT / "references.bib").read_text()
     assert len(re.findall(r"^@\w+\{", text, re.M)) == len(KEYS) > 0
@@ -42,12 +29,3 @@ def test_the_paper_of_every_detector_is_known(name):
 @pytest.mark.parametrize("path", sources.files(), ids=sources.name_of)
 def test_what_docstrings_cite_is_known(path):
     assert set(CITED.findall(path.read_text())) <= KEYS
-
-
-@pytest.mark.parametrize("name", DETECTORS)
-def test_the_readme_names_every_detector_and_its_paper(name):
-    table = table_of_detectors()
-    if not table:
-        pytest.skip("the README has no table of detectors yet")
-    assert name in table
-    assert DETECTORS[name].paper in table

@@ -32,10 +32,12 @@ def rollout(env, seed, steps, row=None, rng_seed=0):
     return np.array(out), np.array(rewards), ends
 
 
+@pytest.mark.parametrize("live_s", [10.0, 0.0])
 @pytest.mark.parametrize("knowledge", ["tracking", "oracle"])
 @pytest.mark.parametrize("end_at_alarm", [True, False])
-def test_row_37_of_64_is_the_single_env_over_an_autoreset(knowledge, end_at_alarm):
+def test_row_37_of_64_is_the_single_env_over_an_autoreset(knowledge, end_at_alarm, live_s):
     kwargs = {
+        "timeline": {**SHORT, "live_s": live_s},
         "knowledge": knowledge,
         "end_at_alarm": end_at_alarm,
         "detector": {"name": "ewma", "false_alarm": 0.05},  # so that some episodes end early
