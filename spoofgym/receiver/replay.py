@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _kernels
 from .error_model import STATES
 from .state import ReceiverBuffers, ReceiverState
+from .strapdown import LARGEST_ROTATION
 from .tight import NavState, TightlyCoupled
 
 _SHAPES = {
@@ -45,8 +46,8 @@ class Recording:
     Raises
     ------
     ValueError
-        When shapes disagree, a time runs backwards, a sample is not finite, or an epoch has no
-        sample that ends with it.
+        When shapes disagree, a time runs backwards, a sample is not finite or turns by more than
+        a radian, or an epoch has no sample that ends with it.
     """
 
     imu_time: ArrayLike
@@ -87,6 +88,16 @@ class Recording:
                     f"`{name}` must increase from above 0, "
                     f"got {getattr(self, name)[k]} at index {k}"
                 )
+        turn = np.linalg.norm(np.asarray(self.angular_rate_b), axis=1) * np.diff(
+            np.asarray(self.imu_time), prepend=0.0
+        )
+        if turn.max() > LARGEST_ROTATION:
+            k = int(turn.argmax())
+            raise ValueError(
+                f"`angular_rate_b` turns by {turn[k]:.3g} rad over the sample that ends at "
+                f"{np.asarray(self.imu_time)[k]} s; at most {LARGEST_ROTATION:g} rad (are the rates "
+                "in rad/s?)"
+            )
         self.epoch_samples()
 
     def epoch_samples(self) -> NDArray[np.int64]:
