@@ -95,8 +95,8 @@ class Recording:
             k = int(turn.argmax())
             raise ValueError(
                 f"`angular_rate_b` turns by {turn[k]:.3g} rad over the sample that ends at "
-                f"{np.asarray(self.imu_time)[k]} s; at most {LARGEST_ROTATION:g} rad (are the rates "
-                "in rad/s?)"
+                f"{np.asarray(self.imu_time)[k]} s; at most {LARGEST_ROTATION:g} rad "
+                "(are the rates in rad/s?)"
             )
         self.epoch_samples()
 

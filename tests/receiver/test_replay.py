@@ -350,7 +350,7 @@ NOT_A_NUMBER = np.where(np.arange(10)[:, None] == 4, np.nan, np.zeros((10, 3)))
         ({"gnss_time": [0.5, 1.06]}, "half a sample of the epoch at 1.06 s; .* ends at 1.0 s"),
         ({"gnss_time": [0.04, 1.0]}, "half a sample of the epoch at 0.04 s; .* ends at 0.1 s"),
         ({"gnss_time": [0.98, 1.0]}, "the epochs at 0.98 and 1.0 s share a sample"),
-        ({"angular_rate_b": np.full((10, 3), 7.0)}, "turns by 1.21 rad .* are the rates in rad/s"),
+        ({"angular_rate_b": np.full((10, 3), 7.0)}, "turns by 1.21 rad .*are the rates in rad/s"),
     ],
 )
 def test_a_recording_that_cannot_be_is_refused(changes, said):
