@@ -128,8 +128,13 @@ def test_ctrl_c_keeps_what_is_finished() -> None:
     command = [*QUICK, "--detector", "ewma", "--spoofer", "ramp:rate_mps=0.4", "--out", "out"]
     # so many runs that there is time to interrupt it after the first cell
     long = ["bench", *command, "--seeds", "2000", "--attack-s", "100"]
+    # a shell starts its background jobs, and so perhaps these tests, deaf to Ctrl-C
+    listening = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from spoofgym.cli import main; main()"
+    )
     process = subprocess.Popen(
-        [sys.executable, "-m", "spoofgym", *long], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [sys.executable, "-c", listening, *long], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
     deadline = time.monotonic() + 300.0
     while not Path("out", "cells", "ewma--none.jsonl").exists():
