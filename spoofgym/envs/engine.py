@@ -26,7 +26,6 @@ from .workers import Workers
 
 FloatArray = NDArray[np.float64]
 RECEIVERS_PER_THREAD = 16
-RECEIVERS_FOR_THREADED_UPDATE = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -336,10 +335,7 @@ class Batch:
             (B, 2n) in [0, 1], C-contiguous; None for all 1.
         """
         self.weights = self.ones if weights is None else weights
-        if self.receivers < RECEIVERS_FOR_THREADED_UPDATE:
-            self._update(0, self.receivers)
-        else:
-            self._run(self._update, self.receivers)
+        self._run(self._update, self.receivers)
 
     def quiet_epochs(self, count: int) -> None:
         """Run clean epochs without a detector.
