@@ -617,7 +617,7 @@ def _suite(
 ) -> Suite:
     """The suite of the options."""
     from .bench.suite import Suite, Tuning
-    from .envs.engine import Timeline
+    from .envs.setup import Timeline
 
     (attack_spec,) = _specs([attack])
     return Suite(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs.engine import Setup
+from ..envs.setup import Setup
 from .metrics import undetected_displacement
 from .run import Runs, induced_error, navigation_error
 

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
-from ..envs.engine import Engine, Setup
+from ..envs.engine import Engine
 from ..envs.observations import Observer
+from ..envs.setup import Setup
 from ..envs.snapshot import Snapshot
 from ..spoofers import Spoofer
 from .metrics import undetected_displacement

@@ -18,9 +18,9 @@ import numpy as np
 from .. import __version__
 from ..attacks import ATTACKS, Attack, make_attack
 from ..detectors import DETECTORS, Detector
-from ..envs.engine import Setup, Timeline
 from ..envs.observations import Observer, terms_of
 from ..envs.presets import make_setup
+from ..envs.setup import Setup, Timeline
 from ..sim.scenario import Scenario, make_scenario
 from ..spoofers import SPOOFERS, Spoofer, SpooferContext
 from .specs import Spec, describe, digest_of, label_of, make, spec_of

@@ -1,9 +1,10 @@
 """The game: engine, observations, actions, rewards, and its views for Gymnasium."""
 
-from .engine import Batch, Engine, Setup, Timeline
+from .engine import Batch, Engine
 from .game import Game, Turn
 from .observations import Observer, terms_of
 from .presets import make_game, make_setup
+from .setup import Setup, Timeline
 from .spoof_env import SpoofEnv
 from .vector_env import SpoofVectorEnv
 

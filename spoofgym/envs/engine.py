@@ -5,137 +5,23 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..attacks import Attack, AttackContext
-from ..detectors import Detector, DetectorContext, Verdict
-from ..earth.attitude import euler_to_dcm
-from ..receiver import TightlyCoupled, _kernels
+from ..attacks import AttackContext
+from ..detectors import DetectorContext, Verdict
+from ..receiver import _kernels
 from ..receiver.epoch import Epoch, epoch_view
-from ..receiver.matching import assumed_noise
 from ..receiver.state import LANES, ReceiverBuffers
 from ..sim.noise import padded
-from ..sim.scenario import Scenario
 from ..sim.sensors import SensorBuffers
-from ..sim.world import World
+from .setup import Setup
 from .workers import Workers
 
 FloatArray = NDArray[np.float64]
 RECEIVERS_PER_THREAD = 16
-
-
-@dataclass(frozen=True, kw_only=True)
-class Timeline:
-    """Phases of an episode.
-
-    Parameters
-    ----------
-    warmup_s : float
-        Clean run before the attack.
-    live_s : float
-        Last part of it in which the detectors judge; an alarm there is a false alarm.
-    attack_s : float
-        Command phase.
-    time_to_alert_s : float
-        Time to alert: how long the offsets hold their rate after the command phase, with alarms
-        live; what was induced within this time of an alarm does not count.
-    """
-
-    warmup_s: float = 200.0
-    live_s: float = 60.0
-    attack_s: float = 150.0
-    time_to_alert_s: float = 10.0
-
-    def __post_init__(self) -> None:
-        """Check the lengths."""
-        for name in ("warmup_s", "live_s", "attack_s", "time_to_alert_s"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
-        if self.attack_s <= 0.0:
-            raise ValueError(f"`attack_s` must be > 0, got {self.attack_s}")
-        if self.live_s > self.warmup_s:
-            raise ValueError(
-                f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}"
-            )
-
-    def epochs(self, interval_s: float) -> tuple[int, int, int, int]:
-        """Phases in epochs.
-
-        Parameters
-        ----------
-        interval_s : float
-            Time between epochs.
-
-        Returns
-        -------
-        quiet, live, attack, hold : int
-            Warm-up without and with detectors, command phase, hold.
-        """
-        warmup = round(self.warmup_s / interval_s)
-        live = min(round(self.live_s / interval_s), warmup)
-        attack = max(round(self.attack_s / interval_s), 1)
-        return warmup - live, live, attack, round(self.time_to_alert_s / interval_s)
-
-
-class Setup:
-    """What all batches of an engine share, computed once.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The authentic world.
-    receiver : TightlyCoupled
-        The victim.
-    attack : Attack
-        What the spoofer can do; copied for every batch.
-    detector : Detector
-        Copied for every batch.
-    timeline : Timeline
-        Phases of an episode.
-
-    Raises
-    ------
-    ValueError
-        When the run is shorter than the episode.
-    """
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        receiver: TightlyCoupled,
-        attack: Attack,
-        detector: Detector,
-        timeline: Timeline,
-    ) -> None:
-        self.scenario, self.receiver, self.timeline = scenario, receiver, timeline
-        self.attack, self.detector = attack, detector
-        self.world: World = scenario.world()
-        interval = scenario.epoch_interval_s
-        self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval)
-        self.onset = self.quiet + self.live
-        # one epoch more, which a finished receiver may run until it is reset
-        last = self.onset + self.steps + self.hold + 1
-        if last >= self.world.epochs:
-            raise ValueError(
-                f"an episode takes {last * interval:g} s (warm-up {timeline.warmup_s:g} s, attack "
-                f"{timeline.attack_s:g} s, time to alert {timeline.time_to_alert_s:g} s), but "
-                f"{self.world.name!r} lasts {self.world.epoch_time[-1]:g} s"
-            )
-        self.bias_sd = scenario.gnss_errors.bias_sd(self.world.first_elevation)
-        self.noise_variance, self.noise = assumed_noise(
-            receiver, scenario.gnss_errors, self.bias_sd, self.world, last
-        )
-        self.onset_C_en = np.ascontiguousarray(self.world.local_frame(self.onset))
-        C_en = self.world.local_frame(0)
-        error = euler_to_dcm(*(-np.radians(scenario.imu_grade.attitude_error_deg)))
-        C_ne = C_en.T
-        # the error turns the local axes: C_nb (estimated) = dC C_nb
-        self.first_C_eb = C_en @ (error.T @ (C_ne @ self.world.C_eb[0]))
 
 
 class Batch:

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._kernels import score
-from .engine import Engine, Setup
+from .engine import Engine
 from .observations import ObservationTerm, Observer
 from .rewards import Outcome, RewardTerm
+from .setup import Setup
 from .snapshot import Snapshot
 
 FloatArray = NDArray[np.float64]

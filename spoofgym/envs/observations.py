@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from .._registry import check_choice
 from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
-from .engine import Engine, Setup
+from .engine import Engine
+from .setup import Setup
 from .snapshot import Snapshot, position_error_n
 
 FloatArray = NDArray[np.float64]

@@ -10,10 +10,10 @@ from ..attacks import Attack, make_attack
 from ..detectors import Detector, make_detector
 from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario, make_scenario
-from .engine import Setup, Timeline
 from .game import Game
 from .observations import ObservationTerm, terms_of
 from .rewards import RewardTerm, default_rewards
+from .setup import Setup, Timeline
 
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
 DEFAULT_ATTACK = "false-position"

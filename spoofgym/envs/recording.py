@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..receiver import NavState, Recording
-from .engine import Batch, Setup
+from .engine import Batch
+from .setup import Setup
 
 FloatArray = NDArray[np.float64]
 

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .engine import Batch, Setup
+from .engine import Batch
+from .setup import Setup
 
 FloatArray = NDArray[np.float64]
 

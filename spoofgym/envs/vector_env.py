@@ -15,10 +15,10 @@ from ..attacks import Attack
 from ..detectors import Detector
 from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario
-from .engine import Timeline
 from .observations import ObservationTerm
 from .presets import DEFAULT_ATTACK, make_game, make_setup
 from .rewards import RewardTerm
+from .setup import Timeline
 from .spaces import action_space, checked_action, observation_space
 
 AUTORESET_MODES = {

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..attacks import FalsePosition
 from ..detectors import DetectorContext, Never
-from ..envs.engine import Engine, Setup, Timeline
+from ..envs.engine import Engine
+from ..envs.setup import Setup, Timeline
 from ..receiver import TightlyCoupled
 from ..receiver.epoch import Epoch
 from ..sim.scenario import Scenario

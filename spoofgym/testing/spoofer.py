@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..attacks import Attack
-from ..envs.engine import Engine, Setup, Timeline
+from ..envs.engine import Engine
 from ..envs.observations import Observer, terms_of
 from ..envs.presets import make_setup
+from ..envs.setup import Setup, Timeline
 from ..envs.snapshot import Snapshot
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
 from .contract import no_global_chance, read_only_given, require, require_fresh
