@@ -1,5 +1,6 @@
 """The game: engine, observations, actions, rewards, and its views for Gymnasium."""
 
+from .attach import attach
 from .engine import Batch, Engine
 from .game import Game, Turn
 from .observations import Observer, terms_of
@@ -18,6 +19,7 @@ __all__ = [
     "SpoofVectorEnv",
     "Timeline",
     "Turn",
+    "attach",
     "make_game",
     "make_setup",
     "terms_of",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,11 +19,14 @@ from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import LANES, ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.sensors import SensorBuffers
+from .prefetch import NextEpisodes
 from .setup import Setup
 from .workers import Workers
 
 FloatArray = NDArray[np.float64]
 RECEIVERS_PER_THREAD = 16
+PIECE = 64
+"""Epochs of single receivers that are run between two chances to wait: less than a millisecond."""
 
 
 class Batch:
@@ -223,19 +228,31 @@ class Batch:
         self.weights = self.ones if weights is None else weights
         self._run(self._update, self.receivers)
 
-    def quiet_epochs(self, count: int) -> None:
+    def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
         """Run clean epochs without a detector.
 
         Parameters
         ----------
         count : int
             How many.
+        between : callable, optional
+            Called before every few epochs; it may wait.
         """
         self.weights = self.ones
         what = _kernels.MEASURE + _kernels.PREDICT + _kernels.UPDATE
-        self._run(lambda lo, hi: self._epochs(what, count, lo, hi), self.receivers)
+        piece = count if between is None else max(1, PIECE // self.receivers)
+        for begun in range(0, count, max(piece, 1)):
+            if between is not None:
+                between()
+            self._run(partial(self._epochs, what, min(piece, count - begun)), self.receivers)
 
-    def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
+    def live_epochs(
+        self,
+        count: int,
+        *,
+        holding: bool = False,
+        between: Callable[[], None] | None = None,
+    ) -> NDArray[np.bool_]:
         """Run epochs with the detector, without new commands.
 
         Parameters
@@ -244,6 +261,8 @@ class Batch:
             How many.
         holding : bool
             Whether the attack holds its rate, or has not begun.
+        between : callable, optional
+            Called before every epoch; it may wait.
 
         Returns
         -------
@@ -260,6 +279,8 @@ class Batch:
 
         alarms = np.zeros((count, self.receivers), dtype=np.bool_)
         for k in range(count):
+            if between is not None:
+                between()
             self._run(onwards if k else first, self.receivers)
             verdict = self.judge()
             alarms[k] = verdict.alarm.any(axis=1)
@@ -327,6 +348,31 @@ def _merge(
     return Verdict(*merged)
 
 
+def _warm_up(
+    batch: Batch,
+    rngs: Sequence[np.random.Generator],
+    between: Callable[[], None] | None = None,
+) -> NDArray[np.bool_]:
+    """Begin new episodes, and run them to the onset; (B,) bool, who alarmed."""
+    batch.begin(rngs)
+    batch.quiet_epochs(batch.setup.quiet, between=between)
+    alarms = batch.live_epochs(batch.setup.live, between=between)
+    alarmed: NDArray[np.bool_] = np.logical_or.reduce(alarms, axis=0)
+    return alarmed
+
+
+def _serially(work: Callable[[int, int], None], receivers: int) -> None:
+    work(0, receivers)
+
+
+def _warmed_up(
+    setup: Setup, rngs: Sequence[np.random.Generator], between: Callable[[], None]
+) -> tuple[Batch, NDArray[np.bool_]]:
+    """Batch at the onset, by one thread."""
+    batch = Batch(setup, len(rngs), _serially)
+    return batch, _warm_up(batch, rngs, between)
+
+
 class Engine:
     """B receivers under attack, each in its own episode.
 
@@ -339,6 +385,9 @@ class Engine:
     threads : int, optional
         Threads for the compiled halves; by default as many as processors, with at least
         `RECEIVERS_PER_THREAD` receivers each.
+    prefetch : bool
+        Whether to warm up every receiver's next episode in one more thread while the present one
+        runs.  It has the same bits.
 
     Attributes
     ----------
@@ -348,7 +397,9 @@ class Engine:
         (B,) bool, whether the detector alarmed before the attack: a false alarm.
     """
 
-    def __init__(self, receivers: int, setup: Setup, *, threads: int | None = None) -> None:
+    def __init__(
+        self, receivers: int, setup: Setup, *, threads: int | None = None, prefetch: bool = False
+    ) -> None:
         if receivers < 1:
             raise ValueError(f"`receivers` must be at least 1, got {receivers}")
         if threads is not None and threads < 1:
@@ -358,6 +409,18 @@ class Engine:
         self._workers = Workers(self.threads - 1)
         self.batch = Batch(setup, receivers, self._run)
         self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
+        self._everyone = np.arange(receivers)
+        self._next = (
+            NextEpisodes(Batch(setup, receivers, _serially), partial(_warmed_up, setup))
+            if prefetch
+            else None
+        )
+
+    def close(self) -> None:
+        """End the threads; they are started again when they are needed."""
+        self._workers.close()
+        if self._next is not None:
+            self._next.close()
 
     def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
         """Call ``work(lo, hi)`` over slices of whole lanes."""
@@ -381,17 +444,18 @@ class Engine:
         rows : ndarray, optional
             Which receivers; all by default.
         """
-        everyone = rows is None or len(rows) == self.receivers
-        batch = self.batch if everyone else Batch(self.setup, len(rngs), self._run)
-        batch.begin(rngs)
-        batch.quiet_epochs(self.setup.quiet)
-        alarms: NDArray[np.bool_] = np.logical_or.reduce(batch.live_epochs(self.setup.live), axis=0)
-        if everyone:
-            self.warmup_alarm = alarms
+        where = self._everyone if rows is None else rows
+        if self._next is not None and self._next.prepared(where, rngs):
+            self.warmup_alarm[where] = self._next.take(where, self.batch)
+        elif len(where) == self.receivers:
+            self.warmup_alarm = _warm_up(self.batch, rngs)
         else:
-            assert rows is not None
-            self.batch.copy_rows(rows, batch, np.arange(len(rows)))
-            self.warmup_alarm[rows] = alarms
+            batch = Batch(self.setup, len(rngs), self._run)
+            alarms = _warm_up(batch, rngs)
+            self.batch.copy_rows(where, batch, np.arange(len(where)))
+            self.warmup_alarm[where] = alarms
+        if self._next is not None:
+            self._next.prepare(where, rngs)
 
     def predict(self, action: FloatArray | None) -> Epoch:
         """First half of a step: command, measure, mechanize, predict.
@@ -441,9 +505,10 @@ class Engine:
         Verdict
             Of the epoch.
         """
-        self.predict(action)
-        verdict = self.judge()
-        self.update(verdict)
+        with self._next.kept_waiting() if self._next is not None else nullcontext():
+            self.predict(action)
+            verdict = self.judge()
+            self.update(verdict)
         return verdict
 
     def hold(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:

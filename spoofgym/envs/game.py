@@ -61,6 +61,8 @@ class Game:
         Direction in which displacement counts, clockwise from north.
     threads : int, optional
         As in `Engine`.
+    prefetch : bool
+        As in `Engine`.
 
     Attributes
     ----------
@@ -70,6 +72,8 @@ class Game:
         (B,) commands given in the running episodes.
     detected : ndarray
         (B,) bool, whether the attack has raised an alarm.
+    target_heading_deg : float
+        As it was given.
     """
 
     def __init__(
@@ -82,16 +86,15 @@ class Game:
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
         threads: int | None = None,
+        prefetch: bool = False,
     ) -> None:
         if not np.isfinite(target_heading_deg):
             raise ValueError(f"`target_heading_deg` must be finite, got {target_heading_deg}")
-        names = [term.name for term in reward]
-        if len(set(names)) < len(names):
-            raise ValueError(f"two reward terms have the same name, got {', '.join(names)}")
+        self.set_rewards(reward)
         self.setup, self.end_at_alarm = setup, end_at_alarm
-        self.engine = Engine(receivers, setup, threads=threads)
+        self.engine = Engine(receivers, setup, threads=threads, prefetch=prefetch)
         self.observer = Observer(observation, setup)
-        self._reward_parts = [(f"reward_{term.name}", term) for term in reward]
+        self.target_heading_deg = target_heading_deg
         heading = np.radians(target_heading_deg)
         self._target_e = setup.onset_C_en @ np.array([np.cos(heading), np.sin(heading), 0.0])
         self._rows = np.arange(receivers)
@@ -105,6 +108,23 @@ class Game:
     def receivers(self) -> int:
         """B."""
         return self.engine.receivers
+
+    def set_rewards(self, terms: Sequence[RewardTerm]) -> None:
+        """Reward by these terms from the next step on.
+
+        Parameters
+        ----------
+        terms : sequence of RewardTerm
+            Terms of the reward, each with a name of its own.
+        """
+        names = [term.name for term in terms]
+        if len(set(names)) < len(names):
+            raise ValueError(f"two reward terms have the same name, got {', '.join(names)}")
+        self._reward_parts = [(f"reward_{term.name}", term) for term in terms]
+
+    def close(self) -> None:
+        """End the threads; they are started again when they are needed."""
+        self.engine.close()
 
     def snapshot(self) -> Snapshot:
         """The game as it stands.

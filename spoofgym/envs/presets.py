@@ -78,6 +78,7 @@ def make_game(
     end_at_alarm: bool = True,
     target_heading_deg: float = 90.0,
     threads: int | None = None,
+    prefetch: bool = False,
 ) -> Game:
     """Game with the observation of a level of knowledge.
 
@@ -95,7 +96,7 @@ def make_game(
         Terms of the reward.
     alarm_penalty_m : float
         Price of an alarm, where `reward` does not say it.
-    end_at_alarm, target_heading_deg, threads : optional
+    end_at_alarm, target_heading_deg, threads, prefetch : optional
         As in `Game`.
 
     Returns
@@ -111,4 +112,5 @@ def make_game(
         end_at_alarm=end_at_alarm,
         target_heading_deg=target_heading_deg,
         threads=threads,
+        prefetch=prefetch,
     )

@@ -39,6 +39,9 @@ class SpoofVectorEnv(VectorEnv[Array, Array, Array]):
         When a finished receiver begins its next episode.
     threads : int, optional
         Threads of the engine; as many as processors by default.
+    prefetch : bool
+        Whether one more thread warms up every receiver's next episode while the present one runs;
+        see `Engine`.
     scenario, detector, attack, receiver, timeline, knowledge, observation, reward
         As in `SpoofEnv`.
     alarm_penalty_m, end_at_alarm, target_heading_deg, render_mode
@@ -71,6 +74,7 @@ class SpoofVectorEnv(VectorEnv[Array, Array, Array]):
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
+        prefetch: bool = True,
         scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
         detector: str | Mapping[str, Any] | Detector | None = None,
         attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
@@ -119,6 +123,7 @@ class SpoofVectorEnv(VectorEnv[Array, Array, Array]):
             end_at_alarm=end_at_alarm,
             target_heading_deg=target_heading_deg,
             threads=threads,
+            prefetch=prefetch,
         )
         self.observation_names = self.game.observer.names
         self.action_names = setup.attack.action_names(setup.world)
@@ -273,3 +278,13 @@ class SpoofVectorEnv(VectorEnv[Array, Array, Array]):
             np.zeros_like(terminated),
             info,
         )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads.
+
+        Parameters
+        ----------
+        **kwargs
+            Not used.
+        """
+        self.game.close()

@@ -37,6 +37,8 @@ class SpooferContext(NamedTuple):
         (a,) name of every element of an action, as the attack gives them.
     observation_names : tuple of str
         (o,) name of every element of an observation.
+    observation_low, observation_high : tuple of float
+        (o,) bounds of every element; empty where they are not told.
     """
 
     receivers: int
@@ -47,6 +49,8 @@ class SpooferContext(NamedTuple):
     rate_limit_mps: float
     action_names: tuple[str, ...]
     observation_names: tuple[str, ...] = ()
+    observation_low: tuple[float, ...] = ()
+    observation_high: tuple[float, ...] = ()
 
 
 class Spoofer(ABC):
@@ -62,12 +66,18 @@ class Spoofer(ABC):
         the satellites; also the victim's statistics.
     tunable : str or None
         Setting that a search under an alarm budget varies; more of it displaces further.
+    label : str or None
+        Short name in results; by default it is made of the registered name and the settings.
+    designed_on : str
+        What it was optimised on before the attack: detector, receiver, scenario; or nothing.
     memory : Memory
         What it remembers of every receiver.
     """
 
-    knowledge: ClassVar[str]
+    knowledge: str
     tunable: ClassVar[str | None] = None
+    label: str | None = None
+    designed_on: str = "nothing"
     memory: Memory
 
     def bind(self, context: SpooferContext) -> None:
@@ -149,7 +159,7 @@ class ScriptedSpoofer(Spoofer):
 
     heading_deg: float = 90.0
 
-    knowledge: ClassVar[str] = "blind"
+    knowledge = "blind"
 
     def __post_init__(self) -> None:
         """Check the settings."""

@@ -1,0 +1,305 @@
+"""Stable-baselines3's vector environment, straight on the engine.
+
+All receivers are one batch of `Game`; there is no list of environments underneath, and no
+dictionary is filled for a receiver before its episode ends.
+
+>>> from stable_baselines3 import PPO
+>>> from spoofgym.sb3 import SpoofVecEnv
+>>> envs = SpoofVecEnv(8, detector="ewma", knowledge="blind", alarm_penalty_m=40.0)
+>>> model = PPO("MlpPolicy", envs, gamma=1.0, n_steps=300, batch_size=2400, device="cpu")
+>>> envs.close()
+
+Install it with the extra ``train``.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from .attacks import Attack
+from .detectors import Detector
+from .envs.observations import ObservationTerm
+from .envs.presets import DEFAULT_ATTACK, make_game, make_setup
+from .envs.rewards import RewardTerm
+from .envs.setup import Timeline
+from .envs.spaces import action_space, checked_action, observation_space
+from .receiver import TightlyCoupled
+from .sim.scenario import Scenario
+
+Array = NDArray[Any]
+
+
+class SpoofVecEnv(VecEnv):
+    """`SpoofEnv` for stable-baselines3; receiver i is the single environment seeded ``seed + i``.
+
+    A finished receiver begins its next episode within the same step: what `step` returns is the
+    first observation of that episode, and ``infos[i]["terminal_observation"]`` the last one of the
+    old.  ``infos[i]`` is empty up to then, and holds in the step that ends an episode
+
+    - ``terminal_observation``, and ``TimeLimit.truncated``, which is always False, since the time
+      left is observed and an alarm is an end;
+    - ``episode`` with return ``r``, length ``l`` and seconds since the environment was made ``t``,
+      as `VecMonitor` would write it, which is not needed around this;
+    - ``undetected_displacement_m``, ``detected``, ``warmup_alarm`` and ``coasting`` of the episode.
+
+    Parameters
+    ----------
+    num_envs : int
+        Receivers, at least 1.
+    threads : int, optional
+        Threads of the engine; as many as processors by default.
+    prefetch : bool
+        Whether one more thread warms up the next episodes while the policy learns; see
+        `Engine`.
+    torch_threads : int or None
+        Threads of torch, for the whole process; None leaves them as they are.  Two of them fought
+        with other threads over two processors at a seventieth of the speed of one.
+    seed : int, optional
+        As ``seed(seed)`` before the first reset.
+    scenario, detector, attack, receiver, timeline, knowledge, observation, reward
+        As in `SpoofEnv`.
+    alarm_penalty_m, end_at_alarm, target_heading_deg
+        As in `SpoofEnv`.
+
+    Attributes
+    ----------
+    game : Game
+        The receivers.
+    observation_names, action_names : tuple of str
+        Name of every element.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        threads: int | None = None,
+        prefetch: bool = True,
+        torch_threads: int | None = 1,
+        seed: int | None = None,
+        scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
+        detector: str | Mapping[str, Any] | Detector | None = None,
+        attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
+        receiver: Mapping[str, Any] | TightlyCoupled | None = None,
+        timeline: Mapping[str, float] | Timeline | None = None,
+        knowledge: str = "tracking",
+        observation: Sequence[ObservationTerm] | None = None,
+        reward: Sequence[RewardTerm] | None = None,
+        alarm_penalty_m: float = 10.0,
+        end_at_alarm: bool = True,
+        target_heading_deg: float = 90.0,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"`num_envs` must be at least 1, got {num_envs}")
+        if torch_threads is not None:
+            if torch_threads < 1:
+                raise ValueError(f"`torch_threads` must be at least 1, got {torch_threads}")
+            # stable-baselines3 has loaded it; nothing here needs it otherwise
+            sys.modules["torch"].set_num_threads(torch_threads)
+        setup = make_setup(
+            scenario=scenario,
+            receiver=receiver,
+            attack=attack,
+            detector=detector,
+            timeline=timeline,
+        )
+        self.game = make_game(
+            num_envs,
+            setup,
+            knowledge=knowledge,
+            observation=observation,
+            reward=reward,
+            alarm_penalty_m=alarm_penalty_m,
+            end_at_alarm=end_at_alarm,
+            target_heading_deg=target_heading_deg,
+            threads=threads,
+            prefetch=prefetch,
+        )
+        self.observation_names = self.game.observer.names
+        self.action_names = setup.attack.action_names(setup.world)
+        self.render_mode = None
+        self._rngs: list[np.random.Generator] = []
+        self._actions: Array | None = None
+        self._returns = np.zeros(num_envs)
+        self._began = time.perf_counter()
+        super().__init__(num_envs, observation_space(self.game), action_space(self.game))
+        if seed is not None:
+            self.seed(seed)
+
+    def reset(self) -> Array:
+        """Begin a new episode in every receiver.
+
+        Receivers begin anew where `seed` has been called since the last reset, and go on to their
+        next episodes otherwise.
+
+        Returns
+        -------
+        ndarray
+            (B, o) float32.
+        """
+        if not self._rngs:
+            self._rngs = [np.random.default_rng(seed) for seed in self._seeds]
+        else:
+            self._rngs = [
+                rng if seed is None else np.random.default_rng(seed)
+                for rng, seed in zip(self._rngs, self._seeds, strict=True)
+            ]
+        self._reset_seeds()
+        self._reset_options()
+        self.game.reset(self._rngs)
+        self._returns[:] = 0.0
+        self._actions = None
+        return self.game.observe()
+
+    def step_async(self, actions: Array) -> None:
+        """Take the commands of the next step.
+
+        Parameters
+        ----------
+        actions : ndarray
+            (B, a) in [-1, 1].
+        """
+        if not self._rngs:
+            raise RuntimeError("call reset() before step()")
+        shape = (self.num_envs, len(self.action_names))
+        self._actions = checked_action(actions, shape, self.action_names)
+
+    def step_wait(self) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
+        """Run one epoch.
+
+        Returns
+        -------
+        observations : ndarray
+            (B, o) float32; the first of the next episode where one has ended.
+        rewards : ndarray
+            (B,) float32.
+        dones : ndarray
+            (B,) bool.
+        infos : list of dict
+            One per receiver.
+        """
+        if self._actions is None:
+            raise RuntimeError("call step_async() before step_wait()")
+        turn = self.game.step(self._actions)
+        self._actions = None
+        self._returns += turn.reward
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        observations = self.game.observe()
+        if turn.terminated.any():
+            rows = np.flatnonzero(turn.terminated)
+            for row in rows.tolist():
+                infos[row] = self._at_the_end(row, observations, turn.info)
+            self.game.reset([self._rngs[row] for row in rows], rows)
+            self._returns[rows] = 0.0
+            observations = self.game.observe()
+        return observations, turn.reward.astype(np.float32), turn.terminated.copy(), infos
+
+    def _at_the_end(self, row: int, observations: Array, info: dict[str, Array]) -> dict[str, Any]:
+        return {
+            "terminal_observation": observations[row].copy(),
+            "TimeLimit.truncated": False,
+            "episode": {
+                "r": round(float(self._returns[row]), 6),
+                "l": int(self.game.step_count[row]),
+                "t": round(time.perf_counter() - self._began, 6),
+            },
+            "undetected_displacement_m": float(info["undetected_displacement_m"][row]),
+            "detected": bool(info["detected"][row]),
+            "warmup_alarm": bool(info["warmup_alarm"][row]),
+            "coasting": bool(info["coasting"][row]),
+        }
+
+    def set_rewards(self, terms: Sequence[RewardTerm]) -> None:
+        """Reward otherwise from the next step on, such as with another alarm penalty.
+
+        Parameters
+        ----------
+        terms : sequence of RewardTerm
+            As in `SpoofEnv`.
+        """
+        self.game.set_rewards(terms)
+
+    def close(self) -> None:
+        """End the threads."""
+        self.game.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Attribute of the environment, once for every receiver.
+
+        Parameters
+        ----------
+        attr_name : str
+            Its name.
+        indices : int or sequence of int, optional
+            Which receivers.
+
+        Returns
+        -------
+        list
+            The same value for all, since they share it.
+        """
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of all receivers.
+
+        Parameters
+        ----------
+        attr_name : str
+            Its name.
+        value : object
+            For all of them.
+        indices : None
+            Some of them can't have a value of their own.
+        """
+        if indices is not None:
+            raise ValueError(f"`indices` must be None, receivers share attributes; got {indices!r}")
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the environment, once for all receivers.
+
+        Parameters
+        ----------
+        method_name : str
+            Its name.
+        *method_args, **method_kwargs
+            Its arguments.
+        indices : None
+            There is one environment for all of them.
+
+        Returns
+        -------
+        list
+            The result, once for every receiver.
+        """
+        if indices is not None:
+            raise ValueError(f"`indices` must be None, receivers are one batch; got {indices!r}")
+        result = getattr(self, method_name)(*method_args, **method_kwargs)
+        return [result] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
+        """Whether receivers are wrapped.
+
+        Parameters
+        ----------
+        wrapper_class : type
+            Any.
+        indices : int or sequence of int, optional
+            Which receivers.
+
+        Returns
+        -------
+        list of bool
+            False: a batch can't be wrapped one by one.
+        """
+        return [False for _ in self._get_indices(indices)]
