@@ -57,7 +57,7 @@ def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec:
     Raises
     ------
     ValueError
-        When the name or a setting is unknown; the valid ones are listed.
+        When the name or a setting is unknown, the valid ones are listed; or a setting is missing.
     TypeError
         When `spec` is something else.
     """
@@ -74,10 +74,15 @@ def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec:
     settings = dict(spec)
     name = settings.pop("name")
     check_choice(word, name, kinds)
-    valid = [field.name for field in dataclasses.fields(kinds[name])]  # type: ignore[arg-type]
+    known = dataclasses.fields(kinds[name])  # type: ignore[arg-type]
+    valid = [field.name for field in known]
     for setting in settings:
         if setting not in valid:
             raise ValueError(
                 f"{word} {name!r} has no setting {setting!r}; valid: {', '.join(valid) or 'none'}"
             )
+    for field in known:
+        missing = dataclasses.MISSING
+        if field.default is field.default_factory is missing and field.name not in settings:
+            raise ValueError(f"{word} {name!r} needs the setting {field.name!r}")
     return kinds[name](**settings)

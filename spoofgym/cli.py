@@ -1,4 +1,4 @@
-"""The command line: ``spoofgym list | run | tune | bench | report | perf``.
+"""The command line: ``spoofgym list | card | run | tune | bench | report | perf``.
 
 Nothing that is slow to load is imported before a command needs it.
 """
@@ -45,7 +45,8 @@ SPEC_HELP = (
     '{"name": ..., "key": value}; or module:Class of your own, looked for in this folder too.'
 )
 KindArgument = Annotated[
-    str | None, typer.Argument(help="envs, scenarios, attacks, detectors or spoofers; all of them.")
+    str | None,
+    typer.Argument(help="envs, scenarios, attacks, detectors, spoofers or shipped; all of them."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else.")]
 ScenarioOption = Annotated[
@@ -296,9 +297,9 @@ def _progress(total: float) -> Iterator[Progress]:
 @app.command("list")
 @clear_errors
 def list_(kind: KindArgument = None, as_json: JsonOption = False) -> None:
-    """List what there is to choose from: environments, scenarios, attacks, detectors, spoofers."""
+    """List what there is: environments, scenarios, attacks, detectors, spoofers, shipped ones."""
     from ._registry import check_choice
-    from .bench.listing import KINDS
+    from .bench.listing import KINDS, table_of
 
     if kind is not None:
         check_choice("kind", kind, KINDS)
@@ -307,18 +308,36 @@ def list_(kind: KindArgument = None, as_json: JsonOption = False) -> None:
         _print_json(found)
         return
     for name, rows in found.items():
-        lines = [
-            (row["name"], row["summary"], ", ".join(f"{k}={v}" for k, v in row["settings"].items()))
-            for row in rows
-        ]
-        _print_table(name, ("name", "what it is", "settings and their defaults"), lines)
+        _print_table(name, *table_of(name, rows))
+
+
+@app.command()
+@clear_errors
+def card(
+    name: Annotated[
+        str, typer.Argument(help="A shipped spoofer, or a card or an ONNX file with one beside it.")
+    ],
+    as_json: JsonOption = False,
+) -> None:
+    """Show the card of a spoofer: what it fits, what it knows, how it was made, what it reached."""
+    from .bench.cards import SCORES_HEAD, card_rows, find_card, score_rows
+
+    found = find_card(name)
+    if as_json:
+        _print_json(found.model_dump(mode="json"))
+        return
+    _print_table(found.name, ("", ""), card_rows(found))
+    if found.scores:
+        _print_table("scores", SCORES_HEAD, score_rows(found))
 
 
 @app.command()
 @clear_errors
 def run(
     detector: Annotated[str, typer.Option(help=f"Detector. {SPEC_HELP}")] = "ewma",
-    spoofer: Annotated[str, typer.Option(help=f"Spoofer. {SPEC_HELP}")] = "ramp",
+    spoofer: Annotated[
+        str, typer.Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")
+    ] = "ramp",
     number: Annotated[
         int, typer.Option("--run", min=0, help="Which of the benchmark's evaluation runs.")
     ] = 0,
@@ -406,14 +425,12 @@ def tune(
 ) -> None:
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
     from .bench.campaign import Silent, search, search_work, training_start
-    from .bench.specs import make
-    from .bench.suite import DEFAULT_DETECTORS, TUNED
-    from .spoofers import SPOOFERS, Spoofer
+    from .bench.entries import DEFAULT_DETECTORS, TUNED, build_spoofer
 
     specs = _specs(spoofer or ["ramp", "accelerating-ramp"])
     for spec in specs:
         settings = {key: value for key, value in spec.items() if value != TUNED}
-        tunable = make("spoofer", SPOOFERS, Spoofer, settings).tunable
+        tunable = build_spoofer(settings).tunable
         if tunable is None:
             raise ValueError(f"spoofer {spec['name']!r} has no setting to tune")
         spec[tunable] = TUNED
@@ -480,8 +497,9 @@ def bench(
         list[str] | None,
         typer.Option(
             help="Spoofer, may be repeated; a setting may be `tuned`, as in "
-            "step:size_m=tuned, and a ramp without settings is. Default: none, step, ramp, "
-            "accelerating-ramp."
+            "step:size_m=tuned, and a ramp without settings is; a shipped spoofer by its name, a "
+            "learned one by its .onnx file. Default: none, step, ramp, accelerating-ramp, and the "
+            "shipped ones that fit."
         ),
     ] = None,
     seeds: Annotated[
@@ -513,8 +531,8 @@ def bench(
 ) -> None:
     """Play detectors against spoofers on the same runs; interrupted, it goes on when run again."""
     from .bench.campaign import expected_work, run_campaign
+    from .bench.entries import DEFAULT_DETECTORS
     from .bench.store import ResultsFolder
-    from .bench.suite import DEFAULT_DETECTORS, DEFAULT_SPOOFERS
 
     world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
     suite = _suite(
@@ -525,15 +543,18 @@ def bench(
         (warmup_s, live_s, attack_s, time_to_alert_s),
         seed,
         detectors=_specs(detector) if detector else list(DEFAULT_DETECTORS),
-        spoofers=_tuned_by_default(_specs(spoofer)) if spoofer else list(DEFAULT_SPOOFERS),
+        spoofers=_tuned_by_default(_specs(spoofer)) if spoofer else None,
         budget=budget,
         training=training_seeds,
         runs=seeds,
     )
+    suite.check_fit()
     folder = ResultsFolder(out)
     folder.open(suite, overwrite=overwrite)
     if not as_json:
         _print_lines(real)
+        for line in suite.left_out:
+            typer.echo(line)
     try:
         with _progress(expected_work(suite, folder)) as told:
             run_campaign(suite, folder, threads=threads, progress=told)
@@ -555,7 +576,7 @@ def bench(
 
 def _tuned_by_default(specs: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Names without settings as the benchmark plays them by default."""
-    from .bench.suite import DEFAULT_SPOOFERS
+    from .bench.entries import DEFAULT_SPOOFERS
 
     usual = {spec["name"]: spec for spec in DEFAULT_SPOOFERS}
     return [usual.get(spec["name"], spec) if len(spec) == 1 else spec for spec in specs]
@@ -610,7 +631,7 @@ def _suite(
     seed: int,
     *,
     detectors: list[dict[str, Any]],
-    spoofers: list[dict[str, Any]],
+    spoofers: list[dict[str, Any]] | None,
     budget: float = 0.05,
     training: int = 128,
     runs: int = 200,
@@ -645,9 +666,18 @@ def _print_lines(real: RealInput | None) -> None:
 def _report(folder: Any, as_json: bool, reports: Any) -> None:
     """Write table, scores and picture, and print the tables."""
     from .bench.picture import draw_campaign
-    from .bench.report import ATTACKS_HEAD, CLEAN_HEAD, attack_rows, clean_rows, markdown
+    from .bench.report import markdown
     from .bench.store import SUMMARY, TABLE
     from .bench.summary import summarize
+    from .bench.tables import (
+        ATTACKS_HEAD,
+        CLEAN_HEAD,
+        RIVALS_HEAD,
+        attack_rows,
+        clean_rows,
+        reference_lines,
+        rival_rows,
+    )
 
     summary = summarize(folder)
     if not summary["cells"]:
@@ -664,6 +694,10 @@ def _report(folder: Any, as_json: bool, reports: Any) -> None:
         _print_json({**summary, "folder": str(folder.path), "input": reports})
         return
     _print_table(f"{summary['scenario']}: attacks", ATTACKS_HEAD, attack_rows(summary), names=2)
+    if rows := rival_rows(summary):
+        _print_table("spoofers compared, run by run", RIVALS_HEAD, rows, names=2)
+        for line in reference_lines(summary):
+            typer.echo(line)
     _print_table("without attack", CLEAN_HEAD, clean_rows(summary))
     if summary["missing"]:
         typer.echo(f"not finished: {', '.join(summary['missing'])}")

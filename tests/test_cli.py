@@ -17,7 +17,9 @@ from spoofgym import __version__
 from spoofgym.bench.store import ResultsFolder
 from spoofgym.cli import app
 from spoofgym.detectors import DETECTORS
-from spoofgym.spoofers import SPOOFERS
+from spoofgym.spoofers import SPOOFERS, shipped
+
+from .bench.support import small_suite, use_zoo, write_zoo
 
 SHORT = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "20", "--time-to-alert-s", "5"]
 TRAINING = [*SHORT, "--training-seeds", "4", "--budget", "0.25", "--threads", "1"]
@@ -46,7 +48,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_help_of_every_command() -> None:
     text = call("--help").output
-    for command in ("list", "run", "tune", "bench", "report", "perf"):
+    for command in ("list", "card", "run", "tune", "bench", "report", "perf"):
         assert command in text
         page = call(command, "--help")
         assert page.exit_code == 0
@@ -70,10 +72,11 @@ def test_it_starts_quickly_and_as_a_module() -> None:
 
 def test_list_names_all_there_is() -> None:
     found = json.loads(call("list", "--json").stdout)
-    assert set(found) == {"envs", "scenarios", "attacks", "detectors", "spoofers"}
+    assert set(found) == {"envs", "scenarios", "attacks", "detectors", "spoofers", "shipped"}
     assert {row["name"] for row in found["detectors"]} == set(DETECTORS)
     assert {row["name"] for row in found["spoofers"]} == set(SPOOFERS)
     assert "spoofgym/TightlyCoupled-v0" in {row["name"] for row in found["envs"]}
+    assert [row["name"] for row in found["shipped"]] == list(shipped())
     for rows in found.values():
         assert all(row["summary"] for row in rows)
     (ramp,) = [row for row in found["spoofers"] if row["name"] == "ramp"]
@@ -102,6 +105,72 @@ def test_bench_writes_table_picture_and_json() -> None:
     Path("out", "results.md").unlink()
     assert json.loads(call("report", "out", "--json").stdout)["cells"] == summary["cells"]
     assert Path("out", "results.md").is_file()
+
+
+@pytest.fixture(scope="module")
+def zoo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("zoo")
+    write_zoo(folder, small_suite())
+    return folder
+
+
+def test_list_and_card_show_what_is_shipped(
+    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_zoo(zoo_folder, monkeypatch)
+    rows = json.loads(call("list", "shipped", "--json").stdout)["shipped"]
+    assert [row["name"] for row in rows] == ["curve", "push", "track"]
+    assert (rows[2]["knowledge"], rows[2]["designed_on"]) == ("tracking", "ewma, by hand")
+    assert rows[2]["scores"][0]["undetected_displacement_m"] == 12.5
+    table = " ".join(call("list").output.split())
+    assert "ewma: 12.5 m (11.0 to 14.0), alarms 20.0 % (clean 18.0 %)" in table
+    for name in ("push", str(zoo_folder / "push.onnx"), str(zoo_folder / "push.json")):
+        card = call("card", name)
+        assert card.exit_code == 0, card.output
+        for part in ("python -m by.hand", "40 commands", "12.5 (11.0 to 14.0)", "push.onnx, "):
+            assert part in card.output
+        assert json.loads(call("card", name, "--json").stdout)["name"] == "push"
+    assert "rates_mps" in call("card", "curve").output
+    assert "unknown shipped spoofer 'pull'; valid: curve, push, track" in refused("card", "pull")
+    assert "there is no card nowhere.json" in refused("card", "nowhere.onnx")
+
+
+def test_bench_and_run_take_learned_and_optimised_spoofers(
+    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_zoo(zoo_folder, monkeypatch)
+    inline = '{"name": "profile", "rates_mps": [0, 0.1, 0.2], "label": "inline"}'
+    chosen = ["--spoofer", "push", "--spoofer", inline, "--detector", "ewma"]
+    played = call("bench", *QUICK, *chosen, "--out", "out", "--json")
+    assert played.exit_code == 0, played.output
+    summary = json.loads(played.stdout)
+    assert [cell["spoofer"] for cell in summary["cells"]] == ["none", "push", "inline"]
+    assert all(isinstance(cell["within_budget"], bool) for cell in summary["cells"])
+    assert [row["spoofer"] for row in summary["rivals"][0]["comparisons"]] == ["push", "inline"]
+    again = call("report", "out")
+    assert "spoofers compared, run by run" in again.output
+    assert "No ramp keeps the alarm budget against ewma." in again.output
+    for name in ("push", str(zoo_folder / "track.onnx"), inline):
+        one = call("run", *SHORT, "--spoofer", name, "--json")
+        assert one.exit_code == 0, one.output
+        assert json.loads(one.stdout)["largest_error_m"] > 0.0
+    assert Path("episode.png").is_file()
+
+
+def test_shipped_spoofers_that_do_not_fit_are_named(
+    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_zoo(zoo_folder, monkeypatch)
+    north = [*QUICK, "--out", "out", "--attack", "false-position:axes=n"]
+    assert "needs a command to the east" in refused("bench", *north)
+    assert "push does not fit this attack: " in refused("bench", *north, "--spoofer", "push")
+    assert not Path("out").exists()
+    longer = [*QUICK, "--attack-s", "25", "--detector", "ewma", "--out", "longer"]
+    result = call("bench", *longer)
+    assert result.exit_code == 0, result.output
+    note = "shipped spoofer curve is left out: conditions.steps: 40 on the card, 50 here"
+    assert note in result.output
+    assert note in Path("longer", "results.md").read_text()
 
 
 def test_an_interrupted_bench_is_kept_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -269,6 +338,9 @@ def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
         (["run", "--detector", "nowhere:Thing"], "there is no module 'nowhere'"),
         (["run", "--spoofer", "ramp:rate_mps=tuned"], "needs a search"),
         (["tune", "--spoofer", "none"], "spoofer 'none' has no setting to tune"),
+        (["tune", "--spoofer", "profile"], "spoofer 'profile' has no setting to tune"),
+        (["bench", "--spoofer", "nowhere.onnx"], "there is no ONNX file nowhere.onnx"),
+        (["card", "nowhere.json"], "there is no card nowhere.json"),
         (["bench", "--seed", "-1"], "`entropy` must be a whole number"),
         (["bench", "--track", "a.json"], "--track and --ephemeris belong together"),
         (["bench", "--from", "3"], "there is no --track"),

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from ..spoofers import SPOOFERS, Spoofer
+from ..envs.setup import Setup
 from .cells import make_cell
+from .entries import Entry, build_spoofer
 from .run import Runs, WarmStart, play
-from .specs import make
+from .shipped import card_behind, detector_of, transferred
 from .store import ResultsFolder
-from .suite import Entry, Suite
+from .suite import Suite
 from .tune import TuningResult, tune
 
 WARMUP_SHARE = 1.0
@@ -249,7 +250,7 @@ def _cells(
             "spoofer": entry.label,
             "detector_settings": detector.spec,
             "spoofer_settings": spec,
-            "knowledge": knowledge_of(entry),
+            "knowledge": knowledge_of(entry, setup, detector),
             "attack": setup.attack.label,
             "tuned_within_budget": None if tuning is None else tuning.within_budget,
             "campaign": suite.digest,
@@ -257,20 +258,38 @@ def _cells(
         folder.put_cell(make_cell(setup, head, start.warmup_alarm, attacked, twin))
 
 
-def knowledge_of(entry: Entry) -> dict[str, str]:
+def knowledge_of(entry: Entry, setup: Setup, detector: Entry) -> dict[str, Any]:
     """What a spoofer knows: while it attacks, and when it was designed.
 
     Parameters
     ----------
     entry : Entry
         Which spoofer.
+    setup : Setup
+        World, victim and attack.
+    detector : Entry
+        Which detector it plays against.
 
     Returns
     -------
     dict
-        ``run_time`` and ``design_time``.
+        ``run_time``; ``design_time``; ``detector``, the label of the one that it was made for,
+        None where it was made for none, or has no card that tells; ``transfer``, what is another
+        one here than where it was made.
     """
     settings = {key: value for key, value in entry.spec.items() if key != entry.tuned}
-    spoofer: Spoofer = make("spoofer", SPOOFERS, Spoofer, settings)
-    designed = "detector, receiver and scenario, by tuning" if entry.tuned else "nothing"
-    return {"run_time": spoofer.knowledge, "design_time": designed}
+    spoofer = build_spoofer(settings)
+    known: dict[str, Any] = {
+        "run_time": spoofer.knowledge,
+        "design_time": spoofer.designed_on,
+        "detector": None,
+        "transfer": [],
+    }
+    if entry.tuned:
+        designed = "detector, receiver and scenario, by tuning"
+        return {**known, "design_time": designed, "detector": detector.label}
+    card = card_behind(spoofer)
+    if card is None:
+        return known
+    where = transferred(card, setup, detector)
+    return {**known, "detector": detector_of(card), "transfer": where}

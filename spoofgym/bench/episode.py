@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from ..earth.frames import ecef_to_geodetic
 from ..envs.engine import Engine
+from .entries import Entry
 from .metrics import undetected_displacement
-from .picture import GREY, figure_class
+from .panels import GREY
+from .picture import figure_class
 from .run import command, local_frames
-from .suite import Entry, Suite, make_bound_spoofer
+from .suite import Suite, make_bound_spoofer
 
 FloatArray = NDArray[np.float64]
 ATTACKED, TWIN = 0, 1

@@ -10,6 +10,8 @@ from ..attacks import ATTACKS
 from ..detectors import DETECTORS
 from ..sim.scenario import SCENARIOS
 from ..spoofers import SPOOFERS
+from ..spoofers.zoo import card_of, shipped
+from .cards import score_text
 from .specs import describe, settings_of
 
 
@@ -96,11 +98,60 @@ def _envs() -> list[dict[str, Any]]:
     return rows
 
 
+def _shipped() -> list[dict[str, Any]]:
+    rows = []
+    for name in shipped():
+        card = card_of(name)
+        rows.append(
+            {
+                "name": name,
+                "summary": "learned policy" if card.kind == "onnx-policy" else "optimised profile",
+                "kind": card.kind,
+                "knowledge": card.knowledge.run_time,
+                "designed_on": card.knowledge.design_time,
+                "scores": [score.model_dump() for score in card.scores],
+            }
+        )
+    return rows
+
+
 KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "envs": _envs,
     "scenarios": _scenarios,
     "attacks": lambda: _classes(ATTACKS),
     "detectors": lambda: _classes(DETECTORS, "paper", "scope"),
     "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
+    "shipped": _shipped,
 }
-"""Lists by kind; each row has a name, a summary and settings with their defaults."""
+"""Lists by kind; each row has a name, a summary, and settings with their defaults or what its
+card tells."""
+
+
+def table_of(kind: str, rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[list[str]]]:
+    """Table of one of `KINDS`.
+
+    Parameters
+    ----------
+    kind : str
+        Which one.
+    rows : list of dict
+        What it lists.
+
+    Returns
+    -------
+    head : tuple of str
+        Names of the columns.
+    body : list of list of str
+        Text.
+    """
+    if kind == "shipped":
+        head = ("name", "what it is", "knows at run time", "was designed on", "reached")
+        keys = ("name", "summary", "knowledge", "designed_on")
+        return head, [
+            [*(row[key] for key in keys), "; ".join(map(score_text, row["scores"])) or "-"]
+            for row in rows
+        ]
+    return ("name", "what it is", "settings and their defaults"), [
+        [row["name"], row["summary"], ", ".join(f"{k}={v}" for k, v in row["settings"].items())]
+        for row in rows
+    ]

@@ -32,6 +32,13 @@ class Estimate(NamedTuple):
     low: float
     high: float
 
+    def as_json(self) -> dict[str, float | None]:
+        """By names, None where it is unknown."""
+        return {
+            name: None if math.isnan(number) else round(number, 6)
+            for name, number in self._asdict().items()
+        }
+
 
 NOTHING = Estimate(math.nan, math.nan, math.nan)
 

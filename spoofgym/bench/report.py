@@ -1,150 +1,31 @@
-"""The report of a campaign: tables for people, in Markdown."""
+"""The report of a campaign, for people, in Markdown."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from .summary import TABLE_LIMIT_M
-
-ATTACKS_HEAD = (
-    "detector",
-    "spoofer",
-    "setting",
-    "alarm rate [%]",
-    "delay [s]",
-    "undetected displacement [m]",
-    f"P(> {TABLE_LIMIT_M:g} m) [%]",
+from .tables import (
+    ATTACKS_HEAD,
+    CLEAN_HEAD,
+    KNOWLEDGE_HEAD,
+    RIVALS_HEAD,
+    attack_rows,
+    clean_rows,
+    interval,
+    knowledge_rows,
+    reference_lines,
+    rival_rows,
 )
-CLEAN_HEAD = (
-    "detector",
-    "false alarms per run [%]",
-    "per epoch [%]",
-    "runs with one in the warm-up [%]",
-    "navigation error, RMS [m]",
-)
-
-
-def percent(estimate: dict[str, Any]) -> str:
-    """Proportion with its interval, in per cent.
-
-    Parameters
-    ----------
-    estimate : dict
-        ``value``, ``low``, ``high``.
-
-    Returns
-    -------
-    str
-        Such as ``16.5 (12.0 to 22.3)``.
-    """
-    return interval({key: None if x is None else 100.0 * x for key, x in estimate.items()}, 1)
-
-
-def interval(estimate: dict[str, Any], digits: int | None = None) -> str:
-    """Number with its interval.
-
-    Parameters
-    ----------
-    estimate : dict
-        ``value``, ``low``, ``high``; None where unknown.
-    digits : int, optional
-        After the point; as many as suit the size by default.
-
-    Returns
-    -------
-    str
-        Such as ``12.6 (11.9 to 13.2)``, ``-`` where unknown.
-    """
-    value, low, high = (estimate[key] for key in ("value", "low", "high"))
-    if value is None:
-        return "-"
-    if digits is None:
-        digits = 0 if max(abs(low), abs(high)) >= 100.0 else 1 if abs(high) >= 1.0 else 2
-    return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
-
-
-def setting_of(cell: dict[str, Any]) -> str:
-    """What a spoofer was set to.
-
-    Parameters
-    ----------
-    cell : dict
-        Scores of a cell.
-
-    Returns
-    -------
-    str
-        Its settings but the heading.
-    """
-    settings = cell["spoofer_settings"]
-    parts = [
-        f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}"
-        for key, value in settings.items()
-        if key not in {"name", "heading_deg"}
-    ]
-    mark = "" if cell["tuned_within_budget"] in {None, True} else " (none within the budget)"
-    return (", ".join(parts) or "-") + mark
-
-
-def attack_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of attacks, in the order of `ATTACKS_HEAD`.
-
-    Parameters
-    ----------
-    summary : dict
-        Of `summarize`.
-
-    Returns
-    -------
-    list of tuple
-        Text.
-    """
-    rows: list[tuple[str, ...]] = []
-    for cell in summary["cells"]:
-        clean = cell["spoofer"] == "none"
-        limit = next(p for p in cell["p_hmi"] if p["alert_limit_m"] == TABLE_LIMIT_M)
-        rows.append(
-            (
-                cell["detector"],
-                cell["spoofer"],
-                setting_of(cell),
-                percent(cell["alarm_rate"]),
-                "-" if clean else interval(cell["delay_s"]),
-                "-" if clean else interval(cell["undetected_displacement_m"]),
-                "-" if clean else percent(limit),
-            )
-        )
-    return rows
-
-
-def clean_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of false alarms, in the order of `CLEAN_HEAD`.
-
-    Parameters
-    ----------
-    summary : dict
-        Of `summarize`.
-
-    Returns
-    -------
-    list of tuple
-        Text.
-    """
-    return [
-        (
-            row["detector"],
-            percent(row["false_alarm_per_run"]),
-            interval({k: 100.0 * x for k, x in row["false_alarm_per_epoch"].items()}, 2),
-            percent(row["warmup_alarm_per_run"]),
-            f"{row['navigation_rms_m']:.2f}",
-        )
-        for row in summary["detectors"]
-    ]
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    return lines + ["| " + " | ".join(row) + " |" for row in rows]
+    return lines + ["| " + " | ".join(map(_cell, row)) + " |" for row in rows]
+
+
+def _cell(text: str) -> str:
+    """Text that stays within its cell."""
+    return " ".join(text.split()).replace("|", "\\|")
 
 
 def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
@@ -167,6 +48,8 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
         lines += [f"**Not finished**: {', '.join(summary['missing'])}.", ""]
     lines += ["## Attacks", "", *_table(ATTACKS_HEAD, attack_rows(summary)), ""]
     lines += [*_reading(config, summary), ""]
+    if summary["rivals"]:
+        lines += ["## Spoofers compared, run by run", "", *_rivals(summary), ""]
     lines += ["## Without attack", "", *_table(CLEAN_HEAD, clean_rows(summary)), ""]
     lines += [
         "False alarms are counted in the window of the attack, by the same runs without attack. "
@@ -187,6 +70,7 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
         ]
         lines += _table(("spoofer", "detectors", "undetected displacement [m]"), rows)
         lines += ["", "A tuned spoofer is set anew for every detector.", ""]
+    lines += ["## What the spoofers know", "", *_table(KNOWLEDGE_HEAD, knowledge_rows(summary)), ""]
     if summary["tuning"]:
         lines += ["## Tuning", "", *_tunings(summary["tuning"])]
     return "\n".join(lines).rstrip() + "\n"
@@ -234,7 +118,26 @@ def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
         f"({told}). *Undetected displacement*: largest "
         "horizontal distance from the clean twin (same seed, same detector, no attack) with no "
         f"alarm up to {alert:g} s after it, mean over all runs, alarmed ones with what they had "
-        "until then (bootstrap, paired over runs).",
+        "until then (bootstrap, paired over runs). *Over budget*: the alarm rate exceeds that of "
+        f"the same runs without attack by more than {100 * summary['budget']:g} points. *Made "
+        "for*: the detector that a spoofer was tuned, optimised or trained against; with another "
+        "detector, receiver, scenario, timeline or attack it is a transfer.",
+    ]
+
+
+def _rivals(summary: dict[str, Any]) -> list[str]:
+    """Spoofers against the best ramp and the best profile, and how these were chosen."""
+    return [
+        *_table(RIVALS_HEAD, rival_rows(summary)),
+        "",
+        *(f"- {line}" for line in reference_lines(summary)),
+        "",
+        "Ratio and difference of the mean undetected displacements, with 95 % intervals by the "
+        "paired bootstrap over runs, the same resamples for all. *Best ramp*: of the ramps whose "
+        "search found a value within the budget on training runs, the one with the larger mean on "
+        "these evaluation runs, which favours the ramps. *Best profile*: the one with the largest "
+        "mean of those whose alarm rate on these runs keeps the budget. A comparison with a "
+        "spoofer over the budget is not on equal footing.",
     ]
 
 

@@ -55,6 +55,21 @@ class Runs(NamedTuple):
         """
         return Runs(self.position_e[:, :count], self.alarm[:, :count], self.peak[:count])
 
+    def take(self, rows: NDArray[np.intp]) -> Runs:
+        """Chosen runs, some of them more than once if so wanted.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Which ones.
+
+        Returns
+        -------
+        Runs
+            Copies.
+        """
+        return Runs(self.position_e[:, rows], self.alarm[:, rows], self.peak[rows])
+
     @property
     def first_alarm(self) -> NDArray[np.int64]:
         """(R,) epoch of the first alarm, from 1 on; 0 where there is none."""
@@ -104,10 +119,25 @@ class WarmStart:
         WarmStart
             A smaller one.
         """
+        return self.take(np.arange(min(count, self.receivers)))
+
+    def take(self, rows: NDArray[np.intp]) -> WarmStart:
+        """Chosen receivers, some of them more than once if so wanted.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Which ones.
+
+        Returns
+        -------
+        WarmStart
+            With the bits that they have among all.
+        """
         part = copy.copy(self)
-        part.receivers = min(count, self.receivers)
-        part._engine = self.extract(self._engine, np.arange(part.receivers))
-        part.warmup_alarm = self.warmup_alarm[: part.receivers]
+        part.receivers = len(rows)
+        part._engine = self.extract(self._engine, rows)
+        part.warmup_alarm = self.warmup_alarm[rows]
         return part
 
     def engine(self) -> Engine:

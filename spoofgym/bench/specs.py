@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
 import importlib
 import inspect
 import json
-import math
 import re
 from collections.abc import Callable, Mapping
-from datetime import date
-from pathlib import PurePath
 from typing import Any, TypeVar, cast
 
-import numpy as np
-
+from .._describe import describe as describe
+from .._describe import digest_of as digest_of
 from .._registry import build
 
 T = TypeVar("T")
@@ -226,6 +221,8 @@ def label_of(spec: Spec, default: Spec | None) -> str:
 def _short(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, list) and len(value) > 3:
+        return f"{len(value)} values"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -243,71 +240,3 @@ def slug(label: str) -> str:
         Letters, digits, dots, underscores, equals signs and hyphens.
     """
     return re.sub(r"[^A-Za-z0-9._=]+", "-", label).strip("-.")
-
-
-def describe(value: Any) -> Any:
-    """Settings as JSON: records by their fields, arrays by a digest.
-
-    Parameters
-    ----------
-    value : object
-        Numbers, words, dates, paths, sequences, mappings, dataclasses, arrays.
-
-    Returns
-    -------
-    object
-        JSON-able, the same for equal settings.
-
-    Raises
-    ------
-    TypeError
-        When there is no telling.
-    """
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"a setting must be finite, got {value}")
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    if isinstance(value, np.ndarray):
-        content = np.ascontiguousarray(value)
-        digest = hashlib.sha256(f"{content.dtype.str}{content.shape}".encode() + content.tobytes())
-        return f"sha256:{digest.hexdigest()[:16]}"
-    if isinstance(value, date):
-        return value.isoformat()
-    if isinstance(value, PurePath):
-        return value.name
-    return _describe_parts(value)
-
-
-def _describe_parts(value: Any) -> Any:
-    """A record, mapping or sequence as JSON."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        named = {f.name: describe(getattr(value, f.name)) for f in dataclasses.fields(value)}
-        return {"kind": type(value).__qualname__, **named}
-    if hasattr(value, "_asdict"):
-        value = value._asdict()
-    if isinstance(value, Mapping):
-        return {str(key): describe(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [describe(item) for item in value]
-    raise TypeError(
-        f"a setting of type {type(value).__qualname__} can't be written down: {value!r}"
-    )
-
-
-def digest_of(config: Any) -> str:
-    """Digest of a configuration, whatever the order of its keys.
-
-    Parameters
-    ----------
-    config : object
-        JSON-able.
-
-    Returns
-    -------
-    str
-        16 hexadecimal digits.
-    """
-    text = json.dumps(config, sort_keys=True, allow_nan=False, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -18,24 +18,28 @@ import numpy as np
 from .. import __version__
 from ..attacks import ATTACKS, Attack, make_attack
 from ..detectors import DETECTORS, Detector
+from ..envs.attach import spoofer_context as spoofer_context
 from ..envs.observations import Observer, terms_of
 from ..envs.presets import make_setup
 from ..envs.setup import Setup, Timeline
 from ..sim.scenario import Scenario, make_scenario
-from ..spoofers import SPOOFERS, Spoofer, SpooferContext
-from .specs import Spec, describe, digest_of, label_of, make, spec_of
+from ..spoofers import Spoofer, SpooferContext
+from .entries import (
+    DEFAULT_DETECTORS,
+    DEFAULT_SPOOFERS,
+    Entry,
+    build_spoofer,
+    check_labels,
+    detector_entry,
+    spoofer_entry,
+)
+from .shipped import fitting
+from .specs import describe, digest_of, make, spec_of
 
+FORMAT = 2
+"""Of the results; those of another one are not scored."""
 SPLITS = {"training": 0, "calibration": 1, "evaluation": 2, "bootstrap": 3}
 """First element of the spawn keys; runs of different splits share no noise."""
-TUNED = "tuned"
-"""Value of a spoofer's setting that is to be searched for."""
-DEFAULT_DETECTORS: tuple[Spec, ...] = ({"name": "snapshot-chi2"}, {"name": "ewma"})
-DEFAULT_SPOOFERS: tuple[Spec, ...] = (
-    {"name": "none"},
-    {"name": "step"},
-    {"name": "ramp", "rate_mps": TUNED},
-    {"name": "accelerating-ramp", "acceleration_mps2": TUNED},
-)
 
 
 def seed_sequences(
@@ -102,104 +106,6 @@ def _check_count(name: str, value: Any, least: int) -> None:
         raise ValueError(f"`{name}` must be a whole number of at least {least}, got {value!r}")
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A detector or a spoofer of a campaign.
-
-    Parameters
-    ----------
-    label : str
-        Short name in results.
-    spec : dict
-        Name and all settings.
-    """
-
-    label: str
-    spec: Spec
-
-    @property
-    def tuned(self) -> str | None:
-        """Setting that is to be searched for."""
-        return next((key for key, value in self.spec.items() if value == TUNED), None)
-
-    def with_value(self, value: float) -> Spec:
-        """Settings with the tuned one at a value.
-
-        Parameters
-        ----------
-        value : float
-            Of the tuned setting.
-
-        Returns
-        -------
-        dict
-            For `make_spoofer`.
-        """
-        return {**self.spec, str(self.tuned): value}
-
-
-def detector_entry(spec: str | Mapping[str, Any] | Detector) -> Entry:
-    """Detector of a campaign.
-
-    Parameters
-    ----------
-    spec : str, mapping or Detector
-        As `make_detector` takes it; the name may be ``module:Class``.
-
-    Returns
-    -------
-    Entry
-        With all its settings.
-    """
-    detector: Detector = make("detector", DETECTORS, Detector, spec)
-    full = spec_of("detector", DETECTORS, detector)
-    return Entry(label_of(full, _default("detector", DETECTORS, type(detector))), full)
-
-
-def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
-    """Spoofer of a campaign.
-
-    Parameters
-    ----------
-    spec : str, mapping or Spoofer
-        As `make_spoofer` takes it; the name may be ``module:Class``, and the tunable setting may
-        be ``"tuned"``.
-
-    Returns
-    -------
-    Entry
-        With all its settings.
-
-    Raises
-    ------
-    ValueError
-        When another setting than the tunable one is to be tuned.
-    """
-    settings: Any = dict(spec) if isinstance(spec, Mapping) else spec
-    tuned = (
-        [key for key, value in settings.items() if value == TUNED] if settings is not spec else []
-    )
-    for key in tuned:
-        del settings[key]
-    spoofer: Spoofer = make("spoofer", SPOOFERS, Spoofer, settings)
-    for key in tuned:
-        if key != spoofer.tunable:
-            raise ValueError(
-                f"`{key}` of spoofer {settings['name']!r} can't be tuned; tunable: "
-                f"{spoofer.tunable or 'nothing'}"
-            )
-    full = {**spec_of("spoofer", SPOOFERS, spoofer), **dict.fromkeys(tuned, TUNED)}
-    return Entry(label_of(full, _default("spoofer", SPOOFERS, type(spoofer))), full)
-
-
-def _default(word: str, kinds: Mapping[str, type[Any]], kind: type[Any]) -> Spec | None:
-    """Settings of a kind by default; None where some have none."""
-    try:
-        return spec_of(word, kinds, kind())
-    except TypeError:
-        return None
-
-
 @dataclass(frozen=True, kw_only=True)
 class Suite:
     """What a campaign runs.
@@ -216,8 +122,9 @@ class Suite:
         Phases of a run.
     detectors : sequence
         As `detector_entry` takes them.
-    spoofers : sequence
-        As `spoofer_entry` takes them; ``none`` is always among them.
+    spoofers : sequence, optional
+        As `spoofer_entry` takes them; ``none`` is always among them.  By default
+        `DEFAULT_SPOOFERS` and the shipped spoofers that were made for such attacks.
     runs : int
         Evaluation runs of every cell, the same for all.
     entropy : int
@@ -233,21 +140,18 @@ class Suite:
     attack: str | Mapping[str, Any] | Attack = "false-position"
     timeline: Mapping[str, float] | Timeline = field(default_factory=Timeline)
     detectors: Sequence[str | Mapping[str, Any] | Detector] = DEFAULT_DETECTORS
-    spoofers: Sequence[str | Mapping[str, Any] | Spoofer] = DEFAULT_SPOOFERS
+    spoofers: Sequence[str | Mapping[str, Any] | Spoofer] | None = None
     runs: int = 200
     entropy: int = 0
     tuning: Tuning = field(default_factory=Tuning)
     notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Check names and settings; nothing is simulated yet."""
+        """Check names and settings; no receiver is simulated yet."""
         _check_count("runs", self.runs, 2)
         _check_count("entropy", self.entropy, 0)
         for entries in (self.detector_entries, self.spoofer_entries):
-            labels = [entry.label for entry in entries]
-            twice = sorted({label for label in labels if labels.count(label) > 1})
-            if twice:
-                raise ValueError(f"listed twice: {', '.join(twice)}")
+            check_labels(entries)
         if not self.detector_entries:
             raise ValueError("a campaign needs at least one detector")
 
@@ -259,9 +163,43 @@ class Suite:
     @cached_property
     def spoofer_entries(self) -> tuple[Entry, ...]:
         """Spoofers in their order, ``none`` first."""
-        entries = [spoofer_entry(spec) for spec in self.spoofers]
+        specs = self.spoofers
+        if specs is None:
+            specs = (*DEFAULT_SPOOFERS, *self._shipped[0])
+        entries = [spoofer_entry(spec) for spec in specs]
         none = spoofer_entry("none")
         return (none, *(entry for entry in entries if entry != none))
+
+    @cached_property
+    def _shipped(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Shipped spoofers that fit, and why others do not."""
+        return fitting(self._context)
+
+    def _context(self, knowledge: str) -> SpooferContext:
+        """What a spoofer with such knowledge at run time would be told."""
+        observer = Observer(terms_of(knowledge), self._setup)
+        return spoofer_context(self._setup, 1, observer)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Which shipped spoofers do not fit, and why, by default; a line each."""
+        return self._shipped[1] if self.spoofers is None else ()
+
+    def check_fit(self) -> None:
+        """Raise where a spoofer does not fit the attack, before anything is played.
+
+        Raises
+        ------
+        ValueError
+            Tells what differs.
+        """
+        for entry in self.spoofer_entries:
+            spec = entry.spec
+            if entry.tuned:
+                kind = type(build_spoofer(entry.with_value(1.0)))
+                low, _ = kind.tuning_range(spoofer_context(self._setup))
+                spec = entry.with_value(low)
+            make_bound_spoofer(spec, self._setup, 1)
 
     @cached_property
     def world(self) -> Scenario:
@@ -321,7 +259,7 @@ class Suite:
         """Everything that the results depend on, JSON-able."""
         setup = self._setup
         return {
-            "format": 1,
+            "format": FORMAT,
             "versions": versions(),
             "scenario": describe(self.world),
             "receiver": describe(setup.receiver),
@@ -333,7 +271,7 @@ class Suite:
             "entropy": self.entropy,
             "splits": dict(SPLITS),
             "tuning": dataclasses.asdict(self.tuning),
-            "notes": list(self.notes),
+            "notes": [*self.notes, *self.left_out],
         }
 
     @cached_property
@@ -361,43 +299,11 @@ def make_bound_spoofer(spec: Any, setup: Setup, receivers: int) -> tuple[Spoofer
     observer : Observer
         All that its level of knowledge allows.
     """
-    spoofer: Spoofer = make("spoofer", SPOOFERS, Spoofer, spec)
+    spoofer = build_spoofer(spec)
     observer = Observer(terms_of(spoofer.knowledge), setup)
-    spoofer.bind(spoofer_context(setup, receivers, observer.names))
+    spoofer.bind(spoofer_context(setup, receivers, observer))
     spoofer.reset()
     return spoofer, observer
-
-
-def spoofer_context(
-    setup: Setup, receivers: int = 1, observation_names: tuple[str, ...] = ()
-) -> SpooferContext:
-    """What a spoofer is told of an attack.
-
-    Parameters
-    ----------
-    setup : Setup
-        World and attack.
-    receivers : int
-        B.
-    observation_names : tuple of str
-        Of its observer.
-
-    Returns
-    -------
-    SpooferContext
-        For `Spoofer.bind`.
-    """
-    attack = setup.attack
-    return SpooferContext(
-        receivers=receivers,
-        interval_s=setup.scenario.epoch_interval_s,
-        steps=setup.steps,
-        control=attack.control,
-        acceleration_limit_mps2=attack.acceleration_limit_mps2,
-        rate_limit_mps=attack.rate_limit_mps,
-        action_names=attack.action_names(setup.world),
-        observation_names=observation_names,
-    )
 
 
 def versions() -> dict[str, str]:

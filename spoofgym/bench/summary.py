@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from .cells import Cell
 from .metrics import (
     RESAMPLES,
-    Estimate,
     bootstrap_mean,
     clopper_pearson,
     clustered_proportion,
@@ -20,34 +18,15 @@ from .metrics import (
     percentiles,
     resamples,
     restricted_mean_delay,
-    wilson,
 )
+from .rivals import compare_rivals, footing
 from .store import ResultsFolder
-from .suite import seed_sequences
+from .suite import FORMAT, seed_sequences
 
 ALERT_LIMITS_M = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0, 556.0)
 """Levels of the P_HMI curve; 40 m is the horizontal alert limit of an approach with vertical
 guidance, 556 m that of a non-precision approach (`icao-annex10`)."""
 TABLE_LIMIT_M = 40.0
-
-
-def as_json(estimate: Estimate) -> dict[str, float | None]:
-    """Estimate by names, None where it is unknown.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        Number and interval.
-
-    Returns
-    -------
-    dict
-        ``value``, ``low``, ``high``.
-    """
-    return {
-        name: None if math.isnan(number) else round(number, 6)
-        for name, number in estimate._asdict().items()
-    }
 
 
 def summarize(folder: ResultsFolder) -> dict[str, Any]:
@@ -62,13 +41,25 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
     -------
     dict
         JSON-able: ``scenario``, ``runs``, ``detectors`` (false alarms), ``cells`` (scores),
-        ``differences`` (paired, between detectors), ``tuning``, ``missing`` (cells).
+        ``differences`` (paired, between detectors), ``rivals`` (paired, between spoofers),
+        ``tuning``, ``missing`` (cells).
+
+    Raises
+    ------
+    ValueError
+        When the results are of another format.
     """
     config = folder.config()
+    if config["format"] != FORMAT:
+        raise ValueError(
+            f"{folder.path} holds results of format {config['format']}, written by spoofgym "
+            f"{config['versions']['spoofgym']}; this one scores format {FORMAT}: play them again"
+        )
     detectors = [entry["label"] for entry in config["detectors"]]
     spoofers = [entry["label"] for entry in config["spoofers"]]
     pairs = [(detector, spoofer) for detector in detectors for spoofer in spoofers]
     cells = {pair: folder.cell(*pair) for pair in pairs if folder.has_cell(*pair)}
+    budget = float(config["tuning"]["budget"])
     samples = bootstrap_samples(config)
     counts = counts_of(samples)
     searches = [folder.tuning(*pair) for pair in pairs]
@@ -82,8 +73,16 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
             for detector in detectors
             if (detector, "none") in cells
         ],
-        "cells": [score_cell(cell, samples, counts) for cell in cells.values()],
+        "budget": budget,
+        "cells": [
+            {
+                **score_cell(cell, samples, counts),
+                **footing(cell, cells.get((cell.detector, "none")), budget, samples),
+            }
+            for cell in cells.values()
+        ],
         "differences": _differences(cells, detectors, spoofers, samples),
+        "rivals": compare_rivals(cells.values(), budget, samples),
         "tuning": [search.as_dict() for search in searches if search is not None],
         "missing": [
             f"{detector} / {spoofer}"
@@ -128,11 +127,11 @@ def score_detector(clean: Cell) -> dict[str, Any]:
     return {
         "detector": clean.detector,
         "window_s": clean.window * clean.interval_s,
-        "false_alarm_per_run": as_json(clopper_pearson(int(clean.alarmed.sum()), clean.runs)),
-        "false_alarm_per_epoch": as_json(
-            clustered_proportion(records["alarm_epochs"], clean.window)
-        ),
-        "warmup_alarm_per_run": as_json(clopper_pearson(warm, clean.runs)),
+        "false_alarm_per_run": clopper_pearson(int(clean.alarmed.sum()), clean.runs).as_json(),
+        "false_alarm_per_epoch": clustered_proportion(
+            records["alarm_epochs"], clean.window
+        ).as_json(),
+        "warmup_alarm_per_run": clopper_pearson(warm, clean.runs).as_json(),
         "navigation_rms_m": float(np.sqrt(np.mean(records["navigation_rms_m"] ** 2)).round(4)),
     }
 
@@ -169,15 +168,14 @@ def score_cell(
         "knowledge": cell.head["knowledge"],
         "attack": cell.head["attack"],
         "runs": cell.runs,
-        "alarm_rate": as_json(wilson(int(cell.alarmed.sum()), cell.runs)),
-        "delay_s": as_json(percentiles(mean, drawn)),
+        "delay_s": percentiles(mean, drawn).as_json(),
         "delay_horizon_s": horizon,
         "delay_runs": int(kept.sum()),
         "delay_excluded": int((~kept).sum()),
-        "undetected_displacement_m": as_json(bootstrap_mean(displacement, samples)),
+        "undetected_displacement_m": bootstrap_mean(displacement, samples).as_json(),
         "largest_error_m": float(records["largest_error_m"].mean().round(4)),
         "p_hmi": [
-            {"alert_limit_m": limit, **as_json(estimate)}
+            {"alert_limit_m": limit, **estimate.as_json()}
             for limit, estimate in zip(
                 ALERT_LIMITS_M, exceedance(displacement, ALERT_LIMITS_M), strict=True
             )
@@ -202,7 +200,7 @@ def _differences(
             other = cells.get((detector, spoofer))
             if other is not None:
                 gap = other.records["undetected_displacement_m"] - reference
-                difference = as_json(bootstrap_mean(gap, samples))
+                difference = bootstrap_mean(gap, samples).as_json()
                 found.append(
                     {
                         "spoofer": spoofer,

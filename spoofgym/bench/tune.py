@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from ..spoofers import SPOOFERS, Spoofer
+from .entries import Entry, build_spoofer
 from .run import Runs, WarmStart, displacement_of, play
-from .specs import make
-from .suite import Entry, Tuning, spoofer_context
+from .suite import Tuning, spoofer_context
 
 Tick = Callable[[float], None]
 
@@ -186,7 +185,7 @@ def tune(
     setting = entry.tuned
     if setting is None:
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
-    any_value: Spoofer = make("spoofer", SPOOFERS, Spoofer, entry.with_value(1.0))
+    any_value = build_spoofer(entry.with_value(1.0))
     low, high = type(any_value).tuning_range(spoofer_context(start.setup))
     grid = _log_spaced(low, high, settings.values)
     everyone = start.receivers

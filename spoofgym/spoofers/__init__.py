@@ -2,45 +2,92 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
-from .._registry import build
+from .._registry import build, check_choice
 from .accelerating_ramp import AcceleratingRamp
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
+from .card import Card
 from .none import NoSpoofer
+from .onnx_policy import SUFFIX, OnnxPolicy
+from .profile import Profile
 from .ramp import Ramp
 from .step import Step
+from .zoo import card_of, shipped, spec_of_shipped
 
 __all__ = [
     "KNOWLEDGE",
     "SPOOFERS",
     "AcceleratingRamp",
+    "Card",
     "NoSpoofer",
+    "OnnxPolicy",
+    "Profile",
     "Ramp",
     "ScriptedSpoofer",
     "Spoofer",
     "SpooferContext",
     "Step",
+    "card_of",
     "make_spoofer",
+    "resolve",
+    "shipped",
 ]
 
 SPOOFERS: dict[str, type[Spoofer]] = {
     "accelerating-ramp": AcceleratingRamp,
     "none": NoSpoofer,
+    "onnx-policy": OnnxPolicy,
+    "profile": Profile,
     "ramp": Ramp,
     "step": Step,
 }
 """Spoofers by name."""
 
 
-def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
-    """Spoofer by name, by name and settings, or a copy of an object.
+def resolve(spec: Any) -> Any:
+    """Registered name and settings behind the name of a shipped spoofer or of an ONNX file.
 
     Parameters
     ----------
     spec : str, dict or Spoofer
-        A name in `SPOOFERS`; ``{"name": ..., "setting": value, ...}``; or a spoofer, which is
-        copied.
+        As `make_spoofer` takes it.
+
+    Returns
+    -------
+    str, dict or Spoofer
+        What is neither shipped nor a file, as it was given.
+
+    Raises
+    ------
+    ValueError
+        When a shipped spoofer is given settings.
+    """
+    settings = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
+    name = settings.pop("name", None)
+    if not isinstance(name, str):
+        return spec
+    if name.endswith(SUFFIX):
+        return {"name": "onnx-policy", "file": name, **settings}
+    if name not in shipped():
+        return spec
+    if settings:
+        raise ValueError(
+            f"the shipped spoofer {name!r} is as it is, and has no setting "
+            f"{', '.join(map(repr, settings))}"
+        )
+    return spec_of_shipped(name)
+
+
+def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
+    """Spoofer by name, by name and settings, by file, or a copy of an object.
+
+    Parameters
+    ----------
+    spec : str, dict or Spoofer
+        A name in `SPOOFERS`, of a shipped spoofer, or the path of an ``.onnx`` file with its card
+        beside it; ``{"name": ..., "setting": value, ...}``; or a spoofer, which is copied.
 
     Returns
     -------
@@ -50,7 +97,8 @@ def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
     Raises
     ------
     ValueError
-        When the name or a setting is unknown; the valid ones are listed.
+        When the name or a setting is unknown, the valid ones are listed; or a file does not fit
+        its card.
     TypeError
         When `spec` is something else.
 
@@ -60,4 +108,8 @@ def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
     >>> make_spoofer({"name": "ramp", "rate_mps": 0.2})
     Ramp(heading_deg=90.0, rate_mps=0.2)
     """
-    return build("spoofer", SPOOFERS, Spoofer, spec)
+    resolved = resolve(spec)
+    name = resolved.get("name") if isinstance(resolved, Mapping) else resolved
+    if isinstance(name, str):
+        check_choice("spoofer", name, [*SPOOFERS, *shipped()])
+    return build("spoofer", SPOOFERS, Spoofer, resolved)

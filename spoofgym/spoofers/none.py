@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from .base import FloatArray, Spoofer
 class NoSpoofer(Spoofer):
     """Commands zero."""
 
-    knowledge: ClassVar[str] = "blind"
+    knowledge = "blind"
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         """Command nothing.

@@ -5,12 +5,14 @@ from __future__ import annotations
 import copy
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..attacks import Attack
+from ..envs.attach import setup_of_card, spoofer_context
 from ..envs.engine import Engine
 from ..envs.observations import Observer, terms_of
 from ..envs.presets import make_setup
@@ -24,16 +26,19 @@ FloatArray = NDArray[np.float64]
 Observation = NDArray[np.float32]
 RECEIVERS = 5
 TIMELINE = Timeline(warmup_s=3.0, live_s=1.0, attack_s=12.0, time_to_alert_s=0.0)
+COMMANDS = 24
+"""As many are tried of an episode."""
 
 
 def check_spoofer(
     spoofer: Spoofer | dict[str, Any] | str,
     *,
-    attack: Attack | Mapping[str, Any] | str = "false-position",
+    attack: Attack | Mapping[str, Any] | str | None = None,
 ) -> None:
     """Check that a spoofer keeps its contract.
 
-    It commands the attack against receivers of the default scenario, and has to show that
+    It commands the attack against receivers of the default scenario, or of the one that its card
+    tells, and has to show that
 
     - it states its knowledge, and its tunable setting, if any, has a range;
     - actions have the right shape and type, are finite, and lie within -1 and 1;
@@ -47,8 +52,8 @@ def check_spoofer(
     ----------
     spoofer : Spoofer, str or dict
         What `make_spoofer` takes.  The object itself is left as it is.
-    attack : Attack, str or mapping
-        What it commands.
+    attack : Attack, str or mapping, optional
+        What it commands: by default what its card tells, or else a false position.
 
     Raises
     ------
@@ -64,12 +69,28 @@ def check_spoofer(
     _check_declarations(unbound)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        setup = make_setup(attack=attack, timeline=TIMELINE, detector="ewma")
+        setup = _setup(unbound, attack)
         observer = Observer(terms_of(unbound.knowledge), setup)
-        context = _context(setup, observer)
+        context = spoofer_context(setup, RECEIVERS, observer)
         _check_tuning(unbound, context)
         observations = _perform(unbound, setup, observer, context)
         run_trial(_SpooferTrial(unbound, context, observations))
+
+
+def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) -> Setup:
+    """Where a spoofer is tried: with a short warm-up, since its length means nothing to it."""
+    card = getattr(spoofer, "card", None)
+    if card is None:
+        attack = "false-position" if attack is None else attack
+        return make_setup(attack=attack, timeline=TIMELINE, detector="ewma")
+    own = setup_of_card(card)
+    return make_setup(
+        scenario=own.scenario,
+        receiver=own.receiver,
+        attack=own.attack if attack is None else attack,
+        detector=own.detector,
+        timeline=replace(TIMELINE, attack_s=own.timeline.attack_s),
+    )
 
 
 def _check_declarations(spoofer: Spoofer) -> None:
@@ -96,20 +117,6 @@ def _check_tuning(spoofer: Spoofer, context: SpooferContext) -> None:
     )
 
 
-def _context(setup: Setup, observer: Observer) -> SpooferContext:
-    attack = setup.attack
-    return SpooferContext(
-        receivers=RECEIVERS,
-        interval_s=setup.scenario.epoch_interval_s,
-        steps=setup.steps,
-        control=attack.control,
-        acceleration_limit_mps2=attack.acceleration_limit_mps2,
-        rate_limit_mps=attack.rate_limit_mps,
-        action_names=attack.action_names(setup.world),
-        observation_names=observer.names,
-    )
-
-
 def _bind(spoofer: Spoofer, context: SpooferContext) -> Spoofer:
     bound = copy.deepcopy(spoofer)
     bound.bind(context)
@@ -126,7 +133,7 @@ def _perform(
     observations = []
     with no_global_chance("spoofer"):
         bound = _bind(spoofer, context)
-        for k in range(setup.steps):
+        for k in range(min(COMMANDS, setup.steps)):
             seen = observer.observe(Snapshot(setup, engine.batch, np.full(RECEIVERS, k)))
             observations.append(seen.copy())
             engine.step(_act(bound, seen, k))

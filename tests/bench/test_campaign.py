@@ -13,7 +13,8 @@ from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
 from spoofgym.bench.campaign import expected_work
 from spoofgym.bench.cells import Cell
 from spoofgym.bench.picture import draw_campaign
-from spoofgym.bench.report import interval, markdown
+from spoofgym.bench.report import markdown
+from spoofgym.bench.tables import interval
 
 from .support import small_suite
 
@@ -194,6 +195,15 @@ def test_differences_between_detectors_are_paired(finished: ResultsFolder) -> No
     assert row["undetected_displacement_m"]["value"] == pytest.approx(gap.mean(), abs=1e-5)
 
 
+def test_results_of_another_format_are_not_scored(tmp_path: Path) -> None:
+    folder = ResultsFolder(tmp_path)
+    folder.open(small_suite())
+    config = folder.config()
+    folder.put_text("config.json", json.dumps({**config, "format": 1}))
+    with pytest.raises(ValueError, match=r"holds results of format 1, .* scores format 2: play"):
+        summarize(folder)
+
+
 def test_all_cells_see_the_same_runs(finished: ResultsFolder) -> None:
     for detector in ("ewma", "snapshot-chi2"):
         warm = [finished.cell(detector, s).records["warmup_alarm"] for s in ("none", "step")]
@@ -204,7 +214,7 @@ def test_the_report_tells_what_was_run_and_what_came_out(finished: ResultsFolder
     text = markdown(finished.config(), summarize(finished))
     for part in (
         "# Campaign: zhong2025",
-        "| ewma | ramp(tuned) | rate_mps=",
+        "| ewma | ramp(tuned) | ewma | rate_mps=",
         "5 evaluation runs, the same for all cells (entropy 0)",
         "knowledge of the spoofers at run time: blind",
         "runs with a false alarm in the warm-up are excluded",

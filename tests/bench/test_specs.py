@@ -54,6 +54,12 @@ def test_labels_tell_what_is_not_default() -> None:
     assert spoofer_entry({"name": "ramp", "rate_mps": "tuned"}).label == "ramp(tuned)"
 
 
+def test_labels_stay_short() -> None:
+    curve = {"name": "profile", "rates_mps": [0.0, 0.1, 0.2, 0.3], "label": None}
+    assert spoofer_entry(curve).label == "profile(rates_mps=4 values,label=none)"
+    assert spoofer_entry({**curve, "label": "mine"}).label == "mine"
+
+
 def test_only_the_tunable_setting_is_tuned() -> None:
     assert spoofer_entry({"name": "step", "size_m": "tuned"}).tuned == "size_m"
     with pytest.raises(ValueError, match="`heading_deg` of spoofer 'ramp' can't be tuned; tunable"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spoofgym.spoofers import SPOOFERS, Spoofer
+from spoofgym.spoofers import SPOOFERS, Spoofer, shipped
 from spoofgym.testing import check_spoofer
 
 ATTACKS = [
@@ -17,9 +17,14 @@ ATTACKS = [
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: "-".join(map(str, attack.values())))
-@pytest.mark.parametrize("name", SPOOFERS)
+@pytest.mark.parametrize("name", sorted(SPOOFERS.keys() - {"onnx-policy"}))  # which needs a file
 def test_every_spoofer_keeps_the_contract(name, attack):
     check_spoofer(name, attack=attack)
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_shipped_spoofer_keeps_the_contract(name):
+    check_spoofer(name)
 
 
 class Follower(Spoofer):

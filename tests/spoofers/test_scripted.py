@@ -63,7 +63,7 @@ def flown(spoofer: Spoofer, told: SpooferContext) -> tuple[np.ndarray, np.ndarra
     return both[:, 0], both[:, 1]
 
 
-@pytest.mark.parametrize("name", sorted(SPOOFERS))
+@pytest.mark.parametrize("name", sorted(SPOOFERS.keys() - {"onnx-policy"}))
 @pytest.mark.parametrize("control", ["rate", "acceleration"])
 def test_what_is_remembered_is_what_the_attack_does(name: str, control: str) -> None:
     spoofer = make_spoofer(name)

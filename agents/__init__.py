@@ -1,0 +1,1 @@
+"""What learns: shapes of networks, their export to ONNX, and records of their training."""

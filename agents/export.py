@@ -1,0 +1,240 @@
+"""From a policy of stable-baselines3 to an ONNX file with its card.
+
+The file holds the deterministic action, the mean of the distribution clipped to [-1, 1], and
+nothing of the value function.  It is run by onnxruntime and compared with the policy before it is
+written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import tempfile
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+from gymnasium import spaces
+from onnx import numpy_helper
+from stable_baselines3.common.distributions import DiagGaussianDistribution
+from stable_baselines3.common.policies import ActorCriticPolicy
+
+from spoofgym._files import write_file
+from spoofgym.spoofers.base import SpooferContext
+from spoofgym.spoofers.card import Card
+from spoofgym.spoofers.card_parts import PolicyFile
+from spoofgym.spoofers.onnx_file import opset_of
+from spoofgym.spoofers.onnx_policy import OnnxPolicy
+
+TOLERANCE = 1e-6
+"""Largest difference of an action between the policy and its file; times the norm of the last
+layer's weights where it exceeds 1, which enlarges what single precision rounds before."""
+TRIED = 4096
+"""Random observations on which they are compared."""
+PREFIX = "policy."
+"""Before the names of the policy's parameters in a file."""
+
+
+class _Actor(torch.nn.Module):
+    """Deterministic action of a policy."""
+
+    def __init__(self, policy: ActorCriticPolicy) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        policy = self.policy
+        features = policy.extract_features(observation, policy.pi_features_extractor)
+        mean = policy.action_net(policy.mlp_extractor.forward_actor(features))
+        return torch.clamp(mean, -1.0, 1.0)
+
+
+class PolicyExporter:
+    """Writes one policy again and again while it learns: traced once, in some seconds.
+
+    Parameters
+    ----------
+    policy : ActorCriticPolicy
+        Such as the ``policy`` of PPO; its weights are read anew for every file.
+
+    Raises
+    ------
+    TypeError
+        When it is no Gaussian policy on a box of observations.
+    """
+
+    def __init__(self, policy: ActorCriticPolicy) -> None:
+        _check_policy(policy)
+        self.policy = policy
+        self._model = _trace(policy)
+
+    def content(self) -> bytes:
+        """The policy as it is now.
+
+        Returns
+        -------
+        bytes
+            Of an ONNX file without external data.
+        """
+        weights = self.policy.state_dict()
+        for tensor in self._model.graph.initializer:
+            weight = weights.get(tensor.name.removeprefix(PREFIX))
+            if weight is not None:
+                array = weight.detach().cpu().numpy()
+                tensor.CopyFrom(numpy_helper.from_array(array, tensor.name))
+        return bytes(self._model.SerializeToString(deterministic=True))
+
+    def write(self, path: str | Path, fields: Mapping[str, Any]) -> Card:
+        """Compare file and policy, then write the file and last its card.
+
+        Parameters
+        ----------
+        path : path-like
+            ``.../NAME.onnx``; the card becomes ``.../NAME.json``.
+        fields : mapping
+            Fields of the card but ``name``, ``kind`` and ``file``.
+
+        Returns
+        -------
+        Card
+            As it was written.
+
+        Raises
+        ------
+        ValueError
+            When the file does not act as the policy does, or the card does not fit; nothing is
+            written then.
+        """
+        path = Path(path)
+        if path.suffix != ".onnx":
+            raise ValueError(f"`path` must end in .onnx, got {path}")
+        content = self.content()
+        file = PolicyFile(
+            name=path.name,
+            sha256=hashlib.sha256(content).hexdigest(),
+            bytes=len(content),
+            opset=opset_of(self._model),
+        )
+        card = Card(name=path.stem, kind="onnx-policy", file=file, **fields)
+        with tempfile.TemporaryDirectory() as folder:
+            _write(Path(folder) / path.name, content, card)
+            _compare(self.policy, OnnxPolicy(str(Path(folder) / path.name)))
+        _write(path, content, card)
+        return card
+
+
+def export_policy(policy: ActorCriticPolicy, path: str | Path, fields: Mapping[str, Any]) -> Card:
+    """Write a policy and its card once.
+
+    Parameters
+    ----------
+    policy : ActorCriticPolicy
+        As in `PolicyExporter`.
+    path : path-like
+        ``.../NAME.onnx``.
+    fields : mapping
+        As in `PolicyExporter.write`.
+
+    Returns
+    -------
+    Card
+        As it was written.
+    """
+    return PolicyExporter(policy).write(path, fields)
+
+
+def _write(path: Path, content: bytes, card: Card) -> None:
+    """File first: what is interrupted in between does not fit its card, and is refused."""
+    write_file(path, content)
+    card.save(path.with_suffix(".json"))
+
+
+def _check_policy(policy: ActorCriticPolicy) -> None:
+    gaussian = isinstance(getattr(policy, "action_dist", None), DiagGaussianDistribution)
+    if not isinstance(policy, ActorCriticPolicy) or not gaussian or policy.squash_output:
+        raise TypeError(
+            "only an actor-critic policy with a Gaussian action, as PPO has it, can be exported, "
+            f"got {type(policy).__name__}"
+        )
+    space = policy.observation_space
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+        raise TypeError(f"a policy must observe a vector, got {space}")
+
+
+def _trace(policy: ActorCriticPolicy) -> onnx.ModelProto:
+    """Graph of the policy; its parameters keep their names."""
+    example = torch.zeros(2, *policy.observation_space.shape, device=policy.device)
+    training = policy.training
+    policy.set_training_mode(False)
+    log = logging.getLogger("torch.onnx")
+    level = log.level
+    log.setLevel(logging.ERROR)  # it misses torchvision
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # torch about torch
+            program = torch.onnx.export(
+                _Actor(policy),
+                (example,),
+                dynamo=True,
+                verbose=False,
+                optimize=False,  # which would fold weights away; onnxruntime optimises by itself
+                input_names=["observation"],
+                output_names=["action"],
+                dynamic_shapes={"observation": {0: torch.export.Dim("batch")}},
+            )
+    finally:
+        log.setLevel(level)
+        policy.set_training_mode(training)
+    return _plain(program.model_proto)
+
+
+def _plain(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Without the remarks of the exporter, which hold paths of this machine."""
+    graph = model.graph
+    for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.initializer):
+        part.ClearField("doc_string")
+        part.ClearField("metadata_props")
+    graph.ClearField("value_info")
+    return model
+
+
+def _compare(policy: ActorCriticPolicy, written: OnnxPolicy) -> None:
+    """Raise unless a file acts as its policy, all over the space of its card."""
+    space = written.card.observation
+    assert space is not None  # OnnxPolicy has checked it
+    low, high = np.array(space.low, dtype=np.float32), np.array(space.high, dtype=np.float32)
+    own = policy.observation_space
+    if not (np.array_equal(low, own.low) and np.array_equal(high, own.high)):
+        raise ValueError(
+            f"the policy observes {own}, but the card of {written.card.name!r} has other bounds"
+        )
+    drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
+    observation = np.vstack([drawn.astype(np.float32), low, high])
+    written.bind(_context(written.card, len(observation)))
+    action = written.act(observation)
+    expected, _ = policy.predict(observation, deterministic=True)
+    apart = float(np.abs(action - expected).max())
+    gain = float(policy.action_net.weight.detach().norm(dim=1).max())
+    allowed = TOLERANCE * max(gain, 1.0)
+    if not apart <= allowed:
+        raise ValueError(
+            f"the exported {written.card.name!r} differs from the policy by {apart:.2g}, more than "
+            f"{allowed:.2g}"
+        )
+
+
+def _context(card: Card, receivers: int) -> SpooferContext:
+    """What its own card asks for."""
+    assert card.observation is not None
+    return SpooferContext(
+        receivers=receivers,
+        action_names=card.action.names,
+        observation_names=card.observation.names,
+        observation_low=card.observation.low,
+        observation_high=card.observation.high,
+        **card.conditions.model_dump(),
+    )

@@ -1,0 +1,205 @@
+"""Optimised open-loop profiles: ``python -m baselines.profile --detector ewma --out ewma.json``.
+
+A blind spoofer that plans one curve of the rate for all runs, tuned by CMA-ES.  A learned blind
+policy that does not reach it has not learned anything.
+
+1. The ramps are tuned on the runs of the choice, by `spoofgym.bench.tune`.
+2. The search begins between the two ramps, or at a given card, on runs of its own.
+3. The shapes that it offers are scaled to the alarm budget on the runs of the choice.
+
+All runs are of the training split, so that evaluation runs share no noise with them.  After every
+generation the record of the search is written beside the card; the same command goes on from there.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spoofgym.bench.specs import parse_spec
+from spoofgym.bench.suite import Suite, Tuning
+from spoofgym.cli import INTERRUPTED, clear_errors
+from spoofgym.envs.setup import Timeline
+
+from .profile_card import profile_card, rivals
+from .profile_choice import Choice
+from .profile_run import Bounds, ProfileRun, RunSettings, Tell
+from .profile_search import SearchSettings
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.command()
+@clear_errors
+def main(
+    out: Annotated[Path, typer.Option(help="Card of the profile, a .json file.")],
+    detector: Annotated[
+        str, typer.Option(help="Detector: a name, with settings as name:key=value or JSON.")
+    ] = "ewma",
+    scenario: Annotated[str, typer.Option(help="Scenario, likewise.")] = "zhong2025",
+    attack: Annotated[str, typer.Option(help="Attack, likewise.")] = "false-position",
+    heading: Annotated[
+        float, typer.Option(help="Direction of the profile, in degrees clockwise from north.")
+    ] = 90.0,
+    knots: Annotated[int, typer.Option(help="Knots of the curve, 8 to 16.")] = 12,
+    cross: Annotated[
+        bool, typer.Option("--cross/--no-cross", help="Search for a curve across the heading too.")
+    ] = False,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            help="Time of the search, interruptions not counted. Default: 120, or no limit where "
+            "--generations is given."
+        ),
+    ] = None,
+    generations: Annotated[
+        int | None, typer.Option(min=1, help="Stop after so many generations.")
+    ] = None,
+    population: Annotated[int, typer.Option(help="Candidates of a generation.")] = 12,
+    runs: Annotated[int, typer.Option(help="Training runs of the search.")] = 128,
+    batch: Annotated[
+        int, typer.Option(help="Runs that a generation plays, in turn; all of them at most.")
+    ] = 32,
+    select_runs: Annotated[
+        int, typer.Option(help="Training runs of the choice, which the search does not see.")
+    ] = 512,
+    budget: Annotated[
+        float,
+        typer.Option(
+            help="How much more often than without attack an alarm may come, as a part of the runs."
+        ),
+    ] = 0.05,
+    margin: Annotated[
+        float,
+        typer.Option(help="Distance of the choice from the budget, in standard errors."),
+    ] = 0.5,
+    restarts: Annotated[
+        int, typer.Option(help="How often a search that has converged begins again.")
+    ] = 0,
+    seed: Annotated[int, typer.Option(help="All chance follows from this number.")] = 0,
+    start: Annotated[
+        Path | None, typer.Option(help="Card of a profile to begin at, instead of the ramps.")
+    ] = None,
+    warmup_s: Annotated[float, typer.Option(help="Clean run before the attack, in seconds.")] = 200,
+    live_s: Annotated[float, typer.Option(help="Its last part, with the detector live.")] = 60.0,
+    attack_s: Annotated[float, typer.Option(help="Command phase, in seconds.")] = 150.0,
+    time_to_alert_s: Annotated[float, typer.Option(help="Time to alert, in seconds.")] = 10.0,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Threads of the engine. Default: as many as pay.")
+    ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume/--overwrite", help="Go on with a search that was interrupted."),
+    ] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else.")] = False,
+) -> None:
+    """Search for the open-loop profile that gets farthest within an alarm budget."""
+    suite = Suite(
+        scenario=parse_spec(scenario),
+        attack=parse_spec(attack),
+        detectors=[parse_spec(detector)],
+        spoofers=[
+            {"name": "ramp", "rate_mps": "tuned", "heading_deg": heading},
+            {"name": "accelerating-ramp", "acceleration_mps2": "tuned", "heading_deg": heading},
+        ],
+        timeline=Timeline(
+            warmup_s=warmup_s, live_s=live_s, attack_s=attack_s, time_to_alert_s=time_to_alert_s
+        ),
+        entropy=seed,
+        tuning=Tuning(runs=select_runs, sift_runs=max(select_runs // 8, 1), budget=budget),
+    )
+    settings = RunSettings(
+        search=SearchSettings(
+            knots=knots,
+            cross=cross,
+            heading_deg=heading,
+            population=population,
+            batch=batch,
+            restarts=restarts,
+            budget=budget,
+            seed=seed,
+        ),
+        runs=runs,
+        select_runs=select_runs,
+        margin=margin,
+    )
+    bounds = Bounds.of(seconds, generations)
+    run = ProfileRun(suite, settings, out, start=start, threads=threads, resume=resume)
+    try:
+        with _progress() as tell:
+            choice = run.play(bounds, tell)
+    except KeyboardInterrupt:
+        typer.echo(
+            f"interrupted: what is finished is kept in {run.path}; the same command goes on from "
+            "there",
+            err=True,
+        )
+        raise typer.Exit(INTERRUPTED) from None
+    card = profile_card(run, choice, ["python", "-m", "baselines.profile", *sys.argv[1:]])
+    card.save(out)
+    run.path.unlink()
+    if as_json:
+        typer.echo(json.dumps(card.model_dump(), indent=1, allow_nan=False))
+        return
+    _print_table(run, choice)
+    typer.echo(f"written: {out}")
+
+
+@contextmanager
+def _progress() -> Iterator[Tell]:
+    """A bar that is told which part of the search is done, and what is going on."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    task = bar.add_task("", total=1.0)
+    with bar:
+        yield lambda part, now: bar.update(task, completed=part, description=now)
+
+
+def _print_table(run: ProfileRun, choice: Choice) -> None:
+    """The profile beside the ramps, on the runs of the choice."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=120)
+    clean = run.ramps[0].clean_alarm_rate
+    title = (
+        f"{run.settings.select_runs} training runs against {run.detector.label}, "
+        f"{100 * clean:.1f} % alarm without attack; at most {100 * run.budget:g} % more"
+    )
+    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD)
+    for name in ("spoofer", "runs with an alarm [%]", "undetected displacement [m]"):
+        table.add_column(Text(name))
+    for row in rivals(run, choice):
+        table.add_row(
+            str(row["spoofer"]) + ("" if row["within_budget"] else " (beyond the budget)"),
+            f"{100 * row['alarm_rate']:.1f}",
+            f"{row['undetected_displacement_m']:.2f}",
+        )
+    console.print(table)
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,391 @@
+r"""The search for an open-loop profile: CMA-ES with common random numbers under an alarm budget.
+
+A candidate x is a vector of rates at the knots, in units of the largest rate of the curve that the
+search starts at.  Every generation plays all its candidates on the same part of the runs, and the
+next generation on another part, so that the mean of the search distribution does not learn the
+noise of a few runs by heart.  What is maximised is a Lagrangian,
+
+.. math:: L(x) = \bar D_u(x) - \lambda (\bar A(x) - \bar A_0)
+
+with the mean undetected displacement, and the excess of the alarms over those of the same runs
+without attack.  Counted alarms are coarse on a few runs: a run without alarm counts for
+:math:`\exp(-(1 - p) / w)` where its peak ratio p came close to 1, and what that adds on the
+average is taken off again.  The price follows the alarms, by a moving average over generations,
+
+.. math:: \lambda = \lambda_0 \exp(\kappa (\bar A - \bar A_0 - b) / b)
+
+so that the search stays near the budget b; how fast the curve may be in the end is decided
+afterwards, on other runs (`profile_choice`).  CMA-ES is that of `hansen2006`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from cmaes import CMA
+from numpy.typing import NDArray
+
+from spoofgym.spoofers import Profile
+
+from .runs import Outcome, RunPool
+
+FloatArray = NDArray[np.float64]
+KNOTS = (8, 16)
+"""Fewest and most knots of a search."""
+PRICE, GAIN, FOLLOW = 6.0, 0.7, 0.2
+"""lambda_0 in units of the displacement at the start; kappa; weight of the newest generation."""
+CLOSE = 0.1
+"""w, how close to its threshold a statistic counts as half an alarm."""
+SMOOTH_LENGTH = 0.25
+"""Part of the window over which neighbouring knots vary together."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings:
+    """How a profile is searched for.
+
+    Parameters
+    ----------
+    knots : int
+        Of the curve, 8 to 16.
+    cross : bool
+        Whether a second curve across the heading is searched for as well.
+    heading_deg : float
+        Of the profile.
+    population : int
+        Candidates of a generation.
+    batch : int
+        Runs that each of them plays.
+    restarts : int
+        How often a search that has converged begins again from its mean.
+    budget : float
+        How much more often than without attack an alarm may come.
+    seed : int
+        Of the candidates, and of the order of the runs.
+    """
+
+    knots: int = 12
+    cross: bool = False
+    heading_deg: float = 90.0
+    population: int = 12
+    batch: int = 48
+    restarts: int = 0
+    budget: float = 0.05
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if not KNOTS[0] <= self.knots <= KNOTS[1]:
+            raise ValueError(f"`knots` must be {KNOTS[0]} to {KNOTS[1]}, got {self.knots}")
+        for name, least in (("population", 4), ("batch", 2), ("restarts", 0), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"`{name}` must be at least {least}, got {getattr(self, name)}")
+        if not 0.0 < self.budget < 1.0:
+            raise ValueError(f"`budget` must be above 0 and below 1, got {self.budget}")
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a search begins.
+
+    Parameters
+    ----------
+    rates_mps : list of float
+        (knots,) curve along the heading; it must move.
+    displacement_m : float
+        Mean undetected displacement that it reaches, above 0; the scale of the price of alarms.
+    sigma : float
+        Standard deviation of the first generation, in units of the largest rate.
+    smooth : float
+        Part of its variance that neighbouring knots share.
+    """
+
+    rates_mps: list[float]
+    displacement_m: float
+    sigma: float = 0.1
+    smooth: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Check that it is one."""
+        if not (self.unit_mps > 0.0 and self.displacement_m > 0.0):
+            raise ValueError("the start must move, and get somewhere before the first alarm")
+
+    @property
+    def unit_mps(self) -> float:
+        """Largest rate."""
+        return float(np.abs(self.rates_mps).max())
+
+
+@dataclass(frozen=True)
+class Generation:
+    """One generation: what was tried, and what came of it.
+
+    Parameters
+    ----------
+    points : list of list of float
+        Candidates.
+    losses : list of float
+        Minus their Lagrangians, which CMA-ES was told.
+    displacement_m : float
+        Mean undetected displacement over all candidates.
+    excess, soft_excess : float
+        Their mean excess of alarms, counted, and with runs that came close.
+    """
+
+    points: list[list[float]]
+    losses: list[float]
+    displacement_m: float
+    excess: float
+    soft_excess: float
+
+
+class ProfileSearch:
+    """A search that can be stopped after every generation, and taken up again from its record.
+
+    Parameters
+    ----------
+    pool : RunPool
+        Training runs.
+    settings : SearchSettings
+        Of the search.
+    start : Start
+        Where it begins.
+    record : sequence of Generation
+        Generations of an interrupted search with the same settings, which goes on after them.
+
+    Attributes
+    ----------
+    generations : list of Generation
+        All so far.
+    finished : bool
+        Whether the last restart has converged.
+
+    Raises
+    ------
+    ValueError
+        When the record is not one of such a search.
+    """
+
+    def __init__(
+        self,
+        pool: RunPool,
+        settings: SearchSettings,
+        start: Start,
+        record: Sequence[Generation] = (),
+    ) -> None:
+        if settings.batch > pool.runs:
+            raise ValueError(f"`batch` = {settings.batch} is more than the {pool.runs} runs")
+        if len(start.rates_mps) != settings.knots:
+            raise ValueError(
+                f"the start must have {settings.knots} rates, got {len(start.rates_mps)}"
+            )
+        self.pool, self.settings, self.start = pool, settings, start
+        self.generations: list[Generation] = []
+        self.finished, self._left = False, settings.restarts
+        self._excess, self._softness = settings.budget, 0.0
+        self._cma = begin(settings, start, start_point(settings, start), settings.seed)
+        self._means: list[FloatArray] = []
+        for past in record:
+            self._replay(past)
+
+    @property
+    def price(self) -> float:
+        """Displacement that an alarm in every run costs [m]."""
+        beyond = np.clip(self._excess / self.settings.budget - 1.0, -4.0, 4.0)
+        return float(PRICE * self.start.displacement_m * np.exp(GAIN * beyond))
+
+    def rows(self) -> NDArray[np.intp]:
+        """Runs of the coming generation; all have their turn before any comes again."""
+        per_round = self.pool.runs // self.settings.batch
+        turn, part = divmod(len(self.generations), per_round)
+        order = np.random.default_rng([self.settings.seed, turn]).permutation(self.pool.runs)
+        size = self.settings.batch
+        return np.sort(order[part * size : (part + 1) * size])
+
+    def profile(self, point: FloatArray, scale: float = 1.0) -> Profile:
+        """Spoofer of a candidate.
+
+        Parameters
+        ----------
+        point : ndarray
+            Candidate.
+        scale : float
+            Factor on all rates.
+
+        Returns
+        -------
+        Profile
+            Cut to the attack's limit of the rate.
+        """
+        limit = self.pool.setup.attack.rate_limit_mps
+        return profile_at(self.settings, point * self.start.unit_mps * scale, limit)
+
+    def step(self) -> Generation:
+        """Try one generation.
+
+        Returns
+        -------
+        Generation
+            Also the last one of `generations`.
+        """
+        points = [self._cma.ask() for _ in range(self.settings.population)]
+        outcome = self.pool.play([self.profile(point) for point in points], self.rows())
+        counted, soft = outcome.excess.mean(axis=1), soft_excess(outcome)
+        displacement = outcome.displacement_m.mean(axis=1)
+        self._follow(float(counted.mean()), float(soft.mean()))
+        losses = self.price * (soft - self._softness) - displacement
+        done = Generation(
+            [point.tolist() for point in points],
+            losses.tolist(),
+            float(displacement.mean()),
+            float(counted.mean()),
+            float(soft.mean()),
+        )
+        self._learn(points, done)
+        return done
+
+    def _follow(self, counted: float, soft: float) -> None:
+        """Moving averages of the alarms, and of what runs that came close add to them."""
+        weight = FOLLOW if self.generations else 1.0
+        self._softness += weight * (soft - counted - self._softness)
+        self._excess += FOLLOW * (counted - self._excess)
+
+    def _learn(self, points: list[FloatArray], done: Generation) -> None:
+        """Tell CMA-ES, and keep the record."""
+        self._cma.tell(list(zip(points, done.losses, strict=True)))
+        self.generations.append(done)
+        self._means.append(self._cma.mean.copy())
+        if self._cma.should_stop():
+            self.finished = self._left == 0
+            if not self.finished:
+                self._left -= 1
+                seed = self.settings.seed + self.settings.restarts - self._left
+                self._cma = begin(self.settings, self.start, self._means[-1], seed)
+
+    def _replay(self, past: Generation) -> None:
+        """Take up a generation that was played before the search was interrupted."""
+        points = [self._cma.ask() for _ in range(self.settings.population)]
+        if [point.tolist() for point in points] != past.points:
+            raise ValueError(
+                f"generation {len(self.generations)} of the record is not what this search "
+                "would have tried: it comes from other settings, or from another machine"
+            )
+        self._follow(past.excess, past.soft_excess)
+        self._learn(points, past)
+
+    def shapes(self) -> dict[str, FloatArray]:
+        """Curves that are worth a choice, by what they are.
+
+        Returns
+        -------
+        dict
+            The last mean of the search distribution, its average over the last third of the
+            generations, and the best candidate of the last generation.
+        """
+        if not self.generations:
+            raise ValueError("the search has not begun")
+        last = self.generations[-1]
+        third = self._means[-max(len(self._means) // 3, 1) :]
+        return {
+            "mean": self._means[-1],
+            "averaged mean": np.mean(third, axis=0),
+            "best of the last generation": np.array(last.points[int(np.argmin(last.losses))]),
+        }
+
+
+def soft_excess(outcome: Outcome) -> FloatArray:
+    """Excess of alarms, in which runs that came close count in part.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        Of P profiles.
+
+    Returns
+    -------
+    ndarray
+        (P,) mean over the runs.
+    """
+
+    def part(alarm: NDArray[np.bool_], peak: FloatArray) -> FloatArray:
+        """1 for an alarm, less the farther the peak is from it."""
+        return np.where(alarm, 1.0, np.exp(-np.maximum(1.0 - peak, 0.0) / CLOSE))
+
+    clean = part(outcome.clean_alarm, outcome.clean_peak)
+    return np.asarray((part(outcome.alarm, outcome.peak) - clean).mean(axis=1))
+
+
+def start_point(settings: SearchSettings, start: Start) -> FloatArray:
+    """First mean of the search: the curve of the start, and nothing across.
+
+    Parameters
+    ----------
+    settings : SearchSettings
+        Of the search.
+    start : Start
+        Where it begins.
+
+    Returns
+    -------
+    ndarray
+        (knots,), or (2 knots,) with a second curve.
+    """
+    point = np.asarray(start.rates_mps, dtype=np.float64) / start.unit_mps
+    return np.concatenate([point, np.zeros(len(point) if settings.cross else 0)])
+
+
+def begin(settings: SearchSettings, start: Start, mean: FloatArray, seed: int) -> CMA:
+    """CMA-ES around a point, with curves that are smooth for a good part.
+
+    Parameters
+    ----------
+    settings : SearchSettings
+        Of the search.
+    start : Start
+        Tells the standard deviation, and how smooth the curves are.
+    mean : ndarray
+        The point.
+    seed : int
+        Of the candidates.
+
+    Returns
+    -------
+    CMA
+        Before its first generation.
+    """
+    t = np.linspace(0.0, 1.0, settings.knots)
+    near = np.exp(-0.5 * ((t[:, None] - t) / SMOOTH_LENGTH) ** 2)
+    block = start.smooth * near + (1.0 - start.smooth) * np.eye(len(t))
+    cov = np.kron(np.eye(2 if settings.cross else 1), block)
+    size = settings.population
+    return CMA(mean=mean, sigma=start.sigma, seed=seed, cov=cov, population_size=size)
+
+
+def profile_at(settings: SearchSettings, rates_mps: FloatArray, limit_mps: float) -> Profile:
+    """Spoofer of one curve, or of one along and one across the heading.
+
+    Parameters
+    ----------
+    settings : SearchSettings
+        Of the search.
+    rates_mps : ndarray
+        (knots,) or (2 knots,).
+    limit_mps : float
+        Of the attack; what is beyond is cut.
+
+    Returns
+    -------
+    Profile
+        Within the limit.
+    """
+    curves = np.reshape(rates_mps, (-1, settings.knots))
+    limit = limit_mps / math.sqrt(len(curves))
+    along, *across = [tuple(curve.tolist()) for curve in np.clip(curves, -limit, limit)]
+    return Profile(
+        rates_mps=along,
+        cross_rates_mps=across[0] if across else (),
+        heading_deg=settings.heading_deg,
+    )

@@ -1,0 +1,172 @@
+"""Many open-loop profiles on the same runs, side by side in one engine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spoofgym.bench.run import WarmStart, displacement_of, play
+from spoofgym.envs.setup import Setup
+from spoofgym.spoofers import Profile, SpooferContext
+from spoofgym.spoofers.profile import sampled
+
+FloatArray = NDArray[np.float64]
+MOST_RECEIVERS = 1024
+"""Largest batch of one engine; more of them cost memory and bring no speed."""
+
+
+class Outcome(NamedTuple):
+    """What P profiles did on R runs.
+
+    Attributes
+    ----------
+    displacement_m : ndarray
+        (P, R) undetected displacement [m].
+    alarm : ndarray
+        (P, R) bool, whether the run alarmed.
+    peak : ndarray
+        (P, R) largest ratio of a statistic to its threshold; of an alarmed run above 1.
+    clean_alarm : ndarray
+        (R,) bool, the same runs without attack.
+    clean_peak : ndarray
+        (R,) the same.
+    """
+
+    displacement_m: FloatArray
+    alarm: NDArray[np.bool_]
+    peak: FloatArray
+    clean_alarm: NDArray[np.bool_]
+    clean_peak: FloatArray
+
+    @property
+    def excess(self) -> FloatArray:
+        """(P, R) alarm under attack less alarm without it: 1, 0 or -1."""
+        return self.alarm.astype(np.float64) - self.clean_alarm
+
+
+@dataclass(kw_only=True)
+class Population(Profile):
+    """Several profiles, each on an equal share of the receivers, in their order.
+
+    Parameters
+    ----------
+    rates_mps, cross_rates_mps, heading_deg, label, designed_on
+        As in `Profile`; the rates are those of the first profile.
+    members : tuple of Profile
+        All of them, with the same heading, all with cross rates or none.
+    """
+
+    members: tuple[Profile, ...] = ()
+
+    def bind(self, context: SpooferContext) -> None:
+        """Prepare for a batch of receivers.
+
+        Parameters
+        ----------
+        context : SpooferContext
+            Sizes, limits and names.
+        """
+        super().bind(context)
+        count, steps = len(self.members), context.steps
+        self._along = np.concatenate([sampled(m.rates_mps, steps) for m in self.members])
+        self._across = np.concatenate(
+            [sampled(m.cross_rates_mps or (0.0, 0.0), steps) for m in self.members]
+        )
+        member = np.arange(context.receivers) * count // context.receivers
+        self.memory.declare("member", member)
+
+    def _row(self, step: FloatArray) -> NDArray[np.int64]:
+        """Place of the coming epoch in the sampled curves, which stand one after the other."""
+        steps = self.context.steps
+        within = np.minimum(step.astype(np.int64), steps - 1)
+        return np.asarray(self.memory["member"] * steps + within)
+
+
+def population(profiles: Sequence[Profile]) -> Population:
+    """Profiles side by side.
+
+    Parameters
+    ----------
+    profiles : sequence of Profile
+        At least one.
+
+    Returns
+    -------
+    Population
+        Not bound yet.
+    """
+    first = profiles[0]
+    return Population(
+        heading_deg=first.heading_deg,
+        rates_mps=first.rates_mps,
+        cross_rates_mps=first.cross_rates_mps,
+        members=tuple(profiles),
+    )
+
+
+class RunPool:
+    """Runs at the onset of the attack, and what they do without it.
+
+    Parameters
+    ----------
+    setup : Setup
+        World, victim, attack, detector and timeline.
+    rngs : sequence of Generator
+        One per run.
+    threads : int, optional
+        As in `Engine`.
+
+    Attributes
+    ----------
+    start : WarmStart
+        All runs.
+    clean : Runs
+        All runs without attack.
+    """
+
+    def __init__(
+        self, setup: Setup, rngs: Sequence[np.random.Generator], *, threads: int | None = None
+    ) -> None:
+        self.setup, self.runs = setup, len(rngs)
+        self.start = WarmStart(setup, rngs, threads=threads)
+        self.clean = play(self.start, "none")
+
+    def play(self, profiles: Sequence[Profile], rows: NDArray[np.intp] | None = None) -> Outcome:
+        """Let profiles attack the same runs.
+
+        Parameters
+        ----------
+        profiles : sequence of Profile
+            With the same heading, all with cross rates or none.
+        rows : ndarray, optional
+            Which runs; all by default.
+
+        Returns
+        -------
+        Outcome
+            The same for a profile whatever the others are.
+        """
+        rows = np.arange(self.runs) if rows is None else rows
+        share = max(MOST_RECEIVERS // len(rows), 1)
+        parts = [
+            self._play(profiles[first : first + share], rows)
+            for first in range(0, len(profiles), share)
+        ]
+        displacement, alarm, peak = (np.concatenate(column) for column in zip(*parts, strict=True))
+        clean = self.clean.take(rows)
+        clean_alarm = np.asarray(clean.alarm.any(axis=0))
+        return Outcome(displacement, alarm, peak, clean_alarm, clean.peak)
+
+    def _play(
+        self, profiles: Sequence[Profile], rows: NDArray[np.intp]
+    ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+        """Displacement, alarm and peak, (P, R) each."""
+        shape, everyone = (len(profiles), len(rows)), np.tile(rows, len(profiles))
+        attacked = play(self.start.take(everyone), population(profiles), drop_alarmed=True)
+        displacement = displacement_of(self.setup, attacked, self.clean.take(everyone))
+        alarm = attacked.alarm.any(axis=0)
+        return displacement.reshape(shape), alarm.reshape(shape), attacked.peak.reshape(shape)

@@ -1,0 +1,148 @@
+"""Cards of spoofers, to be read by people."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from ..spoofers.card import Card
+from ..spoofers.zoo import card_of
+
+SCORES_HEAD = (
+    "detector",
+    "runs",
+    "split, entropy",
+    "undetected displacement [m]",
+    "alarm rate [%]",
+    "without attack [%]",
+    "budget, points",
+)
+SHOWN = 60
+"""Letters of a long list or text that are shown."""
+
+
+def find_card(name: str) -> Card:
+    """Card by the name of a shipped spoofer, or by a file.
+
+    Parameters
+    ----------
+    name : str
+        Shipped name; path of a card, ``.json``; or of a policy, ``.onnx``, with the card beside it.
+
+    Returns
+    -------
+    Card
+        As it was written.
+    """
+    path = Path(name)
+    if path.suffix in {".json", ".onnx"}:
+        return Card.load(path.with_suffix(".json"))
+    return card_of(name)
+
+
+def score_text(score: dict[str, Any]) -> str:
+    """One score in a line.
+
+    Parameters
+    ----------
+    score : dict
+        Of a card.
+
+    Returns
+    -------
+    str
+        Such as ``ewma: 31.2 m (29.8 to 32.6), alarms 20.4 % (clean 17.6 %)``.
+    """
+    mean, low, high = (score[key] for key in ("undetected_displacement_m", "low", "high"))
+    rate, clean = 100.0 * score["alarm_rate"], 100.0 * score["clean_alarm_rate"]
+    return (
+        f"{score['detector']}: {mean:.1f} m ({low:.1f} to {high:.1f}), alarms {rate:.1f} % "
+        f"(clean {clean:.1f} %)"
+    )
+
+
+def score_rows(card: Card) -> list[tuple[str, ...]]:
+    """Rows of the table of scores, in the order of `SCORES_HEAD`.
+
+    Parameters
+    ----------
+    card : Card
+        Of a spoofer.
+
+    Returns
+    -------
+    list of tuple
+        Text.
+    """
+    return [
+        (
+            score.detector,
+            str(score.runs),
+            f"{score.split}, {score.entropy}",
+            f"{score.undetected_displacement_m:.1f} ({score.low:.1f} to {score.high:.1f})",
+            f"{100 * score.alarm_rate:.1f}",
+            f"{100 * score.clean_alarm_rate:.1f}",
+            f"{100 * score.budget:g}",
+        )
+        for score in card.scores
+    ]
+
+
+def card_rows(card: Card) -> list[tuple[str, str]]:
+    """What else a card tells, field by field.
+
+    Parameters
+    ----------
+    card : Card
+        Of a spoofer.
+
+    Returns
+    -------
+    list of tuple
+        Name and text; long lists are cut.
+    """
+    conditions, file = card.conditions, card.file
+    limits = f"{conditions.rate_limit_mps:g} m/s"
+    if conditions.control == "acceleration":
+        limits = f"{conditions.acceleration_limit_mps2:g} m/s^2 and {limits}"
+    rows = [
+        ("kind", card.kind),
+        ("knows at run time", card.knowledge.run_time),
+        ("was designed on", card.knowledge.design_time),
+        ("environment", card.env_id),
+        *_settings("with", card.env_kwargs),
+        ("observes", "nothing" if card.observation is None else _names(card.observation.names)),
+        ("commands", _names(card.action.names)),
+        (
+            "attack",
+            f"{conditions.steps} commands, one every {conditions.interval_s:g} s, by "
+            f"{conditions.control}; limits {limits}",
+        ),
+        *_settings("setting", card.settings),
+        *_settings("training", card.training),
+        *_settings("version", card.versions),
+        ("compared with", f"{len(card.rivals)} rivals, whose tuning `--json` shows"),
+    ]
+    if file is not None:
+        rows.append(("file", f"{file.name}, {file.bytes} bytes, opset {file.opset}"))
+        rows.append(("sha256", file.sha256))
+    return rows
+
+
+def _names(names: tuple[str, ...]) -> str:
+    """How many, and the first ones."""
+    return f"{len(names)}: {_cut(', '.join(names))}"
+
+
+def _settings(word: str, settings: dict[str, Any]) -> list[tuple[str, str]]:
+    """A row for each setting."""
+    rows = []
+    for key, value in settings.items():
+        text = value if isinstance(value, str) else json.dumps(value)
+        rows.append((f"{word} {key}", text if key == "command" else _cut(text)))
+    return rows
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= SHOWN else f"{text[:SHOWN].rstrip(', ')} ..."

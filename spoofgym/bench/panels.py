@@ -1,0 +1,291 @@
+"""Panels of the picture of a campaign."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .cells import Cell
+from .rivals import PROFILE, SCRIPTED
+from .summary import TABLE_LIMIT_M
+from .tables import number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Okabe and Ito's colours, which colour-blind people tell apart, and two more
+COLOURS = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#E69F00",
+    "#56B4E9",
+    "#000000",
+    "#882255",
+    "#999933",
+)
+GREY = "#777777"
+SMALLEST_M = 0.05
+"""Displacements below it lie on the edge of the picture."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How one spoofer is drawn: what it is by marker and dashes, which one by colour.
+
+    Parameters
+    ----------
+    colour, marker, dashes : str
+        As matplotlib takes them.
+    width : float
+        Of lines; thinner for later ones, so that earlier ones show beneath them.
+    """
+
+    colour: str
+    marker: str
+    dashes: str
+    width: float
+
+
+def looks(spoofers: list[dict[str, Any]]) -> dict[str, Look]:
+    """How the spoofers of a campaign are drawn.
+
+    Parameters
+    ----------
+    spoofers : list of dict
+        Entries of its configuration.
+
+    Returns
+    -------
+    dict
+        By label, in their order, without ``none``.
+    """
+    played = [entry for entry in spoofers if entry["label"] != "none"]
+    found = {}
+    for i, entry in enumerate(played):
+        kind = entry["spec"]["name"]
+        marker, dashes = ("o", "-") if kind in SCRIPTED else ("*", "--")
+        if kind == PROFILE:
+            marker, dashes = "s", "-."
+        width = max(3.2 - 0.7 * i, 1.5)
+        found[entry["label"]] = Look(COLOURS[i % len(COLOURS)], marker, dashes, width)
+    return found
+
+
+def _style(ax: Axes) -> None:
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(True, color="#dddddd", lw=0.6)
+    ax.set_axisbelow(True)
+
+
+def _log_metres(ax: Axes) -> None:
+    """Vertical axis of displacements, by powers of ten in plain numbers."""
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    ax.set_yscale("log")
+    ax.set_ylim(bottom=SMALLEST_M)
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+def draw_means(ax: Axes, scores: dict[str, dict[str, Any]], look: dict[str, Look]) -> None:
+    """Mean displacement of every spoofer, below each other on one linear scale.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    scores : dict
+        Scores of the cells of a detector, by spoofer.
+    look : dict
+        Of every spoofer.
+    """
+    _style(ax)
+    names = list(look)
+    for row, name in enumerate(names):
+        if name not in scores:
+            continue
+        mean = scores[name]["undetected_displacement_m"]
+        spread = [[mean["value"] - mean["low"]], [mean["high"] - mean["value"]]]
+        ax.errorbar(mean["value"], row, xerr=spread, capsize=2, **_point(look[name], scores[name]))
+        ax.annotate(
+            number(mean["value"]),
+            (mean["high"], row),
+            xytext=(5, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+        )
+    ax.set_yticks(range(len(names)), names)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    top = max((score["undetected_displacement_m"]["high"] for score in scores.values()), default=0)
+    ax.set_xlim(0.0, 1.18 * max(top, SMALLEST_M))
+    ax.set_xlabel("mean undetected displacement [m] (hollow: over budget)")
+
+
+def _point(look: Look, score: dict[str, Any]) -> dict[str, Any]:
+    """How a cell is marked: filled unless it is over the alarm budget."""
+    fair = score["within_budget"] is not False
+    return {
+        "fmt": look.marker,
+        "ms": 11 if look.marker == "*" else 7,
+        "color": look.colour,
+        "mec": "white" if fair else look.colour,
+        "mfc": look.colour if fair else "white",
+        "zorder": 4,
+        "clip_on": False,
+    }
+
+
+def draw_trade(
+    ax: Axes,
+    scores: dict[str, dict[str, Any]],
+    searches: list[dict[str, Any]],
+    budget: float,
+    look: dict[str, Look],
+) -> None:
+    """Mean displacement against the alarm rate: points of the cells, lines of the searches.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    scores : dict
+        Scores of the cells of a detector, by spoofer.
+    searches : list of dict
+        For the settings of the tuned ones.
+    budget : float
+        Allowed excess over the clean alarm rate.
+    look : dict
+        Of every spoofer.
+    """
+    _style(ax)
+    clean = scores.get("none")
+    if clean is not None:
+        rate = clean["alarm_rate"]
+        ax.axvspan(100 * rate["low"], 100 * rate["high"], color=GREY, alpha=0.15, lw=0)
+        ax.axvline(100 * rate["value"], color=GREY, lw=1.2)
+        ax.axvline(100 * (rate["value"] + budget), color=GREY, lw=1, ls=":")
+        ax.annotate(
+            "no attack",
+            (100 * rate["value"], 0.02),
+            xycoords=("data", "axes fraction"),
+            xytext=(4, 0),
+            textcoords="offset points",
+            color=GREY,
+            fontsize=8,
+            rotation=90,
+            va="bottom",
+        )
+    for search in searches:
+        trials = [trial for trial in search["trials"] if trial["runs"] == search["runs"]]
+        trials += [
+            trial
+            for trial in search["trials"]
+            if trial["runs"] < search["runs"] and all(trial["value"] != t["value"] for t in trials)
+        ]
+        trials.sort(key=lambda trial: trial["value"])
+        x = [100 * trial["alarm_rate"] for trial in trials]
+        y = [max(trial["undetected_displacement_m"], SMALLEST_M) for trial in trials]
+        ax.plot(x, y, ".-", color=look[search["spoofer"]].colour, lw=1, ms=4, alpha=0.45, zorder=2)
+    for label, score in scores.items():
+        if label == "none":
+            continue
+        x, y = score["alarm_rate"], score["undetected_displacement_m"]
+        middle = max(y["value"], SMALLEST_M)
+        ax.errorbar(
+            100 * x["value"],
+            middle,
+            xerr=[[100 * (x["value"] - x["low"])], [100 * (x["high"] - x["value"])]],
+            yerr=[[middle - max(y["low"], SMALLEST_M)], [max(y["high"], SMALLEST_M) - middle]],
+            capsize=2,
+            **_point(look[label], score),
+        )
+    ax.set_xlim(-3, 103)
+    _log_metres(ax)
+    ax.set_xlabel("runs with an alarm [%] (hollow: over budget)")
+
+
+def draw_exceedance(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> None:
+    """Probability that the undetected displacement exceeds a limit.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    cells : dict
+        Of a detector, by spoofer.
+    look : dict
+        Of every spoofer.
+    """
+    _style(ax)
+    ax.axvline(TABLE_LIMIT_M, color=GREY, lw=1, ls=":")
+    ax.annotate(
+        f"{TABLE_LIMIT_M:g} m",
+        (TABLE_LIMIT_M, 1.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(3, -10),
+        textcoords="offset points",
+        color=GREY,
+        fontsize=8,
+    )
+    limits = np.geomspace(1.0, 1000.0, 400)
+    for label, cell in cells.items():
+        x = cell.records["undetected_displacement_m"]
+        part = (x[None, :] > limits[:, None]).mean(axis=1)
+        drawn = look[label]
+        ax.plot(limits, part, drawn.dashes, color=drawn.colour, lw=drawn.width)
+    ax.set_xscale("log")
+    ax.set_xlim(1.0, 1000.0)
+    ax.set_xticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
+    ax.set_ylim(-0.03, 1.05)
+    ax.set_xlabel("alert limit [m]")
+
+
+def draw_course(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> None:
+    """Induced error over time, and when most runs have alarmed.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    cells : dict
+        Of a detector, by spoofer.
+    look : dict
+        Of every spoofer.
+    """
+    _style(ax)
+    alpha = 0.15 if len(cells) <= 4 else 0.07
+    for label, cell in cells.items():
+        colour, dashes, width = look[label].colour, look[label].dashes, look[label].width
+        time = np.array(cell.series["time_s"])
+        low, middle, high = (
+            np.maximum(cell.series["error_m"][key], SMALLEST_M) for key in ("p05", "p50", "p95")
+        )
+        ax.fill_between(time, low, high, color=colour, alpha=alpha, lw=0)
+        alarmed = np.array(cell.series["alarmed"]) >= 0.5
+        known = int(alarmed.argmax()) if alarmed.any() else len(time)
+        ax.plot(time[: known + 1], middle[: known + 1], dashes, color=colour, lw=width)
+        ax.plot(time[known:], middle[known:], color=colour, lw=1.2, ls=":")
+        if known < len(time):
+            ax.plot(time[known], middle[known], "X", color=colour, ms=10, mec="white")
+        end = cell.head["steps"] * cell.interval_s
+    if cells:
+        ax.axvspan(end, time[-1], color=GREY, alpha=0.12, lw=0)
+        ax.annotate(
+            "hold",
+            (end, 0.02),
+            xycoords=("data", "axes fraction"),
+            xytext=(2, 0),
+            textcoords="offset points",
+            color=GREY,
+            fontsize=8,
+            rotation=90,
+            va="bottom",
+        )
+        ax.set_xlim(0.0, time[-1])
+    _log_metres(ax)
+    ax.set_xlabel("time since the onset [s] (X: half of the runs have alarmed)")

@@ -1,0 +1,209 @@
+r"""A curve of the rate that was drawn before the attack: what a blind spoofer can plan at best.
+
+The rates at the knots are joined by a shape-preserving cubic (`fritsch1980`), which never leaves
+the range of two neighbouring knots and has no overshoot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from .base import AXES, FloatArray, ScriptedSpoofer, SpooferContext, check_finite, direction
+
+FEWEST_KNOTS, MOST_KNOTS = 2, 64
+
+
+@dataclass(kw_only=True)
+class Profile(ScriptedSpoofer):
+    r"""Follows a smooth curve of the rate over the attack window, whatever happens.
+
+    With n rates at knots :math:`t_i = i T / (n - 1)` over a window of length T, the rate that is
+    wanted at the time t after the onset is, with :math:`s = (t - t_i) / h` and
+    :math:`h = T / (n - 1)`,
+
+    .. math:: v(t) = v_i (1 + 2 s)(1 - s)^2 + v_{i+1} s^2 (3 - 2 s)
+        + h \left( m_i s (1 - s)^2 - m_{i+1} s^2 (1 - s) \right)
+
+    where the slopes m are the weighted harmonic means of `fritsch1980`, zero where the rates turn.
+    The attack's limits hold as for every spoofer: what is wanted faster comes later.
+
+    Parameters
+    ----------
+    heading_deg : float
+        As in `ScriptedSpoofer`.
+    rates_mps : tuple of float
+        (n,) rate of the false position along the heading at equally spaced knots, from the onset
+        to the end of the attack window; 2 to 64 of them.
+    cross_rates_mps : tuple of float
+        (l,) the same for the rate to the right of the heading; none for a straight line.  With
+        them, the attack's limits apply to the size of both together.
+    label : str
+        Short name in results.
+    designed_on : str
+        What the curve was optimised on; or nothing.
+    """
+
+    rates_mps: tuple[float, ...] = (0.0, 0.2)
+    cross_rates_mps: tuple[float, ...] = ()
+    label: str | None = "profile"
+    designed_on: str = "nothing"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        super().__post_init__()
+        self.rates_mps = _checked("rates_mps", self.rates_mps)
+        self.cross_rates_mps = _checked("cross_rates_mps", self.cross_rates_mps, none=True)
+
+    def bind(self, context: SpooferContext) -> None:
+        """Prepare for a batch of receivers.
+
+        Parameters
+        ----------
+        context : SpooferContext
+            Sizes, limits and names.
+        """
+        super().bind(context)
+        self._along = sampled(self.rates_mps, context.steps)
+        self._across = sampled(self.cross_rates_mps or (0.0, 0.0), context.steps)
+        self._check_limit(context.rate_limit_mps)
+        if self.cross_rates_mps:
+            self._right = _to_the_right(context.action_names, self.heading_deg)
+            for name in ("cross_rate", "cross_displacement"):
+                self.memory.declare(name, np.zeros(context.receivers))
+
+    def _check_limit(self, limit: float) -> None:
+        """Raise where a rate is beyond the attack's limit."""
+        fastest = {
+            "`rates_mps`": np.abs(self.rates_mps).max(),
+            "`cross_rates_mps`": np.abs((*self.cross_rates_mps, 0.0)).max(),
+            "`rates_mps` and `cross_rates_mps` together": np.hypot(self._along, self._across).max(),
+        }
+        for name, rate in fastest.items():
+            if rate > limit * (1.0 + 1e-12):
+                raise ValueError(
+                    f"{name} = {rate:g} is more than the attack allows: "
+                    f"`rate_limit_mps` = {limit:g}"
+                )
+
+    def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
+        """Rate along the heading that is wanted at the end of the coming epoch.
+
+        Parameters
+        ----------
+        step, rate, displacement : ndarray
+            (B,) so far.
+
+        Returns
+        -------
+        ndarray
+            (B,) of the curve [m/s]; its last value after the end of the window.
+        """
+        return self._along[self._row(step)]
+
+    def _row(self, step: FloatArray) -> NDArray[np.int64]:
+        """Place of the coming epoch in the sampled curves."""
+        return np.minimum(step.astype(np.int64), len(self._along) - 1)
+
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Command the attack for the coming epoch.
+
+        Parameters
+        ----------
+        observation : ndarray
+            Not looked at.
+
+        Returns
+        -------
+        ndarray
+            (B, a) in [-1, 1].
+        """
+        if not self.cross_rates_mps:
+            return super().act(observation)
+        context, memory = self.context, self.memory
+        row, tau = self._row(memory["step"]), context.interval_s
+        before = np.stack([memory["rate"], memory["cross_rate"]])
+        after = shortened(np.stack([self._along[row], self._across[row]]), context.rate_limit_mps)
+        if context.control == "rate":
+            size, mean = after / context.rate_limit_mps, after
+        else:
+            most = context.acceleration_limit_mps2 * tau
+            size = shortened((after - before) / most, 1.0)
+            after = before + size * most
+            mean = 0.5 * (before + after)
+        memory["rate"], memory["cross_rate"] = after[0].copy(), after[1].copy()
+        memory["displacement"] = memory["displacement"] + mean[0] * tau
+        memory["cross_displacement"] = memory["cross_displacement"] + mean[1] * tau
+        memory["step"] = memory["step"] + 1.0
+        action = size[0][:, None] * self._direction + size[1][:, None] * self._right
+        return np.ascontiguousarray(np.clip(action, -1.0, 1.0))
+
+
+def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
+    """Curve through equally spaced knots at the ends of the epochs.
+
+    Parameters
+    ----------
+    rates_mps : tuple of float
+        (n,) at the knots, the first one at the onset, the last one at the end of the window.
+    steps : int
+        Epochs of the window.
+
+    Returns
+    -------
+    ndarray
+        (steps,) [m/s].
+    """
+    knots = np.linspace(0.0, 1.0, len(rates_mps))
+    ends = np.arange(1, steps + 1) / steps
+    return np.asarray(PchipInterpolator(knots, rates_mps)(ends))
+
+
+def shortened(vector: FloatArray, limit: float) -> FloatArray:
+    """Vectors, those that are too long shortened to the limit.
+
+    Parameters
+    ----------
+    vector : ndarray
+        (2, B).
+    limit : float
+        Largest length.
+
+    Returns
+    -------
+    ndarray
+        (2, B).
+    """
+    length = np.hypot(vector[0], vector[1])
+    return np.asarray(vector * (limit / np.maximum(length, limit)))
+
+
+def _to_the_right(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
+    """Unit command to the right of the heading."""
+    if not {name.rsplit("_", 1)[0] for name in action_names} <= set(AXES):
+        raise ValueError(
+            "`cross_rates_mps` needs an attack that moves a false position, but this one commands "
+            f"{', '.join(action_names)}"
+        )
+    return direction(action_names, heading_deg + 90.0)
+
+
+def _checked(
+    name: str, rates_mps: tuple[float, ...], *, none: bool = False
+) -> tuple[float, ...]:
+    """Rates as a tuple of as many finite numbers as there may be."""
+    if isinstance(rates_mps, str) or not hasattr(rates_mps, "__len__"):
+        raise ValueError(f"`{name}` must be a sequence of numbers, got {rates_mps!r}")
+    if none and not len(rates_mps):
+        return ()
+    if not FEWEST_KNOTS <= len(rates_mps) <= MOST_KNOTS:
+        raise ValueError(
+            f"`{name}` must have {FEWEST_KNOTS} to {MOST_KNOTS} rates, got {len(rates_mps)}"
+        )
+    rates = tuple(rates_mps)
+    for i, rate in enumerate(rates):
+        check_finite(f"{name}[{i}]", rate)
+    return rates

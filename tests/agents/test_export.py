@@ -1,0 +1,231 @@
+"""An exported policy acts as the policy does, and is whole or absent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+# ruff: noqa: E402 - the packages of the laboratory may be missing
+torch = pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+pytest.importorskip("onnxscript")
+
+import onnx
+from gymnasium import spaces
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.sac.policies import SACPolicy
+
+from agents.export import PolicyExporter, export_policy
+from agents.networks import MlpShape
+from spoofgym.spoofers import OnnxPolicy
+
+from ..spoofers.policies import BLIND, card_fields
+
+OBSERVED = spaces.Box(
+    np.array(BLIND.observation_low, dtype=np.float32),
+    np.array(BLIND.observation_high, dtype=np.float32),
+)
+COMMANDED = spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def make_policy(seed: int = 0, gain: float = 100.0, **kwargs: Any) -> ActorCriticPolicy:
+    torch.manual_seed(seed)
+    given = {**MlpShape().policy_kwargs(), **kwargs}
+    policy = ActorCriticPolicy(OBSERVED, COMMANDED, lambda _: 3e-4, **given)
+    with torch.no_grad():
+        policy.action_net.weight.mul_(gain)  # small at birth; now some actions are clipped
+        for bias in (policy.action_net.bias, policy.mlp_extractor.policy_net[0].bias):
+            bias.uniform_(-0.3, 0.3)
+    return policy
+
+
+def fields() -> dict[str, Any]:
+    made = card_fields("unused", b"", BLIND, "blind", {})
+    return {key: made[key] for key in made if key not in ("name", "kind", "file")}
+
+
+@pytest.fixture(scope="module")
+def exporter() -> PolicyExporter:
+    """Tracing takes seconds, hence once."""
+    return PolicyExporter(make_policy())
+
+
+def seen(count: int) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    return rng.uniform(OBSERVED.low, OBSERVED.high, (count, 6)).astype(np.float32)
+
+
+def same_as(policy: ActorCriticPolicy, path: Path) -> bool:
+    written = OnnxPolicy(str(path))
+    written.bind(BLIND._replace(receivers=300))
+    expected, _ = policy.predict(seen(300), deterministic=True)
+    return bool(np.abs(written.act(seen(300)) - expected).max() <= 1e-6)
+
+
+def test_a_file_acts_as_the_policy(exporter: PolicyExporter, tmp_path: Path) -> None:
+    path = tmp_path / "zoo" / "learned.onnx"
+    card = exporter.write(path, fields())
+    assert same_as(exporter.policy, path)
+    assert (card.name, card.kind, card.training["seed"]) == ("learned", "onnx-policy", 7)
+    assert sorted(item.name for item in path.parent.iterdir()) == ["learned.json", "learned.onnx"]
+    clipped, _ = exporter.policy.predict(seen(300), deterministic=True)
+    assert 0.1 < (np.abs(clipped) == 1.0).mean() < 0.9
+
+
+def test_the_same_policy_makes_the_same_file(exporter: PolicyExporter) -> None:
+    assert exporter.content() == exporter.content()
+
+
+def test_a_file_has_the_weights_of_the_moment(exporter: PolicyExporter, tmp_path: Path) -> None:
+    before, weights = exporter.content(), exporter.policy.state_dict()
+    weights = {name: weight.clone() for name, weight in weights.items()}
+    try:
+        exporter.policy.load_state_dict(make_policy(seed=1).state_dict())
+        exporter.write(tmp_path / "later.onnx", fields())
+        assert (tmp_path / "later.onnx").read_bytes() != before
+        assert same_as(exporter.policy, tmp_path / "later.onnx")
+    finally:
+        exporter.policy.load_state_dict(weights)
+    assert exporter.content() == before
+
+
+def test_a_file_tells_nothing_of_this_machine(exporter: PolicyExporter) -> None:
+    content = exporter.content()
+    for word in (str(Path.cwd()), "site-packages", ".py", "stack_trace"):
+        assert word.encode() not in content
+    model = onnx.load_model_from_string(content)
+    assert not any("value_net" in tensor.name for tensor in model.graph.initializer)
+    assert len(content) < 30_000
+
+
+def test_another_shape_is_exported_in_one_call(tmp_path: Path) -> None:
+    shape = MlpShape(width=9, layers=3, log_std_init=0.5, ortho_init=False)
+    policy = make_policy(gain=5.0, **shape.policy_kwargs())
+    assert policy.log_std.tolist() == [0.5, 0.5]
+    export_policy(policy, tmp_path / "other.onnx", fields())
+    assert same_as(policy, tmp_path / "other.onnx")
+    names = [t.name for t in onnx.load(tmp_path / "other.onnx").graph.initializer]
+    assert len(names) == 2 * (3 + 1)
+
+
+def test_a_file_that_acts_otherwise_is_not_written(
+    exporter: PolicyExporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "learned.onnx"
+    exporter.write(path, fields())
+    before = path.read_bytes(), path.with_suffix(".json").read_bytes()
+    predict = exporter.policy.predict
+    monkeypatch.setattr(
+        exporter.policy,
+        "predict",
+        lambda *args, **kwargs: (predict(*args, **kwargs)[0] + 1e-4, None),
+    )
+    with pytest.raises(
+        ValueError, match=r"'learned' differs from the policy by 0\.0001, more than"
+    ):
+        exporter.write(path, fields())
+    assert (path.read_bytes(), path.with_suffix(".json").read_bytes()) == before
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_policy_of_not_a_numbers_is_not_written(exporter: PolicyExporter, tmp_path: Path) -> None:
+    bias = exporter.policy.action_net.bias
+    before = bias.detach().clone()
+    try:
+        with torch.no_grad():
+            bias[0] = float("nan")
+        with pytest.raises(ValueError, match="returned NaN"):
+            exporter.write(tmp_path / "bad.onnx", fields())
+    finally:
+        with torch.no_grad():
+            bias.copy_(before)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_write_that_breaks_off_leaves_no_pair_that_fits(
+    exporter: PolicyExporter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "learned.onnx"
+    exporter.write(path, fields())
+    with torch.no_grad():
+        exporter.policy.action_net.bias.add_(0.01)
+    replaced = []
+
+    def dies_before_the_card(self: Path, target: Path) -> Path:
+        if target == path.with_suffix(".json"):
+            raise KeyboardInterrupt
+        replaced.append(target)
+        return Path(original(self, target))
+
+    original = Path.replace
+    monkeypatch.setattr(Path, "replace", dies_before_the_card)
+    with pytest.raises(KeyboardInterrupt):
+        exporter.write(path, fields())
+    monkeypatch.undo()
+    assert replaced[-1] == path
+    with pytest.raises(ValueError, match="its card says"):
+        OnnxPolicy(str(path))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"observation": None}, "`file` and `observation` of an onnx-policy"),
+        ({"colour": "red"}, r"colour\n.*Extra inputs"),
+        (
+            {
+                "observation": {
+                    "names": BLIND.observation_names,
+                    "low": (-5.0,) * 6,
+                    "high": BLIND.observation_high,
+                }
+            },
+            "the card of 'learned' has other bounds",
+        ),
+        (
+            {"action": {"names": ("a",), "low": (-1.0,), "high": (1.0,)}},
+            r"of float32 \(batch, 2\); the card says one output of float32 \(batch, 1\)",
+        ),
+    ],
+)
+def test_a_card_that_does_not_fit_is_refused(
+    exporter: PolicyExporter, tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        exporter.write(tmp_path / "learned.onnx", {**fields(), **changes})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_exported_is_told(exporter: PolicyExporter, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"`path` must end in \.onnx, got .*learned\.zip"):
+        exporter.write(tmp_path / "learned.zip", fields())
+    with pytest.raises(TypeError, match=r"only an actor-critic policy .* got SACPolicy"):
+        PolicyExporter(SACPolicy(OBSERVED, COMMANDED, lambda _: 3e-4))
+    discrete = ActorCriticPolicy(OBSERVED, spaces.Discrete(3), lambda _: 3e-4)
+    with pytest.raises(TypeError, match="with a Gaussian action"):
+        PolicyExporter(discrete)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"width": 0}, "`width` must be a whole number of at least 1, got 0"),
+        ({"layers": 1.5}, r"`layers` must be a whole number of at least 1, got 1\.5"),
+        ({"log_std_init": float("nan")}, "`log_std_init` must be finite, got nan"),
+    ],
+)
+def test_shapes_are_checked(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        MlpShape(**settings)

@@ -1,0 +1,129 @@
+"""Small ONNX policies with their cards."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+from spoofgym.envs.attach import spoofer_context
+from spoofgym.envs.observations import Observer, terms_of
+from spoofgym.envs.presets import make_setup
+from spoofgym.spoofers import SpooferContext
+from spoofgym.spoofers.card import Card, fields_of
+
+TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 5.0}
+ENV = {"timeline": TIMELINE, "detector": "ewma"}
+
+BLIND = SpooferContext(
+    receivers=3,
+    interval_s=0.5,
+    steps=30,
+    control="acceleration",
+    acceleration_limit_mps2=0.05,
+    rate_limit_mps=5.0,
+    action_names=("north_acceleration", "east_acceleration"),
+    observation_names=(
+        "own_displacement_north",
+        "own_displacement_east",
+        "own_rate_north",
+        "own_rate_east",
+        "time_since_onset",
+        "time_left",
+    ),
+    observation_low=(-10.0, -10.0, -10.0, -10.0, 0.0, 0.0),
+    observation_high=(10.0, 10.0, 10.0, 10.0, 1.0, 1.0),
+)
+"""What a blind spoofer is told of the default environment with the timeline above."""
+
+
+def context_of(
+    receivers: int = 3, knowledge: str = "blind", env: dict[str, Any] | None = None
+) -> SpooferContext:
+    kwargs = {**ENV, **(env or {})}
+    kwargs.pop("target_heading_deg", None)
+    setup = make_setup(**kwargs)
+    return spoofer_context(setup, receivers, Observer(terms_of(knowledge), setup))
+
+
+def network(inputs: int, outputs: int, *, batch: Any = "batch", width: int = 16) -> onnx.ModelProto:
+    """Two layers of tanh, and a clip, as an export has them."""
+    rng = np.random.default_rng(7)
+    sizes = [inputs, width, width, outputs]
+    nodes, tensors, name = [], [], "observation"
+    for k, (fan, out) in enumerate(pairwise(sizes)):
+        weight = rng.normal(0.0, fan**-0.5, (out, fan)).astype(np.float32)
+        bias = rng.normal(0.0, 0.1, out).astype(np.float32)
+        tensors += [
+            numpy_helper.from_array(weight, f"w{k}"),
+            numpy_helper.from_array(bias, f"b{k}"),
+        ]
+        nodes.append(helper.make_node("Gemm", [name, f"w{k}", f"b{k}"], [f"z{k}"], transB=1))
+        name = f"z{k}"
+        if k < 2:
+            nodes.append(helper.make_node("Tanh", [name], [f"h{k}"]))
+            name = f"h{k}"
+    nodes.append(helper.make_node("Identity", [name], ["action"]))
+    graph = helper.make_graph(
+        nodes,
+        "policy",
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, [batch, inputs])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, [batch, outputs])],
+        tensors,
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=8)
+
+
+def card_fields(
+    name: str, content: bytes, context: SpooferContext, knowledge: str, env: dict[str, Any]
+) -> dict[str, Any]:
+    return {
+        "format": 1,
+        "name": name,
+        "kind": "onnx-policy",
+        "env_id": "spoofgym/TightlyCoupled-v0",
+        "env_kwargs": {**ENV, "knowledge": knowledge, **env},
+        **fields_of(context),
+        "knowledge": {"run_time": knowledge, "design_time": "ewma, zhong2025"},
+        "training": {"command": "none", "seed": 7},
+        "versions": {"onnx": onnx.__version__},
+        "scores": [],
+        "rivals": [],
+        "settings": {},
+        "file": {
+            "name": f"{name}.onnx",
+            "sha256": hashlib.sha256(content).hexdigest(),
+            "bytes": len(content),
+            "opset": 18,
+        },
+    }
+
+
+def write_policy(
+    folder: Path,
+    name: str = "tiny",
+    *,
+    knowledge: str = "blind",
+    env: dict[str, Any] | None = None,
+    model: Callable[[onnx.ModelProto], onnx.ModelProto | None] | None = None,
+    card: Callable[[dict[str, Any]], None] | None = None,
+) -> Path:
+    """Write a policy and its card; the callables edit the model and the card's fields."""
+    context = context_of(1, knowledge, env)
+    made = network(len(context.observation_names), len(context.action_names))
+    if model is not None:
+        made = model(made) or made
+    content = made.SerializeToString()
+    path = folder / f"{name}.onnx"
+    path.write_bytes(content)
+    fields = card_fields(name, content, context, knowledge, env or {})
+    if card is not None:
+        card(fields)
+    Card(**fields).save(path.with_suffix(".json"))
+    return path

@@ -1,0 +1,180 @@
+"""Cards: what is written is read again, and what is wrong is named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from spoofgym.spoofers.card import Card, fields_of
+
+from .policies import BLIND, card_fields
+
+SCORE = {
+    "detector": "ewma",
+    "split": "evaluation",
+    "entropy": 0,
+    "runs": 500,
+    "undetected_displacement_m": 33.0,
+    "low": 32.0,
+    "high": 34.5,
+    "alarm_rate": 0.22,
+    "clean_alarm_rate": 0.18,
+    "budget": 0.05,
+}
+
+
+def fields(**changes: Any) -> dict[str, Any]:
+    made = card_fields("tiny", b"content", BLIND, "blind", {})
+    return json.loads(json.dumps({**made, "scores": [SCORE], **changes}))
+
+
+def profile(**changes: Any) -> dict[str, Any]:
+    settings = {"rates_mps": [0.0, 0.2], "heading_deg": 90.0}
+    made = {"kind": "profile", "observation": None, "file": None, "settings": settings}
+    return fields(**{**made, **changes})
+
+
+def test_a_card_is_read_as_it_was_written(tmp_path: Path) -> None:
+    for given in (fields(), profile()):
+        card = Card(**given)
+        card.save(tmp_path / "a" / "card.json")
+        assert Card.load(tmp_path / "a" / "card.json") == card
+        assert json.loads((tmp_path / "a" / "card.json").read_text()) == given
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["card.json"]
+
+
+def _other(path: str, value: Any) -> dict[str, Any]:
+    """Fields with one of them changed."""
+    made = fields()
+    *way, last = path.split(".")
+    part = made
+    for key in way:
+        part = part[int(key) if isinstance(part, list) else key]
+    part[last] = value
+    return made
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (fields(colour="red"), r"`colour`: Extra inputs are not permitted, got 'red'"),
+        (fields(format=2), r"`format`: Input should be 1, got 2"),
+        (fields(name="../tiny"), r"`name`: .*match pattern"),
+        (fields(kind="pickle"), r"`kind`: Input should be 'onnx-policy' or 'profile'"),
+        (
+            _other("conditions.control", "force"),
+            r"`conditions.control`: .*'rate' or 'acceleration'",
+        ),
+        (_other("conditions.interval_s", "0.5"), r"`conditions.interval_s`: .*valid number"),
+        (_other("conditions.steps", 0), r"`conditions.steps`: .*greater than 0, got 0"),
+        (_other("knowledge.run_time", "some"), r"`knowledge.run_time`: .*'blind', 'tracking'"),
+        (_other("file.sha256", "abc"), r"`file.sha256`: .*match pattern"),
+        (_other("file.name", "../../tiny.onnx"), r"`file.name`: .*match pattern"),
+        (_other("action.low", [-1.0]), r"`action`: .*of the same length, got 2, 1 and 2"),
+        (_other("action.high", [1.0, 2.0]), r"`action`: an action lies within -1 and 1"),
+        (_other("observation.names", ["a"] * 6), r"`observation`: `names` must differ"),
+        (_other("observation.low", [20.0] * 6), r"`low` of \w+ must be below `high`, got 20"),
+        (_other("scores.0.alarm_rate", 22.0), r"`scores.0.alarm_rate`: .*less than or equal to 1"),
+        (_other("scores.0.low", 40.0), r"must be within `low` and `high`, got 33.0, 40.0 and 34.5"),
+        (fields(scores=[{}]), r"`scores.0.detector`: Field required; `scores.0.split`"),
+        (fields(file=None), r"`file` and `observation` of an onnx-policy must not be null"),
+        (fields(settings={"heading_deg": 1.0}), r"`settings` of an onnx-policy must be empty"),
+        (profile(file=fields()["file"]), r"`file` of a profile must be null"),
+        ({"format": 1}, r"`name`: Field required"),
+    ],
+)
+def test_what_is_wrong_is_named(made: dict[str, Any], message: str, tmp_path: Path) -> None:
+    path = tmp_path / "tiny.json"
+    path.write_text(json.dumps(made))
+    with pytest.raises(ValueError, match=message) as caught:
+        Card.load(path)
+    assert str(caught.value).startswith(f"card {path}: ")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"format": 1, "na', "is not JSON: "),
+        ('{"training": {"loss": NaN}}', "is not JSON: NaN is no number"),
+        ("[1, 2]", "Input should be an object"),
+        ("\udcff", "is not JSON: .*decode"),
+    ],
+)
+def test_what_is_no_card_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "tiny.json"
+    path.write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(ValueError, match=message) as caught:
+        Card.load(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_missing_card_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"there is no card .*nothing\.json"):
+        Card.load(tmp_path / "nothing.json")
+
+
+def test_what_is_no_json_is_not_written(tmp_path: Path) -> None:
+    for value in (float("nan"), Path("a")):
+        with pytest.raises(ValueError, match="card of 'tiny' can't be written"):
+            Card(**fields(training={})).model_copy(update={"training": {"x": value}}).save(
+                tmp_path / "tiny.json"
+            )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_card_is_frozen() -> None:
+    with pytest.raises(ValueError, match="frozen"):
+        Card(**fields()).name = "other"  # type: ignore[misc]
+
+
+def test_what_it_was_made_for_does_not_differ() -> None:
+    assert Card(**fields()).differences(BLIND._replace(receivers=5)) == []
+    assert fields_of(BLIND) == Card(**fields()).model_dump(
+        include={"observation", "action", "conditions"}
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "lines"),
+    [
+        ({"interval_s": 1.0}, ["conditions.interval_s: 0.5 on the card, 1.0 here"]),
+        (
+            {"steps": 7, "rate_limit_mps": 2.0},
+            ["conditions.steps: 30 on the card, 7 here",
+             "conditions.rate_limit_mps: 5.0 on the card, 2.0 here"],
+        ),
+        ({"action_names": ("east_acceleration",)}, ["action: north_acceleration only on the card"]),
+        (
+            {"action_names": ("east_acceleration", "north_acceleration")},
+            ["action: the same names in another order"],
+        ),
+        (
+            {"observation_names": ("time_left", "surprise")},
+            ["observation: own_displacement_north, own_displacement_east, own_rate_north, "
+             "own_rate_east, ... only on the card", "observation: surprise only here"],
+        ),
+    ],
+)  # fmt: skip
+def test_differences_are_told(changes: dict[str, Any], lines: list[str]) -> None:
+    assert Card(**fields()).differences(BLIND._replace(**changes)) == lines
+
+
+def test_other_bounds_differ() -> None:
+    context = BLIND
+    wider = context._replace(observation_high=(20.0, *context.observation_high[1:]))
+    (line,) = Card(**fields()).differences(wider)
+    assert line.startswith("observation.high: [10.0, ")
+
+
+def test_by_rate_the_limit_of_the_acceleration_does_not_matter() -> None:
+    by_rate = BLIND._replace(control="rate", action_names=("north_rate", "east_rate"))
+    card = Card(**fields(**json.loads(json.dumps(fields_of(by_rate)))))
+    assert card.differences(by_rate._replace(acceleration_limit_mps2=0.01)) == []
+    assert len(Card(**fields()).differences(BLIND._replace(acceleration_limit_mps2=1.0))) == 1
+
+
+def test_a_profile_looks_at_nothing() -> None:
+    assert Card(**profile()).differences(BLIND._replace(observation_names=("a", "b"))) == []

@@ -1,0 +1,142 @@
+"""Profiles: the curve goes through its knots, and is flown within the attack's limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spoofgym.spoofers import Profile, make_spoofer
+from spoofgym.spoofers.profile import sampled
+from spoofgym.testing import check_spoofer
+
+from .test_scripted import context, flown
+
+pytestmark = pytest.mark.nojit
+
+RATES = (0.1, 0.4, 0.35, 0.35, 0.9, 0.2)
+
+
+def test_the_curve_meets_its_knots() -> None:
+    curve = sampled(RATES, 300)
+    # five spans of 60 epochs; the first knot is at the onset, before the first epoch's end
+    np.testing.assert_allclose(curve[[59, 119, 179, 239, 299]], RATES[1:], rtol=1e-12)
+    assert abs(curve[0] - RATES[0]) < 0.02
+
+
+def test_the_curve_stays_between_neighbouring_knots() -> None:
+    curve = sampled(RATES, 300).reshape(5, 60)
+    for i, span in enumerate(curve):
+        low, high = sorted(RATES[i : i + 2])
+        assert low - 1e-12 <= span.min()
+        assert span.max() <= high + 1e-12
+
+
+def test_a_straight_line_of_knots_is_an_accelerating_ramp() -> None:
+    told = context()
+    ramp = flown(make_spoofer({"name": "accelerating-ramp", "acceleration_mps2": 0.01}), told)
+    profile = flown(Profile(rates_mps=tuple(np.linspace(0.0, 1.5, 7).tolist())), told)
+    np.testing.assert_allclose(profile, ramp, atol=1e-9)
+
+
+@pytest.mark.parametrize("control", ["rate", "acceleration"])
+def test_equal_knots_are_a_ramp(control: str) -> None:
+    told = context(control)
+    ramp = flown(make_spoofer({"name": "ramp", "rate_mps": 0.3}), told)
+    profile = flown(Profile(rates_mps=(0.3, 0.3, 0.3)), told)
+    np.testing.assert_allclose(profile, ramp, atol=1e-12)
+
+
+def test_what_is_wanted_too_fast_comes_later() -> None:
+    told = context()
+    _, rate = flown(Profile(rates_mps=(2.0, 2.0, -2.0, -2.0)), told)
+    east = rate[:, 1]
+    assert np.abs(np.diff(east, prepend=0.0)).max() <= 0.05 * 0.5 * (1.0 + 1e-12)
+    np.testing.assert_allclose(east[:80], 0.025 * np.arange(1, 81))
+    np.testing.assert_allclose(east[80:100], 2.0)
+
+
+@pytest.mark.parametrize("control", ["rate", "acceleration"])
+def test_a_curve_across_goes_to_the_right(control: str) -> None:
+    told = context(control)
+    along, across = (0.0, 0.4, 0.2), (0.0, -0.1, 0.3, 0.3)
+    profile = Profile(rates_mps=along, cross_rates_mps=across, heading_deg=0.0)
+    displacement, rate = flown(profile, told)
+    np.testing.assert_allclose(rate[:, 0], sampled(along, 300), atol=1e-12)
+    np.testing.assert_allclose(rate[:, 1], sampled(across, 300), atol=1e-12)
+    for i, name in enumerate(("displacement", "cross_displacement")):
+        assert profile.memory[name][0] == pytest.approx(displacement[-1, i], rel=1e-9)
+
+
+def test_nothing_across_is_a_straight_line() -> None:
+    told = context()
+    straight = flown(Profile(rates_mps=RATES, heading_deg=30.0), told)
+    both = flown(Profile(rates_mps=RATES, cross_rates_mps=(0.0, 0.0), heading_deg=30.0), told)
+    np.testing.assert_allclose(both, straight, atol=1e-9)
+
+
+def test_limits_hold_for_the_size_of_both_curves() -> None:
+    told = context(rate_limit_mps=3.0)
+    profile = Profile(rates_mps=(2.0, -2.0, 2.0), cross_rates_mps=(2.0, 2.0, -2.0))
+    displacement, rate = flown(profile, told)
+    size = np.hypot(*np.diff(rate, axis=0, prepend=0.0).T)
+    assert size.max() <= 0.025 * (1.0 + 1e-9)
+    assert size.min() < 0.024
+    # what it remembers is what the attack did, so that the attack had nothing to shorten
+    assert profile.memory["rate"][0] == pytest.approx(rate[-1, 1], abs=1e-9)
+    assert profile.memory["cross_rate"][0] == pytest.approx(-rate[-1, 0], abs=1e-9)
+    assert profile.memory["displacement"][0] == pytest.approx(displacement[-1, 1], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"rates_mps": (0.1,)}, "`rates_mps` must have 2 to 64 rates, got 1"),
+        ({"rates_mps": (0.1,) * 65}, "`rates_mps` must have 2 to 64 rates, got 65"),
+        ({"rates_mps": 0.3}, "`rates_mps` must be a sequence of numbers, got 0.3"),
+        ({"rates_mps": "fast"}, "`rates_mps` must be a sequence of numbers, got 'fast'"),
+        ({"rates_mps": (0.1, float("nan"))}, r"`rates_mps\[1\]` must be a finite number, got nan"),
+        ({"rates_mps": (0.1, "x")}, r"`rates_mps\[1\]` must be a finite number, got 'x'"),
+        ({"cross_rates_mps": (0.1,)}, "`cross_rates_mps` must have 2 to 64 rates, got 1"),
+        ({"cross_rates_mps": 3}, "`cross_rates_mps` must be a sequence of numbers, got 3"),
+        ({"heading_deg": float("inf")}, "`heading_deg` must be a finite number"),
+    ],
+)
+def test_bad_settings_are_refused_at_birth(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_spoofer({"name": "profile", **settings})
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"rates_mps": (0.0, -6.0)}, "`rates_mps` = 6 .* `rate_limit_mps` = 5"),
+        ({"cross_rates_mps": (5.5, 0.0)}, r"`cross_rates_mps` = 5\.5 .* `rate_limit_mps` = 5"),
+        (
+            {"rates_mps": (4.0, 4.0), "cross_rates_mps": (4.0, 4.0)},
+            r"`rates_mps` and `cross_rates_mps` together = 5\.65685 .* `rate_limit_mps` = 5",
+        ),
+    ],
+)
+def test_what_the_attack_does_not_allow_is_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Profile(**settings).bind(context())
+
+
+def test_single_channels_have_no_right_hand_side() -> None:
+    told = context(axes=("S01", "S07"))
+    Profile(rates_mps=(0.0, 0.1)).bind(told)
+    with pytest.raises(ValueError, match=r"`cross_rates_mps` needs an attack that moves a false"):
+        Profile(rates_mps=(0.0, 0.1), cross_rates_mps=(0.0, 0.1)).bind(told)
+
+
+def test_a_list_of_json_is_taken_for_a_tuple() -> None:
+    profile = make_spoofer({"name": "profile", "rates_mps": [0.0, 0.1], "cross_rates_mps": []})
+    assert profile == Profile(rates_mps=(0.0, 0.1))
+
+
+@pytest.mark.parametrize("control", ["rate", "acceleration"])
+def test_a_curve_across_keeps_the_contract(control: str) -> None:
+    profile = Profile(rates_mps=RATES, cross_rates_mps=(0.0, 0.3, -0.3), heading_deg=200.0)
+    check_spoofer(profile, attack={"name": "false-position", "control": control})

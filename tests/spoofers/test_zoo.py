@@ -1,0 +1,95 @@
+"""Shipped spoofers, by their names; the tests hold for an empty zoo too."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, card_of, make_spoofer, resolve, shipped
+from spoofgym.spoofers.zoo import ZOO_FOLDER, spec_of_shipped
+
+from .policies import write_policy
+
+
+@pytest.fixture
+def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A zoo of one."""
+    monkeypatch.setattr("spoofgym.spoofers.zoo.ZOO_FOLDER", tmp_path)
+    monkeypatch.setattr("spoofgym.spoofers.onnx_policy.ZOO_FOLDER", tmp_path)
+    return write_policy(tmp_path, "ewma-tiny")
+
+
+def test_a_shipped_name_makes_its_spoofer(zoo: Path) -> None:
+    assert shipped() == ("ewma-tiny",)
+    assert card_of("ewma-tiny").name == "ewma-tiny"
+    policy = make_spoofer("ewma-tiny")
+    assert isinstance(policy, OnnxPolicy)
+    assert policy.label == "ewma-tiny"
+    assert make_spoofer({"name": "ewma-tiny"}) == policy
+    assert make_spoofer({"name": "onnx-policy", "file": "ewma-tiny"}) == policy
+    assert make_spoofer(str(zoo)).sha256 == policy.sha256  # type: ignore[attr-defined]
+    assert make_spoofer(policy) == policy
+    assert spec_of_shipped("ewma-tiny") == {
+        "name": "onnx-policy",
+        "file": "ewma-tiny",
+        "sha256": policy.sha256,
+    }
+
+
+def test_a_shipped_profile_is_its_settings(zoo: Path) -> None:
+    card = json.loads(zoo.with_suffix(".json").read_text())
+    settings = {"rates_mps": [0.0, 0.2], "heading_deg": 90.0}
+    card |= {"name": "slow", "kind": "profile", "file": None, "observation": None}
+    (zoo.parent / "slow.json").write_text(json.dumps({**card, "settings": settings}))
+    assert shipped() == ("ewma-tiny", "slow")
+    assert resolve("slow") == {"name": "profile", **settings}
+
+
+def test_what_is_not_shipped_is_left_as_it_is() -> None:
+    ramp = Ramp()
+    for spec in ("ramp", {"name": "ramp", "rate_mps": 0.1}, "my.module:Class", ramp, 3, None):
+        assert resolve(spec) is spec
+    assert resolve("a/b.onnx") == {"name": "onnx-policy", "file": "a/b.onnx"}
+    assert resolve({"name": "b.onnx", "sha256": "0"}) == {
+        "name": "onnx-policy",
+        "file": "b.onnx",
+        "sha256": "0",
+    }
+
+
+def test_wrong_names_are_told_the_right_ones(zoo: Path) -> None:
+    for spec in ("ewma-tyni", {"name": "ewma-tyni"}):
+        with pytest.raises(ValueError, match=r"valid: .*ewma-tiny.*did you mean 'ewma-tiny'"):
+            make_spoofer(spec)
+    with pytest.raises(ValueError, match=r"unknown shipped spoofer 'ramp'; valid: ewma-tiny"):
+        card_of("ramp")
+    with pytest.raises(ValueError, match="'ewma-tiny' is as it is, and has no setting 'rate_mps'"):
+        make_spoofer({"name": "ewma-tiny", "rate_mps": 1.0})
+    with pytest.raises(ValueError, match=r"must be the path .* \(ewma-tiny\), got 'other'"):
+        make_spoofer({"name": "onnx-policy", "file": "other"})
+    with pytest.raises(TypeError, match="a spoofer is a name"):
+        make_spoofer(3)  # type: ignore[arg-type]
+
+
+def test_shipped_names_are_free() -> None:
+    assert not set(shipped()) & set(SPOOFERS)
+
+
+def test_every_file_of_the_zoo_has_its_card() -> None:
+    policies = {path.stem for path in ZOO_FOLDER.glob("*.onnx")}
+    learned = {name for name in shipped() if card_of(name).kind == "onnx-policy"}
+    assert policies == learned
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_shipped_spoofer_is_whole(name: str) -> None:
+    card, spoofer = card_of(name), make_spoofer(name)
+    assert card.name == name == spoofer.label
+    assert spoofer.knowledge == card.knowledge.run_time
+    assert spoofer.designed_on == card.knowledge.design_time
+    assert card.scores
+    if card.file is not None:
+        assert card.file.name == f"{name}.onnx"
+        assert card.file.bytes < 500_000

@@ -1,0 +1,1 @@
+"""Training scripts: one complete file for every kind of training run."""
