@@ -30,7 +30,7 @@ from spoofgym.envs.setup import Timeline
 from .profile_card import profile_card, rivals
 from .profile_choice import Choice
 from .profile_run import Bounds, ProfileRun, RunSettings, Tell
-from .profile_search import SearchSettings
+from .profile_settings import SearchSettings
 
 app = typer.Typer(
     add_completion=False,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from spoofgym.bench.metrics import bootstrap_mean, resamples
-from spoofgym.bench.specs import describe, label_of
+from spoofgym.bench.specs import describe
 from spoofgym.bench.suite import spoofer_context, versions
 from spoofgym.spoofers import Card
 from spoofgym.spoofers.card import fields_of
@@ -38,9 +38,10 @@ def profile_card(run: ProfileRun, choice: Choice, command: list[str]) -> Card:
         Not written yet.
     """
     suite, fields = run.suite, fields_of(spoofer_context(run.setup))
-    config = suite.config
-    designed_on = f"{run.detector.label}, {label_of(dict(config['attack']), None)}, "
-    designed_on += f"scenario {suite.world.name}, receiver tuning {run.setup.receiver.tuning}"
+    designed_on = (
+        f"{run.detector.label}, {run.setup.attack.label}, scenario {suite.world.name}, "
+        f"receiver tuning {run.setup.receiver.tuning}"
+    )
     profile = replace(choice.profile, designed_on=designed_on)
     return Card.model_validate(
         {

@@ -18,7 +18,8 @@ from spoofgym.bench.tune import TuningResult, tune
 from spoofgym.spoofers import Card
 
 from .profile_choice import Choice, choose
-from .profile_search import Generation, ProfileSearch, SearchSettings, Start
+from .profile_search import ProfileSearch
+from .profile_settings import Generation, SearchSettings, Start
 from .profile_start import best_start, resampled, start_between
 from .runs import RunPool
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from spoofgym.spoofers.profile import sampled
 
-from .profile_search import PRICE, SearchSettings, Start, begin, profile_at, start_point
+from .profile_search import PRICE, begin, profile_at, start_point
+from .profile_settings import SearchSettings, Start
 from .runs import RunPool
 
 FloatArray = NDArray[np.float64]

@@ -18,7 +18,8 @@ from typer.testing import CliRunner
 from baselines.profile import app
 from baselines.profile_choice import choose
 from baselines.profile_run import Bounds, ProfileRun, RunSettings
-from baselines.profile_search import ProfileSearch, SearchSettings, Start, soft_excess
+from baselines.profile_search import ProfileSearch, soft_excess
+from baselines.profile_settings import SearchSettings, Start
 from baselines.profile_start import best_start, resampled
 from baselines.runs import Outcome, RunPool
 from spoofgym.bench.run import displacement_of, play

@@ -74,9 +74,7 @@ def test_other_generators_begin_anew(setup):
     game.reset(generators(seed=5))
     rngs = generators(seed=0)
     game.reset(rngs)
-    assert_same(
-        played(setup, prefetch=False), course(game, rngs, 40, np.random.default_rng(1))
-    )
+    assert_same(played(setup, prefetch=False), course(game, rngs, 40, np.random.default_rng(1)))
 
 
 def test_the_same_generators_go_on_to_their_next_episodes(setup):
@@ -125,14 +123,14 @@ def test_what_goes_wrong_in_the_background_is_raised(setup):
 
 def test_threads_end_with_the_game(setup):
     def running():
-        return sum(thread.name == "spoofgym-next" for thread in threading.enumerate())
+        return {thread for thread in threading.enumerate() if thread.name == "spoofgym-next"}
 
+    gc.collect()
     before = running()
     game = game_of(setup, True)
     game.reset(generators())
     game.reset(generators())
-    assert running() == before + 1
-    (thread,) = [t for t in threading.enumerate() if t.name == "spoofgym-next"][before:]
+    (thread,) = running() - before
     del game
     gc.collect()
     thread.join(timeout=20)
