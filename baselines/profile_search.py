@@ -20,7 +20,6 @@ afterwards, on other runs (`profile_choice`).  CMA-ES is that of `hansen2006`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,6 +27,7 @@ from cmaes import CMA
 from numpy.typing import NDArray
 
 from spoofgym.spoofers import Profile
+from spoofgym.spoofers.profile import sampled
 
 from .profile_settings import Generation, SearchSettings, Start
 from .runs import Outcome, RunPool
@@ -37,6 +37,8 @@ PRICE, GAIN, FOLLOW = 6.0, 0.7, 0.2
 """lambda_0 in units of the displacement at the start; kappa; weight of the newest generation."""
 CLOSE = 0.1
 """w, how close to its threshold a statistic counts as half an alarm."""
+FINE, SAFE = 1000, 0.999
+"""Samples of two curves that are compared with the attack's limit, and how close they may come."""
 SMOOTH_LENGTH = 0.25
 """Part of the window over which neighbouring knots vary together."""
 
@@ -273,7 +275,7 @@ def profile_at(settings: SearchSettings, rates_mps: FloatArray, limit_mps: float
     rates_mps : ndarray
         (knots,) or (2 knots,).
     limit_mps : float
-        Of the attack; what is beyond is cut.
+        Of the attack; what is beyond is shortened.
 
     Returns
     -------
@@ -281,8 +283,12 @@ def profile_at(settings: SearchSettings, rates_mps: FloatArray, limit_mps: float
         Within the limit.
     """
     curves = np.reshape(rates_mps, (-1, settings.knots))
-    limit = limit_mps / math.sqrt(len(curves))
-    along, *across = [tuple(curve.tolist()) for curve in np.clip(curves, -limit, limit)]
+    curves = curves * (limit_mps / np.maximum(np.linalg.norm(curves, axis=0), limit_mps))
+    if len(curves) == 2:
+        # two curves within the limit at their knots may leave it a little between them
+        between = [sampled(tuple(curve.tolist()), FINE) for curve in curves]
+        curves = curves * min(1.0, SAFE * limit_mps / np.hypot(*between).max())
+    along, *across = [tuple(curve.tolist()) for curve in curves]
     return Profile(
         rates_mps=along,
         cross_rates_mps=across[0] if across else (),

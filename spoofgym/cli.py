@@ -404,7 +404,7 @@ def tune(
         typer.Option(help="Spoofer, may be repeated: ramp, accelerating-ramp, step, or your own."),
     ] = None,
     budget: BudgetOption = 0.05,
-    training_seeds: TrainingOption = 128,
+    training_seeds: TrainingOption = 512,
     as_json: JsonOption = False,
     scenario: ScenarioOption = "zhong2025",
     errors: ErrorsOption = None,
@@ -525,7 +525,7 @@ def bench(
     attack_s: AttackTimeOption = 150.0,
     time_to_alert_s: AlertOption = 10.0,
     budget: BudgetOption = 0.05,
-    training_seeds: TrainingOption = 128,
+    training_seeds: TrainingOption = 512,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
 ) -> None:
@@ -633,7 +633,7 @@ def _suite(
     detectors: list[dict[str, Any]],
     spoofers: list[dict[str, Any]] | None,
     budget: float = 0.05,
-    training: int = 128,
+    training: int = 512,
     runs: int = 200,
 ) -> Suite:
     """The suite of the options."""
@@ -652,7 +652,7 @@ def _suite(
         spoofers=spoofers,
         runs=runs,
         entropy=seed,
-        tuning=Tuning(runs=training, sift_runs=max(training // 4, 1), budget=budget),
+        tuning=Tuning(runs=training, sift_runs=max(training // 16, 1), budget=budget),
         notes=() if real is None else real.lines,
     )
 

@@ -4,8 +4,8 @@
 
 What happens:
 
-1. The ramps are tuned under the budget, as the benchmark does it.  They are the rivals that the card
-   tells, and set the scale of the reward.
+1. The ramps are tuned under the budget, as the benchmark does it.  They are the rivals that the
+   card tells, and set the scale of the reward.
 2. PPO of stable-baselines3 learns.  The price of an alarm rises while more runs alarm than the
    budget allows, and falls while fewer do (a Lagrange multiplier by dual ascent).
 3. Every now and then the policy is written as ONNX, and onnxruntime plays it deterministically on
@@ -19,10 +19,10 @@ goes on from the last checkpoint.
 Deviations from plain PPO of stable-baselines3, and why:
 
 1. gamma is 1: the return is what is scored, and an episode has an end.
-2. Exploration depends on the state (gSDE, `raffin2022`): white noise of acceleration averages out to
-   nothing within seconds, and an alarm needs a push that lasts.
-3. Large minibatches, since the environment is fast; rollouts as long as an episode.
-4. The alarm penalty adapts between rollouts.
+2. Large minibatches, since the environment is fast; rollouts as long as an episode.
+3. The alarm penalty adapts between rollouts.
+4. Rewards are in units of what the best ramp reaches, so that one set of settings suits detectors
+   that allow for metres and for hundreds of metres.
 """
 
 from __future__ import annotations
@@ -55,6 +55,7 @@ from agents.networks import MlpShape
 from agents.record import TrainingRecord
 from spoofgym._describe import unlike
 from spoofgym._files import write_file
+from spoofgym.bench.budget import BUDGET, MARGIN, Excess, excess_of
 from spoofgym.bench.campaign import Silent, training_start
 from spoofgym.bench.metrics import bootstrap_mean, resamples
 from spoofgym.bench.run import WarmStart, displacement_of, play
@@ -104,15 +105,13 @@ class Arguments:
     """Of generalised advantage estimation."""
     clip_range: float = 0.2
     """Of PPO's ratio."""
-    log_std_init: float = -3.0
+    log_std_init: float = -1.5
     """Logarithm of the exploration's size at first."""
-    use_sde: bool = True
-    """Whether exploration depends on the state, and so lasts; white noise otherwise."""
     width: int = 64
     """Units of each of the two hidden layers."""
-    budget: float = 0.05
+    budget: float = BUDGET
     """How much more often than without attack an alarm may come, as a part of the runs."""
-    margin: float = 0.5
+    margin: float = MARGIN
     """Distance that the choice keeps from the budget, in standard errors."""
     penalty: float = 3.0
     """Price of an alarm at first, in displacements of the best ramp."""
@@ -196,8 +195,9 @@ class Arguments:
             entropy=self.seed,
             tuning=Tuning(
                 runs=self.evaluation_runs,
-                sift_runs=max(self.evaluation_runs // 8, 1),
+                sift_runs=max(self.evaluation_runs // 16, 1),
                 budget=self.budget,
+                margin=self.margin,
             ),
         )
 
@@ -223,19 +223,9 @@ class Evaluation:
         return float(self.displacement_m.mean())
 
     @property
-    def excess(self) -> float:
+    def excess(self) -> Excess:
         """How much more often than without attack it alarmed."""
-        return float(self.alarm.mean() - self.clean_alarm.mean())
-
-    @property
-    def excess_error(self) -> float:
-        """Standard error of the excess over paired runs."""
-        paired = self.alarm.astype(float) - self.clean_alarm
-        return float(paired.std() / math.sqrt(len(paired)))
-
-    def keeps(self, budget: float, margin: float) -> bool:
-        """Whether the excess keeps the budget, with some standard errors of distance."""
-        return self.excess + margin * self.excess_error <= budget + 1e-9
+        return excess_of(self.alarm, self.clean_alarm)
 
 
 class Judge:
@@ -330,7 +320,6 @@ def make_model(args: Arguments, env: SpoofVecEnv) -> PPO:
         gamma=args.gamma,
         gae_lambda=args.gae_lambda,
         clip_range=args.clip_range,
-        use_sde=args.use_sde,
         policy_kwargs=shape.policy_kwargs(),
         seed=args.seed,
         device="cpu",
@@ -347,7 +336,7 @@ class Run(BaseCallback):
         self.scale_m = best_ramp_m(rivals)
         self.penalty_m = args.penalty * self.scale_m
         self.clean_rate = float(rivals[0]["clean_alarm_rate"])
-        self.alarm_rate = self.clean_rate + args.budget
+        self.aim = self.alarm_rate = self.clean_rate + args.budget
         self.best_m, self.best_step = -math.inf, -1
         self.spent_s, self.rollout, self.next_step = 0.0, 0, 0
         self.latest: dict[str, float] = {}
@@ -392,8 +381,7 @@ class Run(BaseCallback):
         displacement, alarmed = np.array(self._ended, dtype=np.float64).mean(axis=0)
         self._ended.clear()
         self.alarm_rate += 0.3 * (float(alarmed) - self.alarm_rate)
-        over = self.alarm_rate - self.clean_rate - self.args.budget
-        change = math.exp(self.args.penalty_gain * over)
+        change = math.exp(self.args.penalty_gain * (self.alarm_rate - self.aim))
         bounds = 0.01 * self.scale_m, 1000.0 * self.scale_m
         self.penalty_m = min(max(self.penalty_m * change, bounds[0]), bounds[1])
         self.env.set_rewards(rewards(self.scale_m, self.penalty_m))
@@ -412,7 +400,10 @@ class Run(BaseCallback):
             path = Path(folder) / f"{self.name}.onnx"
             self.exporter.write(path, self.card_fields([]))
             found = self.judge.evaluate(path)
-        kept = found.keeps(self.args.budget, self.args.margin)
+        kept = found.excess.keeps(self.args.budget, self.args.margin)
+        # what is chosen keeps a distance from the budget; so does what is learned
+        reach = self.args.budget - self.args.margin * found.excess.error
+        self.aim = self.clean_rate + max(reach, 0.2 * self.args.budget)
         if kept and found.mean_m > self.best_m:
             self.best_m, self.best_step = found.mean_m, self.num_timesteps
             score = self.judge.score(found, self.args.budget)
@@ -421,7 +412,7 @@ class Run(BaseCallback):
             **self.latest,
             "eval_undetected_m": found.mean_m,
             "eval_alarm_rate": float(found.alarm.mean()),
-            "eval_excess": found.excess,
+            "eval_excess": found.excess.value,
             "within_budget": kept,
         }
         self.record.append(self.num_timesteps, round(self.wall_s, 2), **values)
@@ -429,7 +420,7 @@ class Run(BaseCallback):
             self.logger.record(f"spoofer/{key}", values[key])
         self.bar.console.print(
             f"{self.num_timesteps:>9,d} steps {self.wall_s:5.0f} s   "
-            f"undetected {found.mean_m:7.2f} m   alarms {100 * found.excess:+5.1f} %"
+            f"undetected {found.mean_m:7.2f} m   alarms {100 * found.excess.value:+5.1f} %"
             f"{'' if kept else '  over budget'}"
             f"{'  best' if self.best_step == self.num_timesteps else ''}"
         )
@@ -445,7 +436,7 @@ class Run(BaseCallback):
             **fields_of(context),
             "knowledge": {
                 "run_time": args.knowledge,
-                "design_time": f"{self.judge.label}, {game.setup.scenario.name}, receiver and attack",
+                "design_time": f"{self.judge.label}, receiver, attack and scenario, by training",
             },
             "training": {
                 "algorithm": "PPO (stable-baselines3)",
@@ -485,7 +476,7 @@ class Run(BaseCallback):
             setattr(self, name, value)
 
 
-STATE = ("penalty_m", "alarm_rate", "best_m", "best_step", "rollout", "next_step")
+STATE = ("penalty_m", "alarm_rate", "aim", "best_m", "best_step", "rollout", "next_step")
 CHECKPOINT, CONFIG, RECORD = "checkpoint.zip", "config.json", "record.jsonl"
 """Files of a run's folder."""
 
@@ -615,8 +606,8 @@ def finish(args: Arguments, best: Path, console: Console) -> None:
     """Play the best policy on runs that decided nothing, and tell the card."""
     if not best.is_file():
         raise SystemExit(
-            f"no policy within the alarm budget of {100 * args.budget:g} % was found; train longer, "
-            "or with a larger --penalty"
+            f"no policy within the alarm budget of {100 * args.budget:g} % was found; train "
+            "longer, or with a larger --penalty"
         )
     with console.status("playing runs that decided nothing"):
         judge = Judge(args, "evaluation", args.final_runs, 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import hashlib
+import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,6 +25,7 @@ from ..envs.presets import make_setup
 from ..envs.setup import Setup, Timeline
 from ..sim.scenario import Scenario, make_scenario
 from ..spoofers import Spoofer, SpooferContext
+from .budget import BUDGET, MARGIN
 from .entries import (
     DEFAULT_DETECTORS,
     DEFAULT_SPOOFERS,
@@ -85,13 +87,16 @@ class Tuning:
         Log-spaced values in the neighbourhood, tried on all training runs.
     budget : float
         How much more often than without attack an alarm may come, as a part of the runs.
+    margin : float
+        Distance that a choice keeps from the budget, in standard errors of that excess.
     """
 
-    runs: int = 128
+    runs: int = 512
     sift_runs: int = 32
     values: int = 20
     refined: int = 5
-    budget: float = 0.05
+    budget: float = BUDGET
+    margin: float = MARGIN
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -99,6 +104,8 @@ class Tuning:
             _check_count(f"tuning.{name}", getattr(self, name), least)
         if not 0.0 <= self.budget < 1.0:
             raise ValueError(f"`tuning.budget` must be in [0, 1), got {self.budget}")
+        if not (math.isfinite(self.margin) and self.margin >= 0.0):
+            raise ValueError(f"`tuning.margin` must be finite and >= 0, got {self.margin}")
 
 
 def _check_count(name: str, value: Any, least: int) -> None:

@@ -1,11 +1,11 @@
 """The strongest attack of a family that keeps to an alarm budget.
 
 A run counts as alarmed when there is an alarm between the onset and the end of the hold.  The alarm
-rate of a value may exceed that of the clean runs by the budget at most; within it, the value with
-the largest mean undetected displacement is chosen.  All of it is decided on training runs, which
-share no noise with those that are scored.
+rate of a value may exceed that of the clean runs by the budget at most, less a margin for what is
+not known of it (`budget`); within that, the value with the largest mean undetected displacement is
+chosen.  All of it is decided on training runs, which share no noise with those that are scored.
 
-1. A few runs sift log-spaced values of the whole range for the neighbourhood.
+1. A few runs sift log-spaced values of the whole range for the neighbourhood, without a margin.
 2. All training runs try the best of these, then the next larger ones as long as that is better, or
    the next smaller ones until one is within the budget.
 3. They try log-spaced values between the best one and the next larger; where that is within the
@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from .budget import excess_of
 from .entries import Entry, build_spoofer
 from .run import Runs, WarmStart, displacement_of, play
 from .suite import Tuning, spoofer_context
@@ -41,14 +42,18 @@ class Trial:
         Part of the runs with an alarm.
     undetected_displacement_m : float
         Mean over all runs.
+    excess, excess_error : float
+        Of the alarm rate over that of the same runs without attack, and its standard error.
     within_budget : bool
-        Whether the alarm rate is.
+        Whether the excess is, with the margin where the value can be chosen.
     """
 
     value: float
     runs: int
     alarm_rate: float
     undetected_displacement_m: float
+    excess: float
+    excess_error: float
     within_budget: bool
 
 
@@ -66,8 +71,8 @@ class TuningResult:
         The choice.
     within_budget : bool
         Whether there is any value within the budget; if not, the choice is the smallest.
-    budget : float
-        Allowed excess over the clean alarm rate.
+    budget, margin : float
+        Allowed excess over the clean alarm rate, and standard errors of distance from it.
     clean_alarm_rate : float
         Of the training runs without attack.
     runs : int
@@ -84,6 +89,7 @@ class TuningResult:
     value: float
     within_budget: bool
     budget: float
+    margin: float
     clean_alarm_rate: float
     runs: int
     warmup_alarms: int
@@ -115,30 +121,32 @@ class _Search:
     """Trials of one spoofer against one detector."""
 
     def __init__(
-        self, start: WarmStart, clean: Runs, entry: Entry, budget: float, tick: Tick | None
+        self, start: WarmStart, clean: Runs, entry: Entry, settings: Tuning, tick: Tick | None
     ) -> None:
         self.start, self.clean, self.entry = start, clean, entry
-        self.budget, self.tick = budget, tick
+        self.settings, self.tick = settings, tick
         self.trials: list[Trial] = []
-
-    def allowed(self, runs: int) -> float:
-        """Alarm rate that the budget allows, by the clean rate of as many runs."""
-        return float(self.clean.first(runs).alarm.any(axis=0).mean()) + self.budget
 
     def try_value(self, value: float, runs: int) -> Trial:
         """Let the spoofer attack with a value of its setting."""
-        start = self.start if runs >= self.start.receivers else self.start.first(runs)
+        everyone = runs >= self.start.receivers
+        start = self.start if everyone else self.start.first(runs)
         told = self.tick
         tick = None if told is None else lambda part: told(part * start.receivers)
         attacked = play(start, self.entry.with_value(value), drop_alarmed=True, tick=tick)
-        displacement = displacement_of(start.setup, attacked, self.clean.first(start.receivers))
-        rate = float(attacked.alarm.any(axis=0).mean())
+        clean = self.clean.first(start.receivers)
+        alarm = attacked.alarm.any(axis=0)
+        excess = excess_of(alarm, clean.alarm.any(axis=0))
         trial = Trial(
             value=value,
             runs=start.receivers,
-            alarm_rate=rate,
-            undetected_displacement_m=float(displacement.mean()),
-            within_budget=rate <= self.allowed(start.receivers) + 1e-9,
+            alarm_rate=float(alarm.mean()),
+            undetected_displacement_m=float(displacement_of(start.setup, attacked, clean).mean()),
+            excess=excess.value,
+            excess_error=excess.error,
+            within_budget=excess.keeps(
+                self.settings.budget, self.settings.margin if everyone else 0.0
+            ),
         )
         self.trials.append(trial)
         return trial
@@ -189,7 +197,7 @@ def tune(
     low, high = type(any_value).tuning_range(spoofer_context(start.setup))
     grid = _log_spaced(low, high, settings.values)
     everyone = start.receivers
-    search = _Search(start, clean, entry, settings.budget, tick)
+    search = _Search(start, clean, entry, settings, tick)
     best = _best([search.try_value(value, settings.sift_runs) for value in grid])
     at = grid.index(best.value) if best else 0
     fine = {at: search.try_value(grid[at], everyone)}
@@ -216,6 +224,7 @@ def tune(
         value=chosen.value if chosen else grid[0],
         within_budget=chosen is not None,
         budget=settings.budget,
+        margin=settings.margin,
         clean_alarm_rate=float(clean.alarm.any(axis=0).mean()),
         runs=everyone,
         warmup_alarms=int(start.warmup_alarm.sum()),

@@ -191,9 +191,7 @@ def _to_the_right(action_names: tuple[str, ...], heading_deg: float) -> FloatArr
     return direction(action_names, heading_deg + 90.0)
 
 
-def _checked(
-    name: str, rates_mps: tuple[float, ...], *, none: bool = False
-) -> tuple[float, ...]:
+def _checked(name: str, rates_mps: tuple[float, ...], *, none: bool = False) -> tuple[float, ...]:
     """Rates as a tuple of as many finite numbers as there may be."""
     if isinstance(rates_mps, str) or not hasattr(rates_mps, "__len__"):
         raise ValueError(f"`{name}` must be a sequence of numbers, got {rates_mps!r}")

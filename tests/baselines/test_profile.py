@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from baselines.profile import app
 from baselines.profile_choice import choose
 from baselines.profile_run import Bounds, ProfileRun, RunSettings
-from baselines.profile_search import ProfileSearch, soft_excess
+from baselines.profile_search import ProfileSearch, profile_at, soft_excess
 from baselines.profile_settings import SearchSettings, Start
 from baselines.profile_start import best_start, resampled
 from baselines.runs import Outcome, RunPool
@@ -114,6 +114,20 @@ def test_runs_that_came_close_count_in_part() -> None:
     assert close < alarmed < 1.0 / 3.0
     assert close > 0.8 / 3.0
     np.testing.assert_allclose(outcome.excess.mean(axis=1), [1.0 / 3.0, 0.0])
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_candidates_are_shortened_to_the_limit_of_the_rate(count: int) -> None:
+    settings = replace(SEARCH, cross=count == 2)
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        profile = profile_at(settings, rng.normal(0.0, 40.0, 8 * count), 5.0)
+        along, across = profile.rates_mps, profile.cross_rates_mps or (0.0,) * 8
+        assert np.hypot(sampled(along, 300), sampled(across, 300)).max() <= 5.0 * (1.0 + 1e-12)
+        assert np.hypot(along, across).max() > 3.5
+    slow = rng.uniform(-1.0, 1.0, 8 * count)
+    profile = profile_at(settings, slow, 5.0)
+    np.testing.assert_array_equal([*profile.rates_mps, *profile.cross_rates_mps], slow)
 
 
 class HillPool:

@@ -20,7 +20,7 @@ from spoofgym.spoofers.card import Card, fields_of
 
 OPSET = 18
 SHORT = Timeline(warmup_s=20.0, live_s=10.0, attack_s=20.0, time_to_alert_s=5.0)
-QUICK = Tuning(runs=6, sift_runs=3, values=4, refined=2, budget=0.2)
+QUICK = Tuning(runs=6, sift_runs=3, values=4, refined=2, budget=0.2, margin=0.0)
 
 
 def small_suite(**changes: Any) -> Suite:

@@ -51,7 +51,9 @@ class Landscape:
 
 
 def search(landscape: Any, **settings: Any) -> TuningResult:
-    chosen = Tuning(**{"runs": 100, "sift_runs": 20, "values": 20, "budget": 0.05, **settings})
+    chosen = Tuning(
+        **{"runs": 100, "sift_runs": 20, "values": 20, "budget": 0.05, "margin": 0.0, **settings}
+    )
     return tune(landscape, landscape.runs(100, 0.1, 0.0), RAMP, "detector", chosen)
 
 

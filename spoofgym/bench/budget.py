@@ -1,0 +1,74 @@
+r"""The alarm budget: how much more often than without attack an alarm may come.
+
+Runs are paired: the same seeds with and without attack.  Over R runs with alarms
+:math:`a_r, c_r \in \{0, 1\}` the excess and its standard error are
+
+.. math:: \bar\Delta = \frac1R \sum_r (a_r - c_r), \qquad
+    s = \sqrt{\operatorname{var}(a_r - c_r) / R}
+
+and who is chosen on these runs keeps the budget b with a margin of c standard errors,
+
+.. math:: \bar\Delta + c s \le b,
+
+so that other runs, most likely, keep it too.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+BUDGET, MARGIN = 0.05, 2.0
+"""Defaults: five points more runs with an alarm, with two standard errors of distance."""
+
+
+class Excess(NamedTuple):
+    """How much more often than without attack an alarm came.
+
+    Attributes
+    ----------
+    value : float
+        As a part of the runs.
+    error : float
+        Its standard error.
+    """
+
+    value: float
+    error: float
+
+    def keeps(self, budget: float, margin: float) -> bool:
+        """Whether a budget is kept.
+
+        Parameters
+        ----------
+        budget : float
+            As a part of the runs.
+        margin : float
+            Distance from it, in standard errors.
+
+        Returns
+        -------
+        bool
+            True within the budget.
+        """
+        return self.value + margin * self.error <= budget + 1e-9
+
+
+def excess_of(alarm: ArrayLike, clean_alarm: ArrayLike) -> Excess:
+    """Excess of alarms over those without attack.
+
+    Parameters
+    ----------
+    alarm, clean_alarm : array_like
+        (R,) bool, of the same runs.
+
+    Returns
+    -------
+    Excess
+        With its standard error.
+    """
+    paired = np.asarray(alarm, dtype=np.float64) - np.asarray(clean_alarm, dtype=np.float64)
+    return Excess(float(paired.mean()), float(paired.std()) / math.sqrt(len(paired)))
