@@ -8,9 +8,10 @@ python := $(VENV)/bin/python
 extras_bench := flights,report
 extras_check := flights,report,dev
 extras_test  := flights,report,dev,train
+extras_train := report,train
 
 .DEFAULT_GOAL := help
-.PHONY: help venv bench test check perf
+.PHONY: help venv bench test check perf train
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
@@ -30,6 +31,9 @@ check: $(VENV)/.installed-check ## format, lint, types, import directions, docst
 	$(VENV)/bin/lint-imports
 	find spoofgym -name '*.py' -exec $(python) -m numpydoc lint {} +
 	$(VENV)/bin/codespell
+
+train: $(VENV)/.installed-train ## train a spoofer, for example ARGS="--out runs/my-first"
+	$(python) -m train.ppo_spoofer $(ARGS)
 
 perf: $(VENV)/.installed-bench ## measure the speed of this machine
 	$(VENV)/bin/spoofgym perf $(ARGS)

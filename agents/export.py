@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import math
 import tempfile
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,10 @@ import onnx
 import torch
 from gymnasium import spaces
 from onnx import numpy_helper
-from stable_baselines3.common.distributions import DiagGaussianDistribution
+from stable_baselines3.common.distributions import (
+    DiagGaussianDistribution,
+    StateDependentNoiseDistribution,
+)
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from spoofgym._files import write_file
@@ -37,20 +41,29 @@ TRIED = 4096
 """Random observations on which they are compared."""
 PREFIX = "policy."
 """Before the names of the policy's parameters in a file."""
+OBSERVED, COMMANDED = "observation_factor", "action_factor"
+"""Names of the factors that make the amplitude, in a file."""
+OWN = "own_"
+"""How the names of observations begin that are of the spoofer's own command."""
 
 
 class _Actor(torch.nn.Module):
-    """Deterministic action of a policy."""
+    """Deterministic action of a policy, with the amplitude of `PolicyExporter.content`."""
 
     def __init__(self, policy: ActorCriticPolicy) -> None:
         super().__init__()
         self.policy = policy
+        size = policy.observation_space.shape[0]
+        self.register_buffer(OBSERVED, torch.ones(size))
+        self.register_buffer(COMMANDED, torch.ones(1))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         policy = self.policy
-        features = policy.extract_features(observation, policy.pi_features_extractor)
+        scaled = observation * self.get_buffer(OBSERVED)
+        features = policy.extract_features(scaled, policy.pi_features_extractor)
         mean = policy.action_net(policy.mlp_extractor.forward_actor(features))
-        return torch.clamp(mean, -1.0, 1.0)
+        action = torch.clamp(mean, -1.0, 1.0) * self.get_buffer(COMMANDED)
+        return torch.clamp(action, -1.0, 1.0)
 
 
 class PolicyExporter:
@@ -72,15 +85,30 @@ class PolicyExporter:
         self.policy = policy
         self._model = _trace(policy)
 
-    def content(self) -> bytes:
-        """The policy as it is now.
+    def content(self, names: Sequence[str] = (), amplitude: float = 1.0) -> bytes:
+        r"""The policy as it is now.
+
+        With an amplitude s the file follows what the policy :math:`\pi` plans s times as large: its
+        own displacement and rate, :math:`o_c`, are divided by s before it sees them,
+
+        .. math:: a = s \, \pi(o_c / s, o_{rest})
+
+        Parameters
+        ----------
+        names : sequence of str
+            Name of every observation; those of the own command begin with ``own_``.  Needed where
+            the amplitude is not 1.
+        amplitude : float
+            s, above 0.
 
         Returns
         -------
         bytes
             Of an ONNX file without external data.
         """
-        weights = self.policy.state_dict()
+        weights = dict(self.policy.state_dict())
+        size = self.policy.observation_space.shape[0]
+        weights[OBSERVED], weights[COMMANDED] = _factors(size, names, amplitude)
         for tensor in self._model.graph.initializer:
             weight = weights.get(tensor.name.removeprefix(PREFIX))
             if weight is not None:
@@ -88,7 +116,7 @@ class PolicyExporter:
                 tensor.CopyFrom(numpy_helper.from_array(array, tensor.name))
         return bytes(self._model.SerializeToString(deterministic=True))
 
-    def write(self, path: str | Path, fields: Mapping[str, Any]) -> Card:
+    def write(self, path: str | Path, fields: Mapping[str, Any], amplitude: float = 1.0) -> Card:
         """Compare file and policy, then write the file and last its card.
 
         Parameters
@@ -97,6 +125,8 @@ class PolicyExporter:
             ``.../NAME.onnx``; the card becomes ``.../NAME.json``.
         fields : mapping
             Fields of the card but ``name``, ``kind`` and ``file``.
+        amplitude : float
+            As in `content`.
 
         Returns
         -------
@@ -112,7 +142,7 @@ class PolicyExporter:
         path = Path(path)
         if path.suffix != ".onnx":
             raise ValueError(f"`path` must end in .onnx, got {path}")
-        content = self.content()
+        content = self.content(fields["observation"]["names"], amplitude)
         file = PolicyFile(
             name=path.name,
             sha256=hashlib.sha256(content).hexdigest(),
@@ -122,12 +152,14 @@ class PolicyExporter:
         card = Card(name=path.stem, kind="onnx-policy", file=file, **fields)
         with tempfile.TemporaryDirectory() as folder:
             _write(Path(folder) / path.name, content, card)
-            _compare(self.policy, OnnxPolicy(str(Path(folder) / path.name)))
+            _compare(self.policy, OnnxPolicy(str(Path(folder) / path.name)), amplitude)
         _write(path, content, card)
         return card
 
 
-def export_policy(policy: ActorCriticPolicy, path: str | Path, fields: Mapping[str, Any]) -> Card:
+def export_policy(
+    policy: ActorCriticPolicy, path: str | Path, fields: Mapping[str, Any], amplitude: float = 1.0
+) -> Card:
     """Write a policy and its card once.
 
     Parameters
@@ -138,13 +170,15 @@ def export_policy(policy: ActorCriticPolicy, path: str | Path, fields: Mapping[s
         ``.../NAME.onnx``.
     fields : mapping
         As in `PolicyExporter.write`.
+    amplitude : float
+        As in `PolicyExporter.content`.
 
     Returns
     -------
     Card
         As it was written.
     """
-    return PolicyExporter(policy).write(path, fields)
+    return PolicyExporter(policy).write(path, fields, amplitude)
 
 
 def _write(path: Path, content: bytes, card: Card) -> None:
@@ -154,7 +188,8 @@ def _write(path: Path, content: bytes, card: Card) -> None:
 
 
 def _check_policy(policy: ActorCriticPolicy) -> None:
-    gaussian = isinstance(getattr(policy, "action_dist", None), DiagGaussianDistribution)
+    kinds = (DiagGaussianDistribution, StateDependentNoiseDistribution)
+    gaussian = isinstance(getattr(policy, "action_dist", None), kinds)
     if not isinstance(policy, ActorCriticPolicy) or not gaussian or policy.squash_output:
         raise TypeError(
             "only an actor-critic policy with a Gaussian action, as PPO has it, can be exported, "
@@ -202,7 +237,19 @@ def _plain(model: onnx.ModelProto) -> onnx.ModelProto:
     return model
 
 
-def _compare(policy: ActorCriticPolicy, written: OnnxPolicy) -> None:
+def _factors(
+    size: int, names: Sequence[str], amplitude: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Factors on observations and actions that make an amplitude."""
+    if not (math.isfinite(amplitude) and amplitude > 0.0):
+        raise ValueError(f"`amplitude` must be finite and > 0, got {amplitude}")
+    if amplitude != 1.0 and len(names) != size:
+        raise ValueError(f"an amplitude needs the {size} names of observations, got {len(names)}")
+    own = [1.0 / amplitude if name.startswith(OWN) else 1.0 for name in names] or [1.0] * size
+    return torch.tensor(own), torch.tensor([amplitude])
+
+
+def _compare(policy: ActorCriticPolicy, written: OnnxPolicy, amplitude: float) -> None:
     """Raise unless a file acts as its policy, all over the space of its card."""
     space = written.card.observation
     assert space is not None  # OnnxPolicy has checked it
@@ -216,9 +263,10 @@ def _compare(policy: ActorCriticPolicy, written: OnnxPolicy) -> None:
     observation = np.vstack([drawn.astype(np.float32), low, high])
     written.bind(_context(written.card, len(observation)))
     action = written.act(observation)
-    expected, _ = policy.predict(observation, deterministic=True)
-    apart = float(np.abs(action - expected).max())
-    gain = float(policy.action_net.weight.detach().norm(dim=1).max())
+    factors, factor = (tensor.numpy() for tensor in _factors(len(low), space.names, amplitude))
+    expected, _ = policy.predict(observation * factors, deterministic=True)
+    apart = float(np.abs(action - np.clip(factor * expected, -1.0, 1.0)).max())
+    gain = amplitude * float(policy.action_net.weight.detach().norm(dim=1).max())
     allowed = TOLERANCE * max(gain, 1.0)
     if not apart <= allowed:
         raise ValueError(

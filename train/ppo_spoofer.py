@@ -9,7 +9,8 @@ What happens:
 2. PPO of stable-baselines3 learns.  The price of an alarm rises while more runs alarm than the
    budget allows, and falls while fewer do (a Lagrange multiplier by dual ascent).
 3. Every now and then the policy is written as ONNX, and onnxruntime plays it deterministically on
-   runs of the calibration split.  The best one within the budget is kept, with its card.
+   runs of the calibration split, with the largest amplitude that keeps the budget.  The best one is
+   kept, with its card.
 4. At the end the best one plays runs of the evaluation split, once, and the card tells it.
 
 The folder holds `config.json`, `record.jsonl` (learning curve), `tensorboard/`, `checkpoint.zip`,
@@ -19,14 +20,21 @@ goes on from the last checkpoint.
 Deviations from plain PPO of stable-baselines3, and why:
 
 1. gamma is 1: the return is what is scored, and an episode has an end.
-2. Large minibatches, since the environment is fast; rollouts as long as an episode.
-3. The alarm penalty adapts between rollouts.
-4. Rewards are in units of what the best ramp reaches, so that one set of settings suits detectors
+2. Exploration depends on the state and is drawn once a rollout (gSDE, `raffin2022`), so that it is
+   smooth in time: white noise of acceleration averages out before a detector sees it.
+3. Large minibatches, since the environment is fast; rollouts as long as an episode.
+4. The alarm penalty adapts between rollouts.
+5. What is evaluated are weights averaged over the last rollouts: alarms are rare and dear, so that
+   single updates jitter.
+6. The amplitude of what it plans is fitted to the budget afterwards, as the benchmark fits the rate
+   of a ramp, and `baselines.profile` the scale of a profile.
+7. Rewards are in units of what the best ramp reaches, so that one set of settings suits detectors
    that allow for metres and for hundreds of metres.
 """
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 import shlex
@@ -34,6 +42,7 @@ import tempfile
 import time
 import warnings
 import zipfile
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from importlib.metadata import version
 from io import BytesIO
@@ -49,6 +58,7 @@ from rich.table import Table
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.policies import ActorCriticPolicy
 
 from agents.export import PolicyExporter
 from agents.networks import MlpShape
@@ -105,19 +115,23 @@ class Arguments:
     """Of generalised advantage estimation."""
     clip_range: float = 0.2
     """Of PPO's ratio."""
-    log_std_init: float = -1.5
-    """Logarithm of the exploration's size at first."""
+    log_std_init: float = -3.0
+    """Logarithm of the exploration's size at first, for each unit of the last hidden layer."""
+    averaging: float = 0.9
+    """Weight of the past in the average of the weights, for each rollout; 0 for the last one."""
     width: int = 64
     """Units of each of the two hidden layers."""
     budget: float = BUDGET
     """How much more often than without attack an alarm may come, as a part of the runs."""
     margin: float = MARGIN
     """Distance that the choice keeps from the budget, in standard errors."""
-    penalty: float = 3.0
+    penalty: float = 6.0
     """Price of an alarm at first, in displacements of the best ramp."""
+    penalty_limit: float = 30.0
+    """Its largest value, likewise."""
     penalty_gain: float = 0.3
     """How quickly the price adapts; 0 to keep it."""
-    evaluations: int = 20
+    evaluations: int = 12
     """How often the policy is evaluated, and a checkpoint is written."""
     evaluation_runs: int = 512
     """Runs of an evaluation, of the tuning of the ramps, and of the clean alarm rate."""
@@ -146,7 +160,9 @@ class Arguments:
             ("learning_rate", 0.0, math.inf),
             ("margin", 0.0, math.inf),
             ("penalty", 0.0, math.inf),
+            ("penalty_limit", 0.0, math.inf),
             ("penalty_gain", 0.0, math.inf),
+            ("averaging", 0.0, 1.0),
         ):
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
@@ -272,6 +288,21 @@ class Judge:
         }
 
 
+def fitted(keeps: Callable[[float], bool], first: float) -> None:
+    """Try amplitudes: walk from the first one to where the budget is spent, then halve the step."""
+    faster = keeps(first)
+    low = high = first
+    for _ in range(WALKS):
+        last, there = (high, high * STEP) if faster else (low, low / STEP)
+        if keeps(there) != faster:
+            low, high = sorted((last, there))
+            break
+        low = high = there
+    for _ in range(HALVINGS if low < high else 0):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if keeps(middle) else (low, middle)
+
+
 def tuned_ramps(args: Arguments, console: Console) -> list[dict[str, Any]]:
     """Tuning tables of the ramps, on the runs of the training split."""
     suite = args.suite
@@ -320,6 +351,7 @@ def make_model(args: Arguments, env: SpoofVecEnv) -> PPO:
         gamma=args.gamma,
         gae_lambda=args.gae_lambda,
         clip_range=args.clip_range,
+        use_sde=True,
         policy_kwargs=shape.policy_kwargs(),
         seed=args.seed,
         device="cpu",
@@ -338,11 +370,13 @@ class Run(BaseCallback):
         self.clean_rate = float(rivals[0]["clean_alarm_rate"])
         self.aim = self.alarm_rate = self.clean_rate + args.budget
         self.best_m, self.best_step = -math.inf, -1
-        self.spent_s, self.rollout, self.next_step = 0.0, 0, 0
+        self.spent_s, self.rollout, self.next_step, self.evaluated = 0.0, 0, 0, -1
         self.latest: dict[str, float] = {}
         self._ended: list[tuple[float, bool]] = []
         self._began = time.perf_counter()
         self.judge = Judge(args, "calibration", args.evaluation_runs, args.seed)
+        self.average: ActorCriticPolicy | None = None
+        self.amplitude = 1.0
 
     @property
     def wall_s(self) -> float:
@@ -354,9 +388,11 @@ class Run(BaseCallback):
         """File of the best policy."""
         return self.args.out / f"{self.name}.onnx"
 
-    def prepare(self, exporter: PolicyExporter, record: TrainingRecord, bar: Progress) -> None:
-        """Take what the training writes to."""
-        self.exporter, self.record, self.bar = exporter, record, bar
+    def prepare(self, model: PPO, record: TrainingRecord, bar: Progress) -> None:
+        """Take what is trained, and what the training writes to."""
+        self.record, self.bar = record, bar
+        self.average = copy.deepcopy(model.policy) if self.average is None else self.average
+        self.exporter = PolicyExporter(self.average)
         self.task = bar.add_task(self.name, total=self.args.steps)
         self.env.set_rewards(rewards(self.scale_m, self.penalty_m))
 
@@ -369,9 +405,27 @@ class Run(BaseCallback):
     def _on_rollout_start(self) -> None:
         """After every update."""
         check_finite(self.model)
+        if self.num_timesteps:
+            self._average()
         self.bar.update(self.task, completed=self.num_timesteps)
         if self.num_timesteps >= self.next_step:
             self.evaluate()
+
+    def evaluate_last(self) -> None:
+        """After the last update."""
+        if self.num_timesteps > self.evaluated:
+            self.next_step = self.num_timesteps
+            self._on_rollout_start()
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        """Move the average towards the latest weights."""
+        # at first over what there is, so that the initial weights do not linger
+        kept = min(self.args.averaging, 1.0 - 1.0 / (self.rollout + 1))
+        for mean, now in zip(
+            self.average.parameters(), self.model.policy.parameters(), strict=True
+        ):
+            mean.lerp_(now, 1.0 - kept)
 
     def _on_rollout_end(self) -> None:
         """Adapt the price of an alarm to what the rollout has seen."""
@@ -382,7 +436,7 @@ class Run(BaseCallback):
         self._ended.clear()
         self.alarm_rate += 0.3 * (float(alarmed) - self.alarm_rate)
         change = math.exp(self.args.penalty_gain * (self.alarm_rate - self.aim))
-        bounds = 0.01 * self.scale_m, 1000.0 * self.scale_m
+        bounds = 0.1 * self.scale_m, self.args.penalty_limit * self.scale_m
         self.penalty_m = min(max(self.penalty_m * change, bounds[0]), bounds[1])
         self.env.set_rewards(rewards(self.scale_m, self.penalty_m))
         self.latest = {
@@ -396,37 +450,61 @@ class Run(BaseCallback):
     def evaluate(self) -> None:
         """Play the policy as it is, keep it if it is the best, write a checkpoint."""
         self.next_step = self.num_timesteps + self.args.steps // self.args.evaluations
+        self.evaluated = self.num_timesteps
+        found = self._played()
+        within = [item for item in found if self._keeps(item[1])]
+        amplitude, best = max(within or found[:1], key=lambda item: (item[1].mean_m, -item[0]))
+        if within:
+            self.amplitude = amplitude
+        if within and best.mean_m > self.best_m:
+            self.best_m, self.best_step = best.mean_m, self.num_timesteps
+            score = self.judge.score(best, self.args.budget)
+            self.exporter.write(self.best_path, self.card_fields([score], amplitude), amplitude)
+        self._tell(amplitude, best, bool(within))
+        self.save()
+
+    def _keeps(self, found: Evaluation) -> bool:
+        return found.excess.keeps(self.args.budget, self.args.margin)
+
+    def _played(self) -> list[tuple[float, Evaluation]]:
+        """The policy with some amplitudes around what the budget allows, the first one first."""
+        found: list[tuple[float, Evaluation]] = []
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"{self.name}.onnx"
-            self.exporter.write(path, self.card_fields([]))
-            found = self.judge.evaluate(path)
-        kept = found.excess.keeps(self.args.budget, self.args.margin)
-        # what is chosen keeps a distance from the budget; so does what is learned
-        reach = self.args.budget - self.args.margin * found.excess.error
-        self.aim = self.clean_rate + max(reach, 0.2 * self.args.budget)
-        if kept and found.mean_m > self.best_m:
-            self.best_m, self.best_step = found.mean_m, self.num_timesteps
-            score = self.judge.score(found, self.args.budget)
-            self.exporter.write(self.best_path, self.card_fields([score]))
+
+            def keeps(amplitude: float) -> bool:
+                self.exporter.write(path, self.card_fields([], amplitude), amplitude)
+                found.append((amplitude, self.judge.evaluate(path)))
+                return self._keeps(found[-1][1])
+
+            if self.num_timesteps:
+                fitted(keeps, self.amplitude)
+            else:
+                keeps(1.0)
+        return found
+
+    def _tell(self, amplitude: float, found: Evaluation, within: bool) -> None:
+        """Write a point of the learning curve, and a line."""
         values = {
             **self.latest,
+            "amplitude": amplitude,
             "eval_undetected_m": found.mean_m,
             "eval_alarm_rate": float(found.alarm.mean()),
             "eval_excess": found.excess.value,
-            "within_budget": kept,
+            "within_budget": within,
         }
         self.record.append(self.num_timesteps, round(self.wall_s, 2), **values)
-        for key in ("eval_undetected_m", "eval_excess"):
+        for key in ("eval_undetected_m", "eval_excess", "amplitude"):
             self.logger.record(f"spoofer/{key}", values[key])
         self.bar.console.print(
             f"{self.num_timesteps:>9,d} steps {self.wall_s:5.0f} s   "
-            f"undetected {found.mean_m:7.2f} m   alarms {100 * found.excess.value:+5.1f} %"
-            f"{'' if kept else '  over budget'}"
-            f"{'  best' if self.best_step == self.num_timesteps else ''}"
+            f"undetected {found.mean_m:7.2f} m   alarms {100 * found.excess.value:+5.1f} %   "
+            f"amplitude {amplitude:4.2f}{'' if within else '  over budget'}"
+            f"{'  best' if self.best_step == self.num_timesteps else ''}",
+            soft_wrap=True,
         )
-        self.save()
 
-    def card_fields(self, scores: list[dict[str, Any]]) -> dict[str, Any]:
+    def card_fields(self, scores: list[dict[str, Any]], amplitude: float) -> dict[str, Any]:
         """Card of the policy as it is."""
         game, args = self.env.game, self.args
         context = spoofer_context(game.setup, 1, game.observer)
@@ -445,6 +523,7 @@ class Run(BaseCallback):
                 "seed": args.seed,
                 "steps": self.num_timesteps,
                 "wall_s": round(self.wall_s, 1),
+                "amplitude": amplitude,
                 "alarm_penalty_m": round(self.penalty_m, 3),
                 "ramp_m": round(self.scale_m, 3),
             },
@@ -460,7 +539,7 @@ class Run(BaseCallback):
         content = BytesIO()
         with zipfile.ZipFile(content, "w") as archive:
             weights = BytesIO()
-            torch.save(self.model.get_parameters(), weights)
+            torch.save({**self.model.get_parameters(), AVERAGE: self.average.state_dict()}, weights)
             archive.writestr("parameters.pt", weights.getvalue())
             archive.writestr("state.json", json.dumps(state))
         write_file(self.args.out / CHECKPOINT, content.getvalue())
@@ -470,22 +549,42 @@ class Run(BaseCallback):
         with zipfile.ZipFile(self.args.out / CHECKPOINT) as archive:
             state = json.loads(archive.read("state.json"))
             weights = BytesIO(archive.read("parameters.pt"))
-        model.set_parameters(torch.load(weights, weights_only=True), device="cpu")
+        parameters = torch.load(weights, weights_only=True)
+        self.average = copy.deepcopy(model.policy)
+        self.average.load_state_dict(parameters.pop(AVERAGE))
+        model.set_parameters(parameters, device="cpu")
         model.num_timesteps = self.num_timesteps = state.pop("num_timesteps")
         for name, value in state.items():
             setattr(self, name, value)
 
 
-STATE = ("penalty_m", "alarm_rate", "aim", "best_m", "best_step", "rollout", "next_step")
+STATE = (
+    "penalty_m",
+    "alarm_rate",
+    "amplitude",
+    "best_m",
+    "best_step",
+    "rollout",
+    "next_step",
+    "evaluated",
+)
+AVERAGE = "average"
+"""Name of the averaged weights in a checkpoint."""
+STEP, WALKS, HALVINGS = 1.15, 4, 2
+"""Step between amplitudes, most steps of one search, and how often the last one is halved."""
 CHECKPOINT, CONFIG, RECORD = "checkpoint.zip", "config.json", "record.jsonl"
 """Files of a run's folder."""
 
 
 def check_finite(model: PPO) -> None:
     """Raise where an update has made the policy useless."""
+    after = f"after {model.num_timesteps:,} steps"
     for name, weight in model.policy.named_parameters():
         if not bool(torch.isfinite(weight).all()):
-            raise Diverged(f"{name} is not finite after {model.num_timesteps:,} steps")
+            raise Diverged(f"{name} is not finite {after}")
+    deviation = model.policy.log_std.exp()
+    if not bool(((deviation > 0.0) & torch.isfinite(deviation)).all()):
+        raise Diverged(f"the size of the exploration is {deviation.tolist()} {after}")
 
 
 def command_of(args: Arguments) -> list[str]:
@@ -573,14 +672,12 @@ def train(args: Arguments, console: Console) -> Path:
     )
     last = begun if resumed else None
     with TrainingRecord(args.out / RECORD, last_step=last if resumed else -1) as record, bar:
-        run.prepare(PolicyExporter(model.policy), record, bar)
+        run.prepare(model, record, bar)
         try:
             model.learn(max(args.steps - begun, 0), callback=run, reset_num_timesteps=False)
-            check_finite(model)
+            run.evaluate_last()
         except (Diverged, ValueError) as error:
             raise_if_diverged(model, run, error)
-        if model.num_timesteps > run.best_step or run.best_step < 0:
-            run.evaluate()
     env.close()
     return run.best_path
 

@@ -1,0 +1,242 @@
+"""The vector environment of stable-baselines3."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import sys
+
+import numpy as np
+import pytest
+
+# ruff: noqa: E402 - stable-baselines3 may be missing
+torch = pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+
+import gymnasium as gym
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecMonitor
+
+from spoofgym.envs import SpoofEnv
+from spoofgym.envs.rewards import AlarmPenalty, default_rewards
+from spoofgym.sb3 import SpoofVecEnv
+
+TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
+SETTINGS = {
+    "detector": {"name": "ewma", "false_alarm": 0.02},
+    "knowledge": "oracle",
+    "timeline": TIMELINE,
+}
+ENVS = 5
+
+
+@pytest.fixture(autouse=True)
+def torch_threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def make(**settings):
+    return SpoofVecEnv(ENVS, seed=3, **{**SETTINGS, **settings})
+
+
+def actions(steps):
+    drawn = np.random.default_rng(0).normal(0.4, 0.5, (steps, ENVS, 2))
+    return np.clip(drawn, -1, 1).astype(np.float32)
+
+
+def play(envs, commands):
+    """All that a learner sees of some steps."""
+    return [envs.step(command) for command in commands]
+
+
+def assert_same(one, other):
+    for (obs, reward, done, _), (obs2, reward2, done2, _) in zip(one, other, strict=True):
+        assert np.array_equal(obs, obs2)
+        assert np.array_equal(reward, reward2)
+        assert np.array_equal(done, done2)
+
+
+@pytest.mark.parametrize("prefetch", [False, True])
+def test_receivers_are_single_environments_with_autoresets(prefetch):
+    envs = make(prefetch=prefetch)
+    first = envs.reset()
+    commands = actions(25)
+    turns = play(envs, commands)
+    assert sum(done.sum() for _, _, done, _ in turns) > ENVS  # every one has ended, some twice
+    for i in range(ENVS):
+        env = SpoofEnv(**SETTINGS)
+        observation, _ = env.reset(seed=3 + i)
+        assert np.array_equal(observation, first[i])
+        total, length = 0.0, 0
+        for command, (observations, rewards, dones, infos) in zip(commands, turns, strict=True):
+            observation, reward, terminated, truncated, info = env.step(command[i])
+            total, length = total + reward, length + 1
+            assert rewards[i] == np.float32(reward)
+            assert dones[i] == terminated
+            if not terminated:
+                assert infos[i] == {}
+                assert np.array_equal(observations[i], observation)
+                continue
+            told = infos[i]
+            assert np.array_equal(told["terminal_observation"], observation)
+            assert told["TimeLimit.truncated"] is truncated is False
+            assert told["episode"]["l"] == length
+            assert told["episode"]["r"] == pytest.approx(total, abs=1e-5)
+            for name in ("undetected_displacement_m", "detected", "warmup_alarm", "coasting"):
+                assert told[name] == info[name]
+            observation, _ = env.reset()
+            assert np.array_equal(observations[i], observation)
+            total, length = 0.0, 0
+
+
+def test_types_are_those_of_stable_baselines3():
+    envs = make()
+    observation = envs.reset()
+    assert observation.dtype == np.float32
+    assert envs.observation_space.contains(observation[0])
+    observation, reward, done, infos = envs.step(actions(1)[0])
+    assert (observation.dtype, reward.dtype, done.dtype) == (np.float32, np.float32, np.bool_)
+    assert len(infos) == ENVS
+    assert len({id(info) for info in infos}) == ENVS  # wrappers write into them
+
+
+def test_what_is_returned_is_not_used_again():
+    envs = make()
+    kept = [envs.reset(), *(part for turn in play(envs, actions(12)) for part in turn[:3])]
+    before = [part.copy() for part in kept]
+    play(envs, actions(12))
+    for part, copied in zip(kept, before, strict=True):
+        assert np.array_equal(part, copied)
+
+
+def test_a_reset_goes_on_and_a_seeded_one_begins_anew():
+    envs = make()
+    first = envs.reset()
+    second = envs.reset()
+    assert not np.array_equal(first, second)
+    envs.seed(3)
+    assert np.array_equal(envs.reset(), first)
+    assert np.array_equal(envs.reset(), second)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_a_copy_goes_on_with_the_same_bits(copied):
+    envs = make()
+    envs.reset()
+    play(envs, actions(7))
+    twin = copied(envs)
+    assert_same(play(envs, actions(15)), play(twin, actions(15)))
+
+
+def test_attributes_and_methods_are_shared():
+    envs = make()
+    assert envs.get_attr("action_names") == [envs.action_names] * ENVS
+    assert envs.get_attr("action_names", indices=[1, 2]) == [envs.action_names] * 2
+    assert envs.get_attr("render_mode", indices=0) == [None]
+    envs.set_attr("note", 5)
+    assert envs.note == 5
+    assert envs.env_is_wrapped(gym.Wrapper) == [False] * ENVS
+    envs.env_method("set_rewards", default_rewards(7.0))
+    for call in (
+        lambda: envs.set_attr("note", 6, indices=0),
+        lambda: envs.env_method("close", indices=[1]),
+    ):
+        with pytest.raises(ValueError, match="`indices` must be None"):
+            call()
+    with pytest.raises(AttributeError, match="nothing"):
+        envs.get_attr("nothing")
+
+
+def test_rewards_can_change_between_steps():
+    one, other = make(end_at_alarm=True), make()
+    one.reset(), other.reset()
+    other.set_rewards([AlarmPenalty(100.0)])
+    turns = zip(play(one, actions(25)), play(other, actions(25)), strict=True)
+    prices = [
+        (float(rewards[i]), info["detected"])
+        for _, (_, rewards, _, infos) in turns
+        for i, info in enumerate(infos)
+        if info
+    ]
+    assert {price for price, detected in prices if detected} == {-100.0}
+    assert {price for price, detected in prices if not detected} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (np.full((ENVS, 2), np.nan), "must be finite"),
+        (np.zeros((ENVS, 3)), r"shape \(5, 2\)"),
+        (np.full((ENVS, 2), 1.5), r"in \[-1, 1\]"),
+    ],
+)
+def test_bad_actions_are_refused(wrong, message):
+    envs = make()
+    envs.reset()
+    with pytest.raises(ValueError, match=message):
+        envs.step(wrong)
+    assert_same(play(envs, actions(3)), _fresh_course(3))  # nothing has happened meanwhile
+
+
+def _fresh_course(steps):
+    envs = make()
+    envs.reset()
+    return play(envs, actions(steps))
+
+
+def test_bad_calls_are_refused():
+    with pytest.raises(ValueError, match="`num_envs` must be at least 1, got 0"):
+        SpoofVecEnv(0)
+    with pytest.raises(ValueError, match="`torch_threads` must be at least 1, got 0"):
+        make(torch_threads=0)
+    envs = make()
+    with pytest.raises(RuntimeError, match=r"call reset\(\)"):
+        envs.step(actions(1)[0])
+    envs.reset()
+    with pytest.raises(RuntimeError, match="step_async"):
+        envs.step_wait()
+
+
+def test_torch_gets_one_thread_unless_told():
+    torch.set_num_threads(2)
+    make(torch_threads=None)
+    assert torch.get_num_threads() == 2
+    make()
+    assert torch.get_num_threads() == 1
+
+
+def test_ppo_learns_on_it_the_same_twice():
+    weights = []
+    for _ in range(2):
+        envs = make(knowledge="blind")
+        model = PPO("MlpPolicy", envs, n_steps=20, batch_size=50, gamma=1.0, seed=0, device="cpu")
+        model.learn(200)
+        assert len(model.ep_info_buffer) > 0  # episodes are told without VecMonitor
+        weights.append([p.detach().numpy().copy() for p in model.policy.parameters()])
+    for one, other in zip(*weights, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_vec_monitor_agrees():
+    envs = VecMonitor(make())
+    envs.reset()
+    plain = make()
+    plain.reset()
+    for (_, _, _, infos), (_, _, _, own) in zip(
+        play(envs, actions(12)), play(plain, actions(12)), strict=True
+    ):
+        for info, mine in zip(infos, own, strict=True):
+            assert ("episode" in info) == ("episode" in mine)
+            if mine:
+                assert info["episode"]["r"] == pytest.approx(mine["episode"]["r"], abs=1e-5)
+                assert info["episode"]["l"] == mine["episode"]["l"]
+
+
+def test_nobody_else_here_imports_stable_baselines3():
+    import subprocess
+
+    code = "import sys, spoofgym.cli, spoofgym.testing; print('stable_baselines3' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

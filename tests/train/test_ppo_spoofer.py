@@ -1,0 +1,265 @@
+"""The training script, end to end, with settings that take seconds."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+# ruff: noqa: E402 - the packages of the laboratory may be missing
+torch = pytest.importorskip("torch")
+for name in ("stable_baselines3", "onnxscript", "tyro", "tensorboard"):
+    pytest.importorskip(name)
+
+from rich.console import Console
+
+from agents.record import read_record
+from spoofgym.bench.budget import excess_of
+from spoofgym.bench.suite import Suite
+from spoofgym.envs import attach
+from spoofgym.envs.rewards import default_rewards
+from spoofgym.sb3 import SpoofVecEnv
+from spoofgym.spoofers import Card, OnnxPolicy
+from train import ppo_spoofer
+from train.ppo_spoofer import CHECKPOINT, RECORD, Arguments, finish
+
+ROOT = Path(__file__).resolve().parents[2]
+QUICK = {
+    "detector": "snapshot-chi2",
+    "warmup_s": 6.0,
+    "attack_s": 10.0,
+    "steps": 600,
+    "num_envs": 5,
+    "batch_size": 50,
+    "evaluations": 3,
+    "evaluation_runs": 6,
+    "final_runs": 7,
+    "threads": 1,
+}
+
+
+@pytest.fixture(autouse=True)
+def torch_threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def quiet():
+    return Console(quiet=True)
+
+
+def arguments(out, **settings):
+    return Arguments(out=out, **{**QUICK, **settings})
+
+
+def words(out, **settings):
+    """The command line of the same."""
+    given = {**QUICK, **settings}
+    named = [[f"--{key.replace('_', '-')}", str(value)] for key, value in given.items()]
+    return ["--out", str(out), *(word for pair in named for word in pair)]
+
+
+def command(*given):
+    return subprocess.run(
+        [sys.executable, "-m", "train.ppo_spoofer", *given],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    args = arguments(tmp_path_factory.mktemp("runs") / "tiny")
+    before = torch.get_num_threads()
+    best = ppo_spoofer.train(args, quiet())
+    finish(args, best, quiet())
+    torch.set_num_threads(before)
+    return args
+
+
+def test_a_run_leaves_a_policy_that_plays(trained):
+    policy = OnnxPolicy(str(trained.out / "tiny.onnx"))
+    assert policy.knowledge == "blind"
+    envs = SpoofVecEnv(3, seed=0, **trained.env_kwargs)
+    spoofer = attach(policy, envs)
+    observation = envs.reset()
+    assert spoofer.act(observation).shape == (3, 2)
+    envs.close()
+
+
+def test_the_card_tells_how_it_was_made(trained):
+    card = Card.load(trained.out / "tiny.json")
+    assert card.training["arguments"] == json.loads(json.dumps(trained.identity))
+    assert str(trained.out.parent) not in card.training["command"]
+    assert 0 <= card.training["steps"] <= trained.steps + 5 * 20
+    assert [(score.split, score.runs) for score in card.scores] == [
+        ("calibration", 6),
+        ("evaluation", 7),
+    ]
+    assert [rival["spoofer"] for rival in card.rivals] == [
+        "ramp(tuned)",
+        "accelerating-ramp(tuned)",
+    ]
+    assert all(len({t["value"] for t in rival["trials"]}) >= 20 for rival in card.rivals)
+    assert {"spoofgym", "torch", "stable-baselines3", "numpy"} <= set(card.versions)
+
+
+def test_the_record_is_a_learning_curve(trained):
+    points = read_record(trained.out / RECORD)
+    steps = [point["step"] for point in points]
+    assert steps == sorted(set(steps))
+    assert (steps[0], steps[-1] >= trained.steps, len(points)) == (0, True, trained.evaluations + 1)
+    for point in points:
+        assert {"eval_undetected_m", "eval_excess", "within_budget", "wall_s"} <= set(point)
+    assert any((trained.out / "tensorboard").iterdir())
+
+
+def test_evaluation_and_training_share_no_runs(trained):
+    suite = trained.suite
+    states = [
+        suite.generators(split, 1)[0].bit_generator.state["state"]["state"]
+        for split in ("training", "calibration", "evaluation")
+    ]
+    receivers = np.random.default_rng(trained.seed).bit_generator.state["state"]["state"]
+    assert len({*states, receivers}) == 4
+
+
+def test_a_folder_with_a_run_is_not_overwritten(trained):
+    with pytest.raises(SystemExit, match="holds a training run; go on with it by --resume"):
+        ppo_spoofer.train(trained, quiet())
+
+
+def test_a_resumed_run_with_other_settings_is_refused(trained):
+    other = replace(trained, resume=True, gae_lambda=0.9, width=32)
+    with pytest.raises(SystemExit) as told:
+        ppo_spoofer.train(other, quiet())
+    assert "other settings" in str(told.value)
+    assert "gae_lambda: 0.98 on the card, 0.9 here" in str(told.value)
+    assert "width: 64 on the card, 32 here" in str(told.value)
+    assert "clip_range" not in str(told.value)
+
+
+def test_a_finished_run_can_be_resumed_and_stays_as_it_is(trained):
+    before = (trained.out / "tiny.onnx").read_bytes()
+    ppo_spoofer.train(replace(trained, resume=True), quiet())
+    assert (trained.out / "tiny.onnx").read_bytes() == before
+
+
+def test_a_killed_run_goes_on(tmp_path):
+    """SIGKILL in the middle, then the same command with --resume."""
+    out = tmp_path / "killed"
+    given = words(out, steps=4000, evaluations=20)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "train.ppo_spoofer", *given],
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        for _ in range(2400):
+            if (out / RECORD).is_file() and len(read_record(out / RECORD)) >= 4:
+                break
+            assert process.poll() is None, "ended before it was killed"
+            time.sleep(0.05)
+        os.kill(process.pid, signal.SIGKILL)
+    finally:
+        process.kill()
+        process.wait()
+    killed = read_record(out / RECORD)[-1]["step"]
+    assert killed < 4000
+    with zipfile.ZipFile(out / CHECKPOINT) as archive:
+        saved = json.loads(archive.read("state.json"))["num_timesteps"]
+    assert saved <= killed
+
+    again = command(*given, "--resume")
+    assert again.returncode == 0, again.stderr
+    assert f"resumed after {saved:,} steps" in again.stdout
+    steps = [point["step"] for point in read_record(out / RECORD)]
+    assert steps == sorted(set(steps))
+    assert (steps[0], steps[-1]) == (0, 4000)
+    walls = [point["wall_s"] for point in read_record(out / RECORD)]
+    assert walls == sorted(walls)
+    assert [score.split for score in Card.load(out / "killed.json").scores][-1] == "evaluation"
+
+
+def test_a_run_that_diverges_keeps_the_best(tmp_path):
+    done = command(*words(tmp_path / "wild", learning_rate=1e30))
+    assert done.returncode != 0
+    assert "training has diverged" in done.stderr
+    assert "is kept" in done.stderr
+    assert "Traceback" not in done.stderr
+    OnnxPolicy(str(tmp_path / "wild" / "wild.onnx"))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"steps": 0}, "`steps` must be at least 1, got 0"),
+        ({"gamma": 1.5}, r"`gamma` must be in \[0, 1\], got 1.5"),
+        ({"budget": float("nan")}, "`budget` must be in"),
+        ({"final_runs": 1}, "`final_runs` must be at least 2"),
+    ],
+)
+def test_settings_are_checked_at_once(tmp_path, settings, message):
+    with pytest.raises(ValueError, match=message):
+        arguments(tmp_path / "x", **settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"detector": "ewna"}, "did you mean 'ewma'"),
+        ({"knowledge": "clairvoyant"}, "unknown knowledge 'clairvoyant'"),
+    ],
+)
+def test_what_it_is_to_learn_against_is_checked_before_anything_is_written(
+    tmp_path, settings, message
+):
+    done = command(*words(tmp_path / "x", **settings))
+    assert done.returncode != 0
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_discount_is_warned_of(tmp_path):
+    with pytest.warns(UserWarning, match="`gamma` = 0.99: what is scored is not discounted"):
+        arguments(tmp_path / "x", gamma=0.99)
+
+
+def test_the_price_of_an_alarm_follows_the_alarms(trained):
+    envs = SpoofVecEnv(5, seed=0, **trained.env_kwargs)
+    rivals = json.loads((trained.out / "config.json").read_text())["rivals"]
+    run = ppo_spoofer.Run(trained, envs, rivals)
+    run.model = ppo_spoofer.make_model(trained, envs)
+    start = run.penalty_m
+    for alarmed, higher in ((True, True), (False, False)):
+        before = run.penalty_m
+        for _ in range(20):
+            run._ended = [(1.0, alarmed)] * 10
+            run._on_rollout_end()
+        assert (run.penalty_m > before) is higher
+    assert start == trained.penalty * run.scale_m
+    envs.set_rewards(default_rewards())
+    envs.close()
+
+
+def test_the_budget_is_that_of_the_benchmark(trained):
+    assert trained.suite.tuning.budget == trained.budget == Suite().tuning.budget
+    assert trained.suite.tuning.margin == trained.margin == Suite().tuning.margin
+    found = ppo_spoofer.Evaluation(
+        np.zeros(4), np.array([True, True, False, False]), np.array([True, False, False, False])
+    )
+    assert found.excess == excess_of([1, 1, 0, 0], [1, 0, 0, 0])

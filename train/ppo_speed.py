@@ -1,0 +1,133 @@
+"""What part of PPO's speed the simulation leaves: ``python -m train.ppo_speed``.
+
+PPO with the settings of `train.ppo_spoofer` runs on the engine, and on an environment of the same
+spaces that computes nothing, in turn within one process.  The ratio is what counts; the steps a
+second are those of the machine.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from spoofgym.sb3 import SpoofVecEnv
+from train.ppo_spoofer import Arguments, make_model
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is measured."""
+
+    rounds: int = 3
+    """How often both are measured, in turn."""
+    rollouts: int = 6
+    """Rollouts, with learning, of each measurement; one more comes before and does not count."""
+    num_envs: int = 128
+    """Receivers side by side."""
+    detector: str = "ewma"
+    """Detector, as in train.ppo_spoofer."""
+    knowledge: str = "blind"
+    """What the spoofer observes: blind, tracking or oracle."""
+    json: bool = False
+    """Print JSON, and nothing else."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        for name in ("rounds", "rollouts", "num_envs"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}")
+
+
+class Nothing(SpoofVecEnv):
+    """The same spaces, episodes of full length, and no simulation."""
+
+    def reset(self) -> np.ndarray:
+        """Begin."""
+        self._step = 0
+        self._seen = np.zeros((self.num_envs, *self.observation_space.shape), dtype=np.float32)
+        return self._seen.copy()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Look at nothing."""
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Count."""
+        self._step += 1
+        over = self._step % self.game.setup.steps == 0
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if over:
+            for info in infos:
+                info.update({"terminal_observation": self._seen[0], "TimeLimit.truncated": False})
+        rewards = np.zeros(self.num_envs, dtype=np.float32)
+        return self._seen.copy(), rewards, np.full(self.num_envs, over), infos
+
+
+def steps_per_s(kind: type[SpoofVecEnv], args: Arguments, rollouts: int) -> float:
+    """Steps a second of PPO, learning included, after a first rollout."""
+    envs = kind(args.num_envs, seed=args.seed, **args.env_kwargs)
+    model = make_model(args, envs)
+    size = model.n_steps * args.num_envs
+    model.learn(size)
+    began = time.perf_counter()
+    model.learn(rollouts * size, reset_num_timesteps=False)
+    passed = time.perf_counter() - began
+    envs.close()
+    return rollouts * size / passed
+
+
+def measure(settings: Settings) -> dict[str, Any]:
+    """Both speeds in turn, and their ratio."""
+    args = Arguments(
+        out=Path("unused"),
+        num_envs=settings.num_envs,
+        detector=settings.detector,
+        knowledge=settings.knowledge,
+    )
+    pairs = [
+        [steps_per_s(kind, args, settings.rollouts) for kind in (SpoofVecEnv, Nothing)]
+        for _ in range(settings.rounds)
+    ]
+    engine, nothing = np.median(pairs, axis=0)
+    return {
+        "num_envs": args.num_envs,
+        "detector": args.detector,
+        "knowledge": args.knowledge,
+        "engine_steps_per_s": round(float(engine), 1),
+        "without_physics_steps_per_s": round(float(nothing), 1),
+        "ratio": round(float(np.median([a / b for a, b in pairs])), 3),
+        "ratios": [round(a / b, 3) for a, b in pairs],
+    }
+
+
+def main() -> None:
+    """Command line."""
+    try:
+        settings = tyro.cli(Settings, description=__doc__)
+    except ValueError as error:
+        raise SystemExit(f"error: {error}") from error
+    console = Console(quiet=settings.json)
+    with console.status(f"{2 * settings.rounds} measurements"):
+        found = measure(settings)
+    if settings.json:
+        print(json.dumps(found))
+        return
+    table = Table(title="PPO, learning included")
+    for head in ("environment", "steps/s"):
+        table.add_column(head, justify="right")
+    table.add_row("engine", f"{found['engine_steps_per_s']:,.0f}")
+    table.add_row("without physics", f"{found['without_physics_steps_per_s']:,.0f}")
+    console.print(table)
+    each = ", ".join(f"{ratio:.2f}" for ratio in found["ratios"])
+    console.print(f"ratio {found['ratio']:.2f} (median of {each})")
+
+
+if __name__ == "__main__":
+    main()
