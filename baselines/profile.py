@@ -22,6 +22,7 @@ from typing import Annotated
 
 import typer
 
+from spoofgym.bench.budget import BUDGET, MARGIN
 from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.suite import Suite, Tuning
 from spoofgym.cli import INTERRUPTED, clear_errors
@@ -78,11 +79,11 @@ def main(
         typer.Option(
             help="How much more often than without attack an alarm may come, as a part of the runs."
         ),
-    ] = 0.05,
+    ] = BUDGET,
     margin: Annotated[
         float,
         typer.Option(help="Distance of the choice from the budget, in standard errors."),
-    ] = 0.5,
+    ] = MARGIN,
     restarts: Annotated[
         int, typer.Option(help="How often a search that has converged begins again.")
     ] = 0,
@@ -116,7 +117,9 @@ def main(
             warmup_s=warmup_s, live_s=live_s, attack_s=attack_s, time_to_alert_s=time_to_alert_s
         ),
         entropy=seed,
-        tuning=Tuning(runs=select_runs, sift_runs=max(select_runs // 8, 1), budget=budget),
+        tuning=Tuning(
+            runs=select_runs, sift_runs=max(select_runs // 16, 1), budget=budget, margin=margin
+        ),
     )
     settings = RunSettings(
         search=SearchSettings(

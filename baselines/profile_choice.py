@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spoofgym.bench.budget import excess_of
 from spoofgym.spoofers import Profile
 
 from .profile_search import ProfileSearch
@@ -86,7 +87,7 @@ class Choice:
 _Tried = tuple[Fit, Profile, FloatArray]
 
 
-def choose(search: ProfileSearch, pool: RunPool, margin: float) -> Choice:
+def choose(search: ProfileSearch, pool: RunPool, budget: float, margin: float) -> Choice:
     """The largest displacement within the budget among the shapes of a search.
 
     Parameters
@@ -95,8 +96,10 @@ def choose(search: ProfileSearch, pool: RunPool, margin: float) -> Choice:
         With one generation at least.
     pool : RunPool
         Runs that it has not seen.
+    budget : float
+        How much more often than without attack an alarm may come.
     margin : float
-        Distance that is kept from the budget, in standard errors, at least 0.
+        Distance that is kept from it, in standard errors, at least 0.
 
     Returns
     -------
@@ -113,7 +116,7 @@ def choose(search: ProfileSearch, pool: RunPool, margin: float) -> Choice:
     tried: list[_Tried] = []
     at, (factor, halvings) = 1.0, WIDE
     for name, point in search.shapes().items():
-        found = _Fitting(search, pool, name, point, margin).around(at, factor, halvings)
+        found = _Fitting(search, pool, name, point, budget, margin).around(at, factor, halvings)
         tried += found
         at = max((item[0].scale for item in found if item[0].within_budget), default=at)
         factor, halvings = NARROW
@@ -134,27 +137,32 @@ class _Fitting:
     """Factors that are tried for one shape."""
 
     def __init__(
-        self, search: ProfileSearch, pool: RunPool, name: str, point: FloatArray, margin: float
+        self,
+        search: ProfileSearch,
+        pool: RunPool,
+        name: str,
+        point: FloatArray,
+        budget: float,
+        margin: float,
     ) -> None:
         self.search, self.pool = search, pool
-        self.name, self.point, self.margin = name, point, margin
+        self.name, self.point, self.budget, self.margin = name, point, budget, margin
         self.tried: list[_Tried] = []
 
     def keeps(self, scale: float) -> bool:
         """Try a factor."""
         profile = self.search.profile(self.point, scale)
         outcome = self.pool.play([profile])
-        excess, displacement = outcome.excess[0], outcome.displacement_m[0]
-        error = float(excess.std() / math.sqrt(self.pool.runs))
-        most = self.search.settings.budget + 1e-9
+        displacement = outcome.displacement_m[0]
+        excess = excess_of(outcome.alarm[0], outcome.clean_alarm)
         fit = Fit(
             self.name,
             scale,
             float(displacement.mean()),
             float(outcome.alarm[0].mean()),
-            float(excess.mean()),
-            error,
-            float(excess.mean()) + self.margin * error <= most,
+            excess.value,
+            excess.error,
+            excess.keeps(self.budget, self.margin),
         )
         self.tried.append((fit, profile, displacement))
         return fit.within_budget

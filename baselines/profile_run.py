@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from spoofgym._files import write_file
+from spoofgym.bench.budget import MARGIN, reach
 from spoofgym.bench.store import differences
 from spoofgym.bench.suite import Suite
 from spoofgym.bench.tune import TuningResult, tune
@@ -46,7 +47,7 @@ class RunSettings:
     search: SearchSettings
     runs: int = 128
     select_runs: int = 512
-    margin: float = 0.5
+    margin: float = MARGIN
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -249,7 +250,7 @@ class ProfileRun:
         self._tune(chosen, tell)
         search = self._search(pool, bounds, tell)
         tell(1.0, "choosing")
-        return choose(search, chosen, self.settings.margin)
+        return choose(search, chosen, self.budget, self.settings.margin)
 
     def _tune(self, chosen: RunPool, tell: Tell) -> None:
         """Tune the ramps."""
@@ -263,7 +264,9 @@ class ProfileRun:
     def _search(self, pool: RunPool, bounds: Bounds, tell: Tell) -> ProfileSearch:
         """Search until a bound is reached."""
         begun = time.monotonic() - self.elapsed_s
-        settings = self.settings.search
+        best = max(self.ramps, key=lambda ramp: ramp.chosen.undetected_displacement_m)
+        aim = reach(self.budget, self.settings.margin, best.chosen.excess_error)
+        settings = replace(self.settings.search, budget=aim)
         if self.start is None:
             tell(0.0, "where to begin")
             values = {ramp.setting: ramp.value for ramp in self.ramps}

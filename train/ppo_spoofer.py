@@ -20,21 +20,18 @@ goes on from the last checkpoint.
 Deviations from plain PPO of stable-baselines3, and why:
 
 1. gamma is 1: the return is what is scored, and an episode has an end.
-2. Exploration depends on the state and is drawn once a rollout (gSDE, `raffin2022`), so that it is
-   smooth in time: white noise of acceleration averages out before a detector sees it.
-3. Large minibatches, since the environment is fast; rollouts as long as an episode.
-4. The alarm penalty adapts between rollouts.
-5. What is evaluated are weights averaged over the last rollouts: alarms are rare and dear, so that
+2. Large minibatches, since the environment is fast; rollouts as long as an episode.
+3. The alarm penalty adapts between rollouts.
+4. What is evaluated are weights averaged over the last rollouts: alarms are rare and dear, so that
    single updates jitter.
-6. The amplitude of what it plans is fitted to the budget afterwards, as the benchmark fits the rate
+5. The amplitude of what it plans is fitted to the budget afterwards, as the benchmark fits the rate
    of a ramp, and `baselines.profile` the scale of a profile.
-7. Rewards are in units of what the best ramp reaches, so that one set of settings suits detectors
+6. Rewards are in units of what the best ramp reaches, so that one set of settings suits detectors
    that allow for metres and for hundreds of metres.
 """
 
 from __future__ import annotations
 
-import copy
 import json
 import math
 import shlex
@@ -65,13 +62,13 @@ from agents.networks import MlpShape
 from agents.record import TrainingRecord
 from spoofgym._describe import unlike
 from spoofgym._files import write_file
-from spoofgym.bench.budget import BUDGET, MARGIN, Excess, excess_of
+from spoofgym.bench.budget import BUDGET, MARGIN, Excess, excess_of, reach
 from spoofgym.bench.campaign import Silent, training_start
 from spoofgym.bench.metrics import bootstrap_mean, resamples
 from spoofgym.bench.run import WarmStart, displacement_of, play
 from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.suite import Suite, Tuning, versions
-from spoofgym.bench.tune import tune
+from spoofgym.bench.tune import Trial, TuningResult, tune
 from spoofgym.envs.attach import spoofer_context
 from spoofgym.envs.rewards import AlarmPenalty, DisplacementGain, Retraction, RewardTerm
 from spoofgym.sb3 import SpoofVecEnv
@@ -97,7 +94,7 @@ class Arguments:
     """Command phase of an episode, in seconds."""
     warmup_s: float = 200.0
     """Clean run before the attack, in seconds; its last 60 s, or all of it, with the detector."""
-    steps: int = 6_000_000
+    steps: int = 5_000_000
     """Steps of all receivers together."""
     num_envs: int = 128
     """Receivers side by side."""
@@ -115,8 +112,8 @@ class Arguments:
     """Of generalised advantage estimation."""
     clip_range: float = 0.2
     """Of PPO's ratio."""
-    log_std_init: float = -3.0
-    """Logarithm of the exploration's size at first, for each unit of the last hidden layer."""
+    log_std_init: float = -1.5
+    """Logarithm of the exploration's size at first."""
     averaging: float = 0.9
     """Weight of the past in the average of the weights, for each rollout; 0 for the last one."""
     width: int = 64
@@ -125,13 +122,13 @@ class Arguments:
     """How much more often than without attack an alarm may come, as a part of the runs."""
     margin: float = MARGIN
     """Distance that the choice keeps from the budget, in standard errors."""
-    penalty: float = 6.0
+    penalty: float = 3.0
     """Price of an alarm at first, in displacements of the best ramp."""
     penalty_limit: float = 30.0
     """Its largest value, likewise."""
     penalty_gain: float = 0.3
     """How quickly the price adapts; 0 to keep it."""
-    evaluations: int = 12
+    evaluations: int = 8
     """How often the policy is evaluated, and a checkpoint is written."""
     evaluation_runs: int = 512
     """Runs of an evaluation, of the tuning of the ramps, and of the clean alarm rate."""
@@ -316,15 +313,10 @@ def tuned_ramps(args: Arguments, console: Console) -> list[dict[str, Any]]:
     return tables
 
 
-def best_ramp_m(tables: list[dict[str, Any]]) -> float:
-    """Largest mean displacement of a chosen ramp; sets the scale of the reward."""
-    chosen = [
-        trial["undetected_displacement_m"]
-        for table in tables
-        for trial in table["trials"]
-        if trial["value"] == table["value"] and trial["runs"] == table["runs"]
-    ]
-    return max(max(chosen), 1e-3)
+def best_ramp(tables: list[dict[str, Any]]) -> Trial:
+    """What the ramp that gets farthest did on its tuning runs."""
+    chosen = [TuningResult.from_dict(table).chosen for table in tables]
+    return max(chosen, key=lambda trial: trial.undetected_displacement_m)
 
 
 def rewards(scale_m: float, penalty_m: float) -> tuple[RewardTerm, ...]:
@@ -351,11 +343,22 @@ def make_model(args: Arguments, env: SpoofVecEnv) -> PPO:
         gamma=args.gamma,
         gae_lambda=args.gae_lambda,
         clip_range=args.clip_range,
-        use_sde=True,
         policy_kwargs=shape.policy_kwargs(),
         seed=args.seed,
         device="cpu",
     )
+
+
+def twin_of(model: PPO) -> ActorCriticPolicy:
+    """Policy of its own with the same weights."""
+    twin = model.policy_class(
+        model.observation_space,
+        model.action_space,
+        model.lr_schedule,
+        **model.policy_kwargs,
+    )
+    twin.load_state_dict(model.policy.state_dict())
+    return twin
 
 
 class Run(BaseCallback):
@@ -365,16 +368,20 @@ class Run(BaseCallback):
         super().__init__()
         self.args, self.env, self.rivals = args, env, rivals
         self.name = args.out.name
-        self.scale_m = best_ramp_m(rivals)
+        self.judge = Judge(args, "calibration", args.evaluation_runs, args.seed)
+        ramp = best_ramp(rivals)
+        self.scale_m = max(ramp.undetected_displacement_m, 1e-3)
         self.penalty_m = args.penalty * self.scale_m
-        self.clean_rate = float(rivals[0]["clean_alarm_rate"])
-        self.aim = self.alarm_rate = self.clean_rate + args.budget
+        clean = [float(rivals[0]["clean_alarm_rate"]), float(self.judge.clean_alarm.mean())]
+        self.clean_rate = sum(clean) / 2.0
+        self.aim = self.alarm_rate = self.clean_rate + reach(
+            args.budget, args.margin, ramp.excess_error
+        )
         self.best_m, self.best_step = -math.inf, -1
         self.spent_s, self.rollout, self.next_step, self.evaluated = 0.0, 0, 0, -1
         self.latest: dict[str, float] = {}
         self._ended: list[tuple[float, bool]] = []
         self._began = time.perf_counter()
-        self.judge = Judge(args, "calibration", args.evaluation_runs, args.seed)
         self.average: ActorCriticPolicy | None = None
         self.amplitude = 1.0
 
@@ -391,7 +398,7 @@ class Run(BaseCallback):
     def prepare(self, model: PPO, record: TrainingRecord, bar: Progress) -> None:
         """Take what is trained, and what the training writes to."""
         self.record, self.bar = record, bar
-        self.average = copy.deepcopy(model.policy) if self.average is None else self.average
+        self.average = twin_of(model) if self.average is None else self.average
         self.exporter = PolicyExporter(self.average)
         self.task = bar.add_task(self.name, total=self.args.steps)
         self.env.set_rewards(rewards(self.scale_m, self.penalty_m))
@@ -550,7 +557,7 @@ class Run(BaseCallback):
             state = json.loads(archive.read("state.json"))
             weights = BytesIO(archive.read("parameters.pt"))
         parameters = torch.load(weights, weights_only=True)
-        self.average = copy.deepcopy(model.policy)
+        self.average = twin_of(model)
         self.average.load_state_dict(parameters.pop(AVERAGE))
         model.set_parameters(parameters, device="cpu")
         model.num_timesteps = self.num_timesteps = state.pop("num_timesteps")

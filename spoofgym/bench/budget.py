@@ -72,3 +72,21 @@ def excess_of(alarm: ArrayLike, clean_alarm: ArrayLike) -> Excess:
     """
     paired = np.asarray(alarm, dtype=np.float64) - np.asarray(clean_alarm, dtype=np.float64)
     return Excess(float(paired.mean()), float(paired.std()) / math.sqrt(len(paired)))
+
+
+def reach(budget: float, margin: float, error: float) -> float:
+    """Excess that a search or a training aims at, so that what is chosen from it keeps the margin.
+
+    Parameters
+    ----------
+    budget, margin : float
+        Of the choice.
+    error : float
+        Standard error of an excess near the budget, on as many runs as the choice will be made on.
+
+    Returns
+    -------
+    float
+        At least a fifth of the budget, since there is nothing to find far below it.
+    """
+    return max(budget - margin * error, 0.2 * budget)

@@ -95,6 +95,11 @@ class TuningResult:
     warmup_alarms: int
     trials: tuple[Trial, ...]
 
+    @property
+    def chosen(self) -> Trial:
+        """The choice on all training runs."""
+        return next(t for t in self.trials if t.value == self.value and t.runs == self.runs)
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-able."""
         return {**asdict(self), "trials": [asdict(trial) for trial in self.trials]}

@@ -153,9 +153,7 @@ class NextEpisodes:
         bool
             True for all of them.
         """
-        return all(
-            self._sources[row] is rng for row, rng in zip(rows.tolist(), rngs, strict=True)
-        )
+        return all(self._sources[row] is rng for row, rng in zip(rows.tolist(), rngs, strict=True))
 
     def take(self, rows: NDArray[np.intp], into: Batch) -> NDArray[np.bool_]:
         """Let some receivers begin the episodes that wait for them.

@@ -192,7 +192,7 @@ def test_the_search_gets_farther_than_it_began(pool: RunPool) -> None:
     search = ProfileSearch(pool, SEARCH, start)
     for _ in range(8):
         search.step()
-    choice = choose(search, pool, 0.0)
+    choice = choose(search, pool, search.settings.budget, 0.0)
     alone = pool.play([Profile(rates_mps=tuple(start.rates_mps))])
     assert alone.excess.mean() <= SEARCH.budget
     assert choice.fit.undetected_displacement_m > 1.2 * alone.displacement_m.mean()
@@ -202,7 +202,7 @@ def test_what_is_chosen_keeps_to_the_budget_when_played(pool: RunPool, chosen: R
     search = ProfileSearch(pool, SEARCH, Start([0.3] * 8, 3.0))
     search.step()
     for margin in (0.0, 0.5):
-        choice = choose(search, chosen, margin)
+        choice = choose(search, chosen, search.settings.budget, margin)
         alone = play(chosen.start, choice.profile)
         excess = alone.alarm.any(axis=0).mean() - chosen.clean.alarm.any(axis=0).mean()
         assert excess + margin * choice.fit.excess_error <= SEARCH.budget + 1e-9
@@ -220,7 +220,7 @@ def test_nothing_within_the_budget_is_said(pool: RunPool, chosen: RunPool) -> No
     search = ProfileSearch(pool, SEARCH, Start([4.0] * 8, 1.0))
     search.step()
     with pytest.raises(ValueError, match=r"no profile of the search is within the alarm budget"):
-        choose(search, chosen, 0.0)
+        choose(search, chosen, search.settings.budget, 0.0)
 
 
 def test_the_same_seed_gives_the_same_search_and_another_one_another(pool: RunPool) -> None:

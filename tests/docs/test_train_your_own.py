@@ -1,0 +1,105 @@
+"""The page on training one's own spoofer: its commands and its code run, with small settings."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+torch = pytest.importorskip("torch")
+for name in ("stable_baselines3", "onnxscript", "tyro", "tensorboard", "cmaes"):
+    pytest.importorskip(name)
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "train_your_own.md").read_text()
+CODE = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+COMMANDS = [
+    line
+    for block in re.findall(r"```console\n(.*?)```", PAGE, flags=re.DOTALL)
+    for line in block.splitlines()
+]
+TIMES = "--warmup-s 6 --attack-s 10"
+SMALL = {
+    "train.ppo_spoofer": f"--steps 200 --num-envs 4 --batch-size 40 --evaluations 2 {TIMES} "
+    "--evaluation-runs 6 --final-runs 6",
+    "baselines.profile": f"--generations 1 --runs 4 --batch 4 --select-runs 6 {TIMES} --live-s 3",
+    "run": f"{TIMES} --live-s 3",
+    "bench": f"{TIMES} --live-s 3 --seeds 4 --training-seeds 4",
+}
+"""What is appended to a command; the last of an option counts."""
+
+
+def words_of(line: str) -> list[str]:
+    """A command of the page, by this interpreter, with small settings."""
+    words = shlex.split(line)
+    if words[:2] == ["make", "train"]:
+        given = shlex.split(words[2].removeprefix("ARGS="))
+        words = [".venv/bin/python", "-m", "train.ppo_spoofer", *given]
+    if words[0] == ".venv/bin/spoofgym":
+        words[:1] = [".venv/bin/python", "-m", "spoofgym"]
+    assert words[0] == ".venv/bin/python", line
+    small = shlex.split(SMALL.get(words[2], SMALL.get(words[3], "")))
+    flags = [word for word in words if word.startswith("--") and word in small]
+    for flag in flags:  # typer would take the last one of two; tyro refuses two
+        at = words.index(flag)
+        del words[at : at + 2]
+    return [sys.executable, *words[1:], *small]
+
+
+def without_shipped(words: list[str]) -> list[str]:
+    """Without spoofers that are made for an attack of full length."""
+    kept: list[str] = []
+    for word in words:
+        if word in ("ewma-profile", "ewma-blind"):
+            kept.pop()
+        else:
+            kept.append(word)
+    return kept
+
+
+@pytest.mark.slow
+def test_the_commands_run_in_their_order(tmp_path):
+    assert any("--resume" in line for line in COMMANDS)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
+    for line in COMMANDS:
+        done = subprocess.run(
+            without_shipped(words_of(line)),
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+    folder = tmp_path / "runs" / "my-first"
+    for name in ("my-first.onnx", "my-first.json", "record.jsonl", "curve.png", "attack"):
+        assert (folder / name).exists(), name
+    assert "my-first" in (folder / "bench" / "results.md").read_text()
+    assert (tmp_path / "runs" / "my-profile.json").is_file()
+
+
+@pytest.mark.parametrize("number", range(len(CODE)))
+def test_every_block_of_code_runs(number, monkeypatch):
+    threads = torch.get_num_threads()
+    module = types.ModuleType("page")
+    monkeypatch.setitem(sys.modules, "page", module)  # pickle looks classes up
+    exec(compile(CODE[number], f"train_your_own.md block {number}", "exec"), module.__dict__)
+    torch.set_num_threads(threads)
+
+
+def test_every_setting_of_the_table_exists():
+    from dataclasses import fields
+
+    from train.ppo_spoofer import Arguments
+
+    known = {f"--{field.name.replace('_', '-')}" for field in fields(Arguments)}
+    for row in re.findall(r"^\| `--.*$", PAGE, flags=re.MULTILINE):
+        named = re.findall(r"`(--[a-z-]+)`", row.split("|")[1])
+        assert named
+        assert set(named) <= known
