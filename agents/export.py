@@ -20,6 +20,7 @@ import numpy as np
 import onnx
 import torch
 from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
 from onnx import numpy_helper
 from stable_baselines3.common.distributions import (
     DiagGaussianDistribution,
@@ -34,6 +35,9 @@ from spoofgym.spoofers.card_parts import PolicyFile
 from spoofgym.spoofers.onnx_file import opset_of
 from spoofgym.spoofers.onnx_policy import OnnxPolicy
 
+from .networks import InformedCritic
+
+FloatArray = NDArray[np.float64]
 TOLERANCE = 1e-6
 """Largest difference of an action between the policy and its file; times the norm of the last
 layer's weights where it exceeds 1, which enlarges what single precision rounds before."""
@@ -43,27 +47,49 @@ PREFIX = "policy."
 """Before the names of the policy's parameters in a file."""
 OBSERVED, COMMANDED = "observation_factor", "action_factor"
 """Names of the factors that make the amplitude, in a file."""
+DIRECTIONS = "directions"
+"""Name of what turns the policy's actions into commands of the attack, in a file."""
 OWN = "own_"
 """How the names of observations begin that are of the spoofer's own command."""
+
+
+def seen_by(policy: ActorCriticPolicy) -> int:
+    """Elements of an observation that a policy sees; an `InformedCritic` hides the rest from it.
+
+    Parameters
+    ----------
+    policy : ActorCriticPolicy
+        Any.
+
+    Returns
+    -------
+    int
+        From the first one on.
+    """
+    return policy.seen if isinstance(policy, InformedCritic) else policy.observation_space.shape[0]
 
 
 class _Actor(torch.nn.Module):
     """Deterministic action of a policy, with the amplitude of `PolicyExporter.content`."""
 
-    def __init__(self, policy: ActorCriticPolicy) -> None:
+    def __init__(self, policy: ActorCriticPolicy, directions: FloatArray) -> None:
         super().__init__()
         self.policy = policy
-        size = policy.observation_space.shape[0]
+        size = seen_by(policy)
+        self.hidden = policy.observation_space.shape[0] - size
         self.register_buffer(OBSERVED, torch.ones(size))
         self.register_buffer(COMMANDED, torch.ones(1))
+        self.register_buffer(DIRECTIONS, torch.as_tensor(directions, dtype=torch.float32))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         policy = self.policy
         scaled = observation * self.get_buffer(OBSERVED)
-        features = policy.extract_features(scaled, policy.pi_features_extractor)
+        if self.hidden:
+            scaled = torch.nn.functional.pad(scaled, (0, self.hidden))
+        features = policy.pi_features_extractor(scaled)
         mean = policy.action_net(policy.mlp_extractor.forward_actor(features))
         action = torch.clamp(mean, -1.0, 1.0) * self.get_buffer(COMMANDED)
-        return torch.clamp(action, -1.0, 1.0)
+        return torch.clamp(action @ self.get_buffer(DIRECTIONS), -1.0, 1.0)
 
 
 class PolicyExporter:
@@ -73,6 +99,9 @@ class PolicyExporter:
     ----------
     policy : ActorCriticPolicy
         Such as the ``policy`` of PPO; its weights are read anew for every file.
+    directions : array_like, optional
+        (k, a) commands of the attack for each of the policy's k actions; by default they are the
+        same.
 
     Raises
     ------
@@ -80,10 +109,17 @@ class PolicyExporter:
         When it is no Gaussian policy on a box of observations.
     """
 
-    def __init__(self, policy: ActorCriticPolicy) -> None:
+    def __init__(self, policy: ActorCriticPolicy, directions: ArrayLike | None = None) -> None:
         _check_policy(policy)
         self.policy = policy
-        self._model = _trace(policy)
+        size = policy.action_space.shape[0]
+        self.directions = np.eye(size) if directions is None else np.asarray(directions)
+        if self.directions.ndim != 2 or len(self.directions) != size:
+            raise ValueError(
+                f"`directions` must have a row for each of the policy's {size} actions, got shape "
+                f"{self.directions.shape}"
+            )
+        self._model = _trace(policy, self.directions)
 
     def content(self, names: Sequence[str] = (), amplitude: float = 1.0) -> bytes:
         r"""The policy as it is now.
@@ -107,7 +143,7 @@ class PolicyExporter:
             Of an ONNX file without external data.
         """
         weights = dict(self.policy.state_dict())
-        size = self.policy.observation_space.shape[0]
+        size = seen_by(self.policy)
         weights[OBSERVED], weights[COMMANDED] = _factors(size, names, amplitude)
         for tensor in self._model.graph.initializer:
             weight = weights.get(tensor.name.removeprefix(PREFIX))
@@ -152,9 +188,39 @@ class PolicyExporter:
         card = Card(name=path.stem, kind="onnx-policy", file=file, **fields)
         with tempfile.TemporaryDirectory() as folder:
             _write(Path(folder) / path.name, content, card)
-            _compare(self.policy, OnnxPolicy(str(Path(folder) / path.name)), amplitude)
+            self._compare(OnnxPolicy(str(Path(folder) / path.name)), amplitude)
         _write(path, content, card)
         return card
+
+    def _compare(self, written: OnnxPolicy, amplitude: float) -> None:
+        """Raise unless a file acts as its policy, all over the space of its card."""
+        policy = self.policy
+        space = written.card.observation
+        assert space is not None  # OnnxPolicy has checked it
+        low, high = np.array(space.low, dtype=np.float32), np.array(space.high, dtype=np.float32)
+        own, seen = policy.observation_space, seen_by(policy)
+        if not (np.array_equal(low, own.low[:seen]) and np.array_equal(high, own.high[:seen])):
+            raise ValueError(
+                f"the policy sees {seen} elements of {own}, but the card of "
+                f"{written.card.name!r} has other bounds"
+            )
+        drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
+        observation = np.vstack([drawn.astype(np.float32), low, high])
+        written.bind(_context(written.card, len(observation)))
+        action = written.act(observation)
+        factors, factor = (tensor.numpy() for tensor in _factors(len(low), space.names, amplitude))
+        padded = np.pad(observation * factors, ((0, 0), (0, own.shape[0] - seen)))
+        expected, _ = policy.predict(padded, deterministic=True)
+        apart = float(
+            np.abs(action - np.clip(factor * expected @ self.directions, -1.0, 1.0)).max()
+        )
+        gain = amplitude * float(policy.action_net.weight.detach().norm(dim=1).max())
+        allowed = TOLERANCE * max(gain, 1.0)
+        if not apart <= allowed:
+            raise ValueError(
+                f"the exported {written.card.name!r} differs from the policy by {apart:.2g}, more "
+                f"than {allowed:.2g}"
+            )
 
 
 def export_policy(
@@ -200,9 +266,9 @@ def _check_policy(policy: ActorCriticPolicy) -> None:
         raise TypeError(f"a policy must observe a vector, got {space}")
 
 
-def _trace(policy: ActorCriticPolicy) -> onnx.ModelProto:
+def _trace(policy: ActorCriticPolicy, directions: FloatArray) -> onnx.ModelProto:
     """Graph of the policy; its parameters keep their names."""
-    example = torch.zeros(2, *policy.observation_space.shape, device=policy.device)
+    example = torch.zeros(2, seen_by(policy), device=policy.device)
     training = policy.training
     policy.set_training_mode(False)
     log = logging.getLogger("torch.onnx")
@@ -212,7 +278,7 @@ def _trace(policy: ActorCriticPolicy) -> onnx.ModelProto:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # torch about torch
             program = torch.onnx.export(
-                _Actor(policy),
+                _Actor(policy, directions),
                 (example,),
                 dynamo=True,
                 verbose=False,
@@ -247,32 +313,6 @@ def _factors(
         raise ValueError(f"an amplitude needs the {size} names of observations, got {len(names)}")
     own = [1.0 / amplitude if name.startswith(OWN) else 1.0 for name in names] or [1.0] * size
     return torch.tensor(own), torch.tensor([amplitude])
-
-
-def _compare(policy: ActorCriticPolicy, written: OnnxPolicy, amplitude: float) -> None:
-    """Raise unless a file acts as its policy, all over the space of its card."""
-    space = written.card.observation
-    assert space is not None  # OnnxPolicy has checked it
-    low, high = np.array(space.low, dtype=np.float32), np.array(space.high, dtype=np.float32)
-    own = policy.observation_space
-    if not (np.array_equal(low, own.low) and np.array_equal(high, own.high)):
-        raise ValueError(
-            f"the policy observes {own}, but the card of {written.card.name!r} has other bounds"
-        )
-    drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
-    observation = np.vstack([drawn.astype(np.float32), low, high])
-    written.bind(_context(written.card, len(observation)))
-    action = written.act(observation)
-    factors, factor = (tensor.numpy() for tensor in _factors(len(low), space.names, amplitude))
-    expected, _ = policy.predict(observation * factors, deterministic=True)
-    apart = float(np.abs(action - np.clip(factor * expected, -1.0, 1.0)).max())
-    gain = amplitude * float(policy.action_net.weight.detach().norm(dim=1).max())
-    allowed = TOLERANCE * max(gain, 1.0)
-    if not apart <= allowed:
-        raise ValueError(
-            f"the exported {written.card.name!r} differs from the policy by {apart:.2g}, more than "
-            f"{allowed:.2g}"
-        )
 
 
 def _context(card: Card, receivers: int) -> SpooferContext:

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
+from gymnasium import spaces
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,3 +57,65 @@ class MlpShape:
             "log_std_init": self.log_std_init,
             "ortho_init": self.ortho_init,
         }
+
+
+class FirstElements(BaseFeaturesExtractor):
+    """First elements of an observation; the others are hidden.
+
+    Parameters
+    ----------
+    observation_space : Box
+        (o,) observations.
+    seen : int
+        How many elements are not hidden.
+    """
+
+    def __init__(self, observation_space: spaces.Box, seen: int) -> None:
+        size = observation_space.shape[0]
+        if not 1 <= seen <= size:
+            raise ValueError(f"`seen` must be in [1, {size}], got {seen}")
+        super().__init__(observation_space, size)
+        self.seen = seen
+        self.register_buffer("mask", (torch.arange(size) < seen).to(torch.float32))
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """Hide what is not seen.
+
+        Parameters
+        ----------
+        observation : Tensor
+            (B, o).
+
+        Returns
+        -------
+        Tensor
+            (B, o), zeros for what is hidden.
+        """
+        return observation * self.mask
+
+
+class InformedCritic(ActorCriticPolicy):
+    """Policy that sees the first elements of an observation, with a critic that sees all of it.
+
+    The critic is needed for learning alone.  One that sees how close the detector is to an alarm
+    expects it, so that alarms by chance do not count as the fault of an action (asymmetric
+    actor-critic, `pinto2018`).
+
+    Parameters
+    ----------
+    *args, **kwargs
+        Of `ActorCriticPolicy`.
+    seen : int
+        How many elements the policy sees.
+    """
+
+    def __init__(self, *args: Any, seen: int, **kwargs: Any) -> None:
+        super().__init__(
+            *args,
+            share_features_extractor=False,
+            features_extractor_class=FirstElements,
+            features_extractor_kwargs={"seen": seen},
+            **kwargs,
+        )
+        self.seen = seen
+        self.vf_features_extractor.mask.fill_(1.0)

@@ -14,7 +14,7 @@ generation the record of the search is written beside the card; the same command
 from __future__ import annotations
 
 import json
-import sys
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +25,7 @@ import typer
 from spoofgym.bench.budget import BUDGET, MARGIN
 from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.suite import Suite, Tuning
+from spoofgym.bench.tuning_table import EXCESS_HEAD, excess_texts
 from spoofgym.cli import INTERRUPTED, clear_errors
 from spoofgym.envs.setup import Timeline
 
@@ -40,9 +41,16 @@ app = typer.Typer(
 )
 
 
+UNTOLD = {"threads", "resume", "as_json"}
+"""Options that change nothing in the card."""
+FILES = {"out", "start"}
+"""Options of which the card tells the name of the file only, not where it lay."""
+
+
 @app.command()
 @clear_errors
 def main(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="Card of the profile, a .json file.")],
     detector: Annotated[
         str, typer.Option(help="Detector: a name, with settings as name:key=value or JSON.")
@@ -105,6 +113,21 @@ def main(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else.")] = False,
 ) -> None:
     """Search for the open-loop profile that gets farthest within an alarm budget."""
+    settings = RunSettings(
+        search=SearchSettings(
+            knots=knots,
+            cross=cross,
+            heading_deg=heading,
+            population=population,
+            batch=batch,
+            restarts=restarts,
+            budget=budget,
+            seed=seed,
+        ),
+        runs=runs,
+        select_runs=select_runs,
+        margin=margin,
+    )
     suite = Suite(
         scenario=parse_spec(scenario),
         attack=parse_spec(attack),
@@ -121,21 +144,6 @@ def main(
             runs=select_runs, sift_runs=max(select_runs // 16, 1), budget=budget, margin=margin
         ),
     )
-    settings = RunSettings(
-        search=SearchSettings(
-            knots=knots,
-            cross=cross,
-            heading_deg=heading,
-            population=population,
-            batch=batch,
-            restarts=restarts,
-            budget=budget,
-            seed=seed,
-        ),
-        runs=runs,
-        select_runs=select_runs,
-        margin=margin,
-    )
     bounds = Bounds.of(seconds, generations)
     run = ProfileRun(suite, settings, out, start=start, threads=threads, resume=resume)
     try:
@@ -148,7 +156,7 @@ def main(
             err=True,
         )
         raise typer.Exit(INTERRUPTED) from None
-    card = profile_card(run, choice, ["python", "-m", "baselines.profile", *sys.argv[1:]])
+    card = profile_card(run, choice, _command(context))
     card.save(out)
     run.path.unlink()
     if as_json:
@@ -156,6 +164,22 @@ def main(
         return
     _print_table(run, choice)
     typer.echo(f"written: {out}")
+
+
+def _command(context: typer.Context) -> str:
+    """Command line that makes the card again, in the folder of its files."""
+    words = ["python", "-m", "baselines.profile"]
+    for option in context.command.params:
+        name = str(option.name)
+        source = context.get_parameter_source(name)
+        if name in UNTOLD or source is None or source.name != "COMMANDLINE":
+            continue
+        value = context.params[name]
+        if isinstance(value, bool):
+            words.append((option.opts if value else option.secondary_opts)[0])
+        else:
+            words += [option.opts[0], Path(value).name if name in FILES else str(value)]
+    return shlex.join(words)
 
 
 @contextmanager
@@ -188,17 +212,20 @@ def _print_table(run: ProfileRun, choice: Choice) -> None:
     if not console.is_terminal:
         console = Console(width=120)
     clean = run.ramps[0].clean_alarm_rate
+    margin = run.settings.margin
     title = (
         f"{run.settings.select_runs} training runs against {run.detector.label}, "
-        f"{100 * clean:.1f} % alarm without attack; at most {100 * run.budget:g} % more"
+        f"{100 * clean:.1f} % alarm without attack; at most {100 * run.budget:g} points more, "
+        f"after a margin of {margin:g} standard errors"
     )
     table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD)
-    for name in ("spoofer", "runs with an alarm [%]", "undetected displacement [m]"):
+    for name in ("spoofer", "alarm rate [%]", *EXCESS_HEAD, "undetected displacement [m]"):
         table.add_column(Text(name))
     for row in rivals(run, choice):
         table.add_row(
             str(row["spoofer"]) + ("" if row["within_budget"] else " (beyond the budget)"),
             f"{100 * row['alarm_rate']:.1f}",
+            *excess_texts(row, margin),
             f"{row['undetected_displacement_m']:.2f}",
         )
     console.print(table)

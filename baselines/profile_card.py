@@ -11,16 +11,17 @@ import numpy as np
 from spoofgym.bench.metrics import bootstrap_mean, resamples
 from spoofgym.bench.specs import describe
 from spoofgym.bench.suite import spoofer_context, versions
+from spoofgym.bench.tune import Trial
 from spoofgym.spoofers import Card
 from spoofgym.spoofers.card import fields_of
 
-from .profile_choice import Choice
+from .profile_choice import Choice, Fit
 from .profile_run import ProfileRun
 
 ENV_ID = "spoofgym/TightlyCoupled-v0"
 
 
-def profile_card(run: ProfileRun, choice: Choice, command: list[str]) -> Card:
+def profile_card(run: ProfileRun, choice: Choice, command: str) -> Card:
     """Card of what a search found.
 
     Parameters
@@ -29,8 +30,8 @@ def profile_card(run: ProfileRun, choice: Choice, command: list[str]) -> Card:
         The search, at its end.
     choice : Choice
         What was taken from it.
-    command : list of str
-        Command line that made it.
+    command : str
+        Command line that makes it again.
 
     Returns
     -------
@@ -42,7 +43,7 @@ def profile_card(run: ProfileRun, choice: Choice, command: list[str]) -> Card:
         f"{run.detector.label}, {run.setup.attack.label}, scenario {suite.world.name}, "
         f"receiver tuning {run.setup.receiver.tuning}"
     )
-    profile = replace(choice.profile, designed_on=designed_on)
+    profile = replace(choice.profile, label=run.out.stem, designed_on=designed_on)
     return Card.model_validate(
         {
             "name": run.out.stem,
@@ -84,7 +85,7 @@ def _env_kwargs(run: ProfileRun) -> dict[str, Any]:
     }
 
 
-def _training(run: ProfileRun, choice: Choice, command: list[str]) -> dict[str, Any]:
+def _training(run: ProfileRun, choice: Choice, command: str) -> dict[str, Any]:
     """How the profile was made."""
     settings = run.settings.search
     each = settings.population * settings.batch * run.setup.steps
@@ -93,6 +94,7 @@ def _training(run: ProfileRun, choice: Choice, command: list[str]) -> dict[str, 
         "command": command,
         "seed": settings.seed,
         "arguments": asdict(run.settings),
+        "aimed_excess": run.aim,
         "generations": len(run.generations),
         "steps": len(run.generations) * each,
         "wall_s": round(run.elapsed_s, 1),
@@ -132,26 +134,23 @@ def rivals(run: ProfileRun, choice: Choice) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        ``spoofer``, ``alarm_rate``, ``undetected_displacement_m``, ``within_budget`` and tables.
+        ``spoofer``, ``alarm_rate``, ``excess``, ``excess_error``, ``undetected_displacement_m``,
+        ``within_budget`` and tables.
     """
-    found = []
+    found: list[dict[str, Any]] = []
     for ramp in run.ramps:
-        best = next(t for t in ramp.trials if (t.value, t.runs) == (ramp.value, ramp.runs))
-        numbers = {
-            "spoofer": f"{ramp.spoofer}: {ramp.setting} = {ramp.value:g}",
-            "alarm_rate": best.alarm_rate,
-            "undetected_displacement_m": best.undetected_displacement_m,
-            "within_budget": ramp.within_budget,
-        }
-        found.append({**numbers, "tuning": ramp.as_dict()})
-    fit = choice.fit
-    return [
-        *found,
-        {
-            "spoofer": "profile",
-            "alarm_rate": fit.alarm_rate,
-            "undetected_displacement_m": fit.undetected_displacement_m,
-            "within_budget": fit.within_budget,
-            "fits": [asdict(item) for item in choice.fits],
-        },
-    ]
+        name = f"{ramp.spoofer}: {ramp.setting} = {ramp.value:g}"
+        found.append({"spoofer": name, **_numbers(ramp.chosen), "tuning": ramp.as_dict()})
+    fits = [asdict(fit) for fit in choice.fits]
+    return [*found, {"spoofer": "profile", **_numbers(choice.fit), "fits": fits}]
+
+
+def _numbers(tried: Trial | Fit) -> dict[str, Any]:
+    """What a spoofer did on the runs of the choice."""
+    return {
+        "alarm_rate": tried.alarm_rate,
+        "excess": tried.excess,
+        "excess_error": tried.excess_error,
+        "undetected_displacement_m": tried.undetected_displacement_m,
+        "within_budget": tried.within_budget,
+    }

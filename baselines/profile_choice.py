@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.bench.budget import excess_of
+from spoofgym.bench.budget import excess_of, largest_within
 from spoofgym.spoofers import Profile
 
 from .profile_search import ProfileSearch
@@ -25,8 +25,8 @@ from .runs import RunPool
 
 FloatArray = NDArray[np.float64]
 WIDE, NARROW = (1.1, 3), (1.03, 1)
-"""Step to where the budget lies between two factors, and how often their distance is halved: for
-the first shape, and for the others, which begin at its factor."""
+"""Step and halvings of `largest_within`: for the first shape, and for the others, which begin at
+its factor.  Both find the edge to about 1.5 %, as the tuning of the ramps does."""
 WALKS = 6
 """Most steps."""
 
@@ -114,12 +114,13 @@ def choose(search: ProfileSearch, pool: RunPool, budget: float, margin: float) -
     if not (math.isfinite(margin) and margin >= 0.0):
         raise ValueError(f"`margin` must be finite and >= 0, got {margin}")
     tried: list[_Tried] = []
-    at, (factor, halvings) = 1.0, WIDE
+    at, (step, halvings) = 1.0, WIDE
     for name, point in search.shapes().items():
-        found = _Fitting(search, pool, name, point, budget, margin).around(at, factor, halvings)
-        tried += found
-        at = max((item[0].scale for item in found if item[0].within_budget), default=at)
-        factor, halvings = NARROW
+        fitting = _Fitting(search, pool, name, point, budget, margin)
+        largest_within(fitting.keeps, at, step=step, walks=WALKS, halvings=halvings)
+        tried += fitting.tried
+        at = max((item[0].scale for item in fitting.tried if item[0].within_budget), default=at)
+        step, halvings = NARROW
     kept = [item for item in tried if item[0].within_budget]
     fits = tuple(item[0] for item in tried)
     if not kept:
@@ -166,20 +167,3 @@ class _Fitting:
         )
         self.tried.append((fit, profile, displacement))
         return fit.within_budget
-
-    def around(self, first: float, factor: float, halvings: int) -> list[_Tried]:
-        """Walk from a factor to where the budget is spent, and halve the last step."""
-        low = high = first
-        faster = self.keeps(first)
-        for _ in range(WALKS):
-            if faster:
-                high = low * factor
-            else:
-                low = high / factor
-            if self.keeps(high if faster else low) != faster:
-                break
-            low, high = (high, high) if faster else (low, low)
-        for _ in range(halvings if low < high else 0):
-            middle = math.sqrt(low * high)
-            low, high = (middle, high) if self.keeps(middle) else (low, middle)
-        return self.tried

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -16,7 +17,7 @@ from spoofgym.bench.budget import MARGIN, reach
 from spoofgym.bench.store import differences
 from spoofgym.bench.suite import Suite
 from spoofgym.bench.tune import TuningResult, tune
-from spoofgym.spoofers import Card
+from spoofgym.spoofers.card import NAME, Card
 
 from .profile_choice import Choice, choose
 from .profile_search import ProfileSearch
@@ -159,7 +160,8 @@ class ProfileRun:
     Raises
     ------
     ValueError
-        When there is a card already, or a record of another search.
+        When the card can't have such a name, when there is one already, or a record of another
+        search.
     """
 
     def __init__(
@@ -174,6 +176,11 @@ class ProfileRun:
     ) -> None:
         if out.suffix != ".json":
             raise ValueError(f"`out` must be a .json file, got {out}")
+        if not re.fullmatch(NAME, out.stem):
+            raise ValueError(
+                "`out` names the profile, so that it must begin with a letter or a digit, and have "
+                f"only letters, digits, '.', '_' and '-', got {out.name!r}"
+            )
         if resume and out.exists():
             raise ValueError(f"{out} exists; --overwrite replaces it, or choose another --out")
         self.suite, self.settings, self.threads = suite, settings, threads
@@ -193,6 +200,14 @@ class ProfileRun:
     def config(self) -> dict[str, Any]:
         """All that the search depends on, but for its bounds."""
         return {**self.suite.config, "search": asdict(self.settings), "start": self._given}
+
+    @property
+    def aim(self) -> float:
+        """Excess of alarms that the search aims at; known once the ramps are tuned."""
+        margin = self.settings.margin
+        trials = [t for ramp in self.ramps for t in ramp.trials if t.runs == ramp.runs]
+        edge = min(trials, key=lambda t: abs(t.excess + margin * t.excess_error - self.budget))
+        return reach(self.budget, margin, edge.excess_error)
 
     def _load(self) -> None:
         """Take up the record of an interrupted search."""
@@ -264,9 +279,7 @@ class ProfileRun:
     def _search(self, pool: RunPool, bounds: Bounds, tell: Tell) -> ProfileSearch:
         """Search until a bound is reached."""
         begun = time.monotonic() - self.elapsed_s
-        best = max(self.ramps, key=lambda ramp: ramp.chosen.undetected_displacement_m)
-        aim = reach(self.budget, self.settings.margin, best.chosen.excess_error)
-        settings = replace(self.settings.search, budget=aim)
+        settings = replace(self.settings.search, budget=self.aim)
         if self.start is None:
             tell(0.0, "where to begin")
             values = {ramp.setting: ramp.value for ramp in self.ramps}

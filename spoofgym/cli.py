@@ -426,6 +426,7 @@ def tune(
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
     from .bench.campaign import Silent, search, search_work, training_start
     from .bench.entries import DEFAULT_DETECTORS, TUNED, build_spoofer
+    from .bench.tuning_table import tuning_head, tuning_rows
 
     specs = _specs(spoofer or ["ramp", "accelerating-ramp"])
     for spec in specs:
@@ -460,28 +461,16 @@ def tune(
         _print_json([result.as_dict() for result in results])
         return
     for result in results:
-        rows = [
-            (
-                f"{trial.value:g}" + (" (chosen)" if _chosen(trial, result) else ""),
-                str(trial.runs),
-                f"{100 * trial.alarm_rate:.1f}",
-                f"{trial.undetected_displacement_m:.2f}",
-                "yes" if trial.within_budget else "no",
-            )
-            for trial in result.trials
-        ]
+        table = result.as_dict()
         _print_table(
             f"{result.spoofer} against {result.detector}: alarm rate at most {100 * budget:g} % "
-            f"above {100 * result.clean_alarm_rate:.1f} %, {result.runs} training runs",
-            (result.setting, "runs", "alarm rate [%]", "undetected displacement [m]", "in budget"),
-            rows,
+            f"above {100 * result.clean_alarm_rate:.1f} %, after a margin of {result.margin:g} "
+            f"standard errors; {result.runs} training runs, fewer only sift, without a margin",
+            tuning_head(table),
+            tuning_rows(table),
         )
         if not result.within_budget:
             typer.echo(f"nothing is within the budget; the smallest value is {result.value:g}")
-
-
-def _chosen(trial: Any, result: Any) -> bool:
-    return bool(trial.value == result.value and trial.runs == result.runs)
 
 
 @app.command()

@@ -56,8 +56,9 @@ class SpoofVecEnv(VecEnv):
     threads : int, optional
         Threads of the engine; as many as processors by default.
     prefetch : bool
-        Whether one more thread warms up the next episodes while the policy learns; see
-        `Engine`.
+        Whether one more thread warms up the next episodes while the policy learns, also with
+        ``threads=1``.  The bits are the same, unless those of the detector depend on the size of
+        the batch: such a one cannot be reproduced with it; see `Engine`.
     torch_threads : int or None
         Threads of torch, for the whole process; None leaves them as they are.  Two of them fought
         with other threads over two processors at a seventieth of the speed of one.

@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from spoofgym.sb3 import SpoofVecEnv
-from train.ppo_spoofer import Arguments, make_model
+from train.ppo_spoofer import AlongHeading, Arguments, make_model
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,8 @@ class Nothing(SpoofVecEnv):
 
 def steps_per_s(kind: type[SpoofVecEnv], args: Arguments, rollouts: int) -> float:
     """Steps a second of PPO, learning included, after a first rollout."""
-    envs = kind(args.num_envs, seed=args.seed, **args.env_kwargs)
+    engine = kind(args.num_envs, seed=args.seed, **(args.env_kwargs | {"knowledge": "oracle"}))
+    envs = AlongHeading(engine, args.heading_deg)
     model = make_model(args, envs)
     size = model.n_steps * args.num_envs
     model.learn(size)

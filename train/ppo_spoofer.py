@@ -11,7 +11,8 @@ What happens:
 3. Every now and then the policy is written as ONNX, and onnxruntime plays it deterministically on
    runs of the calibration split, with the largest amplitude that keeps the budget.  The best one is
    kept, with its card.
-4. At the end the best one plays runs of the evaluation split, once, and the card tells it.
+4. At the end the best one plays other runs of that split, once, and the card tells it.  The
+   evaluation split is left to the benchmark.
 
 The folder holds `config.json`, `record.jsonl` (learning curve), `tensorboard/`, `checkpoint.zip`,
 the best policy `NAME.onnx` and its card `NAME.json`.  After a kill the same command with `--resume`
@@ -20,13 +21,20 @@ goes on from the last checkpoint.
 Deviations from plain PPO of stable-baselines3, and why:
 
 1. gamma is 1: the return is what is scored, and an episode has an end.
-2. Large minibatches, since the environment is fast; rollouts as long as an episode.
-3. The alarm penalty adapts between rollouts.
-4. What is evaluated are weights averaged over the last rollouts: alarms are rare and dear, so that
+2. The policy has one action, the push along the heading in which displacement is rewarded; ramps
+   and profiles push along it, too.  With one for each axis it drifted across, where nothing pulls
+   it back but alarms.
+3. It begins as the tuned ramp of its kind: the bias of its last layer is that ramp's command.  From
+   nothing it may as well begin to push the other way, where nothing is rewarded.
+4. The critic, which is thrown away after training, sees the detector's statistics in any case
+   (asymmetric actor-critic, `pinto2018`): the policy sees what `--knowledge` allows.
+5. Large minibatches, since the environment is fast; rollouts as long as an episode.
+6. The alarm penalty adapts between rollouts.
+7. What is evaluated are weights averaged over the last rollouts: alarms are rare and dear, so that
    single updates jitter.
-5. The amplitude of what it plans is fitted to the budget afterwards, as the benchmark fits the rate
+8. The amplitude of what it plans is fitted to the budget afterwards, as the benchmark fits the rate
    of a ramp, and `baselines.profile` the scale of a profile.
-6. Rewards are in units of what the best ramp reaches, so that one set of settings suits detectors
+9. Rewards are in units of what the best ramp reaches, so that one set of settings suits detectors
    that allow for metres and for hundreds of metres.
 """
 
@@ -34,12 +42,12 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 import tempfile
 import time
 import warnings
 import zipfile
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from importlib.metadata import version
 from io import BytesIO
@@ -49,6 +57,7 @@ from typing import Any, NoReturn
 import numpy as np
 import torch
 import tyro
+from gymnasium.spaces import Box
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -56,22 +65,37 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from agents.export import PolicyExporter
-from agents.networks import MlpShape
+from agents.networks import InformedCritic, MlpShape
 from agents.record import TrainingRecord
 from spoofgym._describe import unlike
 from spoofgym._files import write_file
-from spoofgym.bench.budget import BUDGET, MARGIN, Excess, excess_of, reach
+from spoofgym._registry import check_choice
+from spoofgym.attacks import make_attack
+from spoofgym.bench.budget import (
+    BUDGET,
+    MARGIN,
+    Excess,
+    excess_of,
+    largest_within,
+    reach,
+)
 from spoofgym.bench.campaign import Silent, training_start
+from spoofgym.bench.entries import detector_entry
 from spoofgym.bench.metrics import bootstrap_mean, resamples
 from spoofgym.bench.run import WarmStart, displacement_of, play
 from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.suite import Suite, Tuning, versions
 from spoofgym.bench.tune import Trial, TuningResult, tune
+from spoofgym.detectors import DETECTORS
 from spoofgym.envs.attach import spoofer_context
+from spoofgym.envs.observations import Observer, terms_of
 from spoofgym.envs.rewards import AlarmPenalty, DisplacementGain, Retraction, RewardTerm
 from spoofgym.sb3 import SpoofVecEnv
+from spoofgym.spoofers import KNOWLEDGE
+from spoofgym.spoofers.base import direction
 from spoofgym.spoofers.card import Card, fields_of
 from spoofgym.spoofers.onnx_policy import OnnxPolicy
 
@@ -90,6 +114,8 @@ class Arguments:
     """Scenario, like the detector."""
     attack: str = "false-position"
     """Attack, likewise."""
+    heading_deg: float = 90.0
+    """Direction in which it pushes and is rewarded, clockwise from north."""
     attack_s: float = 150.0
     """Command phase of an episode, in seconds."""
     warmup_s: float = 200.0
@@ -108,11 +134,11 @@ class Arguments:
     """At first; it falls linearly to a tenth."""
     gamma: float = 1.0
     """Discount; anything but 1 is not what is scored."""
-    gae_lambda: float = 0.98
+    gae_lambda: float = 0.95
     """Of generalised advantage estimation."""
     clip_range: float = 0.2
     """Of PPO's ratio."""
-    log_std_init: float = -1.5
+    log_std_init: float = -2.0
     """Logarithm of the exploration's size at first."""
     averaging: float = 0.9
     """Weight of the past in the average of the weights, for each rollout; 0 for the last one."""
@@ -122,7 +148,7 @@ class Arguments:
     """How much more often than without attack an alarm may come, as a part of the runs."""
     margin: float = MARGIN
     """Distance that the choice keeps from the budget, in standard errors."""
-    penalty: float = 3.0
+    penalty: float = 10.0
     """Price of an alarm at first, in displacements of the best ramp."""
     penalty_limit: float = 30.0
     """Its largest value, likewise."""
@@ -130,10 +156,12 @@ class Arguments:
     """How quickly the price adapts; 0 to keep it."""
     evaluations: int = 8
     """How often the policy is evaluated, and a checkpoint is written."""
-    evaluation_runs: int = 512
-    """Runs of an evaluation, of the tuning of the ramps, and of the clean alarm rate."""
+    tuning_runs: int = 512
+    """Runs that the ramps are tuned on."""
+    evaluation_runs: int = 1024
+    """Runs of an evaluation, which choose the policy and its amplitude."""
     final_runs: int = 500
-    """Runs of the evaluation split that the best policy plays at the end."""
+    """Runs that decided nothing, which the best policy plays at the end."""
     seed: int = 0
     """All chance follows from this number."""
     tensorboard: bool = True
@@ -147,23 +175,41 @@ class Arguments:
 
     def __post_init__(self) -> None:
         """Check what stable-baselines3 and the environment do not check, or only later."""
+        check_choice("knowledge", self.knowledge, KNOWLEDGE)
         counts = ("steps", "num_envs", "batch_size", "n_epochs", "evaluations", "width")
-        for name, least in (*((n, 1) for n in counts), ("evaluation_runs", 2), ("final_runs", 2)):
+        ones = ((name, 1) for name in (*counts, "torch_threads"))
+        pairs = ((name, 2) for name in ("tuning_runs", "evaluation_runs", "final_runs"))
+        for name, least in (*ones, ("n_steps", 0), *pairs):
             if getattr(self, name) < least:
                 raise ValueError(f"`{name}` must be at least {least}, got {getattr(self, name)}")
         for name, low, high in (
+            ("attack_s", 0.0, math.inf),
+            ("averaging", 0.0, 1.0),
             ("budget", 0.0, 1.0),
+            ("clip_range", 0.0, math.inf),
+            ("gae_lambda", 0.0, 1.0),
             ("gamma", 0.0, 1.0),
             ("learning_rate", 0.0, math.inf),
+            ("log_std_init", -20.0, 2.0),
             ("margin", 0.0, math.inf),
             ("penalty", 0.0, math.inf),
-            ("penalty_limit", 0.0, math.inf),
             ("penalty_gain", 0.0, math.inf),
-            ("averaging", 0.0, 1.0),
+            ("penalty_limit", 0.0, math.inf),
+            ("warmup_s", 0.0, math.inf),
         ):
             value = getattr(self, name)
             if not (math.isfinite(value) and low <= value <= high):
                 raise ValueError(f"`{name}` must be in [{low:g}, {high:g}], got {value}")
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", self.out.name):
+            raise ValueError(
+                "the last part of `out` names the spoofer: letters, digits, dots, hyphens and "
+                f"underscores, the first one a letter or digit; got {str(self.out)!r}"
+            )
+        if ":" in str(parse_spec(self.detector)["name"]):
+            raise ValueError(
+                f"`detector` must be one of {', '.join(sorted(DETECTORS))}: a card can't name a "
+                f"class of another module; got {self.detector!r}"
+            )
         if self.gamma != 1.0:
             warnings.warn(
                 f"`gamma` = {self.gamma:g}: what is scored is not discounted, and with less than 1 "
@@ -175,14 +221,15 @@ class Arguments:
     def identity(self) -> dict[str, Any]:
         """What a resumed run must share with the interrupted one; JSON-able."""
         free = ("resume", "threads", "torch_threads", "out", "tensorboard")
-        return {name: value for name, value in asdict(self).items() if name not in free}
+        settings = {name: value for name, value in asdict(self).items() if name not in free}
+        return {"name": self.out.name, **settings}
 
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """What `gymnasium.make` takes."""
         return {
             "scenario": parse_spec(self.scenario),
-            "detector": parse_spec(self.detector),
+            "detector": detector_entry(parse_spec(self.detector)).spec,
             "attack": parse_spec(self.attack),
             "timeline": {
                 "warmup_s": self.warmup_s,
@@ -190,6 +237,7 @@ class Arguments:
                 "attack_s": self.attack_s,
             },
             "knowledge": self.knowledge,
+            "target_heading_deg": self.heading_deg,
         }
 
     @property
@@ -202,17 +250,41 @@ class Arguments:
             timeline=env["timeline"],
             detectors=[env["detector"]],
             spoofers=[
-                {"name": "ramp", "rate_mps": "tuned"},
-                {"name": "accelerating-ramp", "acceleration_mps2": "tuned"},
+                {"name": "ramp", "rate_mps": "tuned", "heading_deg": self.heading_deg},
+                {
+                    "name": "accelerating-ramp",
+                    "acceleration_mps2": "tuned",
+                    "heading_deg": self.heading_deg,
+                },
             ],
             entropy=self.seed,
             tuning=Tuning(
-                runs=self.evaluation_runs,
-                sift_runs=max(self.evaluation_runs // 16, 1),
+                runs=self.tuning_runs,
+                sift_runs=max(self.tuning_runs // 16, 1),
                 budget=self.budget,
                 margin=self.margin,
             ),
         )
+
+
+class AlongHeading(VecEnvWrapper):
+    """Environment with one action, the push along a heading."""
+
+    def __init__(self, venv: SpoofVecEnv, heading_deg: float) -> None:
+        self.directions = direction(venv.action_names, heading_deg)[None, :]
+        super().__init__(venv, action_space=Box(-1.0, 1.0, (1,), np.float32))
+
+    def reset(self) -> np.ndarray:
+        """Begin new episodes."""
+        return self.venv.reset()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Push."""
+        self.venv.step_async(actions @ self.directions)
+
+    def step_wait(self) -> Any:
+        """What the environment returns."""
+        return self.venv.step_wait()
 
 
 class Diverged(RuntimeError):
@@ -285,21 +357,6 @@ class Judge:
         }
 
 
-def fitted(keeps: Callable[[float], bool], first: float) -> None:
-    """Try amplitudes: walk from the first one to where the budget is spent, then halve the step."""
-    faster = keeps(first)
-    low = high = first
-    for _ in range(WALKS):
-        last, there = (high, high * STEP) if faster else (low, low / STEP)
-        if keeps(there) != faster:
-            low, high = sorted((last, there))
-            break
-        low = high = there
-    for _ in range(HALVINGS if low < high else 0):
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if keeps(middle) else (low, middle)
-
-
 def tuned_ramps(args: Arguments, console: Console) -> list[dict[str, Any]]:
     """Tuning tables of the ramps, on the runs of the training split."""
     suite = args.suite
@@ -325,16 +382,25 @@ def rewards(scale_m: float, penalty_m: float) -> tuple[RewardTerm, ...]:
     return DisplacementGain(per_m), Retraction(per_m), AlarmPenalty(penalty_m * per_m)
 
 
-def make_model(args: Arguments, env: SpoofVecEnv) -> PPO:
-    """PPO with fresh weights."""
-    n_steps = args.n_steps or env.game.setup.steps
+def ramp_action(args: Arguments, tables: list[dict[str, Any]]) -> float:
+    """What the tuned ramp of the attack's control commands, as a part of the limit."""
+    attack = make_attack(parse_spec(args.attack))
+    setting = "acceleration_mps2" if attack.control == "acceleration" else "rate_mps"
+    value = next(table["value"] for table in tables if table["setting"] == setting)
+    return float(value) / attack.unit_scale
+
+
+def make_model(args: Arguments, env: AlongHeading, first_action: float = 0.0) -> PPO:
+    """PPO with fresh weights, whose first actions lie around a given one."""
+    n_steps = args.n_steps or env.get_attr("game")[0].setup.steps
     size = n_steps * args.num_envs
     if size % args.batch_size and args.batch_size < size:
         # stable-baselines3 warns of a last minibatch that is smaller; it is harmless
         warnings.filterwarnings("ignore", message="You have specified a mini-batch size")
     shape = MlpShape(width=args.width, log_std_init=args.log_std_init)
-    return PPO(
-        "MlpPolicy",
+    observer = Observer(terms_of(args.knowledge), env.venv.game.setup)
+    model = PPO(
+        InformedCritic,
         env,
         learning_rate=lambda left: args.learning_rate * (0.1 + 0.9 * left),
         n_steps=n_steps,
@@ -343,10 +409,12 @@ def make_model(args: Arguments, env: SpoofVecEnv) -> PPO:
         gamma=args.gamma,
         gae_lambda=args.gae_lambda,
         clip_range=args.clip_range,
-        policy_kwargs=shape.policy_kwargs(),
+        policy_kwargs=shape.policy_kwargs() | {"seen": len(observer.names)},
         seed=args.seed,
         device="cpu",
     )
+    torch.nn.init.constant_(model.policy.action_net.bias, first_action)
+    return model
 
 
 def twin_of(model: PPO) -> ActorCriticPolicy:
@@ -364,8 +432,15 @@ def twin_of(model: PPO) -> ActorCriticPolicy:
 class Run(BaseCallback):
     """One training run: adapts the price of an alarm, evaluates, keeps the best, checkpoints."""
 
-    def __init__(self, args: Arguments, env: SpoofVecEnv, rivals: list[dict[str, Any]]) -> None:
+    def __init__(
+        self,
+        args: Arguments,
+        env: AlongHeading,
+        rivals: list[dict[str, Any]],
+        spent_s: float = 0.0,
+    ) -> None:
         super().__init__()
+        self._began, self.spent_s = time.perf_counter(), spent_s
         self.args, self.env, self.rivals = args, env, rivals
         self.name = args.out.name
         self.judge = Judge(args, "calibration", args.evaluation_runs, args.seed)
@@ -378,10 +453,9 @@ class Run(BaseCallback):
             args.budget, args.margin, ramp.excess_error
         )
         self.best_m, self.best_step = -math.inf, -1
-        self.spent_s, self.rollout, self.next_step, self.evaluated = 0.0, 0, 0, -1
+        self.rollout, self.next_step, self.evaluated = 0, 0, -1
         self.latest: dict[str, float] = {}
         self._ended: list[tuple[float, bool]] = []
-        self._began = time.perf_counter()
         self.average: ActorCriticPolicy | None = None
         self.amplitude = 1.0
 
@@ -399,9 +473,9 @@ class Run(BaseCallback):
         """Take what is trained, and what the training writes to."""
         self.record, self.bar = record, bar
         self.average = twin_of(model) if self.average is None else self.average
-        self.exporter = PolicyExporter(self.average)
+        self.exporter = PolicyExporter(self.average, self.env.directions)
         self.task = bar.add_task(self.name, total=self.args.steps)
-        self.env.set_rewards(rewards(self.scale_m, self.penalty_m))
+        self.env.venv.set_rewards(rewards(self.scale_m, self.penalty_m))
 
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
@@ -445,7 +519,7 @@ class Run(BaseCallback):
         change = math.exp(self.args.penalty_gain * (self.alarm_rate - self.aim))
         bounds = 0.1 * self.scale_m, self.args.penalty_limit * self.scale_m
         self.penalty_m = min(max(self.penalty_m * change, bounds[0]), bounds[1])
-        self.env.set_rewards(rewards(self.scale_m, self.penalty_m))
+        self.env.venv.set_rewards(rewards(self.scale_m, self.penalty_m))
         self.latest = {
             "train_undetected_m": float(displacement),
             "train_alarm_rate": float(alarmed),
@@ -485,7 +559,7 @@ class Run(BaseCallback):
                 return self._keeps(found[-1][1])
 
             if self.num_timesteps:
-                fitted(keeps, self.amplitude)
+                largest_within(keeps, self.amplitude)
             else:
                 keeps(1.0)
         return found
@@ -513,8 +587,8 @@ class Run(BaseCallback):
 
     def card_fields(self, scores: list[dict[str, Any]], amplitude: float) -> dict[str, Any]:
         """Card of the policy as it is."""
-        game, args = self.env.game, self.args
-        context = spoofer_context(game.setup, 1, game.observer)
+        game, args = self.env.venv.game, self.args
+        context = spoofer_context(game.setup, 1, Observer(terms_of(args.knowledge), game.setup))
         return {
             "env_id": "spoofgym/TightlyCoupled-v0",
             "env_kwargs": args.env_kwargs,
@@ -549,20 +623,36 @@ class Run(BaseCallback):
             torch.save({**self.model.get_parameters(), AVERAGE: self.average.state_dict()}, weights)
             archive.writestr("parameters.pt", weights.getvalue())
             archive.writestr("state.json", json.dumps(state))
+            for path in self._best_files():
+                if self.best_step >= 0:
+                    archive.writestr(path.name, path.read_bytes())
         write_file(self.args.out / CHECKPOINT, content.getvalue())
 
+    def _best_files(self) -> tuple[Path, Path]:
+        return self.best_path, self.best_path.with_suffix(".json")
+
     def restore(self, model: PPO) -> None:
-        """Take over the checkpoint of the folder."""
-        with zipfile.ZipFile(self.args.out / CHECKPOINT) as archive:
-            state = json.loads(archive.read("state.json"))
-            weights = BytesIO(archive.read("parameters.pt"))
-        parameters = torch.load(weights, weights_only=True)
+        """Take over the checkpoint of the folder, and the best policy of its time."""
+        path = self.args.out / CHECKPOINT
+        try:
+            with zipfile.ZipFile(path) as archive:
+                state = json.loads(archive.read("state.json"))
+                parameters = torch.load(BytesIO(archive.read("parameters.pt")), weights_only=True)
+                best = (
+                    {file: archive.read(file.name) for file in self._best_files()}
+                    if (state["best_step"] >= 0)
+                    else {}
+                )
+        except (zipfile.BadZipFile, KeyError, ValueError) as error:
+            raise SystemExit(f"{path} is damaged ({error}); choose another --out") from error
+        for file, content in best.items():
+            write_file(file, content)
         self.average = twin_of(model)
         self.average.load_state_dict(parameters.pop(AVERAGE))
         model.set_parameters(parameters, device="cpu")
-        model.num_timesteps = self.num_timesteps = state.pop("num_timesteps")
-        for name, value in state.items():
-            setattr(self, name, value)
+        model.num_timesteps = self.num_timesteps = state["num_timesteps"]
+        for name in (*STATE, "spent_s"):
+            setattr(self, name, state[name])
 
 
 STATE = (
@@ -575,10 +665,11 @@ STATE = (
     "next_step",
     "evaluated",
 )
+"""What a checkpoint keeps of a run, beside the weights."""
+LEAST_M = 0.1
+"""Displacement of the best ramp, below which there is no scale for a reward."""
 AVERAGE = "average"
 """Name of the averaged weights in a checkpoint."""
-STEP, WALKS, HALVINGS = 1.15, 4, 2
-"""Step between amplitudes, most steps of one search, and how often the last one is halved."""
 CHECKPOINT, CONFIG, RECORD = "checkpoint.zip", "config.json", "record.jsonl"
 """Files of a run's folder."""
 
@@ -618,47 +709,83 @@ def used_versions() -> dict[str, str]:
     return versions() | {name: version(name) for name in ("torch", "stable-baselines3", "onnx")}
 
 
-def open_folder(args: Arguments) -> dict[str, Any]:
-    """Begin a run, or go on with it; the configuration that was written.
+def open_folder(args: Arguments, console: Console) -> dict[str, Any]:
+    """Look at the folder of a run; the configuration that an interrupted one left, or nothing.
 
     A folder with a run in it is gone on with under `--resume` only, and by the same settings only.
     """
     path = args.out / CONFIG
     if not path.is_file():
-        if args.resume and (args.out / CHECKPOINT).is_file():
-            raise SystemExit(f"{args.out} has a checkpoint but no {CONFIG}; choose another --out")
+        if args.resume:
+            console.print(f"there is no run in {args.out} yet: it begins anew")
         return {}
-    old = json.loads(path.read_text(encoding="utf-8"))
     if not args.resume:
         raise SystemExit(
             f"{args.out} holds a training run; go on with it by --resume, or choose another --out"
         )
+    try:
+        old = json.loads(path.read_text(encoding="utf-8"))
+        there = {"arguments": old["arguments"], "versions": old["versions"]}
+        old["rivals"], old["spent_s"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise SystemExit(f"{path} is damaged ({error!r}); choose another --out") from error
     here = {"arguments": json.loads(json.dumps(args.identity)), "versions": used_versions()}
-    found = unlike({k: old[k] for k in here}, here)
+    found = [line.replace(" on the card", " there") for line in unlike(there, here)]
     if found:
         raise SystemExit(
             f"{args.out} holds a run with other settings, which can't be gone on with:\n  "
             + "\n  ".join(found)
         )
-    return old
+    return dict(old)
 
 
-def train(args: Arguments, console: Console) -> Path:
-    """Train, and return the file of the best policy."""
+def train(args: Arguments, console: Console) -> tuple[Path, float]:
+    """Train; the file of the best policy, and the time that it took, interruptions not counted."""
+    began = time.perf_counter()
     torch.set_num_threads(args.torch_threads)
-    config = open_folder(args)
-    rivals = config.get("rivals") or tuned_ramps(args, console)
-    if not config:
-        config = {"arguments": args.identity, "versions": used_versions(), "rivals": rivals}
-        write_file(args.out / CONFIG, (json.dumps(config, indent=1) + "\n").encode())
-    env = SpoofVecEnv(
+    config = open_folder(args, console)
+    engine = SpoofVecEnv(
         args.num_envs,
         threads=args.threads,
         torch_threads=args.torch_threads,
-        **args.env_kwargs,
+        **(args.env_kwargs | {"knowledge": "oracle"}),
     )
-    model = make_model(args, env)
-    run = Run(args, env, rivals)
+    env = AlongHeading(engine, args.heading_deg)
+    try:
+        make_model(args, env)  # which refuses what does not fit, before anything is written
+        if not config:
+            config = begin(args, began, console)
+        return learn(args, env, config, console)
+    finally:
+        env.close()
+
+
+def begin(args: Arguments, began: float, console: Console) -> dict[str, Any]:
+    """Tune the ramps, and write the configuration of a new run."""
+    rivals = tuned_ramps(args, console)
+    reached = best_ramp(rivals).undetected_displacement_m
+    if reached < LEAST_M:
+        raise SystemExit(
+            f"the ramps displace the victim by no more than {reached:.2g} m: no scale for a reward "
+            "follows from that. Choose an attack that moves it along --heading-deg"
+        )
+    config = {
+        "arguments": args.identity,
+        "versions": used_versions(),
+        "rivals": rivals,
+        "spent_s": time.perf_counter() - began,
+    }
+    write_file(args.out / CONFIG, (json.dumps(config, indent=1) + "\n").encode())
+    return config
+
+
+def learn(
+    args: Arguments, env: AlongHeading, config: dict[str, Any], console: Console
+) -> tuple[Path, float]:
+    """Learn from where the folder is at."""
+    rivals = config["rivals"]
+    model = make_model(args, env, ramp_action(args, rivals))
+    run = Run(args, env, rivals, config["spent_s"])
     resumed = args.resume and (args.out / CHECKPOINT).is_file()
     if resumed:
         run.restore(model)
@@ -677,16 +804,15 @@ def train(args: Arguments, console: Console) -> Path:
         TimeRemainingColumn(),
         console=console,
     )
-    last = begun if resumed else None
-    with TrainingRecord(args.out / RECORD, last_step=last if resumed else -1) as record, bar:
+    with TrainingRecord(args.out / RECORD, last_step=begun if resumed else -1) as record, bar:
         run.prepare(model, record, bar)
         try:
-            model.learn(max(args.steps - begun, 0), callback=run, reset_num_timesteps=False)
-            run.evaluate_last()
+            if begun < args.steps:
+                model.learn(args.steps - begun, callback=run, reset_num_timesteps=False)
+                run.evaluate_last()
         except (Diverged, ValueError) as error:
             raise_if_diverged(model, run, error)
-    env.close()
-    return run.best_path
+    return run.best_path, run.wall_s
 
 
 def raise_if_diverged(model: PPO, run: Run, error: Exception) -> NoReturn:
@@ -701,37 +827,45 @@ def raise_if_diverged(model: PPO, run: Run, error: Exception) -> NoReturn:
             else "no policy up to then was within the alarm budget"
         )
         raise SystemExit(
-            f"training has diverged: {found}; {best}. Try a smaller --learning-rate."
+            f"training has diverged: {found}; {best}. Try a smaller --learning-rate, in another "
+            "--out."
         ) from error
     raise error
 
 
-def finish(args: Arguments, best: Path, console: Console) -> None:
+def finish(args: Arguments, best: Path, spent_s: float, console: Console) -> None:
     """Play the best policy on runs that decided nothing, and tell the card."""
+    began = time.perf_counter()
     if not best.is_file():
         raise SystemExit(
             f"no policy within the alarm budget of {100 * args.budget:g} % was found; train "
-            "longer, or with a larger --penalty"
+            "longer, or with a larger --penalty, in another --out"
         )
     with console.status("playing runs that decided nothing"):
-        judge = Judge(args, "evaluation", args.final_runs, 0)
+        judge = Judge(args, "calibration", args.final_runs, args.seed + 1)
         score = judge.score(judge.evaluate(best), args.budget)
     card = Card.load(best.with_suffix(".json"))
-    scores = [s.model_dump() for s in card.scores if s.split != "evaluation"]
-    card = Card.model_validate({**card.model_dump(), "scores": [*scores, score]})
+    training = {**card.training, "total_s": round(spent_s + time.perf_counter() - began, 1)}
+    told = card.model_dump() | {"training": training, "scores": [card.scores[0], score]}
+    card = Card.model_validate(told)
     card.save(best.with_suffix(".json"))
     table = Table(title=f"{card.name}, against {judge.label}")
     for head in ("runs", "undetected displacement [m]", "alarms [%]", "without attack [%]"):
         table.add_column(head, justify="right")
     for row in card.scores:
         table.add_row(
-            f"{row.runs} ({row.split})",
+            f"{row.runs} ({'choice' if row is card.scores[0] else 'fresh'})",
             f"{row.undetected_displacement_m:.2f} ({row.low:.2f} to {row.high:.2f})",
             f"{100 * row.alarm_rate:.1f}",
             f"{100 * row.clean_alarm_rate:.1f}",
         )
     console.print(table)
-    console.print(f"best ramp on its tuning runs: {card.training['ramp_m']:.2f} m")
+    console.print(
+        f"best ramp on its tuning runs: {card.training['ramp_m']:.2f} m; all of it took "
+        f"{training['total_s']:.0f} s"
+    )
+    if card.scores[0].undetected_displacement_m <= card.training["ramp_m"]:
+        console.print("that is no more than the ramp: train longer, in another --out")
     console.print(f"written: {best} and its card")
 
 
@@ -740,11 +874,12 @@ def main() -> None:
     console = Console()
     try:
         args = tyro.cli(Arguments, description=__doc__)
-        finish(args, train(args, console), console)
+        finish(args, *train(args, console), console)
     except ValueError as error:
         raise SystemExit(f"error: {error}") from error
     except KeyboardInterrupt:
-        raise SystemExit("interrupted; the same command with --resume goes on") from None
+        console.print("interrupted; the same command with --resume goes on")
+        raise SystemExit(130) from None
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ so that other runs, most likely, keep it too.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -90,3 +91,56 @@ def reach(budget: float, margin: float, error: float) -> float:
         At least a fifth of the budget, since there is nothing to find far below it.
     """
     return max(budget - margin * error, 0.2 * budget)
+
+
+def largest_within(
+    keeps: Callable[[float], bool],
+    first: float,
+    *,
+    step: float = 1.15,
+    walks: int = 4,
+    halvings: int = 2,
+) -> None:
+    """Try factors on an attack around the largest one that keeps the budget.
+
+    From the first factor it walks in steps, up while the budget is kept and down while it is not;
+    the step over the edge is then halved.  Where alarms come the more often the larger the factor
+    is, the edge lies within ``step ** (1 / 2 ** halvings)`` of the largest one that kept it.
+
+    Parameters
+    ----------
+    keeps : callable
+        Tries a factor, and tells whether it keeps the budget; it has to remember what it tried.
+    first : float
+        Factor to begin at, above 0.
+    step : float
+        Ratio of neighbouring factors of the walk, above 1.
+    walks : int
+        Most steps; without the edge among them nothing is halved.
+    halvings : int
+        How often the step over the edge is halved.
+    """
+    within, at = keeps(first), first
+    for _ in range(walks):
+        there = at * step if within else at / step
+        if keeps(there) != within:
+            halve(keeps, min(at, there), max(at, there), halvings)
+            return
+        at = there
+
+
+def halve(keeps: Callable[[float], bool], low: float, high: float, halvings: int) -> None:
+    """Try factors between one that keeps the budget and one that does not, halving their ratio.
+
+    Parameters
+    ----------
+    keeps : callable
+        As in `largest_within`.
+    low, high : float
+        The one that keeps it, above 0, and the one that does not.
+    halvings : int
+        How many are tried.
+    """
+    for _ in range(halvings):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if keeps(middle) else (low, middle)

@@ -8,7 +8,7 @@ from ..envs.setup import Setup
 from .cells import make_cell
 from .entries import Entry, build_spoofer
 from .run import Runs, WarmStart, play
-from .shipped import card_behind, detector_of, transferred
+from .shipped import card_behind, transferred
 from .store import ResultsFolder
 from .suite import Suite
 from .tune import TuningResult, tune
@@ -291,5 +291,5 @@ def knowledge_of(entry: Entry, setup: Setup, detector: Entry) -> dict[str, Any]:
     card = card_behind(spoofer)
     if card is None:
         return known
-    where = transferred(card, setup, detector)
-    return {**known, "detector": detector_of(card), "transfer": where}
+    made_for, differences = transferred(card, setup, detector)
+    return {**known, "detector": made_for, "transfer": differences}

@@ -16,6 +16,7 @@ from .tables import (
     reference_lines,
     rival_rows,
 )
+from .tuning_table import tuning_head, tuning_rows
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
@@ -135,8 +136,9 @@ def _rivals(summary: dict[str, Any]) -> list[str]:
         "Ratio and difference of the mean undetected displacements, with 95 % intervals by the "
         "paired bootstrap over runs, the same resamples for all. *Best ramp*: of the ramps whose "
         "search found a value within the budget on training runs, the one with the larger mean on "
-        "these evaluation runs, which favours the ramps. *Best profile*: the one with the largest "
-        "mean of those whose alarm rate on these runs keeps the budget. A comparison with a "
+        "these evaluation runs, which favours the ramps. *Best profile*: of the profiles that were "
+        "made for the detector and all else here, the one with the larger mean; where there is "
+        "none, of the others whose alarm rate on these runs keeps the budget. A comparison with a "
         "spoofer over the budget is not on equal footing.",
     ]
 
@@ -155,23 +157,11 @@ def _tunings(searches: list[dict[str, Any]]) -> list[str]:
             f"Chosen: {chosen}. Budget: alarm rate at most {100 * search['budget']:g} % of the "
             f"runs above the clean one, which is {100 * search['clean_alarm_rate']:.1f} % of "
             f"{runs} training runs; none is excluded, {search['warmup_alarms']} of them had a "
-            "false alarm in the warm-up.",
+            "false alarm in the warm-up. So that other runs keep it too, the excess counts with a "
+            f"margin of {search['margin']:g} of its standard errors; fewer runs only sift, without "
+            "a margin.",
+            "",
+            *_table(tuning_head(search), tuning_rows(search)),
             "",
         ]
-        rows: list[tuple[str, ...]] = [
-            (
-                f"{trial['value']:g}" + (" (chosen)" if _is_choice(search, trial) else ""),
-                str(trial["runs"]),
-                f"{100 * trial['alarm_rate']:.1f}",
-                f"{trial['undetected_displacement_m']:.2f}",
-                "yes" if trial["within_budget"] else "no",
-            )
-            for trial in search["trials"]
-        ]
-        head = (name, "runs", "alarm rate [%]", "undetected displacement [m]", "within budget")
-        lines += [*_table(head, rows), ""]
     return lines
-
-
-def _is_choice(search: dict[str, Any], trial: dict[str, Any]) -> bool:
-    return bool(trial["value"] == search["value"] and trial["runs"] == search["runs"])

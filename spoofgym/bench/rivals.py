@@ -6,7 +6,10 @@ an alarm than without attack, by the same detector.  Whether they do is told by 
 The reference among the ramps is the one with the larger mean undetected displacement, on these
 very runs, among those whose search found a value within the budget.  It is not known beforehand
 which one that will be, so that the choice favours the ramps.  The reference among the profiles is
-the best one by the same measure among those that keep the budget on these runs.
+the best one by the same measure among those that were made for this detector, receiver, scenario,
+timeline and attack, which kept the budget on the runs of their search.  As a ramp, it stays the
+reference where it is over the budget here, and is marked.  Where no profile was made for all this,
+it is the best one that keeps the budget on these runs.
 """
 
 from __future__ import annotations
@@ -115,8 +118,9 @@ def compare_rivals(
     -------
     list of dict
         For every detector that has such a spoofer: ``detector``; ``best_ramp`` and
-        ``best_profile`` with their scores, None where none keeps the budget; ``comparisons`` with
-        ``ratio`` and ``difference_m`` ``over_ramp`` and ``over_profile``.
+        ``best_profile`` with their scores, None where there is none, and ``made_for_it``, whether
+        they were made for all that the campaign is about; ``comparisons`` with ``ratio`` and
+        ``difference_m`` ``over_ramp`` and ``over_profile``.
     """
     by_detector: dict[str, list[Cell]] = {}
     for cell in cells:
@@ -129,8 +133,9 @@ def compare_rivals(
             continue
         feet = {cell.spoofer: footing(cell, clean, budget, samples) for cell in group}
         ramp = _best(cell for cell in group if _is_fair_ramp(cell))
-        profile = _best(
-            cell for cell in group if _kind(cell) == PROFILE and feet[cell.spoofer]["within_budget"]
+        profiles = [cell for cell in group if _kind(cell) == PROFILE]
+        profile = _best(filter(_made_for_it, profiles)) or _best(
+            cell for cell in profiles if feet[cell.spoofer]["within_budget"]
         )
         found.append(
             {
@@ -160,6 +165,12 @@ def _is_fair_ramp(cell: Cell) -> bool:
     return _kind(cell) in RAMPS and cell.head["tuned_within_budget"] is True
 
 
+def _made_for_it(cell: Cell) -> bool:
+    """Whether it was tuned or optimised for all that it plays in and against."""
+    knowledge = cell.head["knowledge"]
+    return knowledge["detector"] is not None and not knowledge["transfer"]
+
+
 def _displacement(cell: Cell) -> NDArray[np.float64]:
     return np.asarray(cell.records["undetected_displacement_m"], dtype=np.float64)
 
@@ -175,8 +186,9 @@ def _told(
     if reference is None:
         return None
     mean = bootstrap_mean(_displacement(reference), samples).as_json()
-    name = reference.spoofer
-    return {"spoofer": name, "undetected_displacement_m": mean, **feet[name]}
+    name, made = reference.spoofer, _made_for_it(reference)
+    told = {"spoofer": name, "made_for_it": made, "undetected_displacement_m": mean}
+    return {**told, **feet[name]}
 
 
 def _over(cell: Cell, reference: Cell | None, samples: NDArray[np.int64]) -> dict[str, Any] | None:

@@ -63,24 +63,8 @@ def card_behind(spoofer: Spoofer) -> Card | None:
     return None
 
 
-def detector_of(card: Card) -> str:
-    """Detector that a spoofer was optimised against.
-
-    Parameters
-    ----------
-    card : Card
-        Of the spoofer.
-
-    Returns
-    -------
-    str
-        Its label in a campaign.
-    """
-    return detector_entry(setup_of_card(card).detector).label
-
-
-def transferred(card: Card, setup: Setup, detector: Entry) -> list[str]:
-    """What is another one in a campaign than where a spoofer was made.
+def transferred(card: Card, setup: Setup, detector: Entry) -> tuple[str, list[str]]:
+    """What a spoofer was made for, and what is another one in a campaign.
 
     Parameters
     ----------
@@ -93,14 +77,17 @@ def transferred(card: Card, setup: Setup, detector: Entry) -> list[str]:
 
     Returns
     -------
-    list of str
+    label : str
+        Of the detector that it was optimised against, as campaigns have it.
+    differences : list of str
         Among ``detector``, ``attack``, ``scenario``, ``receiver`` and ``timeline``.
     """
     made = setup_of_card(card)
-    found = [] if detector_of(card) == detector.label else ["detector"]
+    label = detector_entry(made.detector).label
+    found = [] if label == detector.label else ["detector"]
     if spec_of("attack", ATTACKS, made.attack) != spec_of("attack", ATTACKS, setup.attack):
         found.append("attack")
-    return found + [
+    return label, found + [
         name
         for name in ("scenario", "receiver", "timeline")
         if describe(getattr(made, name)) != describe(getattr(setup, name))

@@ -84,7 +84,7 @@ class Tuning:
     values : int
         Log-spaced values over the whole range that are sifted.
     refined : int
-        Log-spaced values in the neighbourhood, tried on all training runs.
+        Log-spaced values around a peak within the budget, tried on all training runs.
     budget : float
         How much more often than without attack an alarm may come, as a part of the runs.
     margin : float

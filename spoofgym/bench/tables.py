@@ -288,6 +288,7 @@ def reference_lines(summary: dict[str, Any]) -> list[str]:
             rate, excess = _alarms(best)
             lines.append(
                 f"Best {word} against {group['detector']}: {best['spoofer']}, "
+                f"{'' if best['made_for_it'] else 'not made for it, '}"
                 f"{interval(best['undetected_displacement_m'])} m, alarm rate {rate} %, points "
                 f"above clean: {excess}."
             )

@@ -8,24 +8,28 @@ chosen.  All of it is decided on training runs, which share no noise with those 
 1. A few runs sift log-spaced values of the whole range for the neighbourhood, without a margin.
 2. All training runs try the best of these, then the next larger ones as long as that is better, or
    the next smaller ones until one is within the budget.
-3. They try log-spaced values between the best one and the next larger; where that is within the
-   budget too, and no better, between both neighbours.
+3. Where the next larger value is over the budget, they halve the ratio of the two until the edge is
+   known to `RESOLUTION`, as for other spoofers.  Where it is within the budget too, and no better,
+   they try log-spaced values between both neighbours.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from .budget import excess_of
+from .budget import excess_of, halve
 from .entries import Entry, build_spoofer
 from .run import Runs, WarmStart, displacement_of, play
 from .suite import Tuning, spoofer_context
 
 Tick = Callable[[float], None]
+RESOLUTION = 1.015
+"""Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +160,23 @@ class _Search:
         self.trials.append(trial)
         return trial
 
+    def refine(self, grid: list[float], at: int, *, peak: bool) -> list[Trial]:
+        """Try values next to the best one of the grid: around a peak, or up to the edge."""
+        everyone, known = self.start.receivers, len(self.trials)
+        if peak:
+            ends = grid[max(at - 1, 0)], grid[at + 1]
+            for value in _log_spaced(*ends, self.settings.refined + 2)[1:-1]:
+                self.try_value(value, everyone)
+        elif at + 1 < len(grid):
+            low, high = grid[at], grid[at + 1]
+            halvings = math.ceil(math.log2(max(math.log(high / low) / math.log(RESOLUTION), 1.0)))
+            halve(self._keeps, low, high, halvings)
+        return self.trials[known:]
+
+    def _keeps(self, value: float) -> bool:
+        """Whether all runs together keep the budget at a value, once it is rounded."""
+        return self.try_value(_rounded(value), self.start.receivers).within_budget
+
 
 def _best(trials: list[Trial]) -> Trial | None:
     """Most displacement within the budget; the smaller value where it is the same."""
@@ -218,9 +239,7 @@ def tune(
     trials = list(fine.values())
     if fine[at].within_budget:
         peak = at + 1 in fine and fine[at + 1].within_budget
-        ends = grid[max(at - 1, 0) if peak else at], grid[min(at + 1, len(grid) - 1)]
-        inner = _log_spaced(*ends, settings.refined + 2)[1:-1] if ends[0] < ends[1] else []
-        trials += [search.try_value(value, everyone) for value in inner]
+        trials += search.refine(grid, at, peak=peak)
     chosen = _best(trials)
     return TuningResult(
         detector=detector,
@@ -238,7 +257,11 @@ def tune(
 
 
 def _log_spaced(low: float, high: float, count: int) -> list[float]:
-    """Log-spaced values, rounded down to four digits, so that a choice can be written down."""
-    values = np.geomspace(low, high, count)
-    digits = 10.0 ** (np.floor(np.log10(values)) - 3.0)
-    return [float(f"{value:.6g}") for value in np.floor(values / digits + 1e-6) * digits]
+    """Log-spaced values, rounded."""
+    return [_rounded(value) for value in np.geomspace(low, high, count)]
+
+
+def _rounded(value: float) -> float:
+    """Number rounded down to four digits, so that a choice can be written down."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 3.0)
+    return float(f"{math.floor(value / digit + 1e-6) * digit:.6g}")

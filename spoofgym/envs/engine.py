@@ -386,8 +386,11 @@ class Engine:
         Threads for the compiled halves; by default as many as processors, with at least
         `RECEIVERS_PER_THREAD` receivers each.
     prefetch : bool
-        Whether to warm up every receiver's next episode in one more thread while the present one
-        runs.  It has the same bits.
+        Whether to warm up every receiver's next episode while the present one runs.  It has the
+        same bits, but for a detector whose bits depend on the size of the batch: which receivers
+        are warmed up together depends on timing, so its runs cannot be reproduced
+        (`check_detector` checks that it is none).  One thread more than `threads` computes, also
+        with ``threads=1``.
 
     Attributes
     ----------
@@ -445,17 +448,28 @@ class Engine:
             Which receivers; all by default.
         """
         where = self._everyone if rows is None else rows
-        if self._next is not None and self._next.prepared(where, rngs):
-            self.warmup_alarm[where] = self._next.take(where, self.batch)
-        elif len(where) == self.receivers:
+        if self._next is None:
+            self._begin(rngs, where)
+            return
+        prepared = self._next.prepared(where, rngs)
+        if prepared.any():
+            ready = where[prepared]
+            self.warmup_alarm[ready] = self._next.take(ready, self.batch)
+        if not prepared.all():
+            others = [
+                rng for rng, is_prepared in zip(rngs, prepared, strict=True) if not is_prepared
+            ]
+            self._begin(others, where[~prepared])
+        self._next.prepare(where, rngs)
+
+    def _begin(self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp]) -> None:
+        """Begin new episodes and run their warm-up here and now."""
+        if len(rows) == self.receivers:
             self.warmup_alarm = _warm_up(self.batch, rngs)
-        else:
-            batch = Batch(self.setup, len(rngs), self._run)
-            alarms = _warm_up(batch, rngs)
-            self.batch.copy_rows(where, batch, np.arange(len(where)))
-            self.warmup_alarm[where] = alarms
-        if self._next is not None:
-            self._next.prepare(where, rngs)
+            return
+        batch = Batch(self.setup, len(rngs), self._run)
+        self.warmup_alarm[rows] = _warm_up(batch, rngs)
+        self.batch.copy_rows(rows, batch, np.arange(len(rows)))
 
     def predict(self, action: FloatArray | None) -> Epoch:
         """First half of a step: command, measure, mechanize, predict.

@@ -3,20 +3,23 @@
 The warm-up is clean, and its noise depends on the seed and the number of the episode alone.  So it
 can be run at any time before the episode begins, with the same bits.  Between two epochs under
 attack a learner computes in Python or in one thread; a second processor does this meanwhile.
+
+Which receivers are warmed up together depends on timing.  So the bits are the same only if those of
+the detector do not depend on the size of the batch, as `spoofgym.testing.check_detector` checks.
 """
 
 from __future__ import annotations
 
 import os
-import threading
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .link import Link, StoppedError
 
 if TYPE_CHECKING:
     from .engine import Batch
@@ -54,70 +57,70 @@ class NextEpisodes:
         self._sources: list[np.random.Generator | None] = [None] * receivers
         self._episodes: list[np.random.Generator | None] = [None] * receivers
         self._asked: list[int] = []
-        self._no_thread_yet()
-
-    def _no_thread_yet(self) -> None:
-        self._owner = 0
-        self._wake: SimpleQueue[bool] = SimpleQueue()
-        self._change = threading.Condition()
-        self._urgent = False
-        self._failure: BaseException | None = None
-        self._free = threading.Event()
-        self._free.set()
+        self._link = Link()
 
     @contextmanager
     def kept_waiting(self) -> Iterator[None]:
         """Leave the processors to the present episodes meanwhile."""
-        self._free.clear()
+        free = self._linked().free
         try:
+            free.clear()
             yield
         finally:
-            self._free.set()
+            free.set()
 
-    def _here(self) -> None:
-        """Have a thread in this process, a forked one too, which inherits none."""
-        if self._owner == os.getpid():
-            return
-        if self._owner:  # a lock may be held by a thread that is not here
-            self._no_thread_yet()
-        self._owner = os.getpid()
-        threading.Thread(
-            target=_serve, args=(weakref.ref(self), self._wake), name="spoofgym-next", daemon=True
-        ).start()
+    def _linked(self) -> Link:
+        """Link of this process, anew after a fork."""
+        if self._link.process != os.getpid():
+            self._link = Link()
+        return self._link
+
+    def _here(self) -> Link:
+        """Have a thread in this process."""
+        link = self._linked()
+        link.start(_serve, weakref.ref(self), link)
+        return link
 
     def close(self) -> None:
-        """End the thread; it is started again when it is needed."""
-        self._wake.put(False)
-        self._no_thread_yet()
+        """End the thread, within a warm-up too; it is started again when it is needed."""
+        link = self._linked()
+        link.stop()
+        link.join()
+        self._link = Link()
 
     def __del__(self) -> None:
         """End the thread with its owner."""
-        if hasattr(self, "_wake"):
-            self._wake.put(False)
+        if hasattr(self, "_link"):
+            self._link.stop()
 
     def __getstate__(self) -> dict[str, Any]:
         """State without the thread, after it has done what it was asked for."""
         self._wait(lambda: not self._asked)
-        left = ("_owner", "_wake", "_change", "_urgent", "_failure", "_free")
-        return {name: value for name, value in self.__dict__.items() if name not in left}
+        return {name: value for name, value in self.__dict__.items() if name != "_link"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the state; a thread is started when it is needed."""
         self.__dict__.update(state)
-        self._no_thread_yet()
+        self._link = Link()
 
     def _wait(self, until: Callable[[], bool]) -> None:
-        """Have the thread work on, until something holds or it has failed."""
+        """Have the thread work on until something holds; or raise, once, what it failed with."""
         if until():
             return
-        self._here()
-        with self._change:
-            self._urgent = True
-            self._wake.put(True)
-            self._change.wait_for(lambda: self._failure is not None or until())
-            self._urgent = False
-        if self._failure is not None:
-            raise self._failure
+        link = self._here()
+        with link.change:
+            link.urgent = True
+            try:
+                if link.failure is None:
+                    link.wake.put(True)
+                link.change.wait_for(lambda: link.failure is not None or until())
+            finally:
+                link.urgent = False
+            if until():
+                return
+            failure, link.failure = link.failure, None
+        if failure is not None:
+            raise failure
 
     def prepare(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
         """Ask for the next episodes of some receivers.
@@ -129,16 +132,18 @@ class NextEpisodes:
         rngs : sequence of Generator
             One per row; the coming episode of each is taken from it at once.
         """
-        self._here()
-        with self._change:
+        link = self._here()
+        with link.change:
             for row, rng in zip(rows.tolist(), rngs, strict=True):
-                self._sources[row], self._episodes[row] = rng, take_episode(rng)
                 self._ready[row] = False
+                self._sources[row], self._episodes[row] = rng, take_episode(rng)
                 if row not in self._asked:
                     self._asked.append(row)
-        self._wake.put(True)
+        link.wake.put(True)
 
-    def prepared(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> bool:
+    def prepared(
+        self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]
+    ) -> NDArray[np.bool_]:
         """Whether the next episodes of these generators have been asked for.
 
         Parameters
@@ -150,10 +155,11 @@ class NextEpisodes:
 
         Returns
         -------
-        bool
-            True for all of them.
+        ndarray
+            (b,) bool.
         """
-        return all(self._sources[row] is rng for row, rng in zip(rows.tolist(), rngs, strict=True))
+        pairs = zip(rows.tolist(), rngs, strict=True)
+        return np.array([self._sources[row] is rng for row, rng in pairs], dtype=np.bool_)
 
     def take(self, rows: NDArray[np.intp], into: Batch) -> NDArray[np.bool_]:
         """Let some receivers begin the episodes that wait for them.
@@ -173,54 +179,69 @@ class NextEpisodes:
         Raises
         ------
         BaseException
-            What the warm-up raised.
+            What the warm-up raised.  It is tried again when its episodes are taken again.
         """
-        with self._change:
+        link = self._here()
+        with link.change:
             # what is waited for comes first
             urgent = [row for row in rows.tolist() if not self._ready[row]]
             self._asked = urgent + [row for row in self._asked if row not in urgent]
         self._wait(lambda: bool(self._ready[rows].all()))
-        with self._change:
+        with link.change:
             into.copy_rows(rows, self._waiting, rows)
             for row in rows.tolist():
                 self._sources[row] = None
             return self._alarm[rows]
 
-    def serve(self) -> None:
-        """Do what has been asked for, as long as it is worth a piece of work."""
+    def serve(self, link: Link) -> None:
+        """Do what has been asked for, as long as it is worth a piece of work.
+
+        Parameters
+        ----------
+        link : Link
+            Of the thread that calls this.
+        """
+        try:
+            while self._piece(link):
+                pass
+        except StoppedError:
+            return
+        except BaseException as error:  # handed to who waits
+            with link.change:
+                link.failure = error
+                link.change.notify_all()
+
+    def _piece(self, link: Link) -> bool:
+        """Warm up some receivers; False if there is nothing to do."""
         least = min(LEAST_AT_ONCE, self._waiting.receivers)
-        while True:
-            with self._change:
-                if len(self._asked) < (1 if self._urgent else least):
-                    return
-                rows = self._asked[:MOST_AT_ONCE]
-                episodes = [self._episodes[row] for row in rows]
-            try:
-                batch, alarm = self._warm_up(
-                    [copy_of(rng) for rng in episodes if rng is not None], self._free.wait
-                )
-            except BaseException as error:  # handed to who waits
-                with self._change:
-                    self._failure = error
-                    self._change.notify_all()
-                return
-            with self._change:
-                # what has been asked for anew meanwhile is another episode
-                still = [i for i, row in enumerate(rows) if self._episodes[row] is episodes[i]]
-                to = np.array([rows[i] for i in still], dtype=np.intp)
-                self._waiting.copy_rows(to, batch, np.array(still, dtype=np.intp))
-                self._alarm[to], self._ready[to] = alarm[still], True
-                done = set(to.tolist())
-                self._asked = [row for row in self._asked if row not in done]
-                self._change.notify_all()
+        with link.change:
+            if link.stopped or len(self._asked) < (1 if link.urgent else least):
+                return False
+            rows = self._asked[:MOST_AT_ONCE]
+            episodes = [self._episodes[row] for row in rows]
+        batch, alarm = self._warm_up(
+            [copy_of(rng) for rng in episodes if rng is not None], link.pause
+        )
+        with link.change:
+            if link.stopped:
+                return False
+            # what has been asked for anew meanwhile is another episode
+            still = [i for i, row in enumerate(rows) if self._episodes[row] is episodes[i]]
+            to = np.array([rows[i] for i in still], dtype=np.intp)
+            self._waiting.copy_rows(to, batch, np.array(still, dtype=np.intp))
+            self._alarm[to], self._ready[to] = alarm[still], True
+            done = set(to.tolist())
+            self._asked = [row for row in self._asked if row not in done]
+            link.change.notify_all()
+        return True
 
 
-def _serve(owner: weakref.ref[NextEpisodes], wake: SimpleQueue[bool]) -> None:
-    while wake.get():
+def _serve(owner: weakref.ref[NextEpisodes], link: Link) -> None:
+    while link.wake.get():
         episodes = owner()
         if episodes is None:
             return
-        episodes.serve()
+        episodes.serve(link)
         del episodes
 
 

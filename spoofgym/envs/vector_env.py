@@ -40,8 +40,9 @@ class SpoofVectorEnv(VectorEnv[Array, Array, Array]):
     threads : int, optional
         Threads of the engine; as many as processors by default.
     prefetch : bool
-        Whether one more thread warms up every receiver's next episode while the present one runs;
-        see `Engine`.
+        Whether one more thread warms up every receiver's next episode while the present one runs,
+        also with ``threads=1``.  The bits are the same, unless those of the detector depend on the
+        size of the batch: such a one cannot be reproduced with it; see `Engine`.
     scenario, detector, attack, receiver, timeline, knowledge, observation, reward
         As in `SpoofEnv`.
     alarm_penalty_m, end_at_alarm, target_heading_deg, render_mode

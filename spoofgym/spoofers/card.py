@@ -14,6 +14,9 @@ from .._files import write_file
 from .base import SpooferContext
 from .card_parts import Conditions, Knowledge, PolicyFile, Record, Score, Space
 
+NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"
+"""What a spoofer with a card may be called."""
+
 
 class Card(Record):
     """The card of a spoofer, on disk a JSON file beside its policy.
@@ -53,7 +56,7 @@ class Card(Record):
     """
 
     format: Literal[1] = 1
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    name: str = Field(pattern=rf"^{NAME}$")
     kind: Literal["onnx-policy", "profile"]
     env_id: str = Field(min_length=1)
     env_kwargs: dict[str, Any]

@@ -188,7 +188,13 @@ def _to_the_right(action_names: tuple[str, ...], heading_deg: float) -> FloatArr
             "`cross_rates_mps` needs an attack that moves a false position, but this one commands "
             f"{', '.join(action_names)}"
         )
-    return direction(action_names, heading_deg + 90.0)
+    try:
+        return direction(action_names, heading_deg + 90.0)
+    except ValueError as error:
+        raise ValueError(
+            f"`cross_rates_mps` needs a command to the right of `heading_deg` = {heading_deg:g}, "
+            f"but the attack commands {', '.join(action_names)} only"
+        ) from error
 
 
 def _checked(name: str, rates_mps: tuple[float, ...], *, none: bool = False) -> tuple[float, ...]:

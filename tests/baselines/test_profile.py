@@ -24,6 +24,7 @@ from baselines.profile_start import best_start, resampled
 from baselines.runs import Outcome, RunPool
 from spoofgym.bench.run import displacement_of, play
 from spoofgym.bench.suite import Suite
+from spoofgym.bench.tune import Trial, TuningResult
 from spoofgym.detectors import Ewma
 from spoofgym.spoofers import Card, Profile, make_spoofer
 from spoofgym.spoofers.profile import sampled
@@ -318,8 +319,10 @@ def test_the_command_writes_a_card_that_makes_the_profile(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["quick.json"]
     card = Card.load(out)
     assert card.name == "quick"
+    assert str(tmp_path) not in out.read_text()
     made = make_spoofer({"name": card.kind, **card.settings})
     assert isinstance(made, Profile)
+    assert made.label == "quick"
     assert made.designed_on == card.knowledge.design_time != "nothing"
     assert card.training["generations"] == 1
     (score,) = card.scores
@@ -331,7 +334,43 @@ def test_the_command_writes_a_card_that_makes_the_profile(tmp_path: Path) -> Non
     begun = tmp_path / "begun.json"
     result = CliRunner().invoke(app, [*TINY, "--start", str(out), "--out", str(begun), "--json"])
     assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["name"] == "begun"
+    told = json.loads(result.stdout)
+    assert told["name"] == "begun"
+    assert str(tmp_path) not in result.stdout
+    assert "--start quick.json" in told["training"]["command"]
+
+
+def test_the_command_of_a_card_makes_it_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "far" / "away.json"
+    result = CliRunner().invoke(app, [*TINY, "--cross", "--json", "--out", str(out)])
+    card = json.loads(result.stdout)
+    python, module, name, *words = shlex.split(card["training"]["command"])
+    assert (python, module, name) == ("python", "-m", "baselines.profile")
+    assert "--cross" in words
+    assert not {"--threads", "--json"} & set(words)
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    again = json.loads((tmp_path / "away.json").read_text())
+    for found in (card, again):
+        del found["training"]["wall_s"]
+    assert again == card
+
+
+def test_the_search_aims_at_what_the_choice_will_keep(tmp_path: Path) -> None:
+    def ramp(*numbers: tuple[float, float, float]) -> TuningResult:
+        trials = tuple(Trial(v, 400, 0.1, v, e, s, e + 2.0 * s <= 0.05) for v, e, s in numbers)
+        more = {"runs": 400, "warmup_alarms": 0, "trials": trials, "within_budget": True}
+        told = {"value": 1.0, "budget": 0.05, "margin": 2.0, "clean_alarm_rate": 0.05, **more}
+        return TuningResult("ewma", "ramp", "rate_mps", **told)
+
+    settings = replace(SETTINGS, search=replace(SEARCH, budget=0.05), margin=2.0)
+    run = run_of(tmp_path / "a.json", settings=settings)
+    # the first one gets far without an alarm, so that it tells nothing of the edge
+    run.ramps = [ramp((1.0, 0.0, 0.0)), ramp((1.0, 0.028, 0.0105), (2.0, 0.2, 0.02))]
+    assert run.aim == pytest.approx(0.05 - 2.0 * 0.0105)
 
 
 @pytest.mark.parametrize(
@@ -344,6 +383,7 @@ def test_the_command_writes_a_card_that_makes_the_profile(tmp_path: Path) -> Non
         (["--batch", "7"], "`runs` must be at least `batch` = 7, got 6"),
         (["--start", "nowhere.json"], "there is no card nowhere.json"),
         (["--out", "card.txt"], "`out` must be a .json file"),
+        (["--out", "my profile.json"], "only letters, digits, '.', '_' and '-', got 'my profile"),
     ],
 )
 def test_bad_options_are_refused_in_one_line(

@@ -10,6 +10,7 @@ import pytest
 from spoofgym.bench.cells import Cell
 from spoofgym.bench.metrics import resamples
 from spoofgym.bench.rivals import bootstrap_ratio, compare_rivals, footing
+from spoofgym.bench.tables import reference_lines
 
 RUNS = 40
 SAMPLES = resamples(RUNS, np.random.default_rng(1))
@@ -17,10 +18,18 @@ BASE = np.random.default_rng(2).uniform(5.0, 30.0, RUNS)
 
 
 def cell(
-    label: str, displacement: Any, alarmed: int, *, kind: str = "", tuned: bool | None = None
+    label: str,
+    displacement: Any,
+    alarmed: int,
+    *,
+    kind: str = "",
+    tuned: bool | None = None,
+    made_for: str | None = None,
+    transfer: tuple[str, ...] = (),
 ) -> Cell:
     """A cell whose first runs alarm."""
     head = {
+        "knowledge": {"detector": made_for, "transfer": list(transfer)},
         "detector": "ewma",
         "spoofer": label,
         "spoofer_settings": {"name": kind or label},
@@ -93,7 +102,28 @@ def test_the_better_of_the_ramps_that_were_tuned_within_the_budget_is_the_refere
     assert [row["spoofer"] for row in group["comparisons"]] == ["learned"]
 
 
-def test_a_profile_over_the_budget_is_no_reference() -> None:
+def test_a_profile_that_was_made_for_the_detector_stays_the_reference() -> None:
+    # over the budget here, but not where it was chosen
+    own = cell("own", BASE, 7, kind="profile", made_for="ewma")
+    slower = cell("slower", BASE - 1.0, 5, kind="profile", made_for="ewma")
+    foreign = cell(
+        "foreign", BASE - 4.0, 5, kind="profile", made_for="chi2", transfer=("detector",)
+    )
+    farther = cell("farther", BASE + 9.0, 5, kind="profile", made_for="ewma", transfer=("attack",))
+    by_hand = cell("by hand", BASE + 9.0, 5, kind="profile")
+    best = compared(own, slower, foreign, farther, by_hand)["best_profile"]
+    assert (best["spoofer"], best["made_for_it"], best["within_budget"]) == ("own", True, False)
+    # only without any such profile another one takes its place
+    best = compared(foreign)["best_profile"]
+    assert (best["spoofer"], best["made_for_it"]) == ("foreign", False)
+    lines = reference_lines({"rivals": [compared(own), compared(foreign)]})
+    assert lines[1].startswith("Best profile against ewma: own, ")
+    assert "not made for it" not in lines[1]
+    assert lines[1].endswith(", over budget.")
+    assert "foreign, not made for it, " in lines[3]
+
+
+def test_another_profile_over_the_budget_is_no_reference() -> None:
     bold = cell("bold", BASE + 9.0, 30, kind="profile")
     shy = cell("shy", BASE, 5, kind="profile")
     assert compared(bold, shy)["best_profile"]["spoofer"] == "shy"

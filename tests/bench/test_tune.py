@@ -10,7 +10,7 @@ import pytest
 from spoofgym.bench import tune as module
 from spoofgym.bench.run import Runs, WarmStart, displacement_of, play
 from spoofgym.bench.suite import Tuning, spoofer_entry
-from spoofgym.bench.tune import TuningResult, tune
+from spoofgym.bench.tune import RESOLUTION, TuningResult, tune
 from spoofgym.detectors import Ewma, SnapshotChi2
 
 from .support import small_suite
@@ -64,9 +64,12 @@ def test_the_edge_of_the_budget_is_found(monkeypatch: pytest.MonkeyPatch) -> Non
         displacement=lambda rate: 100.0 * rate,
     )
     result = search(landscape)
-    # 15 % is reached at 0.35; values lie a factor of 5 / 0.005 to the 1 / 19 / 6 apart
-    assert 0.35 / 1000 ** (1 / 19 / 6) < result.value <= 0.355
+    # up to here 15 of 100 runs alarm
+    assert 0.355 / RESOLUTION <= result.value <= 0.355
     assert result.within_budget
+    beyond = [t.value for t in result.trials if t.runs == 100 and not t.within_budget]
+    assert min(beyond) <= 1.001 * RESOLUTION * result.value  # values are rounded
+    assert len({t.value for t in result.trials if t.runs == 100}) <= 2 + 6
     assert len({value for value, _ in landscape.tried}) >= 20
     trials = [t for t in result.trials if t.runs == 100 and t.value == result.value]
     assert len(trials) == 1
@@ -80,6 +83,18 @@ def test_a_peak_within_the_budget_is_found(monkeypatch: pytest.MonkeyPatch) -> N
         displacement=lambda rate: 50.0 - abs(np.log(rate / 0.77)),
     )
     assert search(landscape).value == pytest.approx(0.77, rel=0.12)
+
+
+def test_a_margin_is_kept_at_the_edge(monkeypatch: pytest.MonkeyPatch) -> None:
+    landscape = Landscape(
+        monkeypatch,
+        alarm=lambda rate: 0.1 + 0.1 * rate,
+        displacement=lambda rate: rate,
+    )
+    chosen = {margin: search(landscape, margin=margin).chosen for margin in (0.0, 1.0)}
+    # 5 of 100 runs more, or 3: then one standard error is 1.7 points
+    assert [round(100 * chosen[margin].excess) for margin in (0.0, 1.0)] == [5, 3]
+    assert chosen[1.0].value == pytest.approx(0.35, rel=0.02)
 
 
 def test_more_is_better_up_to_the_end_of_the_range(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,7 +111,7 @@ def test_a_sift_that_was_lucky_is_corrected(monkeypatch: pytest.MonkeyPatch) -> 
     )
     result = search(landscape)
     assert result.within_budget
-    assert result.value < 0.1
+    assert 0.1 / RESOLUTION <= result.value < 0.1
 
 
 def test_nothing_within_the_budget_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

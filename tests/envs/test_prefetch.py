@@ -4,13 +4,18 @@ import copy
 import gc
 import os
 import pickle
+import signal
+import subprocess
+import sys
 import threading
+import time
 
 import numpy as np
 import pytest
 
 from spoofgym.envs.prefetch import copy_of, take_episode
 from spoofgym.envs.presets import make_game, make_setup
+from spoofgym.envs.vector_env import SpoofVectorEnv
 
 TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
 
@@ -87,6 +92,22 @@ def test_the_same_generators_go_on_to_their_next_episodes(setup):
     assert_same(*courses)
 
 
+def test_some_receivers_seeded_anew_leave_the_others_as_they_are():
+    seen = []
+    for prefetch in (False, True):
+        envs = SpoofVectorEnv(
+            3, knowledge="oracle", timeline=TIMELINE, threads=1, prefetch=prefetch
+        )
+        columns = [envs.reset(seed=5)[0]]
+        for seed in ([7, None, None], [None, 8, None], None):
+            columns.append(envs.reset(seed=seed)[0])
+        envs.close()
+        seen.append(columns)
+    assert_same(*seen)
+    plain = seen[0]
+    assert not np.array_equal(plain[0][1], plain[1][1])  # the others are in their next episodes
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
 def test_a_forked_child_goes_on_with_the_same_bits(setup):
@@ -113,18 +134,175 @@ def test_a_forked_child_goes_on_with_the_same_bits(setup):
     assert_same(played(setup, prefetch=False), whole)
 
 
-def test_what_goes_wrong_in_the_background_is_raised(setup):
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
+def test_a_fork_while_locks_are_held(setup):
     game, rngs = game_of(setup, True), generators()
-    game.engine._next._warm_up = lambda rngs, between: 1 / 0
     game.reset(rngs)
-    with pytest.raises(ZeroDivisionError):
+    link, held, forked = game.engine._next._link, threading.Event(), threading.Event()
+
+    def hold():
+        with link.change, link.free._cond:
+            held.set()
+            forked.wait()
+
+    holder = threading.Thread(target=hold)
+    holder.start()
+    held.wait()
+    child = os.fork()
+    if child == 0:  # pragma: no cover
+        signal.alarm(60)  # ends a child that hangs
+        status = 1
+        try:
+            game.step(np.zeros((game.receivers, 2)))
+            game.reset(rngs)
+            game.close()
+            status = 0
+        finally:
+            os._exit(status)
+    forked.set()
+    holder.join()
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def fail_once(monkeypatch, owner, name):
+    """Let a method raise in the first call; returns all calls."""
+    method, calls = getattr(owner, name), []
+
+    def failing(*args):
+        calls.append(args)
+        if len(calls) == 1:
+            raise MemoryError("for once")
+        return method(*args)
+
+    monkeypatch.setattr(owner, name, failing)
+    return calls
+
+
+@pytest.mark.parametrize("where", ["warm_up", "writing"])
+def test_what_goes_wrong_in_the_background_is_raised_once(setup, monkeypatch, where):
+    game, rngs = game_of(setup, True), generators()
+    episodes = game.engine._next
+    owner, name = {
+        "warm_up": (episodes, "_warm_up"),
+        "writing": (episodes._waiting, "copy_rows"),
+    }[where]
+    calls = fail_once(monkeypatch, owner, name)
+    game.reset(rngs)
+    with pytest.raises(MemoryError, match="for once"):
         game.reset(rngs)
+    game.reset(rngs)
+    assert len(calls) > 1
+    plain, other = game_of(setup, False), generators()
+    plain.reset(other)
+    plain.reset(other)
+    assert np.array_equal(game.observe(), plain.observe())
+
+
+def test_an_interrupted_wait_leaves_no_urgency(setup, monkeypatch):
+    game, rngs = game_of(setup, True), generators()
+    go_on = threading.Event()
+    episodes = game.engine._next
+    warm_up = episodes._warm_up
+
+    def slow(*args):
+        go_on.wait()
+        return warm_up(*args)
+
+    def interrupted(until):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(episodes, "_warm_up", slow)
+    game.reset(rngs)
+    with monkeypatch.context() as patch:
+        patch.setattr(episodes._link.change, "wait_for", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            game.reset(rngs)
+    assert not episodes._link.urgent
+    go_on.set()
+    game.reset(rngs)
+
+
+def running():
+    return {thread for thread in threading.enumerate() if thread.name == "spoofgym-next"}
+
+
+def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
+    before = running()
+    game, rngs = game_of(setup, True), generators()
+    begun = threading.Event()
+
+    def endless(rngs, between):
+        begun.set()
+        while True:
+            between()
+            time.sleep(1e-3)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(game.engine._next, "_warm_up", endless)
+        game.reset(rngs)
+        assert begun.wait(20)
+        (thread,) = running() - before
+        game.close()
+        assert not thread.is_alive()
+    assert_same(played(setup, prefetch=False), course(game, rngs, 40, np.random.default_rng(1)))
+
+
+def test_a_thread_that_ends_late_writes_nothing(setup, monkeypatch):
+    monkeypatch.setattr("spoofgym.envs.link.JOIN_S", 0.01)
+    before = running()
+    game, rngs = game_of(setup, True), generators()
+    episodes = game.engine._next
+    begun, go_on = threading.Event(), threading.Event()
+
+    def held_up(rngs, between):
+        begun.set()
+        go_on.wait()
+        return episodes._waiting, np.ones(len(rngs), dtype=np.bool_)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(episodes, "_warm_up", held_up)
+        game.reset(rngs)
+        assert begun.wait(20)
+        (thread,) = running() - before
+        game.close()
+    assert thread.is_alive()
+    go_on.set()
+    thread.join(timeout=20)
+    assert not thread.is_alive()
+    assert not episodes._ready.any()
+    assert_same(played(setup, prefetch=False), course(game, rngs, 40, np.random.default_rng(1)))
+
+
+def test_a_thread_may_close_its_owner(setup):
+    game, rngs = game_of(setup, True), generators()
+    before = running()
+    closed = threading.Event()
+
+    def closing(rngs, between):
+        game.close()
+        closed.set()
+        between()
+
+    game.engine._next._warm_up = closing
+    game.reset(rngs)
+    assert closed.wait(20)
+    for thread in running() - before:
+        thread.join(timeout=20)
+        assert not thread.is_alive()
+
+
+def test_an_environment_that_is_not_closed_lets_the_interpreter_end():
+    code = f"""
+from spoofgym.envs.vector_env import SpoofVectorEnv
+envs = SpoofVectorEnv(40, threads=1, timeline={TIMELINE})
+envs.reset(seed=1)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_threads_end_with_the_game(setup):
-    def running():
-        return {thread for thread in threading.enumerate() if thread.name == "spoofgym-next"}
-
     gc.collect()
     before = running()
     game = game_of(setup, True)

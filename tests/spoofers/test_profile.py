@@ -131,6 +131,13 @@ def test_single_channels_have_no_right_hand_side() -> None:
         Profile(rates_mps=(0.0, 0.1), cross_rates_mps=(0.0, 0.1)).bind(told)
 
 
+def test_a_curve_across_needs_a_second_axis() -> None:
+    told = context(axes=("east",))
+    Profile(rates_mps=(0.0, 0.1), heading_deg=90.0).bind(told)
+    with pytest.raises(ValueError, match=r"`cross_rates_mps` needs .* `heading_deg` = 90, .* only"):
+        Profile(rates_mps=(0.0, 0.1), cross_rates_mps=(0.0, 0.1), heading_deg=90.0).bind(told)
+
+
 def test_a_list_of_json_is_taken_for_a_tuple() -> None:
     profile = make_spoofer({"name": "profile", "rates_mps": [0.0, 0.1], "cross_rates_mps": []})
     assert profile == Profile(rates_mps=(0.0, 0.1))

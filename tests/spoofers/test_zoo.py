@@ -44,7 +44,12 @@ def test_a_shipped_profile_is_its_settings(zoo: Path) -> None:
     card |= {"name": "slow", "kind": "profile", "file": None, "observation": None}
     (zoo.parent / "slow.json").write_text(json.dumps({**card, "settings": settings}))
     assert shipped() == ("ewma-tiny", "slow")
-    assert resolve("slow") == {"name": "profile", **settings}
+    assert resolve("slow") == {"name": "profile", **settings, "label": "slow"}
+    # two of them are told apart, whatever their cards say
+    (zoo.parent / "fast.json").write_text(
+        json.dumps({**card, "name": "fast", "settings": {**settings, "label": "slow"}})
+    )
+    assert [make_spoofer(name).label for name in shipped()] == ["ewma-tiny", "fast", "slow"]
 
 
 def test_what_is_not_shipped_is_left_as_it_is() -> None:

@@ -59,9 +59,9 @@ def spec_of_shipped(name: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        For `make_spoofer`.
+        For `make_spoofer`; its label in results is the name.
     """
     card = card_of(name)
     if card.file is None:
-        return {"name": card.kind, **card.settings}
+        return {"name": card.kind, **card.settings, "label": name}
     return {"name": card.kind, "file": name, "sha256": card.file.sha256}
