@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,7 +61,7 @@ class MlpShape:
 
 
 class FirstElements(BaseFeaturesExtractor):
-    """First elements of an observation; the others are hidden.
+    """First elements of an observation, scaled; the others are hidden.
 
     Parameters
     ----------
@@ -68,18 +69,24 @@ class FirstElements(BaseFeaturesExtractor):
         (o,) observations.
     seen : int
         How many elements are not hidden.
+    scale : sequence of float, optional
+        (o,) factors on the elements; 1 by default.
     """
 
-    def __init__(self, observation_space: spaces.Box, seen: int) -> None:
+    def __init__(
+        self, observation_space: spaces.Box, seen: int, scale: Sequence[float] | None = None
+    ) -> None:
         size = observation_space.shape[0]
         if not 1 <= seen <= size:
             raise ValueError(f"`seen` must be in [1, {size}], got {seen}")
+        if scale is not None and len(scale) != size:
+            raise ValueError(f"`scale` must have {size} elements, got {len(scale)}")
         super().__init__(observation_space, size)
-        self.seen = seen
-        self.register_buffer("mask", (torch.arange(size) < seen).to(torch.float32))
+        factor = torch.ones(size) if scale is None else torch.tensor(scale, dtype=torch.float32)
+        self.register_buffer("factor", torch.where(torch.arange(size) < seen, factor, 0.0))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Hide what is not seen.
+        """Scale what is seen, and hide the rest.
 
         Parameters
         ----------
@@ -91,7 +98,7 @@ class FirstElements(BaseFeaturesExtractor):
         Tensor
             (B, o), zeros for what is hidden.
         """
-        return observation * self.mask
+        return observation * self.factor
 
 
 class InformedCritic(ActorCriticPolicy):
@@ -107,15 +114,21 @@ class InformedCritic(ActorCriticPolicy):
         Of `ActorCriticPolicy`.
     seen : int
         How many elements the policy sees.
+    scale : sequence of float, optional
+        (o,) factors on the elements for both.
     """
 
-    def __init__(self, *args: Any, seen: int, **kwargs: Any) -> None:
+    def __init__(
+        self, *args: Any, seen: int, scale: Sequence[float] | None = None, **kwargs: Any
+    ) -> None:
         super().__init__(
             *args,
             share_features_extractor=False,
             features_extractor_class=FirstElements,
-            features_extractor_kwargs={"seen": seen},
+            features_extractor_kwargs={"seen": seen, "scale": scale},
             **kwargs,
         )
         self.seen = seen
-        self.vf_features_extractor.mask.fill_(1.0)
+        size = self.observation_space.shape[0]
+        everything = FirstElements(self.observation_space, size, scale)
+        self.vf_features_extractor.load_state_dict(everything.state_dict())

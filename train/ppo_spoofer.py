@@ -34,7 +34,9 @@ Deviations from plain PPO of stable-baselines3, and why:
    single updates jitter.
 8. The amplitude of what it plans is fitted to the budget afterwards, as the benchmark fits the rate
    of a ramp, and `baselines.profile` the scale of a profile.
-9. Rewards are in units of what the best ramp reaches, so that one set of settings suits detectors
+9. The network sees its own rate and displacement in units of the ramps'; in those of the attack's
+   limits a policy against a sharp detector would need weights that are never learned.
+10. Rewards are in units of what the best ramp reaches, so that one set of settings suits detectors
    that allow for metres and for hundreds of metres.
 """
 
@@ -52,7 +54,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Self
 
 import numpy as np
 import torch
@@ -73,7 +75,7 @@ from agents.record import TrainingRecord
 from spoofgym._describe import unlike
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
-from spoofgym.attacks import make_attack
+from spoofgym.attacks import Attack
 from spoofgym.bench.budget import (
     BUDGET,
     MARGIN,
@@ -91,8 +93,9 @@ from spoofgym.bench.suite import Suite, Tuning, versions
 from spoofgym.bench.tune import Trial, TuningResult, tune
 from spoofgym.detectors import DETECTORS
 from spoofgym.envs.attach import spoofer_context
-from spoofgym.envs.observations import Observer, terms_of
-from spoofgym.envs.rewards import AlarmPenalty, DisplacementGain, Retraction, RewardTerm
+from spoofgym.envs.observations import Observer, OwnCommand, terms_of
+from spoofgym.envs.rewards import AlarmPenalty, DisplacementGain, NearAlarm, Retraction, RewardTerm
+from spoofgym.envs.setup import Setup
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
 from spoofgym.spoofers.base import direction
@@ -148,12 +151,14 @@ class Arguments:
     """How much more often than without attack an alarm may come, as a part of the runs."""
     margin: float = MARGIN
     """Distance that the choice keeps from the budget, in standard errors."""
-    penalty: float = 10.0
+    penalty: float = 1.0
     """Price of an alarm at first, in displacements of the best ramp."""
-    penalty_limit: float = 30.0
-    """Its largest value, likewise."""
+    near_alarm: float = 0.05
+    """Price of a step at the detector's threshold at first, likewise; it falls steeply below."""
+    penalty_limit: float = 10.0
+    """Largest factor on both prices."""
     penalty_gain: float = 0.3
-    """How quickly the price adapts; 0 to keep it."""
+    """How quickly that factor adapts; 0 to keep it."""
     evaluations: int = 8
     """How often the policy is evaluated, and a checkpoint is written."""
     tuning_runs: int = 512
@@ -192,6 +197,7 @@ class Arguments:
             ("learning_rate", 0.0, math.inf),
             ("log_std_init", -20.0, 2.0),
             ("margin", 0.0, math.inf),
+            ("near_alarm", 0.0, math.inf),
             ("penalty", 0.0, math.inf),
             ("penalty_gain", 0.0, math.inf),
             ("penalty_limit", 0.0, math.inf),
@@ -376,29 +382,60 @@ def best_ramp(tables: list[dict[str, Any]]) -> Trial:
     return max(chosen, key=lambda trial: trial.undetected_displacement_m)
 
 
-def rewards(scale_m: float, penalty_m: float) -> tuple[RewardTerm, ...]:
-    """Displacement less the price of an alarm, in units of a scale."""
-    per_m = 1.0 / scale_m
-    return DisplacementGain(per_m), Retraction(per_m), AlarmPenalty(penalty_m * per_m)
+def rewards(args: Arguments, scale_m: float, factor: float) -> tuple[RewardTerm, ...]:
+    """Displacement less the prices, in units of a scale."""
+    return (
+        DisplacementGain(1.0 / scale_m),
+        Retraction(1.0 / scale_m),
+        AlarmPenalty(args.penalty * factor),
+        NearAlarm(args.near_alarm * factor),
+    )
 
 
-def ramp_action(args: Arguments, tables: list[dict[str, Any]]) -> float:
-    """What the tuned ramp of the attack's control commands, as a part of the limit."""
-    attack = make_attack(parse_spec(args.attack))
-    setting = "acceleration_mps2" if attack.control == "acceleration" else "rate_mps"
-    value = next(table["value"] for table in tables if table["setting"] == setting)
-    return float(value) / attack.unit_scale
+@dataclass(frozen=True)
+class Scales:
+    """What the tuned ramps tell of the size of things."""
+
+    action: float = 0.0
+    """Command of the ramp of the attack's control, as a part of the limit: the first action."""
+    rate_mps: float = 1.0
+    """Largest rate of both."""
+    displacement_m: float = 100.0
+    """Displacement of the better one."""
+
+    @classmethod
+    def of(cls, setup: Setup, tables: list[dict[str, Any]]) -> Self:
+        """Read them from tuning tables."""
+        attack, values = setup.attack, {table["setting"]: table["value"] for table in tables}
+        own = "acceleration_mps2" if attack.control == "acceleration" else "rate_mps"
+        window_s = setup.steps * setup.scenario.epoch_interval_s
+        fastest = max(values["rate_mps"], values["acceleration_mps2"] * window_s)
+        return cls(
+            values[own] / attack.unit_scale,
+            min(fastest, attack.rate_limit_mps),
+            best_ramp(tables).undetected_displacement_m,
+        )
+
+    def factors(self, observer: Observer, attack: Attack) -> list[float]:
+        """Factors on observations, by which the own command is of the order of 1."""
+        of_kind = {
+            "own_rate": attack.rate_limit_mps / self.rate_mps,
+            "own_displacement": OwnCommand().scale_m / self.displacement_m,
+        }
+        kinds = [name.rsplit("_", 1)[0] for name in observer.names]
+        return [of_kind.get(kind, 1.0) for kind in kinds]
 
 
-def make_model(args: Arguments, env: AlongHeading, first_action: float = 0.0) -> PPO:
-    """PPO with fresh weights, whose first actions lie around a given one."""
+def make_model(args: Arguments, env: AlongHeading, scales: Scales = Scales()) -> PPO:
+    """PPO with fresh weights, whose first actions lie around that of a ramp."""
     n_steps = args.n_steps or env.get_attr("game")[0].setup.steps
     size = n_steps * args.num_envs
     if size % args.batch_size and args.batch_size < size:
         # stable-baselines3 warns of a last minibatch that is smaller; it is harmless
         warnings.filterwarnings("ignore", message="You have specified a mini-batch size")
     shape = MlpShape(width=args.width, log_std_init=args.log_std_init)
-    observer = Observer(terms_of(args.knowledge), env.venv.game.setup)
+    game = env.venv.game
+    observer = Observer(terms_of(args.knowledge), game.setup)
     model = PPO(
         InformedCritic,
         env,
@@ -409,11 +446,12 @@ def make_model(args: Arguments, env: AlongHeading, first_action: float = 0.0) ->
         gamma=args.gamma,
         gae_lambda=args.gae_lambda,
         clip_range=args.clip_range,
-        policy_kwargs=shape.policy_kwargs() | {"seen": len(observer.names)},
+        policy_kwargs=shape.policy_kwargs()
+        | {"seen": len(observer.names), "scale": scales.factors(game.observer, game.setup.attack)},
         seed=args.seed,
         device="cpu",
     )
-    torch.nn.init.constant_(model.policy.action_net.bias, first_action)
+    torch.nn.init.constant_(model.policy.action_net.bias, scales.action)
     return model
 
 
@@ -446,7 +484,7 @@ class Run(BaseCallback):
         self.judge = Judge(args, "calibration", args.evaluation_runs, args.seed)
         ramp = best_ramp(rivals)
         self.scale_m = max(ramp.undetected_displacement_m, 1e-3)
-        self.penalty_m = args.penalty * self.scale_m
+        self.factor = 1.0
         clean = [float(rivals[0]["clean_alarm_rate"]), float(self.judge.clean_alarm.mean())]
         self.clean_rate = sum(clean) / 2.0
         self.aim = self.alarm_rate = self.clean_rate + reach(
@@ -475,7 +513,7 @@ class Run(BaseCallback):
         self.average = twin_of(model) if self.average is None else self.average
         self.exporter = PolicyExporter(self.average, self.env.directions)
         self.task = bar.add_task(self.name, total=self.args.steps)
-        self.env.venv.set_rewards(rewards(self.scale_m, self.penalty_m))
+        self.env.venv.set_rewards(rewards(self.args, self.scale_m, self.factor))
 
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
@@ -517,13 +555,12 @@ class Run(BaseCallback):
         self._ended.clear()
         self.alarm_rate += 0.3 * (float(alarmed) - self.alarm_rate)
         change = math.exp(self.args.penalty_gain * (self.alarm_rate - self.aim))
-        bounds = 0.1 * self.scale_m, self.args.penalty_limit * self.scale_m
-        self.penalty_m = min(max(self.penalty_m * change, bounds[0]), bounds[1])
-        self.env.venv.set_rewards(rewards(self.scale_m, self.penalty_m))
+        self.factor = min(max(self.factor * change, 0.1), self.args.penalty_limit)
+        self.env.venv.set_rewards(rewards(self.args, self.scale_m, self.factor))
         self.latest = {
             "train_undetected_m": float(displacement),
             "train_alarm_rate": float(alarmed),
-            "alarm_penalty_m": self.penalty_m,
+            "alarm_penalty_m": self.args.penalty * self.factor * self.scale_m,
         }
         for key, value in self.latest.items():
             self.logger.record(f"spoofer/{key}", value)
@@ -605,7 +642,7 @@ class Run(BaseCallback):
                 "steps": self.num_timesteps,
                 "wall_s": round(self.wall_s, 1),
                 "amplitude": amplitude,
-                "alarm_penalty_m": round(self.penalty_m, 3),
+                "price_factor": round(self.factor, 4),
                 "ramp_m": round(self.scale_m, 3),
             },
             "versions": used_versions(),
@@ -656,7 +693,7 @@ class Run(BaseCallback):
 
 
 STATE = (
-    "penalty_m",
+    "factor",
     "alarm_rate",
     "amplitude",
     "best_m",
@@ -784,7 +821,7 @@ def learn(
 ) -> tuple[Path, float]:
     """Learn from where the folder is at."""
     rivals = config["rivals"]
-    model = make_model(args, env, ramp_action(args, rivals))
+    model = make_model(args, env, Scales.of(env.venv.game.setup, rivals))
     run = Run(args, env, rivals, config["spent_s"])
     resumed = args.resume and (args.out / CHECKPOINT).is_file()
     if resumed:

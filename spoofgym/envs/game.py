@@ -235,7 +235,8 @@ class Game:
         self.credited += gain
         self.credited += retraction
 
-        outcome = Outcome(gain, retraction, first)
+        ratio = (verdict.statistic / verdict.threshold).max(axis=1)
+        outcome = Outcome(gain, retraction, first, ratio)
         info: dict[str, NDArray[Any]] = {
             "time_s": setup.world.epoch_time[batch.epochs],
             "alarm": alarm,

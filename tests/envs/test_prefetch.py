@@ -136,7 +136,8 @@ def test_a_forked_child_goes_on_with_the_same_bits(setup):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
-def test_a_fork_while_locks_are_held(setup):
+@pytest.mark.parametrize("steps", [0, 1])
+def test_a_fork_while_locks_are_held(setup, steps):
     game, rngs = game_of(setup, True), generators()
     game.reset(rngs)
     link, held, forked = game.engine._next._link, threading.Event(), threading.Event()
@@ -154,7 +155,8 @@ def test_a_fork_while_locks_are_held(setup):
         signal.alarm(60)  # ends a child that hangs
         status = 1
         try:
-            game.step(np.zeros((game.receivers, 2)))
+            for _ in range(steps):
+                game.step(np.zeros((game.receivers, 2)))
             game.reset(rngs)
             game.close()
             status = 0

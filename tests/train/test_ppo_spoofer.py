@@ -254,13 +254,13 @@ def test_the_price_of_an_alarm_follows_the_alarms(trained):
     rivals = json.loads((trained.out / "config.json").read_text())["rivals"]
     run = ppo_spoofer.Run(trained, envs, rivals)
     run.model = ppo_spoofer.make_model(trained, envs)
-    assert run.penalty_m == trained.penalty * run.scale_m
+    assert run.factor == 1.0
     for alarmed, higher in ((True, True), (False, False)):
-        before = run.penalty_m
+        before = run.factor
         for _ in range(20):
             run._ended = [(1.0, alarmed)] * 10
             run._on_rollout_end()
-        assert (run.penalty_m > before) is higher
+        assert (run.factor > before) is higher
     envs.close()
 
 
