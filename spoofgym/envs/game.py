@@ -235,8 +235,7 @@ class Game:
         self.credited += gain
         self.credited += retraction
 
-        ratio = (verdict.statistic / verdict.threshold).max(axis=1)
-        outcome = Outcome(gain, retraction, first, ratio)
+        outcome = Outcome(gain, retraction, first)
         info: dict[str, NDArray[Any]] = {
             "time_s": setup.world.epoch_time[batch.epochs],
             "alarm": alarm,

@@ -22,14 +22,11 @@ class Outcome(NamedTuple):
         (B,) what an alarm takes back of it [m], <= 0.
     detected : ndarray
         (B,) bool, whether this step brought the first alarm.
-    ratio : ndarray
-        (B,) largest ratio of a statistic of the detector to its threshold; 1 is an alarm.
     """
 
     gain: FloatArray
     retraction: FloatArray
     detected: NDArray[np.bool_]
-    ratio: FloatArray
 
 
 class RewardTerm(Protocol):
@@ -115,39 +112,6 @@ class AlarmPenalty:
     def __call__(self, outcome: Outcome) -> FloatArray:
         """The price, where the first alarm came."""
         return np.where(outcome.detected, -self.penalty_m, 0.0)
-
-
-@dataclass(frozen=True)
-class NearAlarm:
-    r"""Price of coming near to an alarm, for every step.
-
-    .. math:: -c \min(r, 1)^p
-
-    with r the largest ratio of a statistic to its threshold.  It is no part of what is scored: it
-    guides learning, since alarms themselves are rare, and many of them come by chance.
-
-    Parameters
-    ----------
-    price_m : float
-        c, price of a step at the threshold, in metres of displacement, at least 0.
-    power : float
-        p, how quickly it falls below the threshold, above 0.
-    """
-
-    price_m: float = 1.0
-    power: float = 8.0
-    name: ClassVar[str] = "near_alarm"
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        if not (np.isfinite(self.price_m) and self.price_m >= 0.0):
-            raise ValueError(f"`price_m` must be finite and >= 0, got {self.price_m}")
-        if not (np.isfinite(self.power) and self.power > 0.0):
-            raise ValueError(f"`power` must be finite and > 0, got {self.power}")
-
-    def __call__(self, outcome: Outcome) -> FloatArray:
-        """The price, by how near it came."""
-        return -self.price_m * np.minimum(outcome.ratio, 1.0) ** self.power
 
 
 def default_rewards(alarm_penalty_m: float = 10.0) -> tuple[RewardTerm, ...]:

@@ -1,0 +1,119 @@
+"""A policy that imitates an open-loop profile, for learning to begin at."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import ActorCriticPolicy
+
+from spoofgym.sb3 import SpoofVecEnv
+from spoofgym.spoofers import Profile
+from spoofgym.spoofers.profile import sampled
+
+FloatArray = NDArray[np.float64]
+UPDATES, BATCH, RATE = 3000, 1024, 2e-3
+"""Steps of the regression, samples of each, and its learning rate, which falls to nothing."""
+DISTURBANCE = 0.1
+"""Standard deviation of what is added to the commands, so that a policy learns to come back."""
+
+
+def demonstrations(
+    envs: SpoofVecEnv, profile: Profile, direction: FloatArray, seed: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What a profile does from where disturbed commands have led.
+
+    Parameters
+    ----------
+    envs : SpoofVecEnv
+        Runs one episode; its attack is commanded by acceleration.
+    profile : Profile
+        Along the direction, without a curve across.
+    direction : ndarray
+        (a,) unit command.
+    seed : int
+        Of the disturbance.
+
+    Returns
+    -------
+    observations : ndarray
+        (N, o) what the receivers observe.
+    commands : ndarray
+        (N, 1) along the direction, in [-1, 1].
+
+    Raises
+    ------
+    ValueError
+        When the attack is commanded by rate.
+    """
+    setup = envs.game.setup
+    attack = setup.attack
+    if attack.control != "acceleration":
+        raise ValueError(
+            f"a profile is imitated by commands of acceleration, got control = {attack.control!r}"
+        )
+    rng = np.random.default_rng(seed)
+    rates = sampled(profile.rates_mps, setup.steps)
+    most = attack.acceleration_limit_mps2 * setup.scenario.epoch_interval_s
+    own = [envs.observation_names.index(name) for name in _rates(envs)]
+    seen, told = [], []
+    observation = envs.reset()
+    for wanted in rates:
+        rate = observation[:, own] @ direction * attack.rate_limit_mps
+        command = np.clip((wanted - rate) / most, -1.0, 1.0)[:, None]
+        seen.append(observation)
+        told.append(command.astype(np.float32))
+        disturbed = command + DISTURBANCE * rng.standard_normal(command.shape)
+        observation, _, over, _ = envs.step(np.clip(disturbed, -1.0, 1.0) * direction)
+        if over.all():
+            break
+    return np.concatenate(seen), np.concatenate(told)
+
+
+def _rates(envs: SpoofVecEnv) -> list[str]:
+    """Names of the own rates, in the order of the commands."""
+    return [f"own_rate_{name.rsplit('_', 1)[0]}" for name in envs.action_names]
+
+
+def imitate(
+    policy: ActorCriticPolicy,
+    observations: NDArray[np.float32],
+    commands: NDArray[np.float32],
+    seed: int,
+) -> float:
+    """Fit a policy's mean action to commands, by least squares.
+
+    Parameters
+    ----------
+    policy : ActorCriticPolicy
+        Its action network is changed, and nothing of the value function.
+    observations, commands : ndarray
+        (N, o) and (N, a).
+    seed : int
+        Of the order of the samples.
+
+    Returns
+    -------
+    float
+        Root of the mean squared difference at the end.
+    """
+    parts = (policy.mlp_extractor.policy_net, policy.action_net)
+    weights = [weight for part in parts for weight in part.parameters()]
+    optimizer = torch.optim.Adam(weights, lr=RATE)
+    schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.01, UPDATES)
+    chance = torch.Generator().manual_seed(seed)
+    seen, told = torch.as_tensor(observations), torch.as_tensor(commands)
+
+    def loss_on(rows: torch.Tensor) -> torch.Tensor:
+        features = policy.pi_features_extractor(seen[rows])
+        mean = policy.action_net(policy.mlp_extractor.forward_actor(features))
+        return ((mean - told[rows]) ** 2).mean()
+
+    for _ in range(UPDATES):
+        rows = torch.randint(len(seen), (BATCH,), generator=chance)
+        optimizer.zero_grad()
+        loss_on(rows).backward()
+        optimizer.step()
+        schedule.step()
+    with torch.no_grad():
+        return float(loss_on(torch.arange(len(seen))).sqrt())
