@@ -27,7 +27,7 @@ COMMANDS = [
 TIMES = "--warmup-s 6 --attack-s 10"
 SMALL = {
     "train.ppo_spoofer": f"--steps 200 --num-envs 4 --batch-size 40 --evaluations 2 {TIMES} "
-    "--evaluation-runs 6 --final-runs 6",
+    "--tuning-runs 6 --evaluation-runs 6 --final-runs 6",
     "baselines.profile": f"--generations 1 --runs 4 --batch 4 --select-runs 6 {TIMES} --live-s 3",
     "run": f"{TIMES} --live-s 3",
     "bench": f"{TIMES} --live-s 3 --seeds 4 --training-seeds 4",
@@ -56,7 +56,7 @@ def without_shipped(words: list[str]) -> list[str]:
     """Without spoofers that are made for an attack of full length."""
     kept: list[str] = []
     for word in words:
-        if word in ("ewma-profile", "ewma-blind"):
+        if word in ("snapshot-chi2-profile", "snapshot-chi2-blind"):
             kept.pop()
         else:
             kept.append(word)
