@@ -55,7 +55,7 @@ def _displacement(axes: Any, points: list[Point], colour: str) -> None:
     best = [max(values[: i + 1]) for i in range(len(values))]
     axes.step(_minutes(within), best, where="post", color=colour, label="best so far")
     axes.plot(_minutes(within), values, "o", color=colour, ms=4, alpha=0.5, label="evaluated")
-    axes.set_ylim(bottom=0.0)
+    axes.margins(y=0.15)
     axes.grid(alpha=0.3)
 
 

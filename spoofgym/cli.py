@@ -404,7 +404,7 @@ def tune(
         typer.Option(help="Spoofer, may be repeated: ramp, accelerating-ramp, step, or your own."),
     ] = None,
     budget: BudgetOption = 0.05,
-    training_seeds: TrainingOption = 512,
+    training_seeds: TrainingOption = 1024,
     as_json: JsonOption = False,
     scenario: ScenarioOption = "zhong2025",
     errors: ErrorsOption = None,
@@ -514,7 +514,7 @@ def bench(
     attack_s: AttackTimeOption = 150.0,
     time_to_alert_s: AlertOption = 10.0,
     budget: BudgetOption = 0.05,
-    training_seeds: TrainingOption = 512,
+    training_seeds: TrainingOption = 1024,
     seed: SeedOption = 0,
     threads: ThreadsOption = None,
 ) -> None:
@@ -622,7 +622,7 @@ def _suite(
     detectors: list[dict[str, Any]],
     spoofers: list[dict[str, Any]] | None,
     budget: float = 0.05,
-    training: int = 512,
+    training: int = 1024,
     runs: int = 200,
 ) -> Suite:
     """The suite of the options."""

@@ -91,8 +91,8 @@ class Tuning:
         Distance that a choice keeps from the budget, in standard errors of that excess.
     """
 
-    runs: int = 512
-    sift_runs: int = 32
+    runs: int = 1024
+    sift_runs: int = 64
     values: int = 20
     refined: int = 5
     budget: float = BUDGET
