@@ -273,10 +273,12 @@ class SpoofVecEnv(VecEnv):
         ----------
         method_name : str
             Its name.
-        *method_args, **method_kwargs
+        *method_args
             Its arguments.
         indices : None
             There is one environment for all of them.
+        **method_kwargs
+            Its named arguments.
 
         Returns
         -------
