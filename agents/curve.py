@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from spoofgym._files import write_file
+
 from .record import Point, read_record
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 """Okabe and Ito's, which colour-blind people tell apart."""
+DRAWN = ("eval_undetected_m", "within_budget")
+"""What every point must have, beside its step and time."""
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -24,7 +29,14 @@ def draw_curves(records: dict[str, list[Point]], path: Path) -> None:
         Points of every record by its name, as `read_record` returns them.
     path : Path
         The picture, replaced.
+
+    Raises
+    ------
+    ValueError
+        When a record has no points, or one that was not evaluated.
     """
+    for name, points in records.items():
+        _check(name, points)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -40,9 +52,47 @@ def draw_curves(records: dict[str, list[Point]], path: Path) -> None:
     axes[0, 0].set_ylabel("undetected displacement [m]\nwithin the alarm budget")
     axes[1, 0].set_ylabel("alarm penalty [m]")
     axes[0, 0].legend(loc="lower right", fontsize="small")
-    part = path.with_name(path.name + ".part")
-    canvas.print_figure(part, dpi=110, format="png")
-    part.replace(path)
+    content = BytesIO()
+    canvas.print_figure(content, dpi=110, format="png")
+    write_file(path, content.getvalue())
+
+
+def _check(name: str, points: list[Point]) -> None:
+    """Raise where there is nothing to draw."""
+    if not points:
+        raise ValueError(f"the record of {name} has no points")
+    for point in points:
+        missing = [key for key in DRAWN if point.get(key) is None]
+        if missing:
+            raise ValueError(f"step {point['step']} in the record of {name} lacks {missing[0]!r}")
+
+
+def names_of(paths: list[Path]) -> list[str]:
+    """Short name of every record.
+
+    Parameters
+    ----------
+    paths : list of Path
+        Files; those of training runs are called ``record.jsonl``, in a folder with the name.
+
+    Returns
+    -------
+    list of str
+        All different: the whole path where a short name would stand for two.
+
+    Raises
+    ------
+    ValueError
+        When a record is given twice.
+    """
+    if len(set(paths)) < len(paths):
+        twice = next(path for path in paths if paths.count(path) > 1)
+        raise ValueError(f"{twice} is given twice")
+    short = [path.stem if path.stem != "record" else path.resolve().parent.name for path in paths]
+    return [
+        name if short.count(name) == 1 else str(path)
+        for name, path in zip(short, paths, strict=True)
+    ]
 
 
 def _minutes(points: list[Point]) -> list[float]:
@@ -72,9 +122,9 @@ def main(
     out: Annotated[Path, typer.Option(help="The picture, a .png file.")],
 ) -> None:
     """Draw what training reached over time."""
-    read = {path.stem if path.stem != "record" else path.parent.name: path for path in records}
     try:
-        draw_curves({name: read_record(path) for name, path in read.items()}, out)
+        read = zip(names_of(records), records, strict=True)
+        draw_curves({name: read_record(path) for name, path in read}, out)
     except (OSError, ValueError) as error:
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(2) from error

@@ -107,27 +107,35 @@ class PolicyExporter:
     ------
     TypeError
         When it is no Gaussian policy on a box of observations.
+    ValueError
+        When the directions do not fit the policy.
     """
 
     def __init__(self, policy: ActorCriticPolicy, directions: ArrayLike | None = None) -> None:
         _check_policy(policy)
         self.policy = policy
         size = policy.action_space.shape[0]
-        self.directions = np.eye(size) if directions is None else np.asarray(directions)
+        given = np.eye(size) if directions is None else directions
+        self.directions: FloatArray = np.asarray(given, dtype=np.float64)
         if self.directions.ndim != 2 or len(self.directions) != size:
             raise ValueError(
                 f"`directions` must have a row for each of the policy's {size} actions, got shape "
                 f"{self.directions.shape}"
             )
+        if not np.isfinite(self.directions).all():
+            raise ValueError(f"`directions` must be finite, got {self.directions.tolist()}")
         self._model = _trace(policy, self.directions)
 
     def content(self, names: Sequence[str] = (), amplitude: float = 1.0) -> bytes:
         r"""The policy as it is now.
 
         With an amplitude s the file follows what the policy :math:`\pi` plans s times as large: its
-        own displacement and rate, :math:`o_c`, are divided by s before it sees them,
+        own displacement and rate, :math:`o_c`, are divided by s before it sees them.  With the
+        directions D the command of the attack is
 
-        .. math:: a = s \, \pi(o_c / s, o_{rest})
+        .. math:: a = \mathrm{clip}(s \, \pi(o_c / s, o_{rest}) \, D)
+
+        where the policy's actions and what is sent are clipped to [-1, 1].
 
         Parameters
         ----------
@@ -178,7 +186,8 @@ class PolicyExporter:
         path = Path(path)
         if path.suffix != ".onnx":
             raise ValueError(f"`path` must end in .onnx, got {path}")
-        content = self.content(fields["observation"]["names"], amplitude)
+        observed = fields["observation"]  # where there is none, the card is refused
+        content = self.content(observed["names"] if observed else (), amplitude)
         file = PolicyFile(
             name=path.name,
             sha256=hashlib.sha256(content).hexdigest(),
@@ -224,7 +233,11 @@ class PolicyExporter:
 
 
 def export_policy(
-    policy: ActorCriticPolicy, path: str | Path, fields: Mapping[str, Any], amplitude: float = 1.0
+    policy: ActorCriticPolicy,
+    path: str | Path,
+    fields: Mapping[str, Any],
+    amplitude: float = 1.0,
+    directions: ArrayLike | None = None,
 ) -> Card:
     """Write a policy and its card once.
 
@@ -238,13 +251,15 @@ def export_policy(
         As in `PolicyExporter.write`.
     amplitude : float
         As in `PolicyExporter.content`.
+    directions : array_like, optional
+        As in `PolicyExporter`.
 
     Returns
     -------
     Card
         As it was written.
     """
-    return PolicyExporter(policy).write(path, fields, amplitude)
+    return PolicyExporter(policy, directions).write(path, fields, amplitude)
 
 
 def _write(path: Path, content: bytes, card: Card) -> None:

@@ -9,6 +9,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import Profile
+from spoofgym.spoofers.base import direction as unit_command
 from spoofgym.spoofers.profile import sampled
 
 FloatArray = NDArray[np.float64]
@@ -16,6 +17,36 @@ UPDATES, BATCH, RATE = 3000, 1024, 2e-3
 """Steps of the regression, samples of each, and its learning rate, which falls to nothing."""
 DISTURBANCE = 0.1
 """Standard deviation of what is added to the commands, so that a policy learns to come back."""
+
+
+def check_imitable(envs: SpoofVecEnv, profile: Profile, direction: FloatArray) -> None:
+    """Raise where a profile can't be imitated by commands along a direction.
+
+    Parameters
+    ----------
+    envs, profile, direction
+        As in `demonstrations`.
+
+    Raises
+    ------
+    ValueError
+        When the attack is commanded by rate, or the profile leaves the direction.
+    """
+    control = envs.game.setup.attack.control
+    if control != "acceleration":
+        raise ValueError(
+            f"a profile is imitated by commands of acceleration, got control = {control!r}"
+        )
+    if profile.cross_rates_mps:
+        raise ValueError(
+            "a profile is imitated along a straight line, got `cross_rates_mps` = "
+            f"{profile.cross_rates_mps}"
+        )
+    if not np.allclose(unit_command(envs.action_names, profile.heading_deg), direction):
+        raise ValueError(
+            f"the profile has `heading_deg` = {profile.heading_deg:g}, but the commands are along "
+            f"{np.asarray(direction).tolist()} of {', '.join(envs.action_names)}"
+        )
 
 
 def demonstrations(
@@ -26,7 +57,8 @@ def demonstrations(
     Parameters
     ----------
     envs : SpoofVecEnv
-        Runs one episode; its attack is commanded by acceleration.
+        Runs for as long as one episode without an alarm; after an alarm a receiver begins its next
+        one, and so does the profile there.  Its attack is commanded by acceleration.
     profile : Profile
         Along the direction, without a curve across.
     direction : ndarray
@@ -44,29 +76,25 @@ def demonstrations(
     Raises
     ------
     ValueError
-        When the attack is commanded by rate.
+        As `check_imitable`.
     """
+    check_imitable(envs, profile, direction)
     setup = envs.game.setup
     attack = setup.attack
-    if attack.control != "acceleration":
-        raise ValueError(
-            f"a profile is imitated by commands of acceleration, got control = {attack.control!r}"
-        )
     rng = np.random.default_rng(seed)
     rates = sampled(profile.rates_mps, setup.steps)
     most = attack.acceleration_limit_mps2 * setup.scenario.epoch_interval_s
     own = [envs.observation_names.index(name) for name in _rates(envs)]
     seen, told = [], []
     observation = envs.reset()
-    for wanted in rates:
+    for _ in range(setup.steps):
+        wanted = rates[envs.game.step_count]
         rate = observation[:, own] @ direction * attack.rate_limit_mps
         command = np.clip((wanted - rate) / most, -1.0, 1.0)[:, None]
         seen.append(observation)
         told.append(command.astype(np.float32))
         disturbed = command + DISTURBANCE * rng.standard_normal(command.shape)
-        observation, _, over, _ = envs.step(np.clip(disturbed, -1.0, 1.0) * direction)
-        if over.all():
-            break
+        observation, _, _, _ = envs.step(np.clip(disturbed, -1.0, 1.0) * direction)
     return np.concatenate(seen), np.concatenate(told)
 
 

@@ -81,6 +81,8 @@ class FirstElements(BaseFeaturesExtractor):
             raise ValueError(f"`seen` must be in [1, {size}], got {seen}")
         if scale is not None and len(scale) != size:
             raise ValueError(f"`scale` must have {size} elements, got {len(scale)}")
+        if scale is not None and not all(math.isfinite(factor) for factor in scale):
+            raise ValueError(f"`scale` must be finite, got {list(scale)}")
         super().__init__(observation_space, size)
         factor = torch.ones(size) if scale is None else torch.tensor(scale, dtype=torch.float32)
         self.register_buffer("factor", torch.where(torch.arange(size) < seen, factor, 0.0))

@@ -112,11 +112,11 @@ def main() -> None:
     """Command line."""
     try:
         settings = tyro.cli(Settings, description=__doc__)
+        console = Console(quiet=settings.json)
+        with console.status(f"{2 * settings.rounds} measurements"):
+            found = measure(settings)
     except ValueError as error:
         raise SystemExit(f"error: {error}") from error
-    console = Console(quiet=settings.json)
-    with console.status(f"{2 * settings.rounds} measurements"):
-        found = measure(settings)
     if settings.json:
         print(json.dumps(found))
         return

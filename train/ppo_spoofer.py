@@ -73,7 +73,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from agents.export import PolicyExporter
-from agents.imitation import demonstrations, imitate
+from agents.imitation import check_imitable, demonstrations, imitate
 from agents.networks import InformedCritic, MlpShape
 from agents.record import TrainingRecord
 from spoofgym._describe import unlike
@@ -791,7 +791,7 @@ def train(args: Arguments, console: Console) -> tuple[Path, float]:
     env = AlongHeading(engine, args.heading_deg)
     try:
         if args.imitate:
-            profile_of(args)
+            check_imitable(engine, profile_of(args), env.directions[0])
         make_model(args, env)  # which refuses what does not fit, before anything is written
         if not config:
             config = begin(args, began, console)

@@ -20,7 +20,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.sac.policies import SACPolicy
 
 from agents.export import PolicyExporter, export_policy
-from agents.networks import MlpShape
+from agents.networks import InformedCritic, MlpShape
 from spoofgym.spoofers import OnnxPolicy
 
 from ..spoofers.policies import BLIND, card_fields
@@ -117,7 +117,7 @@ def test_another_shape_is_exported_in_one_call(tmp_path: Path) -> None:
     export_policy(policy, tmp_path / "other.onnx", fields())
     assert same_as(policy, tmp_path / "other.onnx")
     names = [t.name for t in onnx.load(tmp_path / "other.onnx").graph.initializer]
-    assert len(names) == 2 * (3 + 1)
+    assert len(names) == 2 * (3 + 1) + 3  # layers, two factors of the amplitude, directions
 
 
 def test_a_file_that_acts_otherwise_is_not_written(
@@ -216,6 +216,104 @@ def test_what_cannot_be_exported_is_told(exporter: PolicyExporter, tmp_path: Pat
     discrete = ActorCriticPolicy(OBSERVED, spaces.Discrete(3), lambda _: 3e-4)
     with pytest.raises(TypeError, match="with a Gaussian action"):
         PolicyExporter(discrete)
+
+
+def planned(policy: ActorCriticPolicy, observation: np.ndarray, amplitude: float) -> np.ndarray:
+    """The policy's own actions, its plan followed as many times as large."""
+    own = np.array([name.startswith("own_") for name in BLIND.observation_names])
+    shrunk = np.where(own, observation / amplitude, observation).astype(np.float32)
+    hidden = policy.observation_space.shape[0] - shrunk.shape[1]
+    # nothing that is hidden may matter, so it is anything here
+    shrunk = np.pad(shrunk, ((0, 0), (0, hidden)), constant_values=1.0)
+    return amplitude * policy.predict(shrunk, deterministic=True)[0]
+
+
+def acts(path: Path) -> np.ndarray:
+    written = OnnxPolicy(str(path))
+    written.bind(BLIND._replace(receivers=300))
+    return written.act(seen(300))
+
+
+@pytest.mark.parametrize("amplitude", [0.4, 1.0, 1.7])
+@pytest.mark.parametrize("directions", [None, [[0.0, 1.0], [-1.0, 0.0]], [[0.6, 0.8], [0.8, -0.6]]])
+def test_a_file_follows_the_plan_in_its_directions(
+    amplitude: float, directions: list[list[float]] | None, tmp_path: Path
+) -> None:
+    policy = make_policy(gain=20.0)
+    export_policy(policy, tmp_path / "large.onnx", fields(), amplitude, directions)
+    turned = np.eye(2) if directions is None else np.array(directions)
+    expected = np.clip(planned(policy, seen(300), amplitude) @ turned, -1.0, 1.0)
+    np.testing.assert_allclose(acts(tmp_path / "large.onnx"), expected, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def informed() -> PolicyExporter:
+    """One action along a heading; the critic sees two more elements than the card tells."""
+    torch.manual_seed(0)
+    more = np.full(2, 50.0, dtype=np.float32)
+    policy = InformedCritic(
+        spaces.Box(np.append(OBSERVED.low, -more), np.append(OBSERVED.high, more)),
+        spaces.Box(-1.0, 1.0, (1,), np.float32),
+        lambda _: 3e-4,
+        **MlpShape().policy_kwargs(),
+        seen=6,
+        scale=[2.0, 2.0, 0.5, 0.5, 1.0, 1.0, 0.1, 0.1],
+    )
+    with torch.no_grad():
+        policy.action_net.weight.mul_(20.0)
+    return PolicyExporter(policy, [[0.6, 0.8]])
+
+
+@pytest.mark.parametrize("amplitude", [0.5, 1.0, 1.7])
+def test_the_file_of_an_informed_critic_needs_only_what_the_policy_sees(
+    informed: PolicyExporter, amplitude: float, tmp_path: Path
+) -> None:
+    informed.write(tmp_path / "learned.onnx", fields(), amplitude)
+    plan = planned(informed.policy, seen(300), amplitude)
+    expected = np.clip(plan * [0.6, 0.8], -1.0, 1.0)
+    np.testing.assert_allclose(acts(tmp_path / "learned.onnx"), expected, atol=1e-5)
+    assert (np.abs(expected) < 1.0).mean() > 0.05
+    names = [t.name for t in onnx.load(tmp_path / "learned.onnx").graph.initializer]
+    assert not any("vf_" in name or "value" in name for name in names)
+
+
+def test_a_card_of_all_that_the_critic_sees_is_refused(
+    informed: PolicyExporter, tmp_path: Path
+) -> None:
+    told = fields()["observation"]
+    observation = {
+        "names": (*told["names"], "statistic", "threshold"),
+        "low": (*told["low"], -50.0, -50.0),
+        "high": (*told["high"], 50.0, 50.0),
+    }
+    with pytest.raises(ValueError, match=r"float32 \(batch, 6\); the card says .*\(batch, 8\)"):
+        informed.write(tmp_path / "learned.onnx", {**fields(), "observation": observation})
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("amplitude", [0.0, -1.0, float("nan"), float("inf")])
+def test_amplitudes_are_checked(exporter: PolicyExporter, amplitude: float, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="`amplitude` must be finite and > 0, got"):
+        exporter.write(tmp_path / "learned.onnx", fields(), amplitude)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_amplitude_needs_names(exporter: PolicyExporter) -> None:
+    with pytest.raises(ValueError, match="an amplitude needs the 6 names of observations, got 0"):
+        exporter.content(amplitude=2.0)
+
+
+@pytest.mark.parametrize(
+    ("directions", "message"),
+    [
+        ([1.0, 0.0], r"a row for each of the policy's 2 actions, got shape \(2,\)"),
+        ([[1.0, 0.0]], r"got shape \(1, 2\)"),
+        ([[1.0, 0.0], [0.0, float("nan")]], "`directions` must be finite"),
+    ],
+)
+def test_directions_are_checked(directions: list[Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PolicyExporter(make_policy(), directions)
 
 
 @pytest.mark.parametrize(

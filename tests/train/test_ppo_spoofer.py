@@ -21,6 +21,7 @@ for name in ("stable_baselines3", "onnxscript", "tyro", "tensorboard"):
     pytest.importorskip(name)
 
 from rich.console import Console
+from stable_baselines3.common.logger import configure
 
 from agents.record import read_record
 from spoofgym.bench.budget import excess_of
@@ -253,6 +254,7 @@ def test_the_price_of_an_alarm_follows_the_alarms(trained):
     rivals = json.loads((trained.out / "config.json").read_text())["rivals"]
     run = ppo_spoofer.Run(trained, envs, rivals)
     run.model = ppo_spoofer.make_model(trained, envs)
+    run.model.set_logger(configure(None, []))
     assert run.factor == 1.0
     for alarmed, higher in ((True, True), (False, False)):
         before = run.factor

@@ -1,0 +1,91 @@
+"""The measure of PPO's speed, with settings that take seconds."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+# ruff: noqa: E402 - the packages of the laboratory may be missing
+torch = pytest.importorskip("torch")
+for name in ("stable_baselines3", "onnxscript", "tyro"):
+    pytest.importorskip(name)
+
+from spoofgym.sb3 import SpoofVecEnv
+from train.ppo_speed import Nothing, Settings
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def torch_threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def command(*given):
+    return subprocess.run(
+        [sys.executable, "-m", "train.ppo_speed", *given],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def test_the_ratio_is_that_of_the_speeds():
+    done = command("--rounds", "1", "--rollouts", "1", "--num-envs", "2", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["num_envs"], found["detector"], found["knowledge"]) == (2, "ewma", "blind")
+    engine, nothing = found["engine_steps_per_s"], found["without_physics_steps_per_s"]
+    assert 0.0 < engine < nothing
+    assert found["ratio"] == found["ratios"][0] == pytest.approx(engine / nothing, abs=1e-3)
+
+
+def test_the_environment_without_physics_looks_like_the_engine():
+    kwargs = {"timeline": {"warmup_s": 6.0, "live_s": 3.0, "attack_s": 10.0}, "prefetch": False}
+    engine, nothing = (kind(2, seed=0, threads=1, **kwargs) for kind in (SpoofVecEnv, Nothing))
+    assert nothing.observation_space == engine.observation_space
+    assert nothing.action_space == engine.action_space
+    actions, steps = np.zeros((2, 2), dtype=np.float32), engine.game.setup.steps
+    results = []
+    for envs in (engine, nothing):
+        seen = [envs.reset()]
+        for _ in range(steps):
+            observation, reward, over, infos = envs.step(actions)
+            seen.append(observation)
+        results.append((seen, reward, over, infos))
+        envs.close()
+    for ours, theirs in zip(*(found[:3] for found in results), strict=True):
+        ours, theirs = np.asarray(ours), np.asarray(theirs)
+        assert (ours.shape, ours.dtype) == (theirs.shape, theirs.dtype)
+    assert results[1][2].all()
+    for infos in (results[0][3], results[1][3]):
+        assert all({"terminal_observation", "TimeLimit.truncated"} <= set(info) for info in infos)
+
+
+@pytest.mark.parametrize("name", ["rounds", "rollouts", "num_envs"])
+def test_settings_are_checked(name):
+    with pytest.raises(ValueError, match=f"`{name}` must be at least 1, got 0"):
+        Settings(**{name: 0})
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (("--rounds", "0"), "`rounds` must be at least 1, got 0"),
+        (("--detector", "ewna"), "did you mean 'ewma'"),
+        (("--knowledge", "clairvoyant"), "unknown knowledge 'clairvoyant'"),
+    ],
+)
+def test_bad_settings_are_told_without_a_traceback(given, message):
+    done = command(*given)
+    assert done.returncode != 0
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
