@@ -56,8 +56,13 @@ class Workers:
             work(*first)
         except BaseException as error:  # the other slices must end before it is raised
             failure = error
-        for _ in slices:
-            failure = self._done.get() or failure
+        left = len(slices)
+        while left:  # an interrupt, too, has to wait: the slices' arrays must outlive them
+            try:
+                failure = self._done.get() or failure
+                left -= 1
+            except BaseException as error:
+                failure = error
         if failure is not None:
             raise failure
 

@@ -78,7 +78,7 @@ def test_the_commands_run_in_their_order(tmp_path):
         )
         assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
     folder = tmp_path / "runs" / "my-first"
-    for name in ("my-first.onnx", "my-first.json", "record.jsonl", "curve.png", "attack"):
+    for name in ("my-first.onnx", "my-first.json", "record.jsonl", "curve.png", "attack.png"):
         assert (folder / name).exists(), name
     assert "my-first" in (folder / "bench" / "results.md").read_text()
     assert (tmp_path / "runs" / "my-profile.json").is_file()
