@@ -49,6 +49,9 @@ class DetectorContext(NamedTuple):
         (m,) R that the filter assumes, pseudoranges first [m^2], [m^2/s^2].
     satellite_ids : tuple of str
         (n,) id of each slot, ``""`` for an empty one.
+
+    A receiver whose measurement is a position has no channels: n = 0, and `noise_variance` is (m,)
+    for its m coordinates.
     """
 
     receivers: int
@@ -73,6 +76,10 @@ class Detector(ABC):
         Optional fields of `Epoch` that it reads.
     scope : {"channel", "receiver"}
         Whether it judges every channel, c = n, or the receiver as a whole, c = 1.
+    watches : {"satellites", "position", "any"}
+        What it takes for a measurement: satellites' ranges, a position (n = 0), or either.
+    oracle : bool
+        Whether it is told what no receiver can know; never part of a comparison by default.
     memory : Memory
         What it remembers of every receiver.
     """
@@ -80,6 +87,8 @@ class Detector(ABC):
     paper: ClassVar[str]
     needs: ClassVar[frozenset[str]] = frozenset()
     scope: ClassVar[str] = "receiver"
+    watches: ClassVar[str] = "satellites"
+    oracle: ClassVar[bool] = False
     memory: Memory
 
     @abstractmethod
@@ -90,7 +99,18 @@ class Detector(ABC):
         ----------
         context : DetectorContext
             Sizes, interval, noise and satellites.
+
+        Raises
+        ------
+        ValueError
+            When the receiver measures what the detector does not watch.
         """
+        measures = "satellites" if context.channels else "position"
+        if self.watches not in (measures, "any"):
+            raise ValueError(
+                f"{type(self).__name__} watches {self.watches}, but the receiver measures "
+                f"{measures}"
+            )
         self.memory = Memory(context.receivers)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:

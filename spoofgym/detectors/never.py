@@ -19,6 +19,7 @@ class Never(Detector):
     """No defence: statistic 0, threshold 1, never an alarm, no weights."""
 
     paper: ClassVar[str] = "groves2013"
+    watches: ClassVar[str] = "any"
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare for a batch.

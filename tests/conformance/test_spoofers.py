@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spoofgym.spoofers import SPOOFERS, Spoofer, shipped
+from spoofgym.spoofers import SPOOFERS, Profile, Spoofer, shipped
 from spoofgym.testing import check_spoofer
 
 ATTACKS = [
@@ -25,6 +25,14 @@ def test_every_spoofer_keeps_the_contract(name, attack):
 @pytest.mark.parametrize("name", shipped())
 def test_every_shipped_spoofer_keeps_the_contract(name):
     check_spoofer(name)
+
+
+@pytest.mark.parametrize("control", ["rate", "acceleration"])
+def test_a_profile_across_keeps_the_contract(control):
+    profile = Profile(
+        rates_mps=(0.1, 0.4, 0.35, 0.9), cross_rates_mps=(0.0, 0.3, -0.3), heading_deg=200.0
+    )
+    check_spoofer(profile, attack={"name": "false-position", "control": control})
 
 
 class Follower(Spoofer):

@@ -9,7 +9,6 @@ import pytest
 
 from spoofgym.spoofers import Profile, make_spoofer
 from spoofgym.spoofers.profile import sampled
-from spoofgym.testing import check_spoofer
 
 from .test_scripted import context, flown
 
@@ -141,9 +140,3 @@ def test_a_curve_across_needs_a_second_axis() -> None:
 def test_a_list_of_json_is_taken_for_a_tuple() -> None:
     profile = make_spoofer({"name": "profile", "rates_mps": [0.0, 0.1], "cross_rates_mps": []})
     assert profile == Profile(rates_mps=(0.0, 0.1))
-
-
-@pytest.mark.parametrize("control", ["rate", "acceleration"])
-def test_a_curve_across_keeps_the_contract(control: str) -> None:
-    profile = Profile(rates_mps=RATES, cross_rates_mps=(0.0, 0.3, -0.3), heading_deg=200.0)
-    check_spoofer(profile, attack={"name": "false-position", "control": control})

@@ -1,0 +1,165 @@
+"""What a small environment simulates: world, victim, attack and detector of B receivers, in step.
+
+The tightly coupled receiver has an engine of its own (`engine`).  The others, whose epochs are
+cheap, are plants: one class each, played by `plant_game` and seen by Gymnasium through
+`plant_env`.  All memory of a plant lies in one `Memory` and in its detector's, so that receivers
+can be reset, taken out and put back by rows.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._memory import Memory
+from ..detectors import Detector
+
+FloatArray = NDArray[np.float64]
+
+
+class Plant(ABC):
+    """B receivers of one kind, each in its own episode.
+
+    A subclass sets all attributes when it is made, binds its own copy of the detector, and keeps
+    what changes from one epoch to the next in `memory` alone.  A receiver has the same bits in any
+    batch: kernels go receiver by receiver, and its noise is keyed by its own generator.
+
+    Attributes
+    ----------
+    kind : str
+        Name in results, such as ``"snapshot"``.
+    receivers : int
+        B.
+    steps, hold : int
+        Commands of an episode, and epochs of the time to alert after the last one.
+    interval_s : float
+        Time between epochs.
+    action_names : tuple of str
+        What each element of the action commands, with its unit.
+    detector : Detector
+        Bound to B receivers.
+    memory : Memory
+        Everything else that an episode changes.
+    """
+
+    kind: ClassVar[str]
+    receivers: int
+    steps: int
+    hold: int
+    interval_s: float
+    action_names: tuple[str, ...]
+    detector: Detector
+    memory: Memory
+
+    @abstractmethod
+    def spawn(self, receivers: int) -> Plant:
+        """Another batch of the same settings, not begun yet.
+
+        Parameters
+        ----------
+        receivers : int
+            Its B.
+
+        Returns
+        -------
+        Plant
+            Shares what never changes.
+        """
+
+    @abstractmethod
+    def begin(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.bool_]:
+        """Begin new episodes in all receivers, and run their clean warm-up up to the onset.
+
+        Parameters
+        ----------
+        rngs : sequence of Generator
+            One per receiver; children are spawned of each, nothing else is drawn from it.
+
+        Returns
+        -------
+        ndarray
+            (B,) bool, whether the detector alarmed before the onset.
+        """
+
+    @abstractmethod
+    def advance(self, action: FloatArray | None) -> NDArray[np.bool_]:
+        """Run one epoch: attack, measure, judge, update.
+
+        Parameters
+        ----------
+        action : ndarray or None
+            (B, a) in [-1, 1], C-contiguous; None holds what is commanded.
+
+        Returns
+        -------
+        ndarray
+            (B,) bool, whether the detector alarms.
+        """
+
+    @abstractmethod
+    def error_ne(self) -> FloatArray:
+        """Error of the victim's position, estimate minus truth.
+
+        Returns
+        -------
+        ndarray
+            (B, 2) north, east [m].
+        """
+
+    @abstractmethod
+    def time_s(self) -> FloatArray:
+        """Time of the present epoch.
+
+        Returns
+        -------
+        ndarray
+            (B,) [s].
+        """
+
+    @abstractmethod
+    def observation(self, knowledge: str) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+        """What a level of knowledge observes.
+
+        Parameters
+        ----------
+        knowledge : {"blind", "tracking", "oracle"}
+            The level; each has all that the one before has.
+
+        Returns
+        -------
+        names : tuple of str
+            (o,) one per element.
+        low, high : ndarray
+            (o,) finite bounds.
+        """
+
+    @abstractmethod
+    def observe(self, knowledge: str, out: NDArray[np.float32]) -> None:
+        """Write the observation; clipping follows.
+
+        Parameters
+        ----------
+        knowledge : {"blind", "tracking", "oracle"}
+            The level.
+        out : ndarray
+            (B, o), written.
+        """
+
+    def copy_rows(self, to: NDArray[np.intp], other: Plant, rows: NDArray[np.intp]) -> None:
+        """Take over receivers of another batch, with all that they remember.
+
+        Parameters
+        ----------
+        to : ndarray
+            Rows of this batch that are overwritten.
+        other : Plant
+            Of the same settings.
+        rows : ndarray
+            As many rows of the other batch.
+        """
+        self.memory.copy_rows(to, other.memory, rows)
+        self.detector.memory.copy_rows(to, other.detector.memory, rows)
