@@ -19,12 +19,14 @@ from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import LANES, ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.sensors import SensorBuffers
-from .prefetch import NextEpisodes
+from .prefetch import STOCK, NextEpisodes
 from .setup import Setup
 from .workers import Workers
 
 FloatArray = NDArray[np.float64]
 RECEIVERS_PER_THREAD = 16
+KEPT = 8
+"""Largest size of the batches that are kept for the time to alert of a few receivers."""
 PIECE = 64
 """Epochs of single receivers that are run between two chances to wait: less than a millisecond."""
 
@@ -386,7 +388,7 @@ class Engine:
         Threads for the compiled halves; by default as many as processors, with at least
         `RECEIVERS_PER_THREAD` receivers each.
     prefetch : bool
-        Whether to warm up every receiver's next episode while the present one runs.  It has the
+        Whether to warm up every receiver's next episodes while the present one runs.  They have the
         same bits, but for a detector whose bits depend on the size of the batch: which receivers
         are warmed up together depends on timing, so its runs cannot be reproduced
         (`check_detector` checks that it is none).  One thread more than `threads` computes, also
@@ -413,8 +415,9 @@ class Engine:
         self.batch = Batch(setup, receivers, self._run)
         self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
+        self._few: dict[int, Batch] = {}
         self._next = (
-            NextEpisodes(Batch(setup, receivers, _serially), partial(_warmed_up, setup))
+            NextEpisodes(Batch(setup, STOCK * receivers, _serially), partial(_warmed_up, setup))
             if prefetch
             else None
         )
@@ -539,7 +542,7 @@ class Engine:
             (hold, b) bool, alarms by epoch.
         """
         everyone = len(rows) == self.receivers
-        batch = self.batch if everyone else Batch(self.setup, len(rows), self._run)
+        batch = self.batch if everyone else self._batch_of(len(rows))
         here = np.arange(len(rows))
         if not everyone:
             batch.copy_rows(here, self.batch, rows)
@@ -547,6 +550,15 @@ class Engine:
         if not everyone:
             self.batch.copy_rows(rows, batch, here)
         return alarms
+
+    def _batch_of(self, receivers: int) -> Batch:
+        """Batch whose rows are all to be overwritten; a small one is made once."""
+        if receivers not in self._few:
+            batch = Batch(self.setup, receivers, self._run)
+            if receivers > KEPT:
+                return batch
+            self._few[receivers] = batch
+        return self._few[receivers]
 
 
 def available_threads(receivers: int) -> int:

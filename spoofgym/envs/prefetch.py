@@ -1,8 +1,11 @@
-"""The next episode of every receiver, warmed up in the background while the present one runs.
+"""The next episodes of every receiver, warmed up in the background while the present one runs.
 
 The warm-up is clean, and its noise depends on the seed and the number of the episode alone.  So it
 can be run at any time before the episode begins, with the same bits.  Between two epochs under
 attack a learner computes in Python or in one thread; a second processor does this meanwhile.
+
+Episodes without an alarm all end together, and an alarm soon afterwards would have to wait for all
+the others.  So every receiver that has come to its second episode keeps `STOCK` of them.
 
 Which receivers are warmed up together depends on timing.  So the bits are the same only if those of
 the detector do not depend on the size of the batch, as `spoofgym.testing.check_detector` checks.
@@ -30,6 +33,8 @@ WarmUp = Callable[
 LEAST_AT_ONCE, MOST_AT_ONCE = 16, 64
 """Receivers of one piece of work: enough to be worth it, unless they are waited for, and not so
 many that one waits for the others."""
+STOCK = 2
+"""Episodes that wait for every receiver."""
 
 
 class NextEpisodes:
@@ -38,7 +43,8 @@ class NextEpisodes:
     Parameters
     ----------
     waiting : Batch
-        Of as many receivers as the engine; written.
+        Of `STOCK` times the receivers of the engine, B, and written: slots ``row`` and ``row + B``
+        are used in turn.
     warm_up : callable
         ``warm_up(rngs, between)`` returns a batch at the onset, and (b,) bool, alarms of its
         warm-up; called in another thread.  It calls ``between()`` every millisecond or so, which
@@ -51,11 +57,14 @@ class NextEpisodes:
         warm_up: WarmUp,
     ) -> None:
         self._waiting, self._warm_up = waiting, warm_up
-        receivers = waiting.receivers
-        self._alarm = np.zeros(receivers, dtype=np.bool_)
-        self._ready = np.zeros(receivers, dtype=np.bool_)
-        self._sources: list[np.random.Generator | None] = [None] * receivers
-        self._episodes: list[np.random.Generator | None] = [None] * receivers
+        slots = waiting.receivers
+        self._receivers = slots // STOCK
+        self._alarm = np.zeros(slots, dtype=np.bool_)
+        self._ready = np.zeros(slots, dtype=np.bool_)
+        self._episodes: list[np.random.Generator | None] = [None] * slots
+        self._sources: list[np.random.Generator | None] = [None] * self._receivers
+        self._taken = np.zeros(self._receivers, dtype=np.int64)
+        self._stock = np.zeros(self._receivers, dtype=np.int64)
         self._asked: list[int] = []
         self._link = Link()
 
@@ -122,27 +131,44 @@ class NextEpisodes:
         if failure is not None:
             raise failure
 
+    def _slots(self, rows: NDArray[np.intp], ahead: NDArray[np.int64] | int) -> NDArray[np.intp]:
+        """Where the episodes lie that some receivers come to after some others."""
+        slots: NDArray[np.intp] = rows + self._receivers * ((self._taken[rows] + ahead) % STOCK)
+        return slots
+
     def prepare(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
         """Ask for the next episodes of some receivers.
 
         Parameters
         ----------
         rows : ndarray
-            Which receivers; what waited there is thrown away.
+            Which receivers.
         rngs : sequence of Generator
-            One per row; the coming episode of each is taken from it at once.
+            One per row; the coming episodes of each are taken from it at once.  One is asked for
+            where it is new, and what waited there is thrown away; else as many as are missing.
         """
         link = self._here()
         with link.change:
-            for row, rng in zip(rows.tolist(), rngs, strict=True):
-                self._ready[row] = False
-                self._sources[row], self._episodes[row] = rng, take_episode(rng)
-                if row not in self._asked:
-                    self._asked.append(row)
+            known = self.prepared(rows, rngs, least=0)
+            self._stock[rows[~known]] = 0
+            wanted = np.where(known, STOCK, 1)
+            for ahead in range(STOCK):
+                lacking = (self._stock[rows] <= ahead) & (ahead < wanted)
+                for i, slot in zip(
+                    np.flatnonzero(lacking), self._slots(rows[lacking], ahead), strict=True
+                ):
+                    self._ask(int(slot), rngs[i])
+                    self._sources[rows[i]] = rngs[i]
+                    self._stock[rows[i]] += 1
         link.wake.put(True)
 
+    def _ask(self, slot: int, rng: np.random.Generator) -> None:
+        self._ready[slot], self._episodes[slot] = False, take_episode(rng)
+        if slot not in self._asked:
+            self._asked.append(slot)
+
     def prepared(
-        self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]
+        self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator], least: int = 1
     ) -> NDArray[np.bool_]:
         """Whether the next episodes of these generators have been asked for.
 
@@ -152,6 +178,8 @@ class NextEpisodes:
             Which receivers.
         rngs : sequence of Generator
             One per row.
+        least : int
+            How many of each.
 
         Returns
         -------
@@ -159,7 +187,8 @@ class NextEpisodes:
             (b,) bool.
         """
         pairs = zip(rows.tolist(), rngs, strict=True)
-        return np.array([self._sources[row] is rng for row, rng in pairs], dtype=np.bool_)
+        same = np.array([self._sources[row] is rng for row, rng in pairs], dtype=np.bool_)
+        return same & (self._stock[rows] >= least)
 
     def take(self, rows: NDArray[np.intp], into: Batch) -> NDArray[np.bool_]:
         """Let some receivers begin the episodes that wait for them.
@@ -182,16 +211,17 @@ class NextEpisodes:
             What the warm-up raised.  It is tried again when its episodes are taken again.
         """
         link = self._here()
+        slots = self._slots(rows, 0)
         with link.change:
             # what is waited for comes first
-            urgent = [row for row in rows.tolist() if not self._ready[row]]
-            self._asked = urgent + [row for row in self._asked if row not in urgent]
-        self._wait(lambda: bool(self._ready[rows].all()))
+            urgent = [slot for slot in slots.tolist() if not self._ready[slot]]
+            self._asked = urgent + [slot for slot in self._asked if slot not in urgent]
+        self._wait(lambda: bool(self._ready[slots].all()))
         with link.change:
-            into.copy_rows(rows, self._waiting, rows)
-            for row in rows.tolist():
-                self._sources[row] = None
-            return self._alarm[rows]
+            into.copy_rows(rows, self._waiting, slots)
+            self._taken[rows] += 1
+            self._stock[rows] -= 1
+            return self._alarm[slots]
 
     def serve(self, link: Link) -> None:
         """Do what has been asked for, as long as it is worth a piece of work.
@@ -213,12 +243,12 @@ class NextEpisodes:
 
     def _piece(self, link: Link) -> bool:
         """Warm up some receivers; False if there is nothing to do."""
-        least = min(LEAST_AT_ONCE, self._waiting.receivers)
+        least = min(LEAST_AT_ONCE, self._receivers)
         with link.change:
             if link.stopped or len(self._asked) < (1 if link.urgent else least):
                 return False
-            rows = self._asked[:MOST_AT_ONCE]
-            episodes = [self._episodes[row] for row in rows]
+            slots = self._asked[:MOST_AT_ONCE]
+            episodes = [self._episodes[slot] for slot in slots]
         batch, alarm = self._warm_up(
             [copy_of(rng) for rng in episodes if rng is not None], link.pause
         )
@@ -226,12 +256,12 @@ class NextEpisodes:
             if link.stopped:
                 return False
             # what has been asked for anew meanwhile is another episode
-            still = [i for i, row in enumerate(rows) if self._episodes[row] is episodes[i]]
-            to = np.array([rows[i] for i in still], dtype=np.intp)
+            still = [i for i, slot in enumerate(slots) if self._episodes[slot] is episodes[i]]
+            to = np.array([slots[i] for i in still], dtype=np.intp)
             self._waiting.copy_rows(to, batch, np.array(still, dtype=np.intp))
             self._alarm[to], self._ready[to] = alarm[still], True
             done = set(to.tolist())
-            self._asked = [row for row in self._asked if row not in done]
+            self._asked = [slot for slot in self._asked if slot not in done]
             link.change.notify_all()
         return True
 
