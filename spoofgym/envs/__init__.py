@@ -2,8 +2,9 @@
 
 from .attach import attach
 from .engine import Batch, Engine
-from .game import Game, Turn
+from .game import Game
 from .observations import Observer, terms_of
+from .played import Turn
 from .presets import make_game, make_setup
 from .setup import Setup, Timeline
 from .spoof_env import SpoofEnv
