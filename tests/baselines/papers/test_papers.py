@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,19 @@ def test_the_texts_say_something_and_cite_the_paper(key):
         assert not getattr(paper, name).lstrip().startswith("#"), "headings are the page's own"
     assert key[-4:] in paper.TITLE
     assert f"{{{key}," in (ROOT / "references.bib").read_text()
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_the_index_of_the_docs_and_the_readme_name_every_paper(key):
+    assert f"](papers/{key}.md)" in (DOCS.parent / "README.md").read_text()
+    assert f"| `{key}` |" in (ROOT / "README.md").read_text()
+
+
+def test_every_other_link_of_the_index_leads_somewhere():
+    targets = re.findall(r"\]\(([^)#:]+)\)", (DOCS.parent / "README.md").read_text())
+    assert len(targets) == len(KEYS) + 2
+    for target in targets:
+        assert target.startswith("papers/") or (DOCS.parent / target).exists(), target
 
 
 @pytest.fixture
