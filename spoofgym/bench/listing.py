@@ -164,4 +164,4 @@ def _told(row: Mapping[str, Any]) -> str:
         marks.append("oracle, told what no receiver knows")
     if row.get("watches", "satellites") != "satellites":
         marks.append("watches positions" if row["watches"] == "position" else "watches anything")
-    return row["summary"] + (f" [{'; '.join(marks)}]" if marks else "")
+    return f"{row['summary']} [{'; '.join(marks)}]" if marks else str(row["summary"])
