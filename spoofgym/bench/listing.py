@@ -119,7 +119,7 @@ KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "envs": _envs,
     "scenarios": _scenarios,
     "attacks": lambda: _classes(ATTACKS),
-    "detectors": lambda: _classes(DETECTORS, "paper", "scope"),
+    "detectors": lambda: _classes(DETECTORS, "paper", "scope", "watches", "oracle"),
     "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
     "shipped": _shipped,
 }
@@ -152,6 +152,16 @@ def table_of(kind: str, rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], li
             for row in rows
         ]
     return ("name", "what it is", "settings and their defaults"), [
-        [row["name"], row["summary"], ", ".join(f"{k}={v}" for k, v in row["settings"].items())]
+        [row["name"], _told(row), ", ".join(f"{k}={v}" for k, v in row["settings"].items())]
         for row in rows
     ]
+
+
+def _told(row: Mapping[str, Any]) -> str:
+    """Summary, with a mark where a detector is told the truth or watches no satellites."""
+    marks = []
+    if row.get("oracle"):
+        marks.append("oracle, told what no receiver knows")
+    if row.get("watches", "satellites") != "satellites":
+        marks.append("watches positions" if row["watches"] == "position" else "watches anything")
+    return f"{row['summary']} [{'; '.join(marks)}]" if marks else str(row["summary"])

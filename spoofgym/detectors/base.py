@@ -75,7 +75,8 @@ class Detector(ABC):
     needs : frozenset of str
         Optional fields of `Epoch` that it reads.
     scope : {"channel", "receiver"}
-        Whether it judges every channel, c = n, or the receiver as a whole, c = 1.
+        Whether it judges every channel, c = n (every coordinate of a position, c = m), or the
+        receiver as a whole, c = 1.
     watches : {"satellites", "position", "any"}
         What it takes for a measurement: satellites' ranges, a position (n = 0), or either.
     oracle : bool

@@ -6,19 +6,39 @@ from .._jit import njit
 
 
 @njit
+def displace(position_e, true_position_e, epochs, target_e, origin, displacement):
+    """Displacements along the target direction.
+
+    Parameters
+    ----------
+    position_e, true_position_e : ndarray
+        (B, 3) estimated, and (K, 3) true, ECEF [m].
+    epochs : ndarray
+        (B,) the epoch that each receiver is at.
+    target_e : ndarray
+        (3,) direction in which displacement counts, ECEF.
+    origin : ndarray
+        (B,) projected error at the onset [m].
+    displacement : ndarray
+        (B,), written [m].
+    """
+    for b in range(displacement.shape[0]):
+        k = epochs[b]
+        total = 0.0
+        for i in range(3):
+            total += (position_e[b, i] - true_position_e[k, i]) * target_e[i]
+        displacement[b] = total - origin[b]
+
+
+@njit
 def score(
-    position_e,
-    true_position_e,
-    epochs,
-    target_e,
+    displacement,
     alarms,
     steps,
     hold,
     step_count,
     detected,
-    origin,
     largest,
-    displacement,
     gain,
     retraction,
     alarm,
@@ -29,12 +49,8 @@ def score(
 
     Parameters
     ----------
-    position_e, true_position_e : ndarray
-        (B, 3) estimated, and (K, 3) true, ECEF [m].
-    epochs : ndarray
-        (B,) the epoch that each receiver is at.
-    target_e : ndarray
-        (3,) direction in which displacement counts, ECEF.
+    displacement : ndarray
+        (B,) error along the target direction, less that at the onset [m].
     alarms : ndarray
         (B, c) bool, of the verdict.
     steps, hold : int
@@ -43,21 +59,14 @@ def score(
         (B,) commands before this one; one more after it.
     detected : ndarray
         (B,) bool, whether there was an alarm before this step.
-    origin : ndarray
-        (B,) projected error at the onset [m].
     largest : ndarray
         (B, steps + 1) largest displacement so far after each step, this one's is written [m].
-    displacement, gain, retraction : ndarray
+    gain, retraction : ndarray
         (B,), written [m].
     alarm, first, finished : ndarray
         (B,) bool, written: any alarm, the first alarm, the last command.
     """
     for b in range(step_count.shape[0]):
-        k = epochs[b]
-        total = 0.0
-        for i in range(3):
-            total += (position_e[b, i] - true_position_e[k, i]) * target_e[i]
-        displacement[b] = total - origin[b]
         # a receiver whose episode is over may be stepped once more before it is reset
         step_count[b] += 1
         j = min(step_count[b], steps)

@@ -3,37 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ._kernels import score
+from ._kernels import displace
+from .books import Books
 from .engine import Engine
 from .observations import ObservationTerm, Observer
-from .rewards import Outcome, RewardTerm
+from .played import Turn
+from .rewards import RewardTerm, named_terms, reward_of
 from .setup import Setup
 from .snapshot import Snapshot
 
 FloatArray = NDArray[np.float64]
-
-
-class Turn(NamedTuple):
-    """What a step returns.
-
-    Attributes
-    ----------
-    reward : ndarray
-        (B,) float64.
-    terminated : ndarray
-        (B,) bool.
-    info : dict
-        Arrays with a leading axis of receivers.
-    """
-
-    reward: FloatArray
-    terminated: NDArray[np.bool_]
-    info: dict[str, NDArray[Any]]
 
 
 class Game:
@@ -68,13 +52,15 @@ class Game:
     ----------
     engine : Engine
         The receivers.
-    step_count : ndarray
-        (B,) commands given in the running episodes.
-    detected : ndarray
-        (B,) bool, whether the attack has raised an alarm.
+    books : Books
+        What counts of the running episodes.
     target_heading_deg : float
         As it was given.
+    begin_names : tuple of str
+        Keys of `begin_info`.
     """
+
+    begin_names: ClassVar[tuple[str, ...]] = ("time_s", "warmup_alarm", "coasting")
 
     def __init__(
         self,
@@ -98,16 +84,32 @@ class Game:
         heading = np.radians(target_heading_deg)
         self._target_e = setup.onset_C_en @ np.array([np.cos(heading), np.sin(heading), 0.0])
         self._rows = np.arange(receivers)
-        self.step_count = np.zeros(receivers, dtype=np.int64)
-        self.detected = np.zeros(receivers, dtype=np.bool_)
-        self._origin = np.zeros(receivers)
-        self._largest = np.zeros((receivers, setup.steps + 1))
-        self.credited = np.zeros(receivers)
+        self.books = Books(receivers, setup.steps, setup.hold)
 
     @property
     def receivers(self) -> int:
         """B."""
         return self.engine.receivers
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """Name of every element of an observation."""
+        return self.observer.names
+
+    @property
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Least and largest observation, (o,) each."""
+        return self.observer.low, self.observer.high
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Name of every element of an action."""
+        return self.setup.attack.action_names(self.setup.world)
+
+    @property
+    def step_count(self) -> NDArray[np.int64]:
+        """(B,) commands given in the running episodes."""
+        return self.books.step_count
 
     def set_rewards(self, terms: Sequence[RewardTerm]) -> None:
         """Reward by these terms from the next step on.
@@ -117,10 +119,7 @@ class Game:
         terms : sequence of RewardTerm
             Terms of the reward, each with a name of its own.
         """
-        names = [term.name for term in terms]
-        if len(set(names)) < len(names):
-            raise ValueError(f"two reward terms have the same name, got {', '.join(names)}")
-        self._reward_parts = [(f"reward_{term.name}", term) for term in terms]
+        self._reward_parts = named_terms(terms)
 
     def close(self) -> None:
         """End the threads; they are started again when they are needed."""
@@ -160,36 +159,13 @@ class Game:
         """
         where = self._rows if rows is None else rows
         self.engine.reset(rngs, rows)
-        self.step_count[where] = 0
-        self.detected[where] = False
-        self._largest[where] = 0.0
-        self.credited[where] = 0.0
-        self._origin[where] = self._projection()[where]
+        self.books.reset(where, self._projection()[where])
 
     def _projection(self) -> FloatArray:
         batch = self.engine.batch
         error_e = batch.buffers.state.position_e - self.setup.world.position_e[batch.epochs]
         result: FloatArray = (error_e * self._target_e).sum(axis=1)
         return result
-
-    def _hold(
-        self,
-        rows: NDArray[np.intp],
-        retraction: FloatArray,
-        first: NDArray[np.bool_],
-        alarm: NDArray[np.bool_],
-    ) -> None:
-        """Run the time to alert after the last command, and write what its alarms do."""
-        if not len(rows):
-            return
-        late = self.engine.hold(rows)
-        alarmed = late.any(axis=0)
-        # index of the last epoch that counts, with the first alarm at steps + 1 + argmax
-        kept = np.maximum(self.setup.steps + late.argmax(axis=0) - self.setup.hold, 0)
-        before = self._largest[rows, self.setup.steps]
-        retraction[rows] = np.where(alarmed, self._largest[rows, kept] - before, 0.0)
-        first[rows] = alarmed
-        alarm[rows] |= alarmed
 
     def step(self, action: FloatArray) -> Turn:
         """One command of all receivers, and one epoch.
@@ -205,52 +181,28 @@ class Game:
             Rewards, ends and information.
         """
         verdict = self.engine.step(action)
-        engine, setup, batch = self.engine, self.setup, self.engine.batch
-        displacement, gain, retraction = np.empty((3, self.receivers))
-        alarm, first, finished = np.empty((3, self.receivers), dtype=np.bool_)
-        score(
+        engine, world, batch = self.engine, self.setup.world, self.engine.batch
+        displacement = np.empty(self.receivers)
+        displace(
             batch.buffers.state.position_e,
-            setup.world.position_e,
+            world.position_e,
             batch.epochs,
             self._target_e,
-            np.ascontiguousarray(verdict.alarm),
-            setup.steps,
-            setup.hold,
-            self.step_count,
-            self.detected,
-            self._origin,
-            self._largest,
+            self.books.origin,
             displacement,
-            gain,
-            retraction,
-            alarm,
-            first,
-            finished,
         )
-        if finished.any() and setup.hold:
-            self._hold(
-                np.flatnonzero(finished & ~(self.detected | first)), retraction, first, alarm
-            )
-        np.logical_or(self.detected, first, out=self.detected)
-        self.credited += gain
-        self.credited += retraction
-
-        outcome = Outcome(gain, retraction, first)
+        score = self.books.score(displacement, verdict.alarm, engine.hold)
         info: dict[str, NDArray[Any]] = {
-            "time_s": setup.world.epoch_time[batch.epochs],
-            "alarm": alarm,
-            "detected": self.detected.copy(),
+            "time_s": world.epoch_time[batch.epochs],
+            "alarm": score.alarm,
+            "detected": self.books.detected.copy(),
             "warmup_alarm": engine.warmup_alarm.copy(),
             "coasting": batch.buffers.measured.coasting.copy(),
             "displacement_m": displacement,
-            "undetected_displacement_m": self.credited.copy(),
+            "undetected_displacement_m": self.books.credited.copy(),
         }
-        reward = np.zeros(self.receivers)
-        for key, term in self._reward_parts:
-            info[key] = term(outcome)
-            reward += info[key]
-        terminated = finished | self.detected if self.end_at_alarm else finished
-        return Turn(reward, terminated, info)
+        reward = reward_of(self._reward_parts, score.outcome, info)
+        return Turn(reward, self.books.over(score.finished, self.end_at_alarm), info)
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
         """Information at the begin of an episode.

@@ -89,6 +89,9 @@ class Plant(ABC):
     def advance(self, action: FloatArray | None) -> NDArray[np.bool_]:
         """Run one epoch: attack, measure, judge, update.
 
+        A receiver whose episode is over, the time to alert included, may be advanced once more
+        beside others before it begins anew; a plant keeps that epoch to spare.
+
         Parameters
         ----------
         action : ndarray or None

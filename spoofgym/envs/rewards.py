@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,3 +129,53 @@ def default_rewards(alarm_penalty_m: float = 10.0) -> tuple[RewardTerm, ...]:
         Terms.
     """
     return DisplacementGain(), Retraction(), AlarmPenalty(alarm_penalty_m)
+
+
+def named_terms(terms: Sequence[RewardTerm]) -> list[tuple[str, RewardTerm]]:
+    """Terms by their keys in ``info``.
+
+    Parameters
+    ----------
+    terms : sequence of RewardTerm
+        Each with a name of its own.
+
+    Returns
+    -------
+    list of tuple
+        ``reward_<name>`` and the term.
+
+    Raises
+    ------
+    ValueError
+        When two have the same name.
+    """
+    names = [term.name for term in terms]
+    if len(set(names)) < len(names):
+        raise ValueError(f"two reward terms have the same name, got {', '.join(names)}")
+    return [(f"reward_{term.name}", term) for term in terms]
+
+
+def reward_of(
+    terms: Sequence[tuple[str, RewardTerm]], outcome: Outcome, info: dict[str, NDArray[Any]]
+) -> FloatArray:
+    """Sum of the terms, whose parts are written into ``info``.
+
+    Parameters
+    ----------
+    terms : sequence of tuple
+        Of `named_terms`.
+    outcome : Outcome
+        What a step has brought.
+    info : dict
+        Gets a key per term.
+
+    Returns
+    -------
+    ndarray
+        (B,) reward.
+    """
+    reward = np.zeros(len(outcome.gain))
+    for key, term in terms:
+        info[key] = term(outcome)
+        reward += info[key]
+    return reward

@@ -8,42 +8,42 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from .game import Game
+from .played import Played
 
 TOLERANCE = 1e-6
 
 
-def observation_space(game: Game) -> spaces.Space[Any]:
+def observation_space(game: Played) -> spaces.Space[Any]:
     """Space of one receiver's observation.
 
     Parameters
     ----------
-    game : Game
-        Its observer knows names and bounds.
+    game : Played
+        Knows names and bounds.
 
     Returns
     -------
     Box
         (o,) float32.
     """
-    return spaces.Box(game.observer.low.copy(), game.observer.high.copy(), dtype=np.float32)
+    low, high = game.bounds
+    return spaces.Box(low.copy(), high.copy(), dtype=np.float32)
 
 
-def action_space(game: Game) -> spaces.Space[Any]:
+def action_space(game: Played) -> spaces.Space[Any]:
     """Space of one receiver's action.
 
     Parameters
     ----------
-    game : Game
-        Its attack knows what is commanded.
+    game : Played
+        Knows what is commanded.
 
     Returns
     -------
     Box
         (a,) float32 in [-1, 1].
     """
-    size = len(game.setup.attack.action_names(game.setup.world))
-    return spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
+    return spaces.Box(-1.0, 1.0, (len(game.action_names),), dtype=np.float32)
 
 
 def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) -> NDArray[Any]:

@@ -1,28 +1,23 @@
-"""The single environment: a batch of one."""
+"""The environment of the tightly coupled receiver."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import gymnasium as gym
-import numpy as np
-from numpy.typing import NDArray
-
 from ..attacks import Attack
 from ..detectors import Detector
 from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario
+from .game import Game
+from .game_env import GameEnv, refuse_rendering
 from .observations import ObservationTerm
 from .presets import DEFAULT_ATTACK, make_game, make_setup
 from .rewards import RewardTerm
 from .setup import Timeline
-from .spaces import action_space, checked_action, observation_space
-
-Observation = NDArray[np.float32]
 
 
-class SpoofEnv(gym.Env[Observation, Observation]):
+class SpoofEnv(GameEnv[Game]):
     """A spoofer against a tightly coupled GNSS/INS receiver and its detector.
 
     **Description.** An aircraft flies with a 17-state tightly coupled GNSS/INS filter, whose
@@ -101,8 +96,6 @@ class SpoofEnv(gym.Env[Observation, Observation]):
     Version history: v0, the first.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 2}  # noqa: RUF012  (Gymnasium's)
-
     def __init__(
         self,
         *,
@@ -119,11 +112,7 @@ class SpoofEnv(gym.Env[Observation, Observation]):
         target_heading_deg: float = 90.0,
         render_mode: None = None,
     ) -> None:
-        if render_mode is not None:
-            raise ValueError(
-                f"`render_mode` must be None, there is nothing to render; got {render_mode!r}"
-            )
-        self.render_mode = None
+        refuse_rendering(render_mode)
         setup = make_setup(
             scenario=scenario,
             receiver=receiver,
@@ -131,7 +120,7 @@ class SpoofEnv(gym.Env[Observation, Observation]):
             detector=detector,
             timeline=timeline,
         )
-        self.game = make_game(
+        game = make_game(
             1,
             setup,
             knowledge=knowledge,
@@ -142,67 +131,4 @@ class SpoofEnv(gym.Env[Observation, Observation]):
             target_heading_deg=target_heading_deg,
             threads=1,
         )
-        self.observation_names = self.game.observer.names
-        self.action_names = setup.attack.action_names(setup.world)
-        self.observation_space = observation_space(self.game)
-        self.action_space = action_space(self.game)
-        self._running = False
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode: warm-up, then the onset.
-
-        Parameters
-        ----------
-        seed : int, optional
-            Seeds the receiver; without it the next episode of the same stream begins.
-        options : dict, optional
-            Not used.
-
-        Returns
-        -------
-        observation : ndarray
-            (o,) float32.
-        info : dict
-            Whether the warm-up alarmed, and the time.
-        """
-        super().reset(seed=seed)
-        self.game.reset([self.np_random])
-        self._running = True
-        return self.game.observe()[0], _of_one(self.game.begin_info())
-
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Give one command, and run one epoch.
-
-        Parameters
-        ----------
-        action : array_like
-            (a,) in [-1, 1].
-
-        Returns
-        -------
-        observation : ndarray
-            (o,) float32.
-        reward : float
-            Sum of ``info["reward_*"]``.
-        terminated, truncated : bool
-            The second is always False.
-        info : dict
-            Parts of the reward, alarm, displacement, time.
-        """
-        if not self._running:
-            raise RuntimeError("the episode is over: call reset() before step()")
-        given = checked_action(
-            np.asarray(action)[None], (1, len(self.action_names)), self.action_names
-        )
-        turn = self.game.step(given)
-        terminated = bool(turn.terminated[0])
-        self._running = not terminated
-        observation = self.game.observe()[0]
-        return observation, float(turn.reward[0]), terminated, False, _of_one(turn.info)
-
-
-def _of_one(info: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """Information of a batch of one, as plain numbers."""
-    return {name: array.item() for name, array in info.items()}
+        super().__init__(game)

@@ -14,19 +14,22 @@ from ..detectors import Detector, Verdict, make_detector
 from ..receiver.epoch import Epoch
 from .contract import read_only_given, require, require_fresh, same_bits
 from .epochs import OPTIONAL, Script, engine_script, trying_script
+from .position_epochs import COORDINATES, position_script
 from .trial import Record, Trial, check_memory, run_trial
 
 SCOPES = ("channel", "receiver")
+WATCHED = ("satellites", "position", "any")
 
 
 def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     """Check that a detector keeps its contract.
 
     It is bound, fed with epochs of a run of the default scenario and with made-up ones (satellites
-    that come and go, or none at all; unequal intervals; no innovation, and a huge one), and has to
-    show that
+    that come and go, or none at all; unequal intervals; no innovation, and a huge one); where it
+    `watches` positions, with made-up ones of two and of three coordinates instead, and where it
+    watches any, with all of them.  It has to show that
 
-    - it cites a paper, states its scope, and needs only what an epoch can have;
+    - it cites a paper, states its scope and what it watches, and needs only what an epoch can have;
     - verdicts have the right shapes and types, and are finite; weights lie within 0 and 1; an
       invisible channel has statistic 0, no alarm and weight 1;
     - it neither writes to an epoch nor keeps it, nor hands out arrays that it goes on using;
@@ -53,11 +56,21 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     _check_declarations(unbound)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        for script in (engine_script(), trying_script()):
+        for script in _scripts(unbound.watches):
             trial = _DetectorTrial(unbound, script)
             _check_bound_again(trial)
             _check_verdicts(trial)
             run_trial(trial)
+
+
+def _scripts(watches: str) -> list[Script]:
+    """Epochs of what a detector watches."""
+    scripts = []
+    if watches != "position":
+        scripts += [engine_script(), trying_script()]
+    if watches != "satellites":
+        scripts += [position_script(m) for m in COORDINATES]
+    return scripts
 
 
 class _DetectorTrial(Trial[Detector]):
@@ -131,6 +144,14 @@ def _check_declarations(detector: Detector) -> None:
         detector.scope in SCOPES,
         f"`{kind}.scope` must be 'channel' (c = n) or 'receiver' (c = 1), got {detector.scope!r}",
     )
+    require(
+        detector.watches in WATCHED,
+        f"`{kind}.watches` must be 'satellites', 'position' or 'any', got {detector.watches!r}",
+    )
+    require(
+        isinstance(detector.oracle, bool),
+        f"`{kind}.oracle` must be True or False, got {detector.oracle!r}",
+    )
     needs = detector.needs
     require(
         isinstance(needs, frozenset) and needs <= set(OPTIONAL),
@@ -198,14 +219,16 @@ def _at(script: Script, number: int) -> str:
 
 
 def _check_shapes(detector: Detector, script: Script, number: int, verdict: Verdict) -> None:
-    b, n = script.epochs[number].visible.shape
-    columns = n if detector.scope == "channel" else 1
+    b, m = script.epochs[number].innovation.shape
+    n = script.context.channels
+    columns = (n or m) if detector.scope == "channel" else 1
+    measured = f"{n} channels" if n else f"a position of {m} coordinates"
     where = _at(script, number)
     expected: dict[str, tuple[int, Any]] = {
         "statistic": (columns, np.float64),
         "threshold": (columns, np.float64),
         "alarm": (columns, np.bool_),
-        "weights": (2 * n, np.float64),
+        "weights": (m, np.float64),
     }
     for name, (size, dtype) in expected.items():
         array = getattr(verdict, name)
@@ -213,8 +236,8 @@ def _check_shapes(detector: Detector, script: Script, number: int, verdict: Verd
             continue
         require(
             array.shape == (b, size),
-            f"{where} `{name}` must have shape {(b, size)} for {b} receivers with {n} channels and "
-            f"scope {detector.scope!r}, got {array.shape}",
+            f"{where} `{name}` must have shape {(b, size)} for {b} receivers with {measured} "
+            f"and scope {detector.scope!r}, got {array.shape}",
         )
         require(
             array.dtype == dtype,
@@ -237,6 +260,8 @@ def _check_shapes(detector: Detector, script: Script, number: int, verdict: Verd
 
 
 def _check_invisible(detector: Detector, script: Script, number: int, verdict: Verdict) -> None:
+    if not script.context.channels:
+        return
     absent, where = ~script.epochs[number].visible, _at(script, number)
     if detector.scope == "channel":
         require(

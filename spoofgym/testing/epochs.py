@@ -85,7 +85,7 @@ def engine_script() -> Script:
     epochs = []
     for _ in range(setup.steps):
         epoch = engine.predict(action)
-        epochs.append(_with_optional_fields(epoch, rng))
+        epochs.append(with_optional_fields(epoch, rng))
         engine.update(engine.judge())
     context = DetectorContext(
         RECEIVERS,
@@ -97,8 +97,21 @@ def engine_script() -> Script:
     return Script("a run of the default scenario", context, tuple(epochs))
 
 
-def _with_optional_fields(epoch: Epoch, rng: np.random.Generator) -> Epoch:
-    """Copy of an epoch, with what is missing made up."""
+def with_optional_fields(epoch: Epoch, rng: np.random.Generator) -> Epoch:
+    """Copy of an epoch, with what is missing made up.
+
+    Parameters
+    ----------
+    epoch : Epoch
+        Some of its optional fields may be None.
+    rng : Generator
+        What is made up is drawn from it.
+
+    Returns
+    -------
+    Epoch
+        With all fields.
+    """
     b, n = epoch.visible.shape
     fields = {name: np.array(array) for name, array in epoch._asdict().items()}
     made_up = {
@@ -114,7 +127,8 @@ def _with_optional_fields(epoch: Epoch, rng: np.random.Generator) -> Epoch:
 
 CHANNELS = 7
 COUNT = 60
-_INTERVALS = (0.5, 0.5, 1.0, 0.1, 0.5, 5.0)
+INTERVALS = (0.5, 0.5, 1.0, 0.1, 0.5, 5.0)
+"""Times between made-up epochs, over and over [s]."""
 _EMPTY = CHANNELS - 1
 ALL_MISSING = (24, 25)
 ZERO = 14
@@ -141,7 +155,7 @@ def trying_script() -> Script:
     time = np.zeros(RECEIVERS)
     epochs = []
     for k in range(COUNT):
-        interval = _INTERVALS[k % len(_INTERVALS)]
+        interval = INTERVALS[k % len(INTERVALS)]
         time = time + interval
         epochs.append(_made_up(k, time, interval, _visible(k), noise, rng))
     ids = (*(f"G{j:02d}" for j in range(1, CHANNELS)), "")
@@ -199,7 +213,7 @@ def _made_up(
     innovation[~seen] = 0.0
     position = np.array([6_378_137.0, 0.0, 0.0]) + np.outer(time, [0.0, 100.0, 0.0])
     satellites = position[:, None, :] + 2.2e7 * u
-    return _with_optional_fields(
+    return with_optional_fields(
         Epoch(
             time=time,
             interval=np.full(b, interval),

@@ -9,6 +9,7 @@ import pytest
 
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 from spoofgym.testing import check_detector
+from spoofgym.testing.position_epochs import COORDINATES, ZERO, position_script
 
 VARIANTS = [
     *DETECTORS,
@@ -71,10 +72,67 @@ class Odometer(Sum):
         return np.where(epoch.visible, super().statistic(epoch) + apart[:, None], 0.0)
 
 
-@pytest.mark.parametrize("detector", [Sum(), AnyChannel(), Odometer()])
+class FarFix(Detector):
+    """Rejects a fix that is too far from where odometry says, and sums up how far it was."""
+
+    paper = "page1954"
+    watches = "position"
+    needs = frozenset({"auxiliary_position", "gnss_position"})
+
+    def bind(self, context):
+        super().bind(context)
+        self.memory.declare("sum", np.zeros(context.receivers))
+
+    def judge(self, epoch):
+        apart = np.linalg.norm(epoch.auxiliary_position - epoch.gnss_position, axis=1)
+        self.memory["sum"] = np.maximum(0.0, self.memory["sum"] + apart - 20.0)
+        statistic = self.memory["sum"][:, None].copy()
+        alarm = statistic > 50.0
+        weights = np.where(alarm, 0.0, np.ones_like(epoch.innovation))
+        return Verdict(statistic, np.full_like(statistic, 50.0), alarm, weights)
+
+
+class EveryCoordinate(FarFix):
+    """Judges what is measured one by one: a position by its coordinates."""
+
+    watches = "any"
+    scope = "channel"
+    needs = frozenset()
+
+    def judge(self, epoch):
+        channels = epoch.visible.shape[1] or epoch.innovation.shape[1]
+        statistic = np.abs(epoch.innovation[:, :channels])
+        return Verdict(statistic, np.full_like(statistic, 9.0), statistic > 9.0)
+
+
+@pytest.mark.parametrize(
+    "detector",
+    [Sum(), AnyChannel(), Odometer(), FarFix(), EveryCoordinate()],
+    ids=lambda detector: type(detector).__name__,
+)
 def test_a_new_detector_that_keeps_the_contract_passes(detector):
     check_detector(detector)
     assert not hasattr(detector, "memory")  # the object itself was left alone
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_a_made_up_fix_is_the_prediction_and_the_innovation(coordinates):
+    script = position_script(coordinates)
+    sizes = []
+    for epoch in script.epochs:
+        apart = (epoch.gnss_position - epoch.predicted_position)[:, :coordinates]
+        np.testing.assert_allclose(apart, epoch.innovation, atol=1e-9)
+        assert epoch.visible.shape == (len(epoch.time), 0)
+        solved = np.linalg.solve(epoch.innovation_cov, epoch.innovation[:, :, None])[:, :, 0]
+        sizes.append((epoch.innovation * solved).sum(axis=1).mean() / coordinates)
+    assert 0.7 < np.mean(sizes[:ZERO]) < 1.3  # innovations are as large as they are said to be
+
+
+def test_a_detector_of_satellites_refuses_a_position():
+    with pytest.raises(ValueError, match="Sum watches satellites, but the receiver measures posi"):
+        Sum().bind(position_script(2).context)
+    with pytest.raises(ValueError, match="FarFix watches position, but the receiver measures sat"):
+        FarFix().bind(position_script(2).context._replace(channels=4))
 
 
 class NoPaper(Sum):
@@ -83,6 +141,20 @@ class NoPaper(Sum):
 
 class OddScope(Sum):
     scope = "satellite"
+
+
+class OddWatch(Sum):
+    watches = "positions"
+
+
+class OddOracle(Sum):
+    oracle = 1
+
+
+class OneWeight(FarFix):
+    def judge(self, epoch):
+        verdict = super().judge(epoch)
+        return verdict._replace(weights=verdict.weights[:, :1].copy())
 
 
 class UnknownNeed(Sum):
@@ -331,6 +403,9 @@ class ForgetsWhenCopied(Sum):
 BROKEN = {
     NoPaper: "`NoPaper.paper` must be a key in references.bib",
     OddScope: "`OddScope.scope` must be 'channel' .* got 'satellite'",
+    OddWatch: "`OddWatch.watches` must be 'satellites', 'position' or 'any', got 'positions'",
+    OddOracle: "`OddOracle.oracle` must be True or False, got 1",
+    OneWeight: "`weights` must have shape \\(5, 2\\) for 5 receivers with a position of 2 coor",
     UnknownNeed: "optional fields of an epoch .* got frozenset\\({'true_position'}\\)",
     NoBase: "must have a `memory` made by the base class, got None",
     NoBaseButDeclares: "`bind` finds no memory .* call `super\\(\\).bind",

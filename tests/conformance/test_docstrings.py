@@ -16,7 +16,7 @@ from . import sources
 
 def documented(doc, *sections):
     return [
-        name.strip()
+        name.strip().lstrip("*")
         for section in sections
         for parameter in doc[section]
         for name in parameter.name.split(",")

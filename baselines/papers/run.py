@@ -1,0 +1,315 @@
+"""Run the parts of papers in processes; what is done is kept, so that a killed run goes on."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import platform
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import scipy
+
+import spoofgym
+
+from .frame import Paper, Part, Row, Settings
+from .paper import KEYS, load_paper, parts_of, row_record, rows_of, runs_of
+from .sources import paper_digest
+from .store import Store
+from .work import work
+
+Say = Callable[[str], None]
+"""Told what a user should know."""
+Tick = Callable[[float, str], None]
+"""Told how much of the work is done more, from 0 to 1, and what it was."""
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Processes share the processors already; one thread each, and the same bits with any `jobs`."""
+
+
+class PartError(RuntimeError):
+    """A part has failed."""
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """A paper, run.
+
+    Attributes
+    ----------
+    key : str
+        The paper.
+    paper : Paper
+        Its module.
+    settings : Settings
+        Of the run.
+    parts : list of Part
+        What was run.
+    data : dict
+        What each part returned, by its name.
+    told : list of dict
+        Versions and time of each part.
+    """
+
+    key: str
+    paper: Paper
+    settings: Settings
+    parts: list[Part]
+    data: dict[str, dict[str, Any]]
+    told: list[dict[str, Any]]
+
+    def rows(self) -> list[Row]:
+        """Figures of the paper beside ours.
+
+        Returns
+        -------
+        list of Row
+            Checked.
+        """
+        return rows_of(self.paper, self.data, self.settings)
+
+    def record(self) -> dict[str, Any]:
+        """The run as JSON.
+
+        Returns
+        -------
+        dict
+            ``paper``, ``runs``, ``seed`` and ``rows``.
+        """
+        return {
+            "paper": self.key,
+            "runs": runs_of(self.parts, self.data),
+            "seed": self.settings.seed,
+            "rows": [row_record(row) for row in self.rows()],
+        }
+
+
+def versions() -> dict[str, str]:
+    """What computes.
+
+    Returns
+    -------
+    dict
+        Versions by name.
+    """
+    return {
+        "spoofgym": spoofgym.__version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "numba": numba.__version__,
+    }
+
+
+class PaperRun:
+    """Parts of a paper with the folder in which their results are kept.
+
+    Parameters
+    ----------
+    key : str
+        The paper.
+    settings : Settings
+        Of the run.
+    out : Path
+        Folder of the results of all papers.
+
+    Attributes
+    ----------
+    parts : list of Part
+        All of them.
+    store : Store
+        Where their results lie.
+    """
+
+    def __init__(self, key: str, settings: Settings, out: Path) -> None:
+        self.key, self.settings = key, settings
+        self.paper = load_paper(key)
+        self.parts = parts_of(self.paper, settings)
+        extent = "quick" if settings.quick else "full"
+        self.store = Store(out / key / f"{extent}-seed{settings.seed}")
+        paths = {self.store.path(part.name) for part in self.parts}
+        if len(paths) < len(self.parts):
+            raise ValueError(f"two parts of {self.paper.TITLE} have the same file name")
+        self._digest = paper_digest(key, KEYS)
+
+    def identity(self, part: Part) -> dict[str, Any]:
+        """What has to agree before a stored result is taken.
+
+        Parameters
+        ----------
+        part : Part
+            Which one.
+
+        Returns
+        -------
+        dict
+            JSON.
+        """
+        return {
+            "part": part.name,
+            "settings": part.settings,
+            "seed": self.settings.seed,
+            "quick": self.settings.quick,
+            "sources": self._digest,
+        }
+
+    def missing(self, say: Say) -> list[Part]:
+        """Parts that have to be run.
+
+        Parameters
+        ----------
+        say : callable
+            Told which stored results are not taken.
+
+        Returns
+        -------
+        list of Part
+            In their order.
+        """
+        left = []
+        unlike: dict[str, list[str]] = {}
+        for part in self.parts:
+            try:
+                found = self.store.load(part.name)
+            except ValueError as error:
+                say(str(error))
+                found = None
+            else:
+                if found is not None and found[0] != self.identity(part):
+                    mine = self.identity(part)
+                    other = [name for name in mine if found[0].get(name) != mine[name]]
+                    unlike.setdefault(", ".join(other), []).append(part.name)
+                    found = None
+            if found is None:
+                left.append(part)
+        for what, names in unlike.items():
+            say(
+                f"{self.key}: {len(names)} stored part(s) are of other {what} and run anew: "
+                f"{', '.join(names)}"
+            )
+        return left
+
+    def keep(self, part: Part, result: dict[str, Any], seconds: float) -> None:
+        """Store what a part has returned.
+
+        Parameters
+        ----------
+        part : Part
+            Which one.
+        result : dict
+            What it returned.
+        seconds : float
+            How long it took.
+        """
+        told = {"versions": versions(), "seconds": seconds}
+        self.store.save(part, self.identity(part), told, result)
+
+    def result(self) -> Reproduction:
+        """All results, read from the folder.
+
+        Returns
+        -------
+        Reproduction
+            As good as new.
+
+        Raises
+        ------
+        ValueError
+            When a part has not been run, or was run from other sources.
+        """
+        data, told = {}, []
+        for part in self.parts:
+            found = self.store.load(part.name)
+            if found is None:
+                raise ValueError(f"part {part.name!r} of {self.key} is not in {self.store.folder}")
+            if found[0] != self.identity(part):
+                raise ValueError(
+                    f"{self.store.path(part.name)} was made from other sources or settings; run "
+                    f"`python -m baselines.papers {self.key}` again"
+                )
+            told.append(found[1])
+            data[part.name] = found[2]
+        return Reproduction(self.key, self.paper, self.settings, self.parts, data, told)
+
+
+def run_papers(runs: Sequence[PaperRun], jobs: int, tick: Tick, say: Say) -> list[Reproduction]:
+    """Run what is left of some papers.
+
+    Parameters
+    ----------
+    runs : sequence of PaperRun
+        The papers.
+    jobs : int
+        Processes.
+    tick : callable
+        Told of every part that is done.
+    say : callable
+        Told of stored results that are not taken.
+
+    Returns
+    -------
+    list of Reproduction
+        One per paper.
+
+    Raises
+    ------
+    PartError
+        When a part fails; those that were done are kept.
+    """
+    if jobs < 1:
+        raise ValueError(f"`jobs` must be at least 1, got {jobs}")
+    left = [(run, part) for run in runs for part in run.missing(say)]
+    weights = {id(part): _share(run, part) / len(runs) for run in runs for part in run.parts}
+    todo = {id(part) for _, part in left}
+    stored = sum(weight for part, weight in weights.items() if part not in todo)
+    tick(stored, f"{len(weights) - len(left)} of {len(weights)} parts were stored")
+    if left:
+        with _pool(min(jobs, len(left))) as pool:
+            waiting = {
+                pool.submit(work, part.function, part.settings): (run, part) for run, part in left
+            }
+            while waiting:
+                done, _ = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    run, part = waiting.pop(future)
+                    _take(run, part, future)
+                    tick(weights[id(part)], f"{run.key}: {part.name}")
+    return [run.result() for run in runs]
+
+
+def _share(run: PaperRun, part: Part) -> float:
+    return part.weight / sum(each.weight for each in run.parts)
+
+
+def _take(run: PaperRun, part: Part, future: Future[tuple[dict[str, Any], float]]) -> None:
+    try:
+        result, seconds = future.result()
+    except Exception as error:
+        raise PartError(f"part {part.name!r} of {run.key} has failed: {error}") from error
+    run.keep(part, result, seconds)
+
+
+@contextmanager
+def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that end at once when something goes wrong here."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update({name: value or "1" for name, value in before.items()})
+    known = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in set(multiprocessing.active_children()) - known:
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown()
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]

@@ -1,0 +1,31 @@
+"""What a process of the pool does; it loads no more than its part needs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+
+def work(
+    function: Callable[..., dict[str, Any]], settings: dict[str, Any]
+) -> tuple[dict[str, Any], float]:
+    """Run one part.
+
+    Parameters
+    ----------
+    function : callable
+        Of the part.
+    settings : dict
+        Its arguments.
+
+    Returns
+    -------
+    result : dict
+        What it returned.
+    seconds : float
+        Processor time that it took.
+    """
+    begin = time.process_time()
+    result = function(**settings)
+    return result, time.process_time() - begin

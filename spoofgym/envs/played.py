@@ -1,0 +1,70 @@
+"""What an environment needs of a game."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class Turn(NamedTuple):
+    """What a step returns.
+
+    Attributes
+    ----------
+    reward : ndarray
+        (B,) float64.
+    terminated : ndarray
+        (B,) bool.
+    info : dict
+        Arrays with a leading axis of receivers.
+    """
+
+    reward: FloatArray
+    terminated: NDArray[np.bool_]
+    info: dict[str, NDArray[Any]]
+
+
+class Played(Protocol):
+    """Episodes of B receivers."""
+
+    @property
+    def receivers(self) -> int:
+        """B."""
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """Name of every element of an observation."""
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Name of every element of an action."""
+
+    @property
+    def begin_names(self) -> tuple[str, ...]:
+        """Keys of `begin_info`."""
+
+    @property
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Least and largest observation, (o,) each."""
+
+    def reset(
+        self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp] | None = None
+    ) -> None:
+        """Begin new episodes of some receivers; of all by default."""
+
+    def step(self, action: FloatArray) -> Turn:
+        """Run one epoch with (B, a) commands."""
+
+    def observe(self) -> NDArray[np.float32]:
+        """Observe all receivers, (B, o)."""
+
+    def begin_info(self) -> dict[str, NDArray[Any]]:
+        """Information at the begin of an episode."""
+
+    def close(self) -> None:
+        """End what runs beside."""

@@ -1,0 +1,57 @@
+"""A page tells what its JSON file and the texts of its paper's module say."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+from baselines.papers import page, run
+from baselines.papers.frame import Settings
+from baselines.papers.run import PaperRun, run_papers
+
+from . import toy
+
+
+def test_a_page_is_made_of_a_stored_full_run(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, f"baselines.papers.{toy.KEY}", toy)
+    for module in (run, page):
+        monkeypatch.setattr(module, "KEYS", (toy.KEY,))
+    monkeypatch.setattr("baselines.papers.paper.KEYS", (toy.KEY,))
+    arguments = ["--out", str(tmp_path / "out"), "--docs", str(tmp_path)]
+    result = CliRunner().invoke(page.app, arguments)
+    assert result.exit_code == 2
+    assert "part '1000 throws' of toy2025 is not in" in result.stderr
+
+    full = PaperRun(toy.KEY, Settings(quick=False, seed=0), tmp_path / "out")
+    (found,) = run_papers([full], 1, lambda part, now: None, lambda text: None)
+    assert CliRunner().invoke(page.app, arguments).exit_code == 0
+    stored = json.loads((tmp_path / "toy2025.json").read_text())
+    assert {key: stored[key] for key in ("paper", "runs", "seed", "rows")} == found.record()
+    written = (tmp_path / "toy2025.md").read_text()
+    assert written == page.page_text(toy, stored)
+    assert written.startswith("# Dice et al. (2025)\n")
+    assert "python -m baselines.papers toy2025\n" in written
+    assert "| all | throws \\| all | - | 3000 | - | - | not told |" in written
+    assert "| all | impossible | 7 | 0 | 6.5 to 7.5 | NO | a finding |" in written
+
+    monkeypatch.setattr(toy, "FOUND", "It is indeed.")
+    assert CliRunner().invoke(page.app, [*arguments, "--texts-only"]).exit_code == 0
+    assert "It is indeed." in (tmp_path / "toy2025.md").read_text()
+    assert json.loads((tmp_path / "toy2025.json").read_text()) == stored
+
+
+def test_an_unknown_key_lists_the_valid_ones():
+    result = CliRunner().invoke(page.app, ["zhong"])
+    assert result.exit_code == 2
+    assert "valid: all, ke2022" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [(None, None, "-"), (1.0, None, "at least 1"), (None, 2.0, "at most 2"), (1, 2.5, "1 to 2.5")],
+)
+def test_a_band_in_words(low, high, text):
+    assert page.cells({**dict.fromkeys(page.HEAD), "low": low, "high": high})[4] == text

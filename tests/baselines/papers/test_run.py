@@ -1,0 +1,228 @@
+"""A reproduction runs in processes, goes on where it was, and prints what the house expects."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+from typer.testing import CliRunner
+
+from baselines.papers import __main__ as command
+from baselines.papers import paper as papers
+from baselines.papers import run as running
+from baselines.papers import sources
+from baselines.papers.frame import Part, Row, Settings
+from baselines.papers.paper import check_rows, load_paper, parts_of
+from baselines.papers.run import PaperRun, PartError, run_papers
+from baselines.papers.store import Store
+
+from . import toy
+
+QUICK = Settings(quick=True, seed=0)
+
+
+@pytest.fixture
+def dice(monkeypatch, tmp_path):
+    """The toy, as one of the papers, and the file in which its parts leave marks."""
+    monkeypatch.setitem(sys.modules, f"baselines.papers.{toy.KEY}", toy)
+    for module in (papers, running, command):
+        monkeypatch.setattr(module, "KEYS", (toy.KEY,))
+    marks = tmp_path / "marks"
+    monkeypatch.setattr(toy, "marks", str(marks))
+    return marks
+
+
+@pytest.fixture
+def threads(monkeypatch):
+    """Threads in the place of processes, which take seconds to begin."""
+
+    @contextmanager
+    def pool(jobs):
+        with ThreadPoolExecutor(jobs) as threads:
+            yield threads
+
+    monkeypatch.setattr(running, "_pool", pool)
+
+
+def play(out, settings=QUICK, jobs=1):
+    said, ticks = [], []
+    (found,) = run_papers(
+        [PaperRun(toy.KEY, settings, out)],
+        jobs,
+        lambda part, now: ticks.append(part),
+        said.append,
+    )
+    assert sum(ticks) == pytest.approx(1.0)
+    return found, said
+
+
+def test_parts_run_in_processes_that_have_a_thread_each(dice, tmp_path, monkeypatch):
+    parts = [Part(name, toy.place, {"seed": 0}) for name in ("a", "b")]
+    monkeypatch.setattr(toy, "parts", lambda settings: parts)
+    monkeypatch.setattr(toy, "rows", lambda data, settings: [])
+    before = os.environ.get("OMP_NUM_THREADS")
+    found, _ = play(tmp_path, jobs=2)
+    assert os.getpid() not in {result["process"] for result in found.data.values()}
+    assert {result["threads"] for result in found.data.values()} == {before or "1"}
+    assert os.environ.get("OMP_NUM_THREADS") == before
+
+
+def test_stored_parts_are_not_run_again_and_say_the_same(dice, threads, tmp_path):
+    first, _ = play(tmp_path / "out", jobs=2)
+    assert sorted(dice.read_text().split()) == ["100", "200"]
+    again, said = play(tmp_path / "out")
+    assert sorted(dice.read_text().split()) == ["100", "200"]
+    assert not said
+    assert again.record() == first.record()
+    assert again.data["100 throws"]["eyes"].tolist() == toy.throw(100, 0)["eyes"].tolist()
+
+
+def test_a_part_that_is_left_is_run(dice, threads, tmp_path):
+    play(tmp_path)
+    run = PaperRun(toy.KEY, QUICK, tmp_path)
+    run.store.path("100 throws").unlink()
+    run.store.path("200 throws").write_bytes(b"half a file")
+    _, said = play(tmp_path)
+    assert sorted(dice.read_text().split()) == ["100", "100", "200", "200"]
+    assert len(said) == 1
+    assert "is not the result of a part" in said[0]
+
+
+def test_what_other_sources_have_made_is_not_taken(dice, threads, tmp_path, monkeypatch):
+    play(tmp_path)
+    monkeypatch.setattr(running, "paper_digest", lambda key, keys: "another")
+    with pytest.raises(ValueError, match="made from other sources or settings"):
+        PaperRun(toy.KEY, QUICK, tmp_path).result()
+    _, said = play(tmp_path)
+    assert said == [
+        "toy2025: 2 stored part(s) are of other sources and run anew: 100 throws, 200 throws"
+    ]
+    assert len(dice.read_text().split()) == 4
+
+
+def test_another_seed_and_the_full_run_have_results_of_their_own(dice, threads, tmp_path):
+    means = [
+        play(tmp_path, settings)[0].rows()[0].ours
+        for settings in (QUICK, replace(QUICK, seed=1), replace(QUICK, quick=False), QUICK)
+    ]
+    assert len(set(means)) == 3
+    assert means[0] == means[-1]
+    assert len(dice.read_text().split()) == 6
+
+
+def test_a_part_that_fails_is_named_and_the_others_are_kept(dice, threads, tmp_path, monkeypatch):
+    parts = [*toy.parts(QUICK), Part("odd", toy.fail, {"seed": 0})]
+    monkeypatch.setattr(toy, "parts", lambda settings: parts)
+    with pytest.raises(PartError, match=r"part 'odd' of toy2025 has failed: no die"):
+        play(tmp_path)
+    store = PaperRun(toy.KEY, QUICK, tmp_path).store
+    assert store.load("100 throws") is not None
+    assert store.load("odd") is None
+
+
+def test_json_has_the_fields_that_were_agreed_on(dice, threads, tmp_path):
+    arguments = [toy.KEY, "--quick", "--json", "--jobs", "1", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(command.app, arguments)
+    assert result.exit_code == 0
+    told = json.loads(result.stdout)
+    assert list(told) == ["paper", "runs", "seed", "rows"]
+    assert (told["paper"], told["runs"], told["seed"]) == (toy.KEY, 300, 0)
+    fields = ["table", "row", "quantity", "paper", "ours", "low", "high", "inside", "note"]
+    for row in told["rows"]:
+        assert list(row) == fields
+    assert [row["inside"] for row in told["rows"]] == [True, True, None, False]
+    every = CliRunner().invoke(command.app, ["all", *arguments[1:]])
+    assert json.loads(every.stdout) == [told]
+
+
+def test_tables_and_figures(dice, threads, tmp_path):
+    arguments = [toy.KEY, "--quick", "--jobs", "1", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(command.app, [*arguments, "--figures", str(tmp_path / "fig")])
+    assert result.exit_code == 0
+    assert "Dice et al. (2025), Table 2" in result.stdout
+    assert "2 of 3 values lie in their bands; 1 have none." in result.stdout
+    assert (tmp_path / "fig" / toy.KEY / "dice.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_unknown_key_lists_the_valid_ones():
+    result = CliRunner().invoke(command.app, ["zhong"])
+    assert result.exit_code == 2
+    assert "valid: all, ke2022, shadmehri2025, song2021, wu2024, zhong2025" in result.stderr
+    with pytest.raises(ValueError, match="did you mean 'wu2024'"):
+        load_paper("wu2023")
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        (Part("100 throws", toy.throw, {}), "two parts .* have the same name: 100 throws"),
+        (Part("lambda", lambda: {}, {}), "its function must be one of a module"),
+        (Part("array", toy.throw, {"runs": toy}), "cannot be written as JSON"),
+        (Part("tuple", toy.throw, {"runs": (1, 2)}), "its settings change when written as JSON"),
+        (Part("light", toy.throw, {}, 0.0), "`weight` must be positive, got 0"),
+    ],
+)
+def test_parts_are_checked(part, message, monkeypatch):
+    parts = [*toy.parts(QUICK), part]
+    monkeypatch.setattr(toy, "parts", lambda settings: parts)
+    with pytest.raises(ValueError, match=message):
+        parts_of(toy, QUICK)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ((1.0, float("nan"), None, None), "row T, r, q: `ours` must be a finite number or None"),
+        ((1.0, True, None, None), "`ours` must be a finite number or None, got True"),
+        ((1.0, 1.0, 2.0, 1.0), "its band is empty, from 2.0 to 1.0"),
+    ],
+)
+def test_rows_are_checked(values, message):
+    with pytest.raises(ValueError, match=message):
+        check_rows([Row("T", "r", "q", *values)])
+    row = Row("T", "r", "q", 1.0, 1.0, None, None)
+    with pytest.raises(ValueError, match="stands there twice"):
+        check_rows([row, row])
+
+
+@pytest.mark.parametrize(
+    ("low", "ours", "high", "inside"),
+    [
+        (1.0, 1.0, 2.0, True),
+        (1.0, 2.5, 2.0, False),
+        (None, 2.0, 2.0, True),
+        (2.0, 1.0, None, False),
+        (1.0, None, 2.0, False),
+        (None, 1.0, None, None),
+    ],
+)
+def test_a_band_has_its_ends_and_may_be_open(low, ours, high, inside):
+    assert Row("T", "r", "q", None, ours, low, high).inside is inside
+
+
+def test_what_cannot_be_stored_is_named(tmp_path):
+    with pytest.raises(TypeError, match=r"part 'p' returns 'x': a set cannot be stored"):
+        Store(tmp_path).save(Part("p", toy.throw), {}, {}, {"x": {1}})
+
+
+def test_texts_and_comments_cost_no_run_but_code_does(tmp_path, monkeypatch):
+    monkeypatch.setattr(sources, "HERE", tmp_path)
+    path = tmp_path / "toy2025.py"
+
+    def digest(text):
+        path.write_text(text)
+        return sources.paper_digest("toy2025", ("other", "toy2025"))
+
+    first = digest('"""A paper."""\nFOUND = "a"\nRUNS = 3\ndef rows(): return 1\n')
+    assert digest('"""Paper."""\n# told\nFOUND = "b"\nRUNS = 3\ndef rows(): return 2\n') == first
+    (tmp_path / "other.py").write_text("RUNS = 1")
+    (tmp_path / "frame.py").write_text("RUNS = 1")
+    assert digest('"""."""\nFOUND = "a"\nRUNS = 3\n') == first
+    assert digest('"""."""\nFOUND = "a"\nRUNS = 4\n') != first
+    (tmp_path / "helper.py").write_text("RUNS = 1")
+    assert digest('"""."""\nFOUND = "a"\nRUNS = 3\n') != first

@@ -1,0 +1,72 @@
+"""A paper that throws dice."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines.papers.frame import Part, Row, Settings
+
+TITLE = "Dice et al. (2025)"
+CLAIMS = "The mean of a die is 3.5."
+FOUND = "It is."
+READINGS = "Six sides."
+KEY = "toy2025"
+
+
+def throw(runs: int, seed: int, marks: str | None = None) -> dict[str, Any]:
+    """Throw a die; leave a mark, so that a test can count."""
+    if marks is not None:
+        with Path(marks).open("a") as file:
+            file.write(f"{runs}\n")
+    eyes = np.random.default_rng([seed, runs]).integers(1, 7, runs)
+    return {"eyes": eyes, "mean": eyes.mean(), "ends": [np.int64(eyes.min()), int(eyes.max())]}
+
+
+def place(seed: int) -> dict[str, Any]:
+    """Where a part runs."""
+    return {"process": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
+
+
+def fail(seed: int) -> dict[str, Any]:
+    """A part that cannot be."""
+    raise ZeroDivisionError("no die")
+
+
+marks: str | None = None
+
+
+def parts(settings: Settings) -> list[Part]:
+    counts = (100, 200) if settings.quick else (1000, 2000)
+    return [
+        Part(f"{runs} throws", throw, {"runs": runs, "seed": settings.seed, "marks": marks}, runs)
+        for runs in counts
+    ]
+
+
+def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
+    made = [
+        Row("Table 1", name, "mean", 3.5, result["mean"], 3.0, 4.0) for name, result in data.items()
+    ]
+    sizes = sum(len(result["eyes"]) for result in data.values())
+    return [
+        *made,
+        Row("Table 2", "all", "throws | all", None, sizes, None, None, "not told"),
+        Row("Table 2", "all", "impossible", 7.0, 0.0, 6.5, 7.5, "a finding"),
+    ]
+
+
+def figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots()
+    for name, result in data.items():
+        axes.hist(result["eyes"], label=name)
+    axes.set(title="Dice", xlabel="eyes [1]", ylabel="throws [1]")
+    path = folder / "dice.png"
+    figure.savefig(path)
+    plt.close(figure)
+    return [path]
