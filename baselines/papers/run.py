@@ -19,8 +19,8 @@ import scipy
 import spoofgym
 
 from .frame import Paper, Part, Row, Settings
-from .paper import KEYS, load_paper, parts_of, row_record, rows_of, runs_of
-from .sources import paper_digest
+from .paper import load_paper, parts_of, row_record, rows_of, runs_of
+from .sources import digest_of_modules
 from .store import Store
 from .work import work
 
@@ -135,7 +135,7 @@ class PaperRun:
         paths = {self.store.path(part.name) for part in self.parts}
         if len(paths) < len(self.parts):
             raise ValueError(f"two parts of {self.paper.TITLE} have the same file name")
-        self._digest = paper_digest(key, KEYS)
+        self._digest = digest_of_modules({part.function.__module__ for part in self.parts})
 
     def identity(self, part: Part) -> dict[str, Any]:
         """What has to agree before a stored result is taken.

@@ -8,7 +8,7 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from baselines.papers import page, run
+from baselines.papers import page
 from baselines.papers.frame import Settings
 from baselines.papers.run import PaperRun, run_papers
 
@@ -17,8 +17,7 @@ from . import toy
 
 def test_a_page_is_made_of_a_stored_full_run(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, f"baselines.papers.{toy.KEY}", toy)
-    for module in (run, page):
-        monkeypatch.setattr(module, "KEYS", (toy.KEY,))
+    monkeypatch.setattr(page, "KEYS", (toy.KEY,))
     monkeypatch.setattr("baselines.papers.paper.KEYS", (toy.KEY,))
     arguments = ["--out", str(tmp_path / "out"), "--docs", str(tmp_path)]
     result = CliRunner().invoke(page.app, arguments)

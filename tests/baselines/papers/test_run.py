@@ -30,7 +30,7 @@ QUICK = Settings(quick=True, seed=0)
 def dice(monkeypatch, tmp_path):
     """The toy, as one of the papers, and the file in which its parts leave marks."""
     monkeypatch.setitem(sys.modules, f"baselines.papers.{toy.KEY}", toy)
-    for module in (papers, running, command):
+    for module in (papers, command):
         monkeypatch.setattr(module, "KEYS", (toy.KEY,))
     marks = tmp_path / "marks"
     monkeypatch.setattr(toy, "marks", str(marks))
@@ -95,7 +95,7 @@ def test_a_part_that_is_left_is_run(dice, threads, tmp_path):
 
 def test_what_other_sources_have_made_is_not_taken(dice, threads, tmp_path, monkeypatch):
     play(tmp_path)
-    monkeypatch.setattr(running, "paper_digest", lambda key, keys: "another")
+    monkeypatch.setattr(running, "digest_of_modules", lambda modules: "another")
     with pytest.raises(ValueError, match="made from other sources or settings"):
         PaperRun(toy.KEY, QUICK, tmp_path).result()
     _, said = play(tmp_path)
@@ -211,18 +211,46 @@ def test_what_cannot_be_stored_is_named(tmp_path):
 
 
 def test_texts_and_comments_cost_no_run_but_code_does(tmp_path, monkeypatch):
-    monkeypatch.setattr(sources, "HERE", tmp_path)
-    path = tmp_path / "toy2025.py"
+    monkeypatch.setattr(sources, "ROOT", tmp_path)
+    sources.library_digest.cache_clear()
+    package = tmp_path / "toys" / "toy2025"
+    package.mkdir(parents=True)
 
-    def digest(text):
-        path.write_text(text)
-        return sources.paper_digest("toy2025", ("other", "toy2025"))
+    def digest(name, text):
+        package.joinpath(f"{name}.py").write_text(text)
+        return sources.digest_of_modules({"toys.toy2025.runs"})
 
-    first = digest('"""A paper."""\nFOUND = "a"\nRUNS = 3\ndef rows(): return 1\n')
-    assert digest('"""Paper."""\n# told\nFOUND = "b"\nRUNS = 3\ndef rows(): return 2\n') == first
-    (tmp_path / "other.py").write_text("RUNS = 1")
-    (tmp_path / "frame.py").write_text("RUNS = 1")
-    assert digest('"""."""\nFOUND = "a"\nRUNS = 3\n') == first
-    assert digest('"""."""\nFOUND = "a"\nRUNS = 4\n') != first
-    (tmp_path / "helper.py").write_text("RUNS = 1")
-    assert digest('"""."""\nFOUND = "a"\nRUNS = 3\n') != first
+    digest("draws", "SIDES = 6\n")
+    digest("helper", "from .draws import SIDES\n")
+    digest("__init__", "from .runs import play\n")
+    begin = "\n".join(['"""A paper."""', "def play():", "    from . import helper", ""])
+    first = digest("runs", f'{begin}FOUND = "a"\nRUNS = 3\ndef rows(): return 1\n')
+    changed = begin.replace("A paper", "Paper") + "# told\n"
+    assert digest("runs", f'{changed}FOUND = "b"\nRUNS = 3\ndef rows(): return 2\n') == first
+    # what the computing module does not import counts for nothing
+    assert digest("words", "RUNS = 4\n") == first
+    assert digest("__init__", "RUNS = 4\n") == first
+    assert digest("draws", "SIDES = 5\n") != first
+    assert digest("draws", "SIDES = 6\n") == first
+    assert digest("runs", f'{begin}FOUND = "b"\nRUNS = 4\n') != first
+    digest("__init__", "RUNS = 4\n")
+    of_package = begin.replace("helper", "helper, RUNS")
+    other = digest("runs", of_package)
+    assert digest("__init__", "RUNS = 5\n") != other
+    sources.library_digest.cache_clear()
+
+
+def test_the_library_counts_but_not_its_command_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(sources, "ROOT", tmp_path)
+    library = tmp_path / "spoofgym"
+    library.mkdir()
+
+    def digest(name, text):
+        library.joinpath(name).write_text(text)
+        sources.library_digest.cache_clear()
+        return sources.library_digest()
+
+    first = digest("filter.py", "GAIN = 1\n")
+    assert digest("cli.py", "GAIN = 1\n") == first
+    assert digest("filter.py", "GAIN = 2\n") != first
+    sources.library_digest.cache_clear()
