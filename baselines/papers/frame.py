@@ -40,7 +40,8 @@ class Part:
     function : callable
         Of a module, so that another process finds it; returns a dict of numbers, lists or arrays.
     settings : dict
-        Its keyword arguments, as JSON has them, the seed among them.
+        Its keyword arguments, as JSON has them, the seed among them.  ``runs`` here or in what is
+        returned is the number of its simulated runs; a part that tells none counts as one.
     weight : float
         Relative duration, for the progress bar.
     """

@@ -9,7 +9,8 @@ agree.  Satellites that are wrong together, as those of a spoofer are, can be no
     r = \left(I - G (G^T G)^{-1} G^T\right) y
 
 Symbols: y pseudorange minus the range from the predicted position [m], G = (-u, 1) with lines of
-sight u, n satellites, :math:`\sigma` noise of a pseudorange, :math:`\alpha` false-alarm probability.
+sight u, n satellites, :math:`\sigma` noise of a pseudorange, :math:`\alpha` probability of a false
+alarm.
 The satellite to blame is the one with the largest :math:`r_i^2 / (1 - h_{ii})`, h being the
 diagonal of the projection on G: that without which the residual is smallest.
 
@@ -42,6 +43,7 @@ from ..receiver.raim import (
     MIN_SATELLITES,
     PRODUCTS,
     STATES,
+    add,
     check_channels,
     check_test,
     checked_rows,
@@ -108,8 +110,7 @@ def blame(n: int, table: FloatArray, limit: FloatArray, kept: FloatArray) -> int
         kept[:] = 0.0
         for k in range(n):
             if k != i:
-                for j in range(PRODUCTS):
-                    kept[j] += table[k, j]
+                add(kept, table[k], kept)
         s2 = squared_residual(kept)
         if s2 < least:
             best, least = i, s2

@@ -22,8 +22,8 @@ is accepted untested.
 Deviations from `wu2024`:
 
 1. The growth of the seed (steps 12 to 19 of the printed algorithm) is repeated until a pass adds
-   nothing; the printed single pass gives nearly twice the false separations of the paper's table 5 with
-   one spoofed satellite.
+   nothing; the printed single pass gives nearly twice the false separations of the paper's table 5
+   with one spoofed satellite.
 2. The detector searches only after an alarm of all satellites in view, with a false-alarm
    probability of its own; ``false_alarm = 0.05`` is the paper's confidence.
 3. Step 39, whether the groups stay consistent for some seconds, is left out, as in the paper.
@@ -52,6 +52,7 @@ from ..receiver.raim import (
     MIN_SATELLITES,
     PRODUCTS,
     Partition,
+    add,
     check_channels,
     check_test,
     checked_rows,
@@ -179,8 +180,7 @@ def grow(
     mask = 0
     for k in range(first, first + SEED):
         mask |= 1 << order[k]
-        for j in range(PRODUCTS):
-            sums[j] += table[order[k], j]
+        add(sums, table[order[k]], sums)
     if not squared_residual(sums) < limit[SEED]:
         return False, mask, 1
     fits, size, grown = 1, SEED, True
@@ -190,8 +190,7 @@ def grow(
             i = order[k]
             if (mask >> i) & 1:
                 continue
-            for j in range(PRODUCTS):
-                trial[j] = sums[j] + table[i, j]
+            add(sums, table[i], trial)
             fits += 1
             if squared_residual(trial) < limit[size + 1]:
                 sums[:] = trial
@@ -203,8 +202,7 @@ def grow(
     sums[:] = 0.0
     for i in range(n):
         if not (mask >> i) & 1:
-            for j in range(PRODUCTS):
-                sums[j] += table[i, j]
+            add(sums, table[i], sums)
     return squared_residual(sums) < limit[n - size], mask, fits + 1
 
 

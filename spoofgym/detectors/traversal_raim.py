@@ -10,7 +10,8 @@ are spoofed.
 
 for S the satellites that are kept, and for those left out where there are 5 or more.
 
-Symbols: r_S residuals of a fit to the subset S, :math:`\sigma` noise of a pseudorange, p confidence.
+Symbols: r_S residuals of a fit to the subset S, :math:`\sigma` noise of a pseudorange, p
+confidence.
 
 Assumptions: spoofed satellites tell one position and clock; noise is white and Gaussian.  Which
 group is authentic is not decided, and the larger one is kept.
@@ -42,6 +43,7 @@ from ..receiver.raim import (
     MIN_SATELLITES,
     PRODUCTS,
     Partition,
+    add,
     check_channels,
     check_test,
     checked_rows,
@@ -111,16 +113,13 @@ def leave_out(
     while d >= 0:
         i = chosen[d]
         if i <= (last_first if d == 0 else n - size + d):
-            for j in range(PRODUCTS):
-                left[d + 1, j] = left[d, j] + table[i, j]
+            add(left[d], table[i], left[d + 1])
             if d < size - 1:
                 d += 1
                 chosen[d] = i + 1
-                for j in range(PRODUCTS):
-                    kept[d + 1, j] = kept[d, j]
+                kept[d + 1] = kept[d]
                 continue
-            for j in range(PRODUCTS):
-                sums[j] = kept[size, j] + after[i + 1, j]
+            add(kept[size], after[i + 1], sums)
             fits += tests
             if squared_residual(sums) < limit[n - size] and (
                 tests == 1 or squared_residual(left[size]) < limit[size]
@@ -134,8 +133,7 @@ def leave_out(
             if d < 0:
                 break
         i = chosen[d]
-        for j in range(PRODUCTS):
-            kept[d + 1, j] += table[i, j]
+        add(kept[d + 1], table[i], kept[d + 1])
         chosen[d] = i + 1
     return False, 0, fits
 
@@ -180,8 +178,7 @@ def search(
     """
     after[n] = 0.0
     for i in range(n - 1, -1, -1):
-        for j in range(PRODUCTS):
-            after[i, j] = after[i + 1, j] + table[i, j]
+        add(after[i + 1], table[i], after[i])
     if squared_residual(after[0]) < limit[n]:
         return True, (1 << n) - 1, 1
     fits = 1

@@ -84,6 +84,21 @@ def write_products(line: FloatArray, offset: float, row: FloatArray) -> None:
 
 
 @inlined
+def add(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    """Sum of two rows of products.
+
+    Parameters
+    ----------
+    a, b : ndarray
+        (PRODUCTS,) rows.
+    out : ndarray
+        (PRODUCTS,), written; may be one of them.
+    """
+    for j in range(PRODUCTS):
+        out[j] = a[j] + b[j]
+
+
+@inlined
 def squared_residual(a: FloatArray) -> float:
     """Sum of the squared residuals of a least-squares fit.
 
@@ -116,7 +131,8 @@ def squared_residual(a: FloatArray) -> float:
         return np.inf
     w2 = b2 - l21 * b1
     w3 = b3 - l31 * b1 - l32 * w2
-    return a[14] - a[4] * m - b1 * b1 * inverse - w2 * w2 / d2 - w3 * w3 / d3
+    s2: float = a[14] - a[4] * m - b1 * b1 * inverse - w2 * w2 / d2 - w3 * w3 / d3
+    return s2
 
 
 @njit
@@ -179,8 +195,7 @@ def tabulate(n: int, lines: FloatArray, offsets: FloatArray, table: FloatArray) 
     for i in range(n):
         offsets[i] -= middle
         write_products(lines[i], offsets[i], table[i])
-        for j in range(PRODUCTS):
-            total[j] += table[i, j]
+        add(total, table[i], total)
     return squared_residual(total)
 
 
