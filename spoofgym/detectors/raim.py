@@ -39,17 +39,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._jit import njit
 from ..receiver.epoch import Epoch
+from ..receiver.fits import PRODUCTS, add, squared_residual
 from ..receiver.raim import (
     MIN_SATELLITES,
-    PRODUCTS,
     STATES,
-    add,
     check_channels,
     check_test,
     checked_rows,
     fit_thresholds,
     noise_sd,
-    squared_residual,
     test_all,
     write_groups,
 )
@@ -98,7 +96,7 @@ def blame(n: int, table: FloatArray, limit: FloatArray, kept: FloatArray) -> int
     limit : ndarray
         Limit of s^2 by number of satellites [m^2].
     kept : ndarray
-        (PRODUCTS,) scratch.
+        (1, PRODUCTS) scratch.
 
     Returns
     -------
@@ -110,8 +108,8 @@ def blame(n: int, table: FloatArray, limit: FloatArray, kept: FloatArray) -> int
         kept[:] = 0.0
         for k in range(n):
             if k != i:
-                add(kept, table[k], kept)
-        s2 = squared_residual(kept)
+                add(kept, 0, table, k, kept, 0)
+        s2 = squared_residual(kept, 0)
         if s2 < least:
             best, least = i, s2
     return best
@@ -146,7 +144,7 @@ def judge_receivers(
         (B, 2n), written.
     """
     n = visible.shape[1]
-    axes, kept = np.eye(3), np.empty(PRODUCTS)
+    axes, kept = np.eye(3), np.empty((1, PRODUCTS))
     slots, lines, offsets = np.empty(n, dtype=np.int64), np.empty((n, 3)), np.empty(n)
     table = np.empty((n + 1, PRODUCTS))
     for b in range(visible.shape[0]):

@@ -5,10 +5,7 @@ measure the same position and clock leave only noise of a least-squares fit:
 
 .. math:: s^2 = y^T \left(I - G (G^T G)^{-1} G^T\right) y \sim \sigma^2 \chi^2(n - 4)
 
-A search asks this of many subsets.  Every satellite therefore has its products in a row, those
-of a subset are added up, and the fit takes a 4 x 4 elimination.  Sums are only ever added to,
-never subtracted from, so that one wild pseudorange does not spoil the sets without it; and y is
-taken from its median, so that the clock offset costs no digits.
+A search asks this of many subsets, by the sums of `fits`.
 
 The clock is one: with several constellations, the offsets between their times are removed before.
 Positions are linearized about a predicted one, which is good to 0.3 m where it is 4 km away.
@@ -25,9 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
-from .._jit import inlined, njit
+from .._jit import njit
 from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
 from ..earth.ranging import range_and_rate
+from .fits import PRODUCTS, tabulate
 
 FloatArray = NDArray[np.float64]
 
@@ -37,11 +35,7 @@ MIN_SATELLITES = 5
 """The least number of satellites that can disagree."""
 MAX_SATELLITES = 63
 """As many fit into a mask."""
-SINGULAR = 1e-10
-"""Pivots up to this make a geometry singular."""
 FRAMES = ("ecef", "ned")
-PRODUCTS = 16
-"""Columns of a satellite's row: 1 g y, the products of g, g y, y y, and one for alignment."""
 
 
 class Partition(NamedTuple):
@@ -61,142 +55,6 @@ class Partition(NamedTuple):
     found: bool
     group: NDArray[np.int8]
     positionings: int
-
-
-@inlined
-def write_products(line: FloatArray, offset: float, row: FloatArray) -> None:
-    """Products of one satellite.
-
-    Parameters
-    ----------
-    line : ndarray
-        (3,) g, minus the line of sight.
-    offset : float
-        y [m].
-    row : ndarray
-        (PRODUCTS,), written.
-    """
-    x, y, z = line[0], line[1], line[2]
-    row[0], row[1], row[2], row[3], row[4] = 1.0, x, y, z, offset
-    row[5], row[6], row[7], row[8], row[9], row[10] = x * x, x * y, x * z, y * y, y * z, z * z
-    row[11], row[12], row[13], row[14] = x * offset, y * offset, z * offset, offset * offset
-    row[15] = 0.0
-
-
-@inlined
-def add(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
-    """Sum of two rows of products.
-
-    Parameters
-    ----------
-    a, b : ndarray
-        (PRODUCTS,) rows.
-    out : ndarray
-        (PRODUCTS,), written; may be one of them.
-    """
-    for j in range(PRODUCTS):
-        out[j] = a[j] + b[j]
-
-
-@inlined
-def squared_residual(a: FloatArray) -> float:
-    """Sum of the squared residuals of a least-squares fit.
-
-    Parameters
-    ----------
-    a : ndarray
-        (PRODUCTS,) sums over the satellites of the fit, of which there is at least one.
-
-    Returns
-    -------
-    float
-        s^2 [m^2]; infinite where the geometry is singular.
-    """
-    inverse = 1.0 / a[0]
-    x, y, z, m = a[1] * inverse, a[2] * inverse, a[3] * inverse, a[4] * inverse
-    d1 = a[5] - a[1] * x
-    if not d1 > SINGULAR:
-        return np.inf
-    a12, a13, a23 = a[6] - a[1] * y, a[7] - a[1] * z, a[9] - a[2] * z
-    b1, b2, b3 = a[11] - a[1] * m, a[12] - a[2] * m, a[13] - a[3] * m
-    inverse = 1.0 / d1
-    l21, l31 = a12 * inverse, a13 * inverse
-    d2 = a[8] - a[2] * y - l21 * a12
-    if not d2 > SINGULAR:
-        return np.inf
-    a23 -= l21 * a13
-    l32 = a23 / d2
-    d3 = a[10] - a[3] * z - l31 * a13 - l32 * a23
-    if not d3 > SINGULAR:
-        return np.inf
-    w2 = b2 - l21 * b1
-    w3 = b3 - l31 * b1 - l32 * w2
-    s2: float = a[14] - a[4] * m - b1 * b1 * inverse - w2 * w2 / d2 - w3 * w3 / d3
-    return s2
-
-
-@njit
-def solve(a: FloatArray, x: FloatArray) -> None:
-    """Least-squares solution, of a geometry that isn't singular.
-
-    Parameters
-    ----------
-    a : ndarray
-        (PRODUCTS,) sums over the satellites of the fit.
-    x : ndarray
-        (4,), written: position and clock [m].
-    """
-    n = a[0]
-    d1 = a[5] - a[1] * a[1] / n
-    a12, a13, a23 = a[6] - a[1] * a[2] / n, a[7] - a[1] * a[3] / n, a[9] - a[2] * a[3] / n
-    b1, b2, b3 = a[11] - a[1] * a[4] / n, a[12] - a[2] * a[4] / n, a[13] - a[3] * a[4] / n
-    l21, l31 = a12 / d1, a13 / d1
-    d2 = a[8] - a[2] * a[2] / n - l21 * a12
-    a23 -= l21 * a13
-    l32 = a23 / d2
-    d3 = a[10] - a[3] * a[3] / n - l31 * a13 - l32 * a23
-    w2 = b2 - l21 * b1
-    x[2] = (b3 - l31 * b1 - l32 * w2) / d3
-    x[1] = w2 / d2 - l32 * x[2]
-    x[0] = b1 / d1 - l21 * x[1] - l31 * x[2]
-    x[3] = (a[4] - a[1] * x[0] - a[2] * x[1] - a[3] * x[2]) / n
-
-
-@njit
-def tabulate(n: int, lines: FloatArray, offsets: FloatArray, table: FloatArray) -> float:
-    """Products of all satellites, with the offsets taken from their median, and their fit.
-
-    Parameters
-    ----------
-    n : int
-        Number of satellites, at least 1.
-    lines : ndarray
-        (N, 3) g of the first n.
-    offsets : ndarray
-        (N,) y of the first n [m], overwritten with y minus its median.
-    table : ndarray
-        (N + 1, PRODUCTS), written: n rows, and the sum of them in the last one.
-
-    Returns
-    -------
-    float
-        s^2 of all [m^2]; infinite where the geometry is singular.
-    """
-    ordered = table[:n, 0]  # not in use yet
-    for i in range(n):
-        k = i
-        while k > 0 and ordered[k - 1] > offsets[i]:
-            ordered[k] = ordered[k - 1]
-            k -= 1
-        ordered[k] = offsets[i]
-    middle = ordered[n // 2]
-    total = table[table.shape[0] - 1]
-    total[:] = 0.0
-    for i in range(n):
-        offsets[i] -= middle
-        write_products(lines[i], offsets[i], table[i])
-        add(total, table[i], total)
-    return squared_residual(total)
 
 
 @njit

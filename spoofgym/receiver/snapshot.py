@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._jit import njit
 from ..earth.ranging import range_and_rate
-from .raim import PRODUCTS, STATES, solve, squared_residual, write_products
+from .fits import PRODUCTS, add, solve, squared_residual, write_products
+from .raim import STATES
 
 FloatArray = NDArray[np.float64]
 
@@ -97,7 +98,6 @@ def iterate(
     clock: FloatArray,
     lines: FloatArray,
     distances: FloatArray,
-    row: FloatArray,
     sums: FloatArray,
 ) -> int:
     """Fix of one receiver; it keeps position and clock where there is none.
@@ -110,8 +110,8 @@ def iterate(
         (3,) ECEF and (1,) [m], guess, overwritten by the fix.
     lines, distances : ndarray
         (n, 3), (n,) scratch.
-    row, sums : ndarray
-        (PRODUCTS,) scratch.
+    sums : ndarray
+        (2, PRODUCTS) scratch.
 
     Returns
     -------
@@ -129,12 +129,12 @@ def iterate(
         sums[:] = 0.0
         for j in range(pseudorange.shape[0]):
             if weights[j] > 0.0 and math.isfinite(pseudorange[j]):
-                write_products(lines[j], pseudorange[j] - distances[j] - bias, row)
-                for i in range(PRODUCTS):
-                    sums[i] += weights[j] * row[i]
-        if not squared_residual(sums) < np.inf:
+                offset = pseudorange[j] - distances[j] - bias
+                write_products(lines, j, offset, weights[j], sums, 1)
+                add(sums, 0, sums, 1, sums, 0)
+        if not squared_residual(sums, 0) < np.inf:
             return SINGULAR
-        solve(sums, step)
+        solve(sums, 0, step)
         largest = abs(step[3])
         bias += step[3]
         for i in range(3):
@@ -169,7 +169,7 @@ def fix_receivers(
     """
     n = pseudorange.shape[1]
     lines, distances = np.empty((n, 3)), np.empty(n)
-    row, sums = np.empty(PRODUCTS), np.empty(PRODUCTS)
+    sums = np.empty((2, PRODUCTS))
     for b in range(pseudorange.shape[0]):
         status[b] = iterate(
             pseudorange[b],
@@ -179,7 +179,6 @@ def fix_receivers(
             clock[b],
             lines,
             distances,
-            row,
             sums,
         )
 
