@@ -107,7 +107,7 @@ def line_up(
             0.0,
         )
         offset = pseudorange[j] - distance
-        if not math.isfinite(offset + ux + uy + uz):
+        if not abs(offset + ux + uy + uz) < np.inf:
             continue
         for i in range(3):
             lines[count, i] = -(axes[0, i] * ux + axes[1, i] * uy + axes[2, i] * uz)

@@ -121,14 +121,14 @@ def iterate(
     r, step = position.copy(), np.zeros(4)
     bias, used = clock[0], 0
     for j in range(pseudorange.shape[0]):
-        used += weights[j] > 0.0 and math.isfinite(pseudorange[j])
+        used += weights[j] > 0.0 and abs(pseudorange[j]) < np.inf
     if used < STATES:
         return TOO_FEW
     for _ in range(ITERATIONS):
         geometry(satellites, r, lines, distances)
         sums[:] = 0.0
         for j in range(pseudorange.shape[0]):
-            if weights[j] > 0.0 and math.isfinite(pseudorange[j]):
+            if weights[j] > 0.0 and abs(pseudorange[j]) < np.inf:
                 offset = pseudorange[j] - distances[j] - bias
                 write_products(lines, j, offset, weights[j], sums, 1)
                 add(sums, 0, sums, 1, sums, 0)
