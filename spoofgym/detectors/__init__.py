@@ -9,7 +9,10 @@ from .._registry import build
 from .base import Detector, DetectorContext, Verdict
 from .ewma import Ewma
 from .never import Never
+from .raim import Raim
 from .snapshot_chi2 import SnapshotChi2
+from .srv_raim import SrvRaim
+from .traversal_raim import TraversalRaim
 
 __all__ = [
     "DETECTORS",
@@ -17,7 +20,10 @@ __all__ = [
     "DetectorContext",
     "Ewma",
     "Never",
+    "Raim",
     "SnapshotChi2",
+    "SrvRaim",
+    "TraversalRaim",
     "Verdict",
     "make_detector",
 ]
@@ -25,7 +31,10 @@ __all__ = [
 DETECTORS: dict[str, type[Detector]] = {
     "ewma": Ewma,
     "never": Never,
+    "raim": Raim,
     "snapshot-chi2": SnapshotChi2,
+    "srv-raim": SrvRaim,
+    "traversal-raim": TraversalRaim,
 }
 """Detectors by name."""
 

@@ -15,8 +15,11 @@ VARIANTS = [
     *DETECTORS,
     {"name": "ewma", "weight_scale": None},
     {"name": "ewma", "smoothing": 1.0, "false_alarm": 0.1, "weight_scale": 1.0},
+    {"name": "raim", "exclude": True, "false_alarm": 0.5},
     {"name": "snapshot-chi2", "signals": "pseudorange"},
     {"name": "snapshot-chi2", "signals": "range_rate", "false_alarm": 0.5},
+    {"name": "srv-raim", "exclude": True, "false_alarm": 0.5, "frame": "ecef"},
+    {"name": "traversal-raim", "exclude": True, "false_alarm": 0.5},
 ]
 
 

@@ -1,0 +1,111 @@
+"""SRV-RAIM and traversal RAIM on noisy cases: tables 5 to 8, and the time of a call."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spoofgym.receiver import srv_raim, traversal_raim
+from spoofgym.receiver.raim import fit_thresholds
+
+from .draws import displacements, offsets, subsets
+from .geometry import SATELLITES, sky
+
+FloatArray = NDArray[np.float64]
+
+NOISE_M = 4.0
+CONFIDENCE = 0.95
+METHODS = ("srv", "traversal")
+
+
+def _srv(lines: FloatArray, y: FloatArray, *out: NDArray[Any]) -> None:
+    limit = fit_thresholds(NOISE_M, 1.0 - CONFIDENCE, SATELLITES)
+    srv_raim.search_cases(lines, y, limit, srv_raim.search_vectors(), *out)
+
+
+def _traversal(lines: FloatArray, y: FloatArray, *out: NDArray[Any]) -> None:
+    limit = fit_thresholds(NOISE_M, 1.0 - CONFIDENCE, SATELLITES)
+    traversal_raim.search_cases(lines, y, limit, traversal_raim.LARGEST_GROUP, *out)
+
+
+SEARCHES: dict[str, Callable[..., None]] = {"srv": _srv, "traversal": _traversal}
+
+
+def score(
+    method: str, lines: FloatArray, y: FloatArray, spoofed: NDArray[np.bool_]
+) -> tuple[float, float, float, float, float]:
+    """Rates of one method.
+
+    Parameters
+    ----------
+    method : {"srv", "traversal"}
+        Which search.
+    lines : ndarray
+        (n, 3) rows of the geometry without the clock's column.
+    y : ndarray
+        (C, n) pseudoranges minus predicted ranges [m].
+    spoofed : ndarray
+        (C, n) bool.
+
+    Returns
+    -------
+    success, false, fail : float
+        Both groups right in either order; a partition, but another one; no partition.
+    positionings : float
+        Mean number of fits where there is a partition.
+    time_us : float
+        Mean time of a call, of the processor [us].
+    """
+    cases, n = y.shape
+    found = np.empty(cases, dtype=np.bool_)
+    mask, fits = np.empty(cases, dtype=np.int64), np.empty(cases, dtype=np.int64)
+    begin = time.thread_time()
+    SEARCHES[method](lines, y.copy(), found, mask, fits)
+    taken = time.thread_time() - begin
+    right = spoofed @ (1 << np.arange(n))
+    success = found & ((mask == right) | (mask == (1 << n) - 1 - right))
+    return (
+        float(success.mean()),
+        float((found & ~success).mean()),
+        float((~found).mean()),
+        float(fits[found].mean()),
+        taken / cases * 1e6,
+    )
+
+
+def run_partitions(number: int, draws: int, seed: int) -> dict[str, Any]:
+    """Tables 5 to 8 in one sky.
+
+    Parameters
+    ----------
+    number : int
+        Of the sky.
+    draws : int
+        Least number of cases for each number of spoofed satellites.
+    seed : int
+        All chance follows from it.
+
+    Returns
+    -------
+    dict
+        (11, 5) success, false, fail, positionings and time [us] by method, number of cases.
+    """
+    lines, rng = sky(number), np.random.default_rng([seed, number, 5])
+    result: dict[str, Any] = {}
+    scores: dict[str, list[tuple[float, ...]]] = {method: [] for method in METHODS}
+    cases = 0
+    for method in METHODS:
+        score(method, lines, np.zeros((1, SATELLITES)), np.ones((1, SATELLITES), dtype=np.bool_))
+    for count in range(1, SATELLITES):
+        spoofed = subsets(SATELLITES, count, draws)
+        y = offsets(lines, spoofed, displacements(rng, lines, spoofed))
+        y += NOISE_M * rng.standard_normal(y.shape)
+        cases += len(y)
+        for method in METHODS:
+            scores[method].append(score(method, lines, y, spoofed))
+    result = {method: np.array(scores[method]) for method in METHODS}
+    return {**result, "cases": cases}

@@ -1,0 +1,423 @@
+r"""Consistency of pseudoranges: the least-squares fit of any subset of satellites.
+
+With G = (-u, 1) for lines of sight u, and y pseudorange minus predicted range, satellites that
+measure the same position and clock leave only noise of a least-squares fit:
+
+.. math:: s^2 = y^T \left(I - G (G^T G)^{-1} G^T\right) y \sim \sigma^2 \chi^2(n - 4)
+
+A search asks this of many subsets, by the sums of `fits`.
+
+The clock is one: with several constellations, the offsets between their times are removed before.
+Positions are linearized about a predicted one, which is good to 0.3 m where it is 4 km away.
+
+Source: `brown1992` for the test, `wu2024` for its use on subsets.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import special
+
+from .._jit import njit
+from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
+from ..earth.ranging import range_and_rate
+from .fits import PRODUCTS, tabulate
+
+FloatArray = NDArray[np.float64]
+
+STATES = 4
+"""Position and clock."""
+MIN_SATELLITES = 5
+"""The least number of satellites that can disagree."""
+MAX_SATELLITES = 63
+"""As many fit into a mask."""
+FRAMES = ("ecef", "ned")
+
+
+class Partition(NamedTuple):
+    """Two groups of satellites, each consistent in itself.
+
+    Attributes
+    ----------
+    found : bool
+        Whether a partition has passed all tests.
+    group : ndarray
+        (n,) int8: 1 and 2 for the groups, 0 for what has no finite offset, and for all where
+        nothing was found.  Which one is authentic is not decided; 1 was found first.
+    positionings : int
+        Fits that were computed or would have been, one by one.
+    """
+
+    found: bool
+    group: NDArray[np.int8]
+    positionings: int
+
+
+@njit
+def line_up(
+    pseudorange: FloatArray,
+    satellite_position: FloatArray,
+    visible: NDArray[np.bool_],
+    position: FloatArray,
+    axes: FloatArray,
+    slots: NDArray[np.int64],
+    lines: FloatArray,
+    offsets: FloatArray,
+) -> int:
+    """Rows of the satellites that one receiver can use.
+
+    Parameters
+    ----------
+    pseudorange, satellite_position, visible : ndarray
+        (n,), (n, 3), (n,) of an epoch.
+    position : ndarray
+        (3,) predicted, ECEF [m].
+    axes : ndarray
+        (3, 3) from the frame of the test to ECEF.
+    slots : ndarray
+        (n,), written: slot of each row.
+    lines, offsets : ndarray
+        (n, 3), (n,), written: g in the frame of the test, and y [m].
+
+    Returns
+    -------
+    int
+        Number of rows; a satellite that is not visible or has no finite offset has none.
+    """
+    count = 0
+    for j in range(visible.shape[0]):
+        if not visible[j]:
+            continue
+        distance, _, ux, uy, uz = range_and_rate(
+            satellite_position[j, 0],
+            satellite_position[j, 1],
+            satellite_position[j, 2],
+            0.0,
+            0.0,
+            0.0,
+            position[0],
+            position[1],
+            position[2],
+            0.0,
+            0.0,
+            0.0,
+        )
+        offset = pseudorange[j] - distance
+        if not abs(offset + ux + uy + uz) < np.inf:
+            continue
+        for i in range(3):
+            lines[count, i] = -(axes[0, i] * ux + axes[1, i] * uy + axes[2, i] * uz)
+        offsets[count] = offset
+        slots[count] = j
+        count += 1
+    return count
+
+
+@njit
+def test_all(
+    pseudorange: FloatArray,
+    satellite_position: FloatArray,
+    visible: NDArray[np.bool_],
+    position: FloatArray,
+    axes: FloatArray,
+    alarm_limit: FloatArray,
+    slots: NDArray[np.int64],
+    lines: FloatArray,
+    offsets: FloatArray,
+    table: FloatArray,
+    statistic: FloatArray,
+    threshold: FloatArray,
+) -> tuple[int, int]:
+    """Test all satellites in view of one receiver.
+
+    Parameters
+    ----------
+    pseudorange, satellite_position, visible, position, axes : ndarray
+        As for `line_up`.
+    alarm_limit : ndarray
+        (most + 1,) limit of s^2 [m^2] by number of satellites, `most` at least n and 5.
+    slots, lines, offsets, table : ndarray
+        (n,), (n, 3), (n,), (n + 1, PRODUCTS), written, as by `line_up` and `tabulate`.
+    statistic, threshold : ndarray
+        (1,), written: SSE and its threshold [m]; with fewer than 5 satellites or a singular
+        geometry, 0 and that of 5.
+
+    Returns
+    -------
+    count : int
+        Number of rows.
+    verdict : int
+        0 none, 1 consistent, 2 alarm.
+    """
+    count = line_up(pseudorange, satellite_position, visible, position, axes, slots, lines, offsets)
+    enough = max(count, MIN_SATELLITES)
+    statistic[0] = 0.0
+    threshold[0] = math.sqrt(alarm_limit[enough] / (enough - STATES))
+    if count < MIN_SATELLITES:
+        return count, 0
+    s2 = tabulate(count, lines, offsets, table)
+    if not s2 < np.inf:
+        return count, 0
+    statistic[0] = math.sqrt(max(s2, 0.0) / (count - STATES))
+    return count, 2 if statistic[0] > threshold[0] else 1
+
+
+def frame_axes(frame: str, position_e: FloatArray) -> FloatArray:
+    """Axes of the frame that a test works in.
+
+    Parameters
+    ----------
+    frame : {"ecef", "ned"}
+        The frame.
+    position_e : ndarray
+        (B, 3) ECEF [m].
+
+    Returns
+    -------
+    ndarray
+        (B, 3, 3) to ECEF from this frame.
+    """
+    if frame == "ecef":
+        return np.tile(np.eye(3), (len(position_e), 1, 1))
+    latitude, longitude, _ = ecef_to_geodetic(position_e)
+    return np.ascontiguousarray(dcm_e_from_n(latitude, longitude))
+
+
+def fit_thresholds(sigma_m: float, false_alarm: float, most: int) -> FloatArray:
+    r"""Limits of the squared residual by number of satellites.
+
+    .. math:: \mathrm{TH}(n)^2 (n - 4) = \sigma^2 \chi^2_{1 - \alpha}(n - 4)
+
+    Parameters
+    ----------
+    sigma_m : float
+        Noise of a pseudorange [m].
+    false_alarm : float
+        Alpha, probability that consistent satellites do not pass.
+    most : int
+        Largest number of satellites.
+
+    Returns
+    -------
+    ndarray
+        (most + 1,) limit of s^2 [m^2]; 0, which nothing passes, with fewer than 5.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from spoofgym.receiver.raim import fit_thresholds
+    >>> limit = fit_thresholds(4.0, 0.05, 12)
+    >>> np.sqrt(limit[5:] / np.arange(1, 9)).round(3)
+    array([7.84 , 6.923, 6.456, 6.16 , 5.952, 5.795, 5.67 , 5.569])
+    """
+    degrees = np.arange(most + 1) - STATES
+    quantile = special.chdtri(np.maximum(degrees, 1), false_alarm)
+    return np.asarray(np.where(degrees > 0, sigma_m**2 * quantile, 0.0))
+
+
+def noise_sd(sigma_m: float | None, noise_variance: FloatArray, channels: int) -> float:
+    """Noise of a pseudorange: a setting, or what the receiver assumes.
+
+    Parameters
+    ----------
+    sigma_m : float or None
+        The setting [m].
+    noise_variance : ndarray
+        (m,) of the receiver, pseudoranges first [m^2].
+    channels : int
+        Number of pseudoranges.
+
+    Returns
+    -------
+    float
+        Sigma [m].
+
+    Raises
+    ------
+    ValueError
+        When it is not set, and the receiver's pseudoranges differ in it.
+    """
+    if sigma_m is not None:
+        return sigma_m
+    assumed = noise_variance[:channels]
+    if not (assumed == assumed[0]).all():
+        raise ValueError(
+            "the receiver's pseudoranges differ in their noise, "
+            f"{np.sqrt(assumed.min()):g} to {np.sqrt(assumed.max()):g} m; set `sigma_m`"
+        )
+    return math.sqrt(assumed[0])
+
+
+def check_test(sigma_m: float | None, confidence: float) -> None:
+    """Raise unless the settings of a consistency test are valid.
+
+    Parameters
+    ----------
+    sigma_m : float or None
+        Noise of a pseudorange [m].
+    confidence : float
+        Probability that consistent satellites pass.
+
+    Raises
+    ------
+    ValueError
+        When one is out of range.
+    """
+    if sigma_m is not None and not (math.isfinite(sigma_m) and sigma_m > 0.0):
+        raise ValueError(f"`sigma_m` must be finite and > 0, got {sigma_m}")
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"`confidence` must lie between 0 and 1, both excluded, got {confidence}")
+
+
+def check_channels(channels: int) -> None:
+    """Raise unless a mask has room for all satellites.
+
+    Parameters
+    ----------
+    channels : int
+        Number of slots.
+
+    Raises
+    ------
+    ValueError
+        When there are too many.
+    """
+    if channels > MAX_SATELLITES:
+        raise ValueError(f"at most {MAX_SATELLITES} channels can be searched, got {channels}")
+
+
+class Rows(NamedTuple):
+    """Rows of one epoch that have passed all checks.
+
+    Attributes
+    ----------
+    slots : ndarray
+        (k,) which of the n satellites have a finite offset.
+    lines : ndarray
+        (k, 3) g.
+    offsets : ndarray
+        (k,) y minus its median [m].
+    table : ndarray
+        (k + 1, PRODUCTS) products, and their sum in the last row.
+    squared_residual : float
+        s^2 of all [m^2].
+    """
+
+    slots: NDArray[np.int64]
+    lines: FloatArray
+    offsets: FloatArray
+    table: FloatArray
+    squared_residual: float
+
+
+def checked_rows(line_of_sight: ArrayLike, offset: ArrayLike) -> Rows:
+    """Rows of one epoch, checked.
+
+    Parameters
+    ----------
+    line_of_sight : array_like
+        (n, 3) unit vectors to the satellites.
+    offset : array_like
+        (n,) pseudorange minus predicted range [m]; what isn't finite is left out.
+
+    Returns
+    -------
+    Rows
+        Ready for a search.
+
+    Raises
+    ------
+    ValueError
+        With fewer than 5 or more than 63 finite offsets, or a singular geometry.
+    """
+    u, y = np.asarray(line_of_sight, dtype=np.float64), np.asarray(offset, dtype=np.float64)
+    if y.ndim != 1 or u.shape != (len(y), 3):
+        raise ValueError(
+            f"`line_of_sight` must be (n, 3) and `offset` (n,), got {u.shape} and {y.shape}"
+        )
+    slots = np.flatnonzero(np.isfinite(y) & np.isfinite(u).all(axis=1))
+    if not MIN_SATELLITES <= len(slots) <= MAX_SATELLITES:
+        raise ValueError(
+            f"a consistency test needs {MIN_SATELLITES} to {MAX_SATELLITES} satellites, "
+            f"got {len(slots)}"
+        )
+    lines, offsets = -u[slots], y[slots]
+    if not np.allclose(np.sum(lines**2, axis=1), 1.0, rtol=0.0, atol=1e-6):
+        raise ValueError("`line_of_sight` must hold unit vectors")
+    table = np.empty((len(slots) + 1, PRODUCTS))
+    s2 = tabulate(len(slots), lines, offsets, table)
+    if not math.isfinite(s2):
+        raise ValueError("the geometry of the satellites is singular")
+    return Rows(slots, lines, offsets, table, max(s2, 0.0))
+
+
+def partition_of(rows: Rows, count: int, found: bool, mask: int, positionings: int) -> Partition:
+    """Groups of a mask.
+
+    Parameters
+    ----------
+    rows : Rows
+        What was searched.
+    count : int
+        n, satellites before any was left out.
+    found : bool
+        Whether the search found something.
+    mask : int
+        Bit i for row i in the first group.
+    positionings : int
+        Number of fits.
+
+    Returns
+    -------
+    Partition
+        Of all n satellites.
+    """
+    group = np.zeros(count, dtype=np.int8)
+    if found:
+        group[rows.slots] = np.where((mask >> np.arange(len(rows.slots))) & 1, 1, 2)
+    return Partition(bool(found), group, int(positionings))
+
+
+@njit
+def write_groups(
+    found: bool,
+    mask: int,
+    count: int,
+    slots: NDArray[np.int64],
+    visible: NDArray[np.bool_],
+    group: NDArray[np.int8],
+    weights: FloatArray,
+) -> None:
+    """Groups and weights of one receiver.
+
+    Parameters
+    ----------
+    found : bool
+        Whether a partition has been found.
+    mask : int
+        Bit i for row i in the first group.
+    count : int
+        Number of rows.
+    slots : ndarray
+        (n,) slot of each row.
+    visible : ndarray
+        (n,) bool.
+    group : ndarray
+        (n,) int8, written: 0 unknown, 1 and 2 the groups.
+    weights : ndarray
+        (2n,), written: 0 for the second group and for visible satellites without a finite offset.
+    """
+    n = visible.shape[0]
+    for j in range(n):
+        group[j] = 0
+        weights[j] = weights[n + j] = 0.0 if visible[j] else 1.0
+    for i in range(count):
+        j = slots[i]
+        first = not found or (mask >> i) & 1 == 1
+        if found:
+            group[j] = 1 if first else 2
+        weights[j] = weights[n + j] = 1.0 if first else 0.0
