@@ -6,25 +6,31 @@ from collections.abc import Mapping
 from typing import Any
 
 from .._registry import build
+from .acna import Acna
 from .base import Detector, DetectorContext, Verdict
 from .ewma import Ewma
 from .never import Never
+from .rio import Rio
 from .snapshot_chi2 import SnapshotChi2
 
 __all__ = [
     "DETECTORS",
+    "Acna",
     "Detector",
     "DetectorContext",
     "Ewma",
     "Never",
+    "Rio",
     "SnapshotChi2",
     "Verdict",
     "make_detector",
 ]
 
 DETECTORS: dict[str, type[Detector]] = {
+    "acna": Acna,
     "ewma": Ewma,
     "never": Never,
+    "rio": Rio,
     "snapshot-chi2": SnapshotChi2,
 }
 """Detectors by name."""
