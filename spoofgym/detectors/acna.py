@@ -15,8 +15,9 @@ Symbols: g position by GNSS, :math:`\hat p^-` prediction of the filter [m].
 
 Assumptions: the prediction is the last estimate moved on by dead reckoning.  The errors of GNSS
 change slowly: with white noise of 0.9 m an axis the printed thresholds alarm all the time.  Nothing
-promises a false-alarm rate; on the clean loop of `song2021` both variants raise no alarm in more
-than 99.9 % of the fixes.
+promises a false-alarm rate; on 1000 clean runs of 300 s on the course of `song2021`, with a heading
+that is off by 4 deg, 0.15 % of the fixes alarm in ``literal``, in 2.5 % of the runs and once for
+good, and 0.13 % in ``production``, in 5 % of the runs.
 
 A drift slower than gain times :math:`Th_s` (0.2 m/s) is never seen for long, since the prediction
 follows it: that needs another test beside this one.

@@ -21,7 +21,7 @@ Deviations from `song2021`, which compares with it:
    fix is believed any more, as the equal rows of the paper's data sets 3 and 4 tell.
 3. A missing fix has statistic 0 and changes nothing.
 
-Source: `song2021`, section 5; the constraint is that of `melendez2017`, which fuses by it.
+Source: `song2021`, section 5, which names `melendez2017` as the origin of its comparison.
 """
 
 from __future__ import annotations

@@ -177,7 +177,7 @@ class RobotPlant(Plant):
         self.memory.declare("ratio", np.zeros(b))
         self.memory.declare("weight", np.ones(b))
         self.batch = CredibleBatch(self.filter, self.memory, self.interval_s)
-        self._increment = np.zeros((b, AXES))
+        self.increment = np.zeros((b, AXES))
         self._noise = np.empty(BLOCK)
         self.detector = copy.deepcopy(self._unbound)
         variance = np.full(AXES, self.filter.noise_variance)
@@ -260,7 +260,7 @@ class RobotPlant(Plant):
             memory["phase"],
             self._noise,
             memory["yaw"],
-            self._increment,
+            self.increment,
         )
         measure_fix(
             memory["keys"],
@@ -285,7 +285,7 @@ class RobotPlant(Plant):
             )
         self.memory["epoch"] = epoch
         self._measure()
-        return self.batch.predict(self.time_s(), self._increment, self.memory["fix"])
+        return self.batch.predict(self.time_s(), self.increment, self.memory["fix"])
 
     def _judge(self, epoch: Epoch) -> NDArray[np.bool_]:
         verdict: Verdict = self.detector.judge(epoch)
