@@ -6,21 +6,25 @@ from collections.abc import Mapping
 from typing import Any
 
 from .._registry import build
+from .acna import Acna
 from .base import Detector, DetectorContext, Verdict
 from .ewma import Ewma
 from .never import Never
 from .raim import Raim
+from .rio import Rio
 from .snapshot_chi2 import SnapshotChi2
 from .srv_raim import SrvRaim
 from .traversal_raim import TraversalRaim
 
 __all__ = [
     "DETECTORS",
+    "Acna",
     "Detector",
     "DetectorContext",
     "Ewma",
     "Never",
     "Raim",
+    "Rio",
     "SnapshotChi2",
     "SrvRaim",
     "TraversalRaim",
@@ -29,9 +33,11 @@ __all__ = [
 ]
 
 DETECTORS: dict[str, type[Detector]] = {
+    "acna": Acna,
     "ewma": Ewma,
     "never": Never,
     "raim": Raim,
+    "rio": Rio,
     "snapshot-chi2": SnapshotChi2,
     "srv-raim": SrvRaim,
     "traversal-raim": TraversalRaim,

@@ -13,6 +13,9 @@ from spoofgym.testing.position_epochs import COORDINATES, ZERO, position_script
 
 VARIANTS = [
     *DETECTORS,
+    {"name": "acna", "variant": "literal"},
+    {"name": "acna", "variant": "held", "jump_window": 20, "slow_threshold_m": None},
+    {"name": "acna", "max_exclusion_s": 2.0, "readmission_fixes": 1},
     {"name": "ewma", "weight_scale": None},
     {"name": "ewma", "smoothing": 1.0, "false_alarm": 0.1, "weight_scale": 1.0},
     {"name": "raim", "exclude": True, "false_alarm": 0.5},

@@ -1,0 +1,232 @@
+"""Runs of the robot: recorded once, then judged by any filter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spoofgym._memory import Memory
+from spoofgym.attacks.robot_data_sets import DATA_SETS, RobotDataSet
+from spoofgym.detectors import DetectorContext, make_detector
+from spoofgym.envs.robot_plant import RobotPlant
+from spoofgym.receiver.credible import CredibleBatch, CredibleFilter
+
+FloatArray = NDArray[np.float64]
+
+INTERVAL_S = 1.0
+JUMP_LIMIT_MPS = 1000.0
+FILTERS: dict[str, dict[str, Any]] = {
+    "EKF": {"name": "never"},
+    "RIO": {"name": "rio"},
+    "ACNA": {"name": "acna", "variant": "literal"},
+    "ACNA, production": {"name": "acna", "variant": "production"},
+}
+"""Detector of every algorithm of the tables."""
+
+
+class Recording(NamedTuple):
+    """What B robots measured.
+
+    Attributes
+    ----------
+    first_fix : ndarray
+        (B, 2) north, east [m].
+    increment, fix : ndarray
+        (K, B, 2) dead reckoning and positions by GNSS [m].
+    truth : ndarray
+        (K, 2) [m].
+    """
+
+    first_fix: FloatArray
+    increment: FloatArray
+    fix: FloatArray
+    truth: FloatArray
+
+    @property
+    def fix_error(self) -> FloatArray:
+        """(K, B, 2) error of the positions by GNSS, attacks included [m]."""
+        return self.fix - self.truth[:, None, :]
+
+
+class Judged(NamedTuple):
+    """What a filter made of it.
+
+    Attributes
+    ----------
+    error : ndarray
+        (K, B, 2) estimate minus truth [m].
+    alarm : ndarray
+        (K, B) bool.
+    """
+
+    error: FloatArray
+    alarm: NDArray[np.bool_]
+
+
+def generators(seed: int, runs: int, stream: int) -> list[np.random.Generator]:
+    """Generators of some runs.
+
+    Parameters
+    ----------
+    seed, runs, stream : int
+        Of the reproduction; how many; 0 for the robots, 1 for the attacks on them.
+
+    Returns
+    -------
+    list of Generator
+        Run i has the same one whatever the number of runs.
+    """
+    return [
+        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream, i)))
+        for i in range(runs)
+    ]
+
+
+def make_plant(data_set: RobotDataSet, runs: int, detector: Any, **settings: Any) -> RobotPlant:
+    """Plant that plays a data set from its first second on.
+
+    Parameters
+    ----------
+    data_set : RobotDataSet
+        Its speed and duration are taken.
+    runs : int
+        B.
+    detector : str or mapping
+        As `make_detector` takes it.
+    **settings : dict
+        More settings of `RobotPlant`.
+
+    Returns
+    -------
+    RobotPlant
+        Not begun yet.
+    """
+    return RobotPlant(
+        runs,
+        detector=detector,
+        timeline={
+            "warmup_s": 0.0,
+            "live_s": 0.0,
+            "attack_s": data_set.duration_s,
+            "time_to_alert_s": 0.0,
+        },
+        interval_s=INTERVAL_S,
+        rate_limit_mps=JUMP_LIMIT_MPS,
+        loop={"speed_mps": data_set.speed_mps},
+        **settings,
+    )
+
+
+def commands(offsets: FloatArray) -> FloatArray:
+    """Actions that move the offset as a data set does.
+
+    Parameters
+    ----------
+    offsets : ndarray
+        (K, B, 2) [m].
+
+    Returns
+    -------
+    ndarray
+        (K, B, 2) in [-1, 1].
+    """
+    steps = np.diff(offsets, axis=0, prepend=np.zeros((1, *offsets.shape[1:])))
+    return steps / (JUMP_LIMIT_MPS * INTERVAL_S)
+
+
+def record(
+    name: str | RobotDataSet,
+    seed: int,
+    runs: int,
+    offsets: FloatArray | None = None,
+    **settings: Any,
+) -> Recording:
+    """Let robots drive, and keep what they measure.
+
+    Parameters
+    ----------
+    name : str or RobotDataSet
+        In `DATA_SETS`, or a data set.
+    seed, runs : int
+        As in `generators`.
+    offsets : ndarray, optional
+        (K, B, 2) another attack than the data set's [m].
+    **settings : dict
+        More settings of `RobotPlant`.
+
+    Returns
+    -------
+    Recording
+        Of K fixes.
+    """
+    data_set = DATA_SETS[name] if isinstance(name, str) else name
+    plant = make_plant(data_set, runs, "never", **settings)
+    plant.begin(generators(seed, runs, 0))
+    first = plant.memory["fix"].copy()
+    if offsets is None:
+        offsets = data_set.offsets(generators(seed, runs, 1), INTERVAL_S)
+    increment, fix = np.empty(offsets.shape), np.empty(offsets.shape)
+    for k, action in enumerate(commands(offsets)):
+        plant.advance(action)
+        increment[k], fix[k] = plant.increment, plant.memory["fix"]
+    return Recording(first, increment, fix, plant.true_position_ne[1 : len(fix) + 1])
+
+
+def judge(recording: Recording, detector: Any, settings: CredibleFilter | None = None) -> Judged:
+    """Filter recorded measurements with a detector in the loop.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of B robots.
+    detector : str or mapping
+        As `make_detector` takes it.
+    settings : CredibleFilter, optional
+        Of the filter.
+
+    Returns
+    -------
+    Judged
+        Errors and alarms.
+    """
+    count, runs, _ = recording.fix.shape
+    batch = CredibleBatch(settings or CredibleFilter(), Memory(runs), INTERVAL_S)
+    bound = make_detector(detector)
+    variance = np.full(2, batch.settings.noise_variance)
+    bound.bind(DetectorContext(runs, 0, INTERVAL_S, variance, ()))
+    batch.begin(recording.first_fix)
+    error, alarm = np.empty(recording.fix.shape), np.empty((count, runs), dtype=np.bool_)
+    for k in range(count):
+        time = np.full(runs, (k + 1) * INTERVAL_S)
+        epoch = batch.predict(time, recording.increment[k], recording.fix[k])
+        verdict = bound.judge(epoch)
+        batch.update(verdict.weights)
+        error[k] = batch.memory["position"][:, :2] - recording.truth[k]
+        alarm[k] = verdict.alarm[:, 0]
+    return Judged(error, alarm)
+
+
+def ramp_offsets(rate_mps: float, begin_s: float, seconds: Sequence[int], runs: int) -> FloatArray:
+    """Steady ramps in north and east, without chance.
+
+    Parameters
+    ----------
+    rate_mps : float
+        Of each axis.
+    begin_s : float
+        When they begin.
+    seconds : sequence of int
+        Times of the fixes.
+    runs : int
+        B.
+
+    Returns
+    -------
+    ndarray
+        (K, B, 2) [m].
+    """
+    size = rate_mps * np.maximum(np.asarray(seconds, dtype=np.float64) - begin_s, 0.0)
+    return np.tile(size[:, None, None], (1, runs, 2))

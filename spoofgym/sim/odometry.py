@@ -1,0 +1,280 @@
+r"""What a wheeled robot measures: encoders, a heading, and positions by GNSS.
+
+Dead reckoning adds up, from sample to sample, the mean way of the two wheels in the direction of
+the heading in the middle of the sample,
+
+.. math:: \Delta p = \tfrac12 (s^l + s^r) (\cos\bar\psi, \sin\bar\psi), \qquad
+    s = o \frac{2 \pi W_r}{L}
+
+with o counts of an encoder of L counts a turn and wheels of radius W_r.  The heading comes from an
+inertial system whose magnetometer is deflected by iron on the robot,
+
+.. math:: \psi^I = \psi - A \sin\psi + \text{noise}
+
+and drives dead reckoning off by the same vector every lap.  A position by GNSS is the true one, a
+Gauss-Markov error, white noise, and what a spoofer adds.
+
+Deviations from `song2021`, sections 2.3 and 4.1:
+
+1. The paper multiplies counts by counts per turn in its eq. 2; they are divided here.
+2. It takes the heading at the end of a step; the mean of both ends has no error in a turn.
+3. It names no error that would let dead reckoning drift.  A = 4 deg gives the drift of its tables.
+4. Its receiver's errors are not described.  A deviation of 1.0 m an axis that is correlated over
+   60 s, and 0.2 m of white noise, give the spread of its clean data; white noise alone would raise
+   its alarm all the time.
+5. Radius and distance of the wheels are not printed; neither matters, since wheels do not slip.
+6. The noise of the heading is the magnetometer's last digit, 0.6 uT in a horizontal field of 28 uT.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._jit import njit
+from .noise import BLOCK, normals
+
+FloatArray = NDArray[np.float64]
+SOURCES = ("yaw", "fix")
+"""Sources of chance; each has a key of its own in every episode."""
+MOST_SAMPLES = BLOCK
+"""Most encoder samples between two fixes: one block of noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Odometer:
+    """Encoders and heading.
+
+    Parameters
+    ----------
+    counts_per_turn : int
+        L, at least 1.
+    wheel_radius_m, wheel_base_m : float
+        Radius of the wheels and distance between them, above 0.
+    sample_interval_s : float
+        Time between samples, above 0.
+    hard_iron_deg : float
+        A, largest error of the heading by iron, -45 to 45.
+    yaw_noise_deg : float
+        White noise of the heading at every sample, at least 0.
+    """
+
+    counts_per_turn: int = 495
+    wheel_radius_m: float = 0.0325
+    wheel_base_m: float = 0.2
+    sample_interval_s: float = 0.1
+    hard_iron_deg: float = 4.0
+    yaw_noise_deg: float = 0.35
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if self.counts_per_turn < 1:
+            raise ValueError(f"`counts_per_turn` must be at least 1, got {self.counts_per_turn}")
+        for name in ("wheel_radius_m", "wheel_base_m", "sample_interval_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
+        if not abs(self.hard_iron_deg) <= 45.0:
+            raise ValueError(f"`hard_iron_deg` must be in [-45, 45], got {self.hard_iron_deg}")
+        if not 0.0 <= self.yaw_noise_deg <= 45.0:
+            raise ValueError(f"`yaw_noise_deg` must be in [0, 45], got {self.yaw_noise_deg}")
+
+    @property
+    def count_m(self) -> float:
+        """Way of one count [m]."""
+        return 2.0 * math.pi * self.wheel_radius_m / self.counts_per_turn
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixErrors:
+    """Errors of a position by GNSS, alike in north and east.
+
+    Parameters
+    ----------
+    correlated_sd_m : float
+        Gauss-Markov part.
+    correlation_time_s : float
+        Its time constant, above 0.
+    white_sd_m : float
+        White noise at every fix.
+    """
+
+    correlated_sd_m: float = 1.0
+    correlation_time_s: float = 60.0
+    white_sd_m: float = 0.2
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        for item in fields(self):
+            value = getattr(self, item.name)
+            least = item.name == "correlation_time_s"
+            if not (math.isfinite(value) and value >= 0.0) or (least and value == 0.0):
+                sign = ">" if least else ">="
+                raise ValueError(f"`{item.name}` must be finite and {sign} 0, got {value}")
+
+    def decay(self, interval_s: float) -> float:
+        """What is left of the correlated part after an interval.
+
+        Parameters
+        ----------
+        interval_s : float
+            Time between fixes.
+
+        Returns
+        -------
+        float
+            In (0, 1).
+        """
+        return math.exp(-interval_s / self.correlation_time_s)
+
+
+def draw_keys(
+    rngs: Sequence[np.random.Generator],
+) -> tuple[NDArray[np.uint64], FloatArray]:
+    """Keys of all noise of new episodes.
+
+    Parameters
+    ----------
+    rngs : sequence of Generator
+        One per receiver; one child is spawned of each.
+
+    Returns
+    -------
+    keys : ndarray
+        (B, 2, 2) of each of `SOURCES`.
+    phase : ndarray
+        (B, 2) part of a count at which the left and the right encoder begin, in [0, 1).
+    """
+    words = 2 * len(SOURCES)
+    keys = np.empty((len(rngs), len(SOURCES), 2), dtype=np.uint64)
+    phase = np.empty((len(rngs), 2))
+    for row, rng in enumerate(rngs):
+        episode = rng.bit_generator.seed_seq.spawn(1)[0]  # type: ignore[attr-defined]
+        state = episode.generate_state(words + 2, np.uint64)
+        keys[row] = state[:words].reshape(-1, 2)
+        phase[row] = (state[words:] >> np.uint64(11)) * 2.0**-53
+    return keys, phase
+
+
+@njit
+def measure_odometry(
+    keys: NDArray[np.uint64],
+    epoch: NDArray[np.int64],
+    left: FloatArray,
+    right: FloatArray,
+    yaw: FloatArray,
+    samples: int,
+    count_m: float,
+    hard_iron: float,
+    yaw_sd: float,
+    phase: FloatArray,
+    noise: FloatArray,
+    last_yaw: FloatArray,
+    increment: FloatArray,
+) -> None:
+    """Dead reckoning since the last epoch.
+
+    Parameters
+    ----------
+    keys : ndarray
+        (B, 2, 2), as `draw_keys` gives them.
+    epoch : ndarray
+        (B,) the epoch that is measured.
+    left, right, yaw : ndarray
+        (N+1,) way of the wheels [m] and true heading [rad] at every sample.
+    samples : int
+        Samples of an epoch, at most `MOST_SAMPLES`.
+    count_m : float
+        Way of a count [m].
+    hard_iron, yaw_sd : float
+        A and the noise of the heading [rad].
+    phase : ndarray
+        (B, 2) phases of the encoders.
+    noise : ndarray
+        (`BLOCK`,), work space.
+    last_yaw : ndarray
+        (B,) measured heading of the last sample [rad], overwritten.
+    increment : ndarray
+        (B, 2) north and east [m], written; 0 at epoch 0.
+    """
+    for b in range(epoch.shape[0]):
+        k = epoch[b]
+        normals(keys[b, 0, 0], keys[b, 0, 1], k, noise)
+        north, east = 0.0, 0.0
+        before = last_yaw[b]
+        if k == 0:
+            before = yaw[0] - hard_iron * math.sin(yaw[0]) + yaw_sd * noise[0]
+        else:
+            for s in range(samples):
+                i = (k - 1) * samples + s
+                now = yaw[i + 1] - hard_iron * math.sin(yaw[i + 1]) + yaw_sd * noise[s]
+                counts = math.floor(left[i + 1] / count_m + phase[b, 0])
+                counts -= math.floor(left[i] / count_m + phase[b, 0])
+                counts += math.floor(right[i + 1] / count_m + phase[b, 1])
+                counts -= math.floor(right[i] / count_m + phase[b, 1])
+                way, mid = 0.5 * count_m * counts, 0.5 * (before + now)
+                north += way * math.cos(mid)
+                east += way * math.sin(mid)
+                before = now
+        last_yaw[b] = before
+        increment[b, 0], increment[b, 1] = north, east
+
+
+@njit
+def measure_fix(
+    keys: NDArray[np.uint64],
+    epoch: NDArray[np.int64],
+    position_ne: FloatArray,
+    available: NDArray[np.bool_],
+    correlated_sd: float,
+    decay: float,
+    white_sd: float,
+    offset: FloatArray,
+    noise: FloatArray,
+    correlated: FloatArray,
+    fix: FloatArray,
+) -> None:
+    r"""Positions by GNSS.
+
+    .. math:: g_k = p_k + c_k + w_k + d_k, \qquad
+        c_k = \beta c_{k-1} + \sqrt{1 - \beta^2} \, \sigma_c \, \epsilon_k
+
+    Parameters
+    ----------
+    keys : ndarray
+        (B, 2, 2), as `draw_keys` gives them.
+    epoch : ndarray
+        (B,) the epoch that is measured.
+    position_ne : ndarray
+        (K, 2) true position at every epoch [m].
+    available : ndarray
+        (K,) whether there is a fix at all.
+    correlated_sd, decay, white_sd : float
+        Of `FixErrors` [m], beta, [m].
+    offset : ndarray
+        (B, 2) what the spoofer adds [m].
+    noise : ndarray
+        (`BLOCK`,), work space.
+    correlated : ndarray
+        (B, 2) Gauss-Markov error [m], overwritten.
+    fix : ndarray
+        (B, 2) north and east [m], written; NaN where there is none.
+    """
+    drive = math.sqrt(1.0 - decay * decay)
+    for b in range(epoch.shape[0]):
+        k = epoch[b]
+        normals(keys[b, 1, 0], keys[b, 1, 1], k, noise)
+        for axis in range(2):
+            if k == 0:
+                correlated[b, axis] = correlated_sd * noise[axis]
+            else:
+                fresh = drive * correlated_sd * noise[axis]
+                correlated[b, axis] = decay * correlated[b, axis] + fresh
+            error = correlated[b, axis] + white_sd * noise[2 + axis]
+            fix[b, axis] = position_ne[k, axis] + error + offset[b, axis]
+            if not available[k]:
+                fix[b, axis] = math.nan
