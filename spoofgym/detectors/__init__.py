@@ -8,6 +8,9 @@ from typing import Any
 from .._registry import build
 from .base import Detector, DetectorContext, Verdict
 from .ewma import Ewma
+from .glr import GlrRamp, GlrStep
+from .innovation_rate import InnovationRate, OracleRamp, OracleStep
+from .lag_cusum import LagCusum
 from .never import Never
 from .snapshot_chi2 import SnapshotChi2
 
@@ -16,7 +19,13 @@ __all__ = [
     "Detector",
     "DetectorContext",
     "Ewma",
+    "GlrRamp",
+    "GlrStep",
+    "InnovationRate",
+    "LagCusum",
     "Never",
+    "OracleRamp",
+    "OracleStep",
     "SnapshotChi2",
     "Verdict",
     "make_detector",
@@ -24,7 +33,13 @@ __all__ = [
 
 DETECTORS: dict[str, type[Detector]] = {
     "ewma": Ewma,
+    "glr-ramp": GlrRamp,
+    "glr-step": GlrStep,
+    "innovation-rate": InnovationRate,
+    "lag-cusum": LagCusum,
     "never": Never,
+    "oracle-ramp": OracleRamp,
+    "oracle-step": OracleStep,
     "snapshot-chi2": SnapshotChi2,
 }
 """Detectors by name."""
