@@ -101,51 +101,98 @@ def ramp_evidence(n: float, m: float, moment: float, total: float) -> float:
 
 
 @inlined
-def largest_evidence(
-    ring: FloatArray, base: float, count: int, window: int, baseline: int, ramp: bool
-) -> float:
-    """Largest evidence over all onsets of the window.
+def split_sums(
+    ring: NDArray[np.float32],
+    base: float,
+    last: int,
+    onsets: int,
+    baseline: int,
+    ramp: bool,
+    scratch: FloatArray,
+) -> None:
+    """Sums on both sides of every onset, from the newest on.
 
     Parameters
     ----------
     ring : ndarray
-        (L,) last values, value k at ``k % L``, L at least window + baseline.
+        (L,) float32, last values, value k at ``k % L``, 0 where there is none yet.
     base : float
         Sum of the at most `baseline` values before the last one.
-    count : int
-        Values so far.
-    window, baseline : int
-        Longest time since the onset, and longest baseline, in epochs.
+    last : int
+        Number of the last value.
+    onsets, baseline : int
+        How many onsets, and the longest baseline, in epochs.
     ramp : bool
         Whether a ramp is looked for, else a step.
+    scratch : ndarray
+        (2, W), written: the sum since the onset and that of the baseline; for a ramp the moment
+        since the onset and the sum of all.
+    """
+    length = ring.shape[0]
+    now, old = last % length, (last - baseline) % length
+    since = moment = 0.0
+    before = base + float(ring[now]) - float(ring[old])
+    first, second = scratch[0], scratch[1]
+    done = 0
+    while done < onsets:
+        # a stretch in which no index passes the end of the ring
+        stretch = min(onsets - done, now + 1, old + 1)
+        for i in range(stretch):
+            value = float(ring[now - i])
+            since += value
+            moment += since  # every value since the onset counts once more
+            before += float(ring[old - i]) - value
+            first[done + i] = moment if ramp else since
+            second[done + i] = since + before if ramp else before
+        done += stretch
+        now = now - stretch if now >= stretch else length - 1
+        old = old - stretch if old >= stretch else length - 1
+
+
+@inlined
+def largest_evidence(
+    ages: FloatArray, count: int, onsets: int, baseline: int, ramp: bool, scratch: FloatArray
+) -> float:
+    """Largest evidence over all onsets.
+
+    Parameters
+    ----------
+    ages : ndarray
+        (W,) epochs since each onset, 1, 2 and so on.
+    count : int
+        Values so far.
+    onsets, baseline : int
+        How many onsets, and the longest baseline, in epochs.
+    ramp : bool
+        Whether a ramp is looked for, else a step.
+    scratch : ndarray
+        (2, W) as `split_sums` leaves it, overwritten.
 
     Returns
     -------
     float
-        The statistic; 0 with fewer than two values.
+        The statistic; 0 where there is no onset.
     """
-    length = ring.shape[0]
-    last = count - 1
-    now = last % length
-    first = last - baseline  # of the baseline of the newest onset
-    old = first % length
-    since = moment = best = 0.0
-    before = base
-    for n in range(1, min(window, last) + 1):
-        value = ring[now]
-        since += value
-        moment += since  # every value since the onset counts once more
-        m = min(baseline, count - n)
+    longest, known = float(baseline), float(count)
+    first, second = scratch[0], scratch[1]
+    for i in range(onsets):  # apart from the next loop, so that it is vectorized
+        n = ages[i]
+        m = known - n
+        m = longest if m > longest else m
         if ramp:
-            best = max(best, ramp_evidence(float(n), float(m), moment, since + before))
+            first[i] = ramp_evidence(n, m, first[i], second[i])
         else:
-            best = max(best, step_evidence(float(n), float(m), since, before))
-        now = now - 1 if now > 0 else length - 1
-        old = old - 1 if old > 0 else length - 1
-        before -= ring[now]
-        if first - n >= 0:
-            before += ring[old]
-    return best
+            first[i] = step_evidence(n, m, first[i], second[i])
+    a = b = c = d = 0.0
+    for i in range(onsets % 4):
+        a = max(a, first[i])
+    for i in range(onsets % 4, onsets, 4):  # four side by side, since each waits for its last
+        w, x, y, z = first[i], first[i + 1], first[i + 2], first[i + 3]
+        a = w if w > a else a
+        b = x if x > b else b
+        c = y if y > c else c
+        d = z if z > d else d
+    return max(max(a, b), max(c, d))
 
 
 @njit
@@ -155,11 +202,12 @@ def scan_channels(
     visible: NDArray[np.bool_],
     first_row: int,
     signals: int,
-    window: int,
     baseline: int,
     ramp: bool,
+    ages: FloatArray,
     quantiles: FloatArray,
-    ring: FloatArray,
+    scratch: FloatArray,
+    ring: NDArray[np.float32],
     base: FloatArray,
     count: NDArray[np.int64],
     statistic: FloatArray,
@@ -173,14 +221,18 @@ def scan_channels(
         Of the epoch.
     first_row, signals : int
         First innovation to look at, and how many signals, n rows each.
-    window, baseline : int
-        Longest time since the onset, and longest baseline, in epochs.
+    baseline : int
+        Longest baseline, in epochs.
     ramp : bool
         Whether ramps are looked for, else steps.
+    ages : ndarray
+        (W,) epochs since each onset, 1, 2 and so on.
     quantiles : ndarray
         (n+1,) thresholds by the number of visible satellites.
+    scratch : ndarray
+        (2, W), overwritten.
     ring, base : ndarray
-        (B, signals * n, L), (B, signals * n) memory, overwritten.
+        (B, signals * n, L) float32, (B, signals * n) memory, overwritten.
     count : ndarray
         (B, n) int64 memory, overwritten.
     statistic, threshold : ndarray
@@ -197,19 +249,23 @@ def scan_channels(
             threshold[b, j] = quantiles[seen]
             known = count[b, j]
             count[b, j] = known + 1 if visible[b, j] else 0
+            onsets = min(ages.shape[0], known)
             for signal in range(signals):
                 s = signal * channels + j
+                values = ring[b, s]
                 if not visible[b, j]:
                     base[b, s] = 0.0
+                    if known > 0:
+                        values[:] = 0.0
                     continue
                 row = first_row + s
-                values = ring[b, s]
                 if known > 0:
-                    base[b, s] += values[(known - 1) % length]
+                    base[b, s] += float(values[(known - 1) % length])
                 if known > baseline:
-                    base[b, s] -= values[(known - 1 - baseline) % length]
+                    base[b, s] -= float(values[(known - 1 - baseline) % length])
                 values[known % length] = innovation[b, row] / math.sqrt(innovation_cov[b, row, row])
-                found = largest_evidence(values, base[b, s], known + 1, window, baseline, ramp)
+                split_sums(values, base[b, s], known, onsets, baseline, ramp, scratch)
+                found = largest_evidence(ages, known + 1, onsets, baseline, ramp, scratch)
                 statistic[b, j] = max(statistic[b, j], found)
 
 
@@ -251,9 +307,13 @@ class _Glr(Detector):
         self._first_row = n if self.signals == "range_rate" else 0
         self._signals = 2 if self.signals == "both" else 1
         series = (receivers, self._signals * n)
-        self.memory.declare("ring", np.zeros((*series, self.window + self.baseline)))
+        # single precision is enough for deviates, and half as much to go through at every epoch
+        ring = np.zeros((*series, self.window + self.baseline), dtype=np.float32)
+        self.memory.declare("ring", ring)
         self.memory.declare("base", np.zeros(series))
         self.memory.declare("count", np.zeros((receivers, n), dtype=np.int64))
+        self._ages = np.arange(1.0, self.window + 1.0)
+        self._scratch = np.empty((2, self.window))
         tests = self.window * self._signals
         self._quantiles = np.array(
             [
@@ -283,10 +343,11 @@ class _Glr(Detector):
             epoch.visible,
             self._first_row,
             self._signals,
-            self.window,
             self.baseline,
             self.ramp,
+            self._ages,
             self._quantiles,
+            self._scratch,
             self.memory["ring"],
             self.memory["base"],
             self.memory["count"],
