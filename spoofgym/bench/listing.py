@@ -119,12 +119,17 @@ KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "envs": _envs,
     "scenarios": _scenarios,
     "attacks": lambda: _classes(ATTACKS),
-    "detectors": lambda: _classes(DETECTORS, "paper", "scope"),
+    "detectors": lambda: _classes(DETECTORS, "paper", "scope", "oracle"),
     "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
     "shipped": _shipped,
 }
 """Lists by kind; each row has a name, a summary, and settings with their defaults or what its
 card tells."""
+
+
+def _marked(row: dict[str, Any]) -> str:
+    """Name, and whether it is an oracle, which no comparison takes in."""
+    return f"{row['name']} (oracle)" if row.get("oracle") else str(row["name"])
 
 
 def table_of(kind: str, rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[list[str]]]:
@@ -152,6 +157,6 @@ def table_of(kind: str, rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], li
             for row in rows
         ]
     return ("name", "what it is", "settings and their defaults"), [
-        [row["name"], row["summary"], ", ".join(f"{k}={v}" for k, v in row["settings"].items())]
+        [_marked(row), row["summary"], ", ".join(f"{k}={v}" for k, v in row["settings"].items())]
         for row in rows
     ]

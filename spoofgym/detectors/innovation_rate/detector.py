@@ -15,7 +15,8 @@ Symbols: r innovation of pseudorange j [m], S innovation covariance, :math:`P_v`
 `weight_scale`; the weights fall off between m T / 2 and m T, T the threshold.
 
 Assumptions: normalized innovations are white and of variance 1 about a constant.  In the paper's
-receiver they are smaller, so that alarms are rarer than stated.
+receiver they are smaller, so that alarms are rarer than stated; and so they are in the first
+samples, when the filter still allows for a first level and rate that are not there.
 
 A filter without a memory span fits one line to all samples since it began: :math:`P_v` falls as
 12 / N^3 and its gain as 6 / N^2, so that the longer it has run the later it sees an onset.

@@ -85,7 +85,8 @@ class _Oracle(InnovationRate):
         """
         since = epoch.time - self.onset_s
         offset = np.where(since >= 0.0, self.offset_m(np.maximum(since, 0.0)), 0.0)
-        return offset[:, None] * self._mask
+        added: FloatArray = offset[:, None] * self._mask
+        return added
 
     @abstractmethod
     def offset_m(self, since_s: FloatArray) -> FloatArray:
