@@ -125,6 +125,13 @@ TrainingOption = Annotated[
         help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
     ),
 ]
+OraclesOption = Annotated[
+    bool,
+    typer.Option(
+        "--allow-oracles",
+        help="Let detectors play that are told the attack by their settings; the results say so.",
+    ),
+]
 OutOption = Annotated[Path, typer.Option(help="Folder of the results.")]
 
 
@@ -359,6 +366,7 @@ def run(
     attack_s: AttackTimeOption = 150.0,
     time_to_alert_s: AlertOption = 10.0,
     seed: SeedOption = 0,
+    allow_oracles: OraclesOption = False,
 ) -> None:
     """Play one run of the benchmark beside its clean twin: a summary, and a picture."""
     from .bench.episode import draw_episode, play_episode
@@ -373,6 +381,7 @@ def run(
         seed,
         detectors=_specs([detector]),
         spoofers=_specs([spoofer]),
+        allow_oracles=allow_oracles,
     )
     player = suite.spoofer_entries[-1]
     if player.tuned:
@@ -421,6 +430,7 @@ def tune(
     attack_s: AttackTimeOption = 150.0,
     time_to_alert_s: AlertOption = 10.0,
     seed: SeedOption = 0,
+    allow_oracles: OraclesOption = False,
     threads: ThreadsOption = None,
 ) -> None:
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
@@ -447,6 +457,7 @@ def tune(
         spoofers=specs,
         budget=budget,
         training=training_seeds,
+        allow_oracles=allow_oracles,
     )
     if not as_json:
         _print_lines(real)
@@ -516,6 +527,7 @@ def bench(
     budget: BudgetOption = 0.05,
     training_seeds: TrainingOption = 1024,
     seed: SeedOption = 0,
+    allow_oracles: OraclesOption = False,
     threads: ThreadsOption = None,
 ) -> None:
     """Play detectors against spoofers on the same runs; interrupted, it goes on when run again."""
@@ -536,6 +548,7 @@ def bench(
         budget=budget,
         training=training_seeds,
         runs=seeds,
+        allow_oracles=allow_oracles,
     )
     suite.check_fit()
     folder = ResultsFolder(out)
@@ -624,6 +637,7 @@ def _suite(
     budget: float = 0.05,
     training: int = 1024,
     runs: int = 200,
+    allow_oracles: bool = False,
 ) -> Suite:
     """The suite of the options."""
     from .bench.suite import Suite, Tuning
@@ -643,6 +657,7 @@ def _suite(
         entropy=seed,
         tuning=Tuning(runs=training, sift_runs=max(training // 16, 1), budget=budget),
         notes=() if real is None else real.lines,
+        allow_oracles=allow_oracles,
     )
 
 

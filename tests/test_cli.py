@@ -81,9 +81,13 @@ def test_list_names_all_there_is() -> None:
         assert all(row["summary"] for row in rows)
     (ramp,) = [row for row in found["spoofers"] if row["name"] == "ramp"]
     assert ramp["settings"]["rate_mps"] == 0.5
+    told = [row["name"] for row in found["detectors"] if row["oracle"]]
+    assert told == ["oracle-ramp", "oracle-step"]
     assert (ramp["tunable"], ramp["knowledge"]) == ("rate_mps", "blind")
     table = call("list", "detectors").output
     assert "snapshot-chi2" in table
+    assert "oracle-step (oracle)" in table
+    assert "ewma (oracle)" not in table
     assert "accelerating-ramp" not in table
 
 
@@ -342,6 +346,8 @@ def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
     [
         (["list", "planes"], "unknown kind 'planes'; valid: attacks, detectors, envs"),
         (["bench", "--detector", "emwa"], "unknown detector 'emwa'; valid: "),
+        (["bench", "--detector", "oracle-step"], "oracle-step: an oracle is told the attack's"),
+        (["run", "--detector", "oracle-ramp"], "to play it all the same: `--allow-oracles`"),
         (["bench", "--spoofer", "ramp:rate=1"], "spoofer 'ramp' has no setting 'rate'; valid: "),
         (["run", "--scenario", "zhong"], "unknown scenario 'zhong'; valid: "),
         (["run", "--errors", "none"], "unknown errors 'none'; valid: "),

@@ -144,6 +144,46 @@ def _default(word: str, kinds: Mapping[str, type[Any]], kind: type[Any]) -> Spec
         return None
 
 
+def oracle_labels(entries: tuple[Entry, ...]) -> list[str]:
+    """Labels of the detectors that are told the attack.
+
+    Parameters
+    ----------
+    entries : tuple of Entry
+        Detectors.
+
+    Returns
+    -------
+    list of str
+        Those whose class says so.
+    """
+    made = [(entry, make("detector", DETECTORS, Detector, entry.spec)) for entry in entries]
+    return [entry.label for entry, detector in made if detector.oracle]
+
+
+def refuse_oracles(entries: tuple[Entry, ...]) -> None:
+    """Raise where a detector is told the attack.
+
+    Parameters
+    ----------
+    entries : tuple of Entry
+        Detectors.
+
+    Raises
+    ------
+    ValueError
+        Names them, and says why and how they are allowed.
+    """
+    labels = oracle_labels(entries)
+    if labels:
+        raise ValueError(
+            f"{', '.join(labels)}: an oracle is told the attack's channel, size and onset by its "
+            "settings, which no receiver knows, and alarms without an attack, too; it can't be "
+            "compared with detectors; to play it all the same: `--allow-oracles`, or "
+            "`Suite(allow_oracles=True)`"
+        )
+
+
 def check_labels(entries: tuple[Entry, ...]) -> None:
     """Raise where two entries would share their files.
 

@@ -33,6 +33,8 @@ from .entries import (
     build_spoofer,
     check_labels,
     detector_entry,
+    oracle_labels,
+    refuse_oracles,
     spoofer_entry,
 )
 from .shipped import fitting
@@ -140,6 +142,8 @@ class Suite:
         Search for the settings that are ``"tuned"``.
     notes : sequence of str
         Where the scenario comes from, for the report.
+    allow_oracles : bool
+        Whether detectors may play that are told the attack; the report then says which ones are.
     """
 
     scenario: str | Mapping[str, Any] | Scenario = "zhong2025"
@@ -152,6 +156,7 @@ class Suite:
     entropy: int = 0
     tuning: Tuning = field(default_factory=Tuning)
     notes: Sequence[str] = ()
+    allow_oracles: bool = False
 
     def __post_init__(self) -> None:
         """Check names and settings; no receiver is simulated yet."""
@@ -161,11 +166,19 @@ class Suite:
             check_labels(entries)
         if not self.detector_entries:
             raise ValueError("a campaign needs at least one detector")
+        if not self.allow_oracles:
+            refuse_oracles(self.detector_entries)
 
     @cached_property
     def detector_entries(self) -> tuple[Entry, ...]:
         """Detectors in their order."""
         return tuple(detector_entry(spec) for spec in self.detectors)
+
+    @property
+    def _oracle_notes(self) -> tuple[str, ...]:
+        """Which detectors are none; a line each."""
+        labels = oracle_labels(self.detector_entries)
+        return tuple(f"{label} is an oracle: it is told the attack" for label in labels)
 
     @cached_property
     def spoofer_entries(self) -> tuple[Entry, ...]:
@@ -278,7 +291,7 @@ class Suite:
             "entropy": self.entropy,
             "splits": dict(SPLITS),
             "tuning": dataclasses.asdict(self.tuning),
-            "notes": [*self.notes, *self.left_out],
+            "notes": [*self.notes, *self._oracle_notes, *self.left_out],
         }
 
     @cached_property

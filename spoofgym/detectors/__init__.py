@@ -9,6 +9,9 @@ from .._registry import build
 from .acna import Acna
 from .base import Detector, DetectorContext, Verdict
 from .ewma import Ewma
+from .glr import GlrRamp, GlrStep
+from .innovation_rate import InnovationRate, OracleRamp, OracleStep
+from .lag_cusum import LagCusum
 from .never import Never
 from .raim import Raim
 from .rio import Rio
@@ -22,7 +25,13 @@ __all__ = [
     "Detector",
     "DetectorContext",
     "Ewma",
+    "GlrRamp",
+    "GlrStep",
+    "InnovationRate",
+    "LagCusum",
     "Never",
+    "OracleRamp",
+    "OracleStep",
     "Raim",
     "Rio",
     "SnapshotChi2",
@@ -35,9 +44,15 @@ __all__ = [
 DETECTORS: dict[str, type[Detector]] = {
     "acna": Acna,
     "ewma": Ewma,
+    "glr-ramp": GlrRamp,
+    "glr-step": GlrStep,
+    "innovation-rate": InnovationRate,
+    "lag-cusum": LagCusum,
     "never": Never,
     "raim": Raim,
     "rio": Rio,
+    "oracle-ramp": OracleRamp,
+    "oracle-step": OracleStep,
     "snapshot-chi2": SnapshotChi2,
     "srv-raim": SrvRaim,
     "traversal-raim": TraversalRaim,

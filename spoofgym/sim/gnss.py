@@ -79,6 +79,13 @@ ERRORS: dict[str, GnssErrors] = {
         zenith_iono_sd_m=2.0,
         zenith_tropo_sd_m=0.2,
     ),
+    "ke2022": GnssErrors(
+        code_sd_m=1.0,
+        range_rate_sd_mps=0.02,
+        signal_in_space_sd_m=1.0,
+        zenith_iono_sd_m=2.0,
+        zenith_tropo_sd_m=0.2,
+    ),
     "zhong2025": GnssErrors(
         code_sd_m=1.0,
         range_rate_sd_mps=0.02,
@@ -94,4 +101,5 @@ ERRORS: dict[str, GnssErrors] = {
         zenith_tropo_sd_m=0.0,
     ),
 }
-"""GNSS errors by name: the book's software (`groves2013`), `zhong2025`, and no biases at all."""
+"""GNSS errors by name: the book's software (`groves2013`), which is also what comes nearest to
+`ke2022`; `zhong2025`; and no biases at all."""

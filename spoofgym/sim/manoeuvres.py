@@ -399,5 +399,37 @@ def car() -> Flight:
     )
 
 
-FLIGHTS: dict[str, Callable[[], Flight]] = {"car": car, "zhong2025": zhong2025}
+def ke2022() -> Flight:
+    """Flight of ke2022: 746 s at 200 m/s, two turns of 45 deg and two climbs of 500 m.
+
+    The paper tells the duration, the speed, the two turns and that there are climbs; when they
+    come is not told.  Here one climb lies before the attack at 350 to 550 s and one after it.
+
+    Returns
+    -------
+    Flight
+        74,601 states at 100 Hz.
+    """
+    return fly(
+        [
+            Until(60.0),
+            Turn(45.0, bank_deg=14.04, ramp_s=4.0),
+            Until(180.0),
+            Turn(-45.0, bank_deg=14.04, ramp_s=4.0),
+            Until(280.0),
+            Climb(500.0, rate_mps=20.0, ramp_s=11.0),
+            Until(600.0),
+            Climb(500.0, rate_mps=20.0, ramp_s=11.0),
+            Until(746.0),
+        ],
+        latitude_deg=50.425,
+        longitude_deg=-3.5958,
+        height_m=10000.0,
+        speed_mps=200.0,
+        heading_deg=90.0,
+        name="ke2022",
+    )
+
+
+FLIGHTS: dict[str, Callable[[], Flight]] = {"car": car, "ke2022": ke2022, "zhong2025": zhong2025}
 """The ready-made flights by name."""

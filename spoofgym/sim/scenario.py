@@ -121,14 +121,21 @@ def _preset(name: str, errors: str, imu: str) -> Scenario:
     return Scenario(name=name, flight="zhong2025", errors=errors, imu=imu)
 
 
+def _ke2022(name: str, errors: str) -> Scenario:
+    return Scenario(name=name, flight="ke2022", errors=errors, epoch_interval_s=1.0)
+
+
 SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "zhong2025": lambda: _preset("zhong2025", "zhong2025", "aviation"),
     "zhong2025-white": lambda: _preset("zhong2025-white", "white", "aviation"),
     "zhong2025-tactical": lambda: _preset("zhong2025-tactical", "zhong2025", "tactical"),
     "zhong2025-consumer": lambda: _preset("zhong2025-consumer", "zhong2025", "consumer"),
     "groves": lambda: _preset("groves", "groves", "aviation"),
+    "ke2022": lambda: _ke2022("ke2022", "ke2022"),
+    "ke2022-white": lambda: _ke2022("ke2022-white", "white"),
 }
-"""Scenarios by name: the flight of `zhong2025` under the errors and grades that they name."""
+"""Scenarios by name: the flight of `zhong2025` under the errors and grades that they name, and that
+of `ke2022` at 1 Hz, with the satellite biases of its errors and without."""
 
 
 def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:

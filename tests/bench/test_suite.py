@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from spoofgym.bench.entries import DEFAULT_DETECTORS
 from spoofgym.bench.specs import digest_of
 from spoofgym.bench.suite import SPLITS, Suite, Tuning, seed_sequences
+from spoofgym.detectors import DETECTORS
 
 from .support import small_suite
 
@@ -88,3 +90,17 @@ def test_bad_suites_are_refused(changes: dict[str, Any], message: str) -> None:
 def test_bad_searches_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Tuning(**changes)
+
+
+def test_oracles_are_refused_unless_they_are_asked_for() -> None:
+    assert not any(DETECTORS[spec["name"]].oracle for spec in DEFAULT_DETECTORS)
+    oracles = ("ewma", {"name": "oracle-ramp", "rate_mps": 0.2})
+    with pytest.raises(ValueError, match=r"oracle-ramp\(rate_mps=0.2\): an oracle is told the"):
+        Suite(detectors=oracles)
+    suite = Suite(detectors=oracles, allow_oracles=True)
+    (note,) = suite._oracle_notes
+    assert note == "oracle-ramp(rate_mps=0.2) is an oracle: it is told the attack"
+    assert note in suite.config["notes"]
+    assert (
+        Suite(detectors=("ewma",), allow_oracles=True).digest == Suite(detectors=("ewma",)).digest
+    )

@@ -16,6 +16,7 @@ from spoofgym.sim.manoeuvres import (
     Until,
     car,
     fly,
+    ke2022,
     zhong2025,
 )
 from spoofgym.sim.trajectory import inverse_kinematics
@@ -197,3 +198,14 @@ def test_ready_made_flights_follow_the_profiles_of_the_reference(data_folder, ma
         got = np.degrees([angle[sample] for angle in flight.euler])
         difference = (got - profile[sample, 7:10] + 180.0) % 360.0 - 180.0
         assert np.abs(difference).max() < 4.0, second
+
+
+def test_ke2022_is_746_s_of_two_turns_and_two_climbs():
+    flight = ke2022()
+    assert flight.duration == 746.0
+    _, _, height = flight.geodetic
+    yaw = np.degrees(flight.euler[2])
+    at = [round(100 * second) for second in (0, 150, 260, 450, 746)]
+    assert yaw[at] == pytest.approx([90, 135, 90, 90, 90], abs=1e-6)
+    assert height[at] == pytest.approx([10000, 10000, 10000, 10500, 11000], abs=1.0)
+    assert np.linalg.norm(flight.velocity_n, axis=1) == pytest.approx(200.0)

@@ -1,0 +1,129 @@
+"""Ke et al. (2022): innovation rates, robust weights, and two methods that are told the attack."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ..frame import Part, Row, Settings
+from .campaign import attack
+from .drawing import draw
+from .tables import CHANNELS, ORACLES, RAMPS, STEPS, Data, all_rows
+from .text import CLAIMS, FOUND, READINGS, TITLE
+
+__all__ = ["CLAIMS", "FOUND", "READINGS", "TITLE", "figures", "parts", "rows"]
+
+RUNS, QUICK_RUNS = 50, 16
+
+
+def runs_of(settings: Settings) -> int:
+    """Runs of every part.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the run.
+
+    Returns
+    -------
+    int
+        50, or 16 in a hurry.
+    """
+    return QUICK_RUNS if settings.quick else RUNS
+
+
+def parts(settings: Settings) -> list[Part]:
+    """Work of a run.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the run.
+
+    Returns
+    -------
+    list of Part
+        One for every attack.
+    """
+    third, low = CHANNELS[2], CHANNELS[4]
+    found = []
+
+    def add(
+        name: str,
+        kind: str,
+        size: float,
+        methods: list[str],
+        satellites: tuple[str, ...] = (third,),
+        **more: Any,
+    ) -> None:
+        """One more part."""
+        told = {
+            "kind": kind,
+            "size": size,
+            "satellites": list(satellites),
+            "methods": methods,
+            "runs": runs_of(settings),
+            "seed": settings.seed,
+        }
+        weight = sum(2.0 if method == "watchers" else 1.0 for method in methods)
+        found.append(Part(name, attack, {**told, **more}, weight))
+
+    everything = ["M2", "M2 adaptive", "watchers"]
+    for kind, known in (("step", STEPS), ("ramp", RAMPS)):
+        for size in known:
+            oracle = ["oracle"] if (kind, size) in ORACLES else []
+            add(f"{kind} {size:g}", kind, size, [*everything, *oracle])
+    for kind, size in ORACLES:
+        for suffix, scenario in (("", "ke2022"), (" white", "ke2022-white")):
+            name = f"clean, told {kind} {size:g}{suffix}"
+            add(name, kind, 0.0, ["oracle"], told_size=size, scenario=scenario)
+        add(f"{kind} {size:g} white", kind, size, ["M2", "oracle"], scenario="ke2022-white")
+    for kind, size in (("step", 5.0), ("ramp", 0.05)):
+        add(f"{kind} {size:g} S11", kind, size, ["M2", "oracle"], (low,))
+    add("step 10, told C4", "step", 10.0, ["oracle"], told_satellites=[CHANNELS[3]])
+    for kind, size in (("step", 30.0), ("ramp", 0.3)):
+        three = ["M2", "watchers"]
+        add(f"three {kind}", kind, size, three, CHANNELS[:3])
+        add(f"three {kind} white", kind, size, three, CHANNELS[:3], scenario="ke2022-white")
+    add("clean", "step", 0.0, everything)
+    add("clean white", "step", 0.0, everything, scenario="ke2022-white")
+    for update in ("plain", "general"):
+        for kind, size in (("step", 10.0), ("ramp", 0.1)):
+            add(f"{kind} {size:g} {update}", kind, size, ["M2"], update=update)
+    return found
+
+
+def rows(data: Data, settings: Settings) -> list[Row]:
+    """Figures of the paper beside ours.
+
+    Parameters
+    ----------
+    data : dict
+        What the parts returned, by name.
+    settings : Settings
+        Of the run.
+
+    Returns
+    -------
+    list of Row
+        In the order of the paper.
+    """
+    return all_rows(data, runs_of(settings))
+
+
+def figures(data: Data, folder: Path) -> list[Path]:
+    """Draw figures 6 to 10 from our runs.
+
+    Parameters
+    ----------
+    data : dict
+        What the parts returned, by name.
+    folder : Path
+        Where to write them.
+
+    Returns
+    -------
+    list of Path
+        PNG files.
+    """
+    return draw(data, folder)
