@@ -6,25 +6,43 @@ from collections.abc import Mapping
 from typing import Any
 
 from .._registry import build
+from .aime import Aime
 from .base import Detector, DetectorContext, Verdict
+from .clock_drift import ClockDrift
+from .cusum import Cusum
 from .ewma import Ewma
+from .joint_chart import JointChart
 from .never import Never
+from .sequential_chi2 import SequentialChi2
+from .shewhart import Shewhart
 from .snapshot_chi2 import SnapshotChi2
 
 __all__ = [
     "DETECTORS",
+    "Aime",
+    "ClockDrift",
+    "Cusum",
     "Detector",
     "DetectorContext",
     "Ewma",
+    "JointChart",
     "Never",
+    "SequentialChi2",
+    "Shewhart",
     "SnapshotChi2",
     "Verdict",
     "make_detector",
 ]
 
 DETECTORS: dict[str, type[Detector]] = {
+    "aime": Aime,
+    "clock-drift": ClockDrift,
+    "cusum": Cusum,
     "ewma": Ewma,
+    "joint-chart": JointChart,
     "never": Never,
+    "sequential-chi2": SequentialChi2,
+    "shewhart": Shewhart,
     "snapshot-chi2": SnapshotChi2,
 }
 """Detectors by name."""
@@ -54,7 +72,7 @@ def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
     Examples
     --------
     >>> from spoofgym.detectors import make_detector
-    >>> make_detector({"name": "ewma", "weight_scale": None})
-    Ewma(smoothing=0.1, false_alarm=1e-05, weight_scale=None)
+    >>> make_detector({"name": "snapshot-chi2", "signals": "pseudorange"})
+    SnapshotChi2(false_alarm=1e-05, signals='pseudorange', bias_window_s=0.0)
     """
     return build("detector", DETECTORS, Detector, spec)
