@@ -1,0 +1,1 @@
+"""Reproductions of the five papers: ``python -m baselines.papers KEY``."""
