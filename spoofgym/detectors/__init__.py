@@ -7,14 +7,20 @@ from typing import Any
 
 from .._registry import build
 from .acna import Acna
+from .aime import Aime
 from .base import Detector, DetectorContext, Verdict
+from .clock_drift import ClockDrift
+from .cusum import Cusum
 from .ewma import Ewma
 from .glr import GlrRamp, GlrStep
 from .innovation_rate import InnovationRate, OracleRamp, OracleStep
+from .joint_chart import JointChart
 from .lag_cusum import LagCusum
 from .never import Never
 from .raim import Raim
 from .rio import Rio
+from .sequential_chi2 import SequentialChi2
+from .shewhart import Shewhart
 from .snapshot_chi2 import SnapshotChi2
 from .srv_raim import SrvRaim
 from .traversal_raim import TraversalRaim
@@ -22,18 +28,24 @@ from .traversal_raim import TraversalRaim
 __all__ = [
     "DETECTORS",
     "Acna",
+    "Aime",
+    "ClockDrift",
+    "Cusum",
     "Detector",
     "DetectorContext",
     "Ewma",
     "GlrRamp",
     "GlrStep",
     "InnovationRate",
+    "JointChart",
     "LagCusum",
     "Never",
     "OracleRamp",
     "OracleStep",
     "Raim",
     "Rio",
+    "SequentialChi2",
+    "Shewhart",
     "SnapshotChi2",
     "SrvRaim",
     "TraversalRaim",
@@ -43,16 +55,22 @@ __all__ = [
 
 DETECTORS: dict[str, type[Detector]] = {
     "acna": Acna,
+    "aime": Aime,
+    "clock-drift": ClockDrift,
+    "cusum": Cusum,
     "ewma": Ewma,
     "glr-ramp": GlrRamp,
     "glr-step": GlrStep,
     "innovation-rate": InnovationRate,
+    "joint-chart": JointChart,
     "lag-cusum": LagCusum,
     "never": Never,
-    "raim": Raim,
-    "rio": Rio,
     "oracle-ramp": OracleRamp,
     "oracle-step": OracleStep,
+    "raim": Raim,
+    "rio": Rio,
+    "sequential-chi2": SequentialChi2,
+    "shewhart": Shewhart,
     "snapshot-chi2": SnapshotChi2,
     "srv-raim": SrvRaim,
     "traversal-raim": TraversalRaim,
@@ -84,7 +102,7 @@ def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
     Examples
     --------
     >>> from spoofgym.detectors import make_detector
-    >>> make_detector({"name": "ewma", "weight_scale": None})
-    Ewma(smoothing=0.1, false_alarm=1e-05, weight_scale=None)
+    >>> make_detector({"name": "snapshot-chi2", "signals": "pseudorange"})
+    SnapshotChi2(false_alarm=1e-05, signals='pseudorange', bias_window_s=0.0)
     """
     return build("detector", DETECTORS, Detector, spec)

@@ -30,6 +30,8 @@ Deviations from `zhong2025`, whose method M2 this is:
 4. The range rates keep weight 1, and the covariance update with the unweighted gain is the
    receiver's default (``covariance_update="unweighted"``), without which the delays are not met.
 5. A satellite that sets and rises begins anew.
+6. Exclusion can be limited in time and in number (`lockout`).  It is not by default, so that the
+   chart stays the one that the shipped spoofers were trained against.
 
 Source: `zhong2025`, eqs. 11 to 14; the chart is from `roberts1959`, the weights from `yang2002`.
 """
@@ -43,37 +45,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import inlined, njit
+from .._jit import njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
-from .thresholds import check_probability, igg3_weight, two_sided_quantile
+from .lockout import check_limits, limit_exclusions, longest_exclusion
+from .thresholds import check_probability, ewma_threshold, igg3_weight, two_sided_quantile
 
 FloatArray = NDArray[np.float64]
-
-
-@inlined
-def ewma_threshold(sd: float, decay: float, smoothing: float, quantile: float) -> float:
-    r"""Threshold of the chart after some epochs.
-
-    .. math:: T = z \sigma \sqrt{\tfrac{\lambda}{2 - \lambda} (1 - (1 - \lambda)^{2k})}
-
-    Parameters
-    ----------
-    sd : float
-        Standard deviation of the innovation [m].
-    decay : float
-        :math:`(1 - \lambda)^{2k}` after k epochs.
-    smoothing : float
-        Lambda.
-    quantile : float
-        z.
-
-    Returns
-    -------
-    float
-        T [m].
-    """
-    return quantile * sd * math.sqrt(smoothing / (2.0 - smoothing) * (1.0 - decay))
 
 
 @njit
@@ -135,11 +113,18 @@ class Ewma(Detector):
     weight_scale : float or None
         m, in (0, 1]: the weight thresholds are m T and m T / 2.  None for a chart that only
         watches.
+    max_exclusion_s : float or None
+        Longest time that a satellite can have weight 0 without an alarm, above 0; None for no
+        limit.
+    min_satellites : int
+        Fewest satellites that keep a weight above 0, where as many are in view; 0 for none.
     """
 
     smoothing: float = 0.1
     false_alarm: float = 1e-5
     weight_scale: float | None = 0.3
+    max_exclusion_s: float | None = None
+    min_satellites: int = 0
 
     paper: ClassVar[str] = "zhong2025"
     scope: ClassVar[str] = "channel"
@@ -151,6 +136,7 @@ class Ewma(Detector):
         check_probability("false_alarm", self.false_alarm)
         if self.weight_scale is not None and not 0.0 < self.weight_scale <= 1.0:
             raise ValueError(f"`weight_scale` must be in (0, 1] or None, got {self.weight_scale}")
+        check_limits(self.max_exclusion_s, self.min_satellites)
 
     def bind(self, context: DetectorContext) -> None:
         """Begin the charts of all satellites.
@@ -164,7 +150,10 @@ class Ewma(Detector):
         shape = (context.receivers, context.channels)
         self.memory.declare("average", np.zeros(shape))
         self.memory.declare("decay", np.ones(shape))
+        self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
         self._quantile = two_sided_quantile(self.false_alarm)
+        self._longest = longest_exclusion(self.max_exclusion_s, context.epoch_interval_s)
+        self._limited = self.max_exclusion_s is not None or self.min_satellites > 0
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch.
@@ -196,6 +185,16 @@ class Ewma(Detector):
             weights,
         )
         in_loop = None if self.weight_scale is None else weights
+        if self._limited and in_loop is not None:
+            limit_exclusions(
+                size,
+                threshold,
+                epoch.visible,
+                self._longest,
+                self.min_satellites,
+                self.memory["excluded"],
+                in_loop,
+            )
         return Verdict(size, threshold, size > threshold, in_loop)
 
     def settling_epochs(self, offset: float, threshold: float) -> float:

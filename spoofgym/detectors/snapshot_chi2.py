@@ -17,12 +17,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from ..receiver.epoch import Epoch
 from ..receiver.nis import normalized_innovation_squared
 from .base import Detector, DetectorContext, Verdict
+from .innovations import (
+    check_length,
+    check_signals,
+    declare_bias,
+    epochs_of,
+    rows_of,
+    without_bias,
+)
 from .thresholds import check_probability, chi2_thresholds
-
-SIGNALS = ("pseudorange", "range_rate", "both")
 
 
 @dataclass
@@ -35,20 +43,22 @@ class SnapshotChi2(Detector):
         Probability of an alarm in one epoch where the filter's belief is right, in (0, 1).
     signals : {"both", "pseudorange", "range_rate"}
         Innovations to test.
+    bias_window_s : float
+        Length of the first window whose mean innovation is taken away from every channel, which is
+        not judged before; 0 for none.
     """
 
     false_alarm: float = 1e-5
     signals: str = "both"
+    bias_window_s: float = 0.0
 
     paper: ClassVar[str] = "barshalom2001"
 
     def __post_init__(self) -> None:
         """Check the settings."""
         check_probability("false_alarm", self.false_alarm)
-        if self.signals not in SIGNALS:
-            raise ValueError(
-                f"`signals` must be one of {', '.join(map(repr, SIGNALS))}, got {self.signals!r}"
-            )
+        check_signals(self.signals)
+        check_length("bias_window_s", self.bias_window_s)
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare the thresholds for every number of visible satellites.
@@ -60,11 +70,13 @@ class SnapshotChi2(Detector):
         """
         super().bind(context)
         n = context.channels
-        self._rows = {"pseudorange": (0, n), "range_rate": (n, 2 * n), "both": (0, 2 * n)}[
-            self.signals
-        ]
+        self._rows = rows_of(self.signals, n)
         per_satellite = 2 if self.signals == "both" else 1
         self._thresholds = chi2_thresholds(self.false_alarm, per_satellite * n)[::per_satellite]
+        self._window = 0
+        if self.bias_window_s > 0.0:
+            self._window = epochs_of(self.bias_window_s, context)
+            declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch.
@@ -79,8 +91,11 @@ class SnapshotChi2(Detector):
         Verdict
             (B, 1) statistic, threshold and alarm; no weights.
         """
-        statistic = normalized_innovation_squared(
-            epoch.innovation, epoch.innovation_cov, *self._rows
-        )[:, None]
-        threshold = self._thresholds[epoch.visible.sum(axis=1)][:, None]
+        innovation, judged = without_bias(epoch, self.memory, self._window)
+        belief = epoch.innovation_cov
+        if self._window > 0:
+            rows = np.hstack([judged, judged])
+            belief = np.where(rows[:, :, None] & rows[:, None, :], belief, np.eye(rows.shape[1]))
+        statistic = normalized_innovation_squared(innovation, belief, *self._rows)[:, None]
+        threshold = self._thresholds[judged.sum(axis=1)][:, None]
         return Verdict(statistic, threshold, statistic > threshold)

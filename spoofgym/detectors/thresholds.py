@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
@@ -95,3 +97,32 @@ def igg3_weight(size: float, accept: float, reject: float) -> float:
         return 0.0
     inside = (reject - size) / (reject - accept)
     return accept / size * inside * inside
+
+
+@inlined
+def ewma_threshold(sd: float, decay: float, smoothing: float, quantile: float) -> float:
+    r"""Threshold of an EWMA chart after some epochs.
+
+    .. math:: T = z \sigma \sqrt{\tfrac{\lambda}{2 - \lambda} (1 - (1 - \lambda)^{2k})}
+
+    Parameters
+    ----------
+    sd : float
+        Standard deviation of the innovation [m].
+    decay : float
+        :math:`(1 - \lambda)^{2k}` after k epochs.
+    smoothing : float
+        Lambda.
+    quantile : float
+        z.
+
+    Returns
+    -------
+    float
+        T [m].
+
+    Notes
+    -----
+    `roberts1959` in references.bib.
+    """
+    return quantile * sd * math.sqrt(smoothing / (2.0 - smoothing) * (1.0 - decay))

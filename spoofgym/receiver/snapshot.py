@@ -12,7 +12,6 @@ Source: `groves2013`, eqs. 9.141 and 9.143.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np

@@ -9,8 +9,10 @@ from .._registry import build, check_choice
 from .accelerating_ramp import AcceleratingRamp
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .card import Card
+from .intermittent import Intermittent
 from .none import NoSpoofer
 from .onnx_policy import SUFFIX, OnnxPolicy
+from .paper_attacks import PAPER_ATTACKS, PaperAttack
 from .profile import Profile
 from .ramp import Ramp
 from .step import Step
@@ -18,11 +20,14 @@ from .zoo import card_of, shipped, spec_of_shipped
 
 __all__ = [
     "KNOWLEDGE",
+    "PAPER_ATTACKS",
     "SPOOFERS",
     "AcceleratingRamp",
     "Card",
+    "Intermittent",
     "NoSpoofer",
     "OnnxPolicy",
+    "PaperAttack",
     "Profile",
     "Ramp",
     "ScriptedSpoofer",
@@ -37,6 +42,7 @@ __all__ = [
 
 SPOOFERS: dict[str, type[Spoofer]] = {
     "accelerating-ramp": AcceleratingRamp,
+    "intermittent": Intermittent,
     "none": NoSpoofer,
     "onnx-policy": OnnxPolicy,
     "profile": Profile,

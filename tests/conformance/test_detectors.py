@@ -39,6 +39,16 @@ VARIANTS = [
     {"name": "snapshot-chi2", "signals": "range_rate", "false_alarm": 0.5},
     {"name": "srv-raim", "exclude": True, "false_alarm": 0.5, "frame": "ecef"},
     {"name": "traversal-raim", "exclude": True, "false_alarm": 0.5},
+    {"name": "aime", "signals": "both", "windows_s": (1.0, 3.0), "bias_window_s": 2.0},
+    {"name": "clock-drift", "signals": "range_rate", "window_s": 1.0, "bias_window_s": 2.0},
+    {"name": "cusum", "signals": "both", "limit": 3.0, "bias_window_s": 2.0},
+    {"name": "ewma", "weight_scale": 0.1, "max_exclusion_s": 2.0, "min_satellites": 4},
+    {"name": "joint-chart", "weight_scale": 0.1, "max_exclusion_s": 2.0, "false_alarm": 0.1},
+    {"name": "joint-chart", "end_rule": "literal", "weight_scale": None},
+    {"name": "sequential-chi2", "window_s": 3.0, "bias_window_s": 2.0},
+    {"name": "sequential-chi2", "signals": "both", "false_alarm": 0.5},
+    {"name": "shewhart", "signals": "both", "weight_scale": 0.5, "bias_window_s": 2.0},
+    {"name": "snapshot-chi2", "bias_window_s": 2.0},
 ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spoofgym.spoofers import SPOOFERS, Profile, Spoofer, shipped
+from spoofgym.spoofers import PAPER_ATTACKS, SPOOFERS, Profile, Spoofer, shipped
 from spoofgym.testing import check_spoofer
 
 ATTACKS = [
@@ -25,6 +25,12 @@ def test_every_spoofer_keeps_the_contract(name, attack):
 @pytest.mark.parametrize("name", shipped())
 def test_every_shipped_spoofer_keeps_the_contract(name):
     check_spoofer(name)
+
+
+@pytest.mark.parametrize("name", PAPER_ATTACKS)
+def test_every_attack_of_a_paper_keeps_the_contract(name):
+    found = PAPER_ATTACKS[name]
+    check_spoofer(found.spoofer, attack=found.attack(("S15", "S05", "S11")[: found.satellites]))
 
 
 @pytest.mark.parametrize("control", ["rate", "acceleration"])

@@ -1,0 +1,199 @@
+r"""AIME: averages of the innovations over several windows, tested by chi-square.
+
+A slow drift that no single innovation shows stands out of their average.  Innovations are whitened
+by the covariance of their own epoch, and the average over a window of W epochs is normalized,
+
+.. math:: q_W = \sum_j \frac{1}{N_j} \Big(\sum_{i=k-W+1}^{k} y_{i,j}\Big)^2 \sim \chi^2(d),
+    \qquad y_i = L_i^{-1} z_i, \quad S_i = L_i L_i^T
+
+for windows of several lengths, each with its share of the false-alarm probability.  Other than the
+sum of squares of a sequential test the average keeps the sign, and its degrees of freedom do not
+grow with the window.
+
+Symbols: z innovation, S innovation covariance, j row of the innovation, :math:`N_j` epochs of the
+window in which row j was judged, d rows that are judged now.
+
+Assumptions: innovations are white, normal and of the covariance that the filter believes in.  A
+constant satellite bias is averaged as an attack is, so that the long windows alarm in a receiver
+with such biases: `bias_window_s`.
+
+Deviations from `diesel1995`:
+
+1. The average is that of the whitened innovations.  Where S stays the same it is the original's
+   :math:`\bar z^T (\sum S^{-1}) \bar z`; where S changes, this form has the same distribution
+   and needs no inverse matrices of past epochs.
+2. The windows are those of the comparisons in the literature on spoofing, not 150 s to 30 min.
+3. The statistic is the largest of the windows', at :math:`\alpha` divided by their number.
+
+Source: `diesel1995`; as a baseline against spoofing `zhong2025`, section 1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._jit import njit
+from ..receiver.epoch import Epoch
+from .base import Detector, DetectorContext, Verdict
+from .innovations import (
+    check_length,
+    check_signals,
+    declare_bias,
+    epochs_of,
+    rows_of,
+    whiten,
+    without_bias,
+)
+from .thresholds import check_probability, chi2_thresholds
+
+FloatArray = NDArray[np.float64]
+
+
+@njit
+def largest_average(
+    white: FloatArray,
+    judged: NDArray[np.bool_],
+    first: int,
+    windows: NDArray[np.int64],
+    past: FloatArray,
+    taken: NDArray[np.bool_],
+    place: NDArray[np.int64],
+    statistic: FloatArray,
+) -> None:
+    """Remember an epoch, and average over all windows.
+
+    Parameters
+    ----------
+    white : ndarray
+        (B, r) whitened innovations.
+    judged : ndarray
+        (B, n) bool.
+    first : int
+        Row of the innovation that row 0 of `white` is.
+    windows : ndarray
+        Lengths in epochs, increasing.
+    past : ndarray
+        (B, W, r) memory, overwritten: whitened innovations of the last W epochs.
+    taken : ndarray
+        (B, W, r) bool, memory, overwritten: rows that were judged.
+    place : ndarray
+        (B,) memory, overwritten: where the next epoch goes.
+    statistic : ndarray
+        (B,) written: largest q of the windows.
+    """
+    receivers, size = white.shape
+    n, most = judged.shape[1], past.shape[1]
+    total, count = np.empty(size), np.empty(size)
+    for b in range(receivers):
+        newest = place[b]
+        place[b] = (newest + 1) % most
+        for r in range(size):
+            past[b, newest, r] = white[b, r]
+            taken[b, newest, r] = judged[b, (first + r) % n]
+        total[:] = 0.0
+        count[:] = 0.0
+        statistic[b] = 0.0
+        done = 0
+        for w in range(len(windows)):
+            for i in range(done, windows[w]):
+                k = (newest - i) % most
+                for r in range(size):
+                    total[r] += past[b, k, r]
+                    count[r] += taken[b, k, r]
+            done = windows[w]
+            q = 0.0
+            for r in range(size):
+                if taken[b, newest, r]:
+                    q += total[r] * total[r] / count[r]
+            statistic[b] = max(statistic[b], q)
+
+
+@dataclass
+class Aime(Detector):
+    """Chi-square of the average innovation over several windows, for the whole receiver.
+
+    Parameters
+    ----------
+    false_alarm : float
+        Probability of an alarm in one epoch where the filter's belief is right, in (0, 1); shared
+        out to the windows, so that the true one is somewhat smaller.
+    windows_s : tuple of float
+        Lengths of the windows, increasing.  While a run is younger than a window the test takes
+        what there is.
+    signals : {"pseudorange", "range_rate", "both"}
+        Innovations to test.
+    bias_window_s : float
+        Length of the first window whose mean innovation is taken away from every channel, which is
+        not judged before; 0 for none.
+    """
+
+    false_alarm: float = 1e-5
+    windows_s: tuple[float, ...] = (5.0, 25.0, 75.0)
+    signals: str = "pseudorange"
+    bias_window_s: float = 0.0
+
+    paper: ClassVar[str] = "diesel1995"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_probability("false_alarm", self.false_alarm)
+        self.windows_s = tuple(self.windows_s)
+        increasing = all(a < b for a, b in zip(self.windows_s, self.windows_s[1:], strict=False))
+        above = all(math.isfinite(w) and w > 0.0 for w in self.windows_s)
+        if not (self.windows_s and increasing and above):
+            raise ValueError(
+                f"`windows_s` must be lengths > 0 in increasing order, got {self.windows_s}"
+            )
+        check_signals(self.signals)
+        check_length("bias_window_s", self.bias_window_s)
+
+    def bind(self, context: DetectorContext) -> None:
+        """Prepare thresholds and windows.
+
+        Parameters
+        ----------
+        context : DetectorContext
+            Sizes.
+        """
+        super().bind(context)
+        first, last = self._rows = rows_of(self.signals, context.channels)
+        self._windows = np.array([epochs_of(w, context) for w in self.windows_s], dtype=np.int64)
+        shape = (context.receivers, int(self._windows[-1]), last - first)
+        self.memory.declare("past", np.zeros(shape))
+        self.memory.declare("taken", np.zeros(shape, dtype=np.bool_))
+        self.memory.declare("place", np.zeros(context.receivers, dtype=np.int64))
+        each = (last - first) // context.channels
+        share = self.false_alarm / len(self._windows)
+        self._thresholds = chi2_thresholds(share, last - first)[::each]
+        self._bias_window = 0
+        if self.bias_window_s > 0.0:
+            self._bias_window = epochs_of(self.bias_window_s, context)
+            declare_bias(self.memory, context)
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Test one epoch.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only.
+
+        Returns
+        -------
+        Verdict
+            (B, 1) statistic, threshold and alarm; no weights.
+        """
+        first, last = self._rows
+        innovation, judged = without_bias(epoch, self.memory, self._bias_window)
+        white = np.empty((len(judged), last - first))
+        whiten(innovation, epoch.innovation_cov, judged, first, last, white)
+        statistic = np.empty((len(judged), 1))
+        ring = (self.memory["past"], self.memory["taken"], self.memory["place"])
+        largest_average(white, judged, first, self._windows, *ring, statistic[:, 0])
+        threshold = self._thresholds[judged.sum(axis=1)][:, None]
+        return Verdict(statistic, threshold, statistic > threshold)

@@ -1,0 +1,249 @@
+r"""Clock monitor: what all innovations have in common, which is what moves the clock states.
+
+A spoofer whose own clock differs in offset or rate from the authentic system's moves all
+pseudoranges, or all range rates, by the same amount, and geometry can't tell that from the
+receiver's clock.  A known oscillator can: its states are predicted, and the correction that an
+epoch asks for has to stay within the predicted spread.  The common part of the innovations is that
+correction, estimated with the weights of their covariance and normalized,
+
+.. math:: n_k = M^{-1} A^T S_k^{-1} z_k \sim N(0, I), \qquad M M^T = A^T S_k^{-1} A
+
+and averaged over the last W epochs, :math:`q_k = |\sum_i n_i|^2 / W \sim \chi^2(s)`.
+
+Symbols: z innovation, S innovation covariance, A (m, s) a column of ones for the rows of each
+signal, so that the first element of n is the clock offset's and the second one what the clock drift
+shows beyond that; s signals.
+
+Assumptions: the filter believes in the clock that the receiver has.  The filter of the papers'
+tables takes a clock that is far worse (``tuning="paper"``), so that hardly any drift is out of the
+ordinary; the monitor is meant for ``tuning="matched"``.
+
+Deviations from `hwang2014`, which monitors the clock states over longer times by their Allan
+variance: the monitor tests the filter's innovations, and needs no solution of its own.
+
+Source: `hwang2014`; the common part is the generalized least-squares estimate (`barshalom2001`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._jit import njit
+from ..receiver.epoch import Epoch
+from .base import Detector, DetectorContext, Verdict
+from .innovations import (
+    check_length,
+    check_signals,
+    cholesky_of_rows,
+    declare_bias,
+    epochs_of,
+    rows_of,
+    without_bias,
+)
+from .thresholds import check_probability, chi2_thresholds
+
+FloatArray = NDArray[np.float64]
+
+
+@njit
+def normalized_projection(white: FloatArray, count: int, out: FloatArray) -> None:
+    r"""Coordinates of a whitened innovation along orthonormal directions of its common parts.
+
+    Parameters
+    ----------
+    white : ndarray
+        (r, 1 + s) whitened innovation, then the whitened columns of A.
+    count : int
+        Rows that take part.
+    out : ndarray
+        (s,) written.
+    """
+    projected, norm, other, cross, far = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(count):
+        projected += white[i, 1] * white[i, 0]
+        norm += white[i, 1] * white[i, 1]
+        if out.shape[0] > 1:
+            other += white[i, 2] * white[i, 0]
+            cross += white[i, 1] * white[i, 2]
+            far += white[i, 2] * white[i, 2]
+    out[0] = projected / math.sqrt(norm)
+    if out.shape[0] > 1:
+        share = cross / norm
+        out[1] = (other - share * projected) / math.sqrt(far - share * cross)
+
+
+@njit
+def common_part(
+    innovation: FloatArray,
+    innovation_cov: FloatArray,
+    judged: NDArray[np.bool_],
+    first: int,
+    last: int,
+    out: FloatArray,
+) -> None:
+    r"""Normalized common part of the innovations of every signal.
+
+    .. math:: n = M^{-1} A^T S^{-1} z, \qquad M M^T = A^T S^{-1} A
+
+    Parameters
+    ----------
+    innovation, innovation_cov : ndarray
+        (B, 2n), (B, 2n, 2n).
+    judged : ndarray
+        (B, n) bool, satellites that take part.
+    first, last : int
+        Range of rows.
+    out : ndarray
+        (B, s) written; 0 where nothing is judged, infinite where S is not positive definite.
+    """
+    receivers, n = judged.shape
+    size = last - first
+    signals = size // n
+    rows = np.empty(size, dtype=np.int64)
+    factor = np.empty((size, size))
+    white = np.empty((size, signals + 1))  # innovation, then the columns of A
+    for b in range(receivers):
+        out[b] = 0.0
+        count = cholesky_of_rows(innovation_cov[b], judged[b], first, last, rows, factor)
+        if count < 0:
+            out[b, 0] = np.inf
+        if count <= 0:
+            continue
+        for i in range(count):
+            for c in range(signals + 1):
+                value = innovation[b, rows[i]]
+                if c > 0:
+                    value = 1.0 if (rows[i] - first) // n == c - 1 else 0.0
+                for k in range(i):
+                    value -= factor[i, k] * white[k, c]
+                white[i, c] = value * factor[i, i]
+        normalized_projection(white, count, out[b])
+
+
+@njit
+def window_average(
+    part: FloatArray,
+    judged: NDArray[np.bool_],
+    past: FloatArray,
+    taken: NDArray[np.bool_],
+    place: NDArray[np.int64],
+    statistic: FloatArray,
+) -> None:
+    r"""Remember an epoch, and test the average over the window.
+
+    .. math:: q = \frac{1}{W} \Big|\sum_i n_i\Big|^2
+
+    Parameters
+    ----------
+    part : ndarray
+        (B, s) normalized common part.
+    judged : ndarray
+        (B, n) bool.
+    past : ndarray
+        (B, W, s) memory, overwritten.
+    taken : ndarray
+        (B, W) bool, memory, overwritten: epochs in which anything was judged.
+    place : ndarray
+        (B,) memory, overwritten: where the next epoch goes.
+    statistic : ndarray
+        (B,) written; 0 where nothing is judged now.
+    """
+    window = taken.shape[1]
+    for b in range(part.shape[0]):
+        k = place[b]
+        place[b] = (k + 1) % window
+        past[b, k] = part[b]
+        taken[b, k] = judged[b].any()
+        statistic[b] = 0.0
+        if not taken[b, k]:
+            continue
+        count = 0.0
+        for i in range(window):
+            count += taken[b, i]
+        for c in range(part.shape[1]):
+            total = 0.0
+            for i in range(window):
+                total += past[b, i, c]
+            statistic[b] += total * total / count
+
+
+@dataclass
+class ClockDrift(Detector):
+    """Chi-square of the average common part of the innovations; it only watches.
+
+    Parameters
+    ----------
+    false_alarm : float
+        Probability of an alarm in one epoch where the filter's belief is right, in (0, 1).
+    window_s : float
+        Length that the common part is averaged over, above 0.  While a run is younger the test
+        takes what there is.
+    signals : {"both", "pseudorange", "range_rate"}
+        Innovations to test: pseudoranges show the clock's offset, range rates its drift.
+    bias_window_s : float
+        Length of the first window whose mean innovation is taken away from every channel, which is
+        not judged before; 0 for none.
+    """
+
+    false_alarm: float = 1e-5
+    window_s: float = 10.0
+    signals: str = "both"
+    bias_window_s: float = 0.0
+
+    paper: ClassVar[str] = "hwang2014"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_probability("false_alarm", self.false_alarm)
+        if not (math.isfinite(self.window_s) and self.window_s > 0.0):
+            raise ValueError(f"`window_s` must be finite and > 0, got {self.window_s}")
+        check_signals(self.signals)
+        check_length("bias_window_s", self.bias_window_s)
+
+    def bind(self, context: DetectorContext) -> None:
+        """Prepare threshold and window.
+
+        Parameters
+        ----------
+        context : DetectorContext
+            Sizes.
+        """
+        super().bind(context)
+        first, last = self._rows = rows_of(self.signals, context.channels)
+        self._signals = (last - first) // context.channels
+        self._threshold = float(chi2_thresholds(self.false_alarm, 2)[self._signals])
+        b, window = context.receivers, epochs_of(self.window_s, context)
+        self.memory.declare("past", np.zeros((b, window, self._signals)))
+        self.memory.declare("taken", np.zeros((b, window), dtype=np.bool_))
+        self.memory.declare("place", np.zeros(b, dtype=np.int64))
+        self._bias_window = 0
+        if self.bias_window_s > 0.0:
+            self._bias_window = epochs_of(self.bias_window_s, context)
+            declare_bias(self.memory, context)
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Test one epoch.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only.
+
+        Returns
+        -------
+        Verdict
+            (B, 1) statistic, threshold and alarm; no weights.
+        """
+        innovation, judged = without_bias(epoch, self.memory, self._bias_window)
+        part = np.empty((len(judged), self._signals))
+        common_part(innovation, epoch.innovation_cov, judged, *self._rows, part)
+        statistic = np.empty((len(judged), 1))
+        ring = (self.memory["past"], self.memory["taken"], self.memory["place"])
+        window_average(part, judged, *ring, statistic[:, 0])
+        threshold = np.full(statistic.shape, self._threshold)
+        return Verdict(statistic, threshold, statistic > threshold)

@@ -1,0 +1,194 @@
+r"""Two-sided cumulative sum of every satellite's normalized innovation.
+
+What an innovation exceeds an allowance by is added up, in either direction, and forgotten as soon
+as the sum falls below zero.  So the chart gathers a small shift over just the time since it began.
+It judges every satellite for itself.
+
+.. math:: C^+_k = \max(0, C^+_{k-1} + u_k - \kappa), \quad
+    C^-_k = \max(0, C^-_{k-1} - u_k - \kappa), \quad u_k = z_{k,j} / \sqrt{S_{k,jj}}
+
+with an alarm where the larger of the two exceeds h.  Symbols: z innovation, S innovation
+covariance, :math:`\kappa` the allowance, half of the shift that is found soonest, h the limit.
+
+Assumptions: innovations are white, normal and of the variance that the filter believes in; a
+constant satellite bias above the allowance adds up without end: `bias_window_s`.
+
+What is promised is no rate of one epoch, but a mean time between false alarms, by
+`mean_epochs_between_alarms`: 8e5 epochs of one satellite by default, 1e5 of a receiver with eight.
+The sum is not set back by an alarm: after an attack it takes the sum over :math:`\kappa` in epochs,
+or more, to fall back.
+
+Source: `page1954`; the mean time is from `siegmund1985`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._jit import njit
+from ..receiver.epoch import Epoch
+from .base import Detector, DetectorContext, Verdict
+from .innovations import (
+    check_length,
+    check_signals,
+    declare_bias,
+    epochs_of,
+    rows_of,
+    without_bias,
+)
+
+FloatArray = NDArray[np.float64]
+
+
+def mean_epochs_between_alarms(allowance: float, limit: float) -> float:
+    r"""Mean time to a false alarm of one two-sided chart, from zero, in epochs.
+
+    .. math:: \frac{e^{2 \kappa b} - 2 \kappa b - 1}{4 \kappa^2}, \qquad b = h + 1.166
+
+    Parameters
+    ----------
+    allowance : float
+        Kappa, above 0.
+    limit : float
+        h.
+
+    Returns
+    -------
+    float
+        Half of a one-sided chart's.
+
+    Notes
+    -----
+    `siegmund1985`, by a Brownian motion whose limit is moved by the mean overshoot.
+    """
+    b = 2.0 * allowance * (limit + 1.166)
+    return (math.exp(b) - b - 1.0) / (4.0 * allowance**2)
+
+
+@njit
+def advance_sums(
+    innovation: FloatArray,
+    innovation_cov: FloatArray,
+    judged: NDArray[np.bool_],
+    first: int,
+    last: int,
+    allowance: float,
+    above: FloatArray,
+    below: FloatArray,
+) -> FloatArray:
+    """Advance all sums by one epoch.
+
+    Parameters
+    ----------
+    innovation, innovation_cov : ndarray
+        (B, 2n), (B, 2n, 2n).
+    judged : ndarray
+        (B, n) bool; the sums of the others begin anew.
+    first, last : int
+        Range of rows.
+    allowance : float
+        Kappa.
+    above, below : ndarray
+        (B, last - first) memory, overwritten.
+
+    Returns
+    -------
+    ndarray
+        (B, n) largest sum of every satellite.
+    """
+    receivers, n = judged.shape
+    out = np.zeros((receivers, n))
+    for b in range(receivers):
+        for r in range(first, last):
+            i, j = r - first, r % n
+            if not judged[b, j]:
+                above[b, i] = below[b, i] = 0.0
+                continue
+            u = innovation[b, r] / math.sqrt(innovation_cov[b, r, r])
+            above[b, i] = max(0.0, above[b, i] + u - allowance)
+            below[b, i] = max(0.0, below[b, i] - u - allowance)
+            out[b, j] = max(out[b, j], above[b, i], below[b, i])
+    return out
+
+
+@dataclass
+class Cusum(Detector):
+    """Cumulative sum of every satellite's innovation; it only watches.
+
+    Parameters
+    ----------
+    allowance : float
+        Kappa, above 0 [standard deviations].
+    limit : float
+        h, above 0 [standard deviations].
+    signals : {"pseudorange", "range_rate", "both"}
+        Innovations to add up; of ``"both"`` a satellite's statistic is the larger sum.
+    bias_window_s : float
+        Length of the first window whose mean innovation is taken away from every channel, which is
+        not judged before; 0 for none.
+    """
+
+    allowance: float = 0.5
+    limit: float = 12.4
+    signals: str = "pseudorange"
+    bias_window_s: float = 0.0
+
+    paper: ClassVar[str] = "page1954"
+    scope: ClassVar[str] = "channel"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        for name in ("allowance", "limit"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
+        check_signals(self.signals)
+        check_length("bias_window_s", self.bias_window_s)
+
+    def bind(self, context: DetectorContext) -> None:
+        """Begin the sums of all satellites.
+
+        Parameters
+        ----------
+        context : DetectorContext
+            Sizes.
+        """
+        super().bind(context)
+        first, last = self._rows = rows_of(self.signals, context.channels)
+        for name in ("above", "below"):
+            self.memory.declare(name, np.zeros((context.receivers, last - first)))
+        self._bias_window = 0
+        if self.bias_window_s > 0.0:
+            self._bias_window = epochs_of(self.bias_window_s, context)
+            declare_bias(self.memory, context)
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Judge one epoch.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only.
+
+        Returns
+        -------
+        Verdict
+            (B, n) sums, limits, alarms; no weights.
+        """
+        innovation, judged = without_bias(epoch, self.memory, self._bias_window)
+        statistic = advance_sums(
+            innovation,
+            epoch.innovation_cov,
+            judged,
+            *self._rows,
+            self.allowance,
+            self.memory["above"],
+            self.memory["below"],
+        )
+        threshold = np.full(statistic.shape, self.limit)
+        return Verdict(statistic, threshold, statistic > threshold)

@@ -1,0 +1,89 @@
+"""Nobody is locked out for good, and not everybody at once."""
+
+import numpy as np
+import pytest
+
+from spoofgym.detectors import Ewma, JointChart, make_detector
+
+from .support import context, epoch
+
+N = 6
+S = np.tile(np.diag(np.repeat([4.0, 1.0], N)), (1, 1, 1))
+
+
+def weights(detector, offsets, epochs):
+    """(K, N) weights of the pseudoranges while every innovation stays at its offset [m]."""
+    detector.bind(context(1, N))
+    z = np.concatenate([offsets, np.zeros(N)])[None]
+    return np.array([detector.judge(epoch(z, S)).weights[0, :N] for _ in range(epochs)])
+
+
+def offset(ratio, detector):
+    """Innovation at which a settled chart stands at a part of its threshold [m]."""
+    detector.bind(context(1, N))
+    for _ in range(200):
+        verdict = detector.judge(epoch(np.zeros((1, 2 * N)), S))
+    return ratio * float(verdict.threshold[0, 0])
+
+
+KINDS = [
+    Ewma(max_exclusion_s=10.0, min_satellites=0),
+    JointChart(max_exclusion_s=10.0, min_satellites=0),
+]
+
+
+@pytest.mark.parametrize("detector", KINDS, ids=lambda d: type(d).__name__)
+def test_an_exclusion_without_an_alarm_ends_after_the_maximum_time(detector):
+    offsets = np.zeros(N)
+    offsets[2] = offset(0.7, detector)  # beyond m T = 0.3 T, and no alarm
+    found = weights(detector, offsets, 120)
+    out = np.flatnonzero(found[:, 2] == 0.0)
+    assert len(out) == 20  # 10 s
+    assert np.all(np.diff(out) == 1)
+    assert np.all(found[out[-1] + 1 :, 2] == 1.0)
+    assert np.all(np.delete(found, 2, axis=1) == 1.0)
+
+
+@pytest.mark.parametrize("detector", KINDS, ids=lambda d: type(d).__name__)
+def test_an_exclusion_with_an_alarm_lasts_as_long_as_the_alarm(detector):
+    offsets = np.zeros(N)
+    offsets[2] = offset(3.0, detector)
+    found = weights(detector, offsets, 120)
+    assert np.all(found[1:, 2] == 0.0)
+
+
+@pytest.mark.parametrize("kind", [Ewma, JointChart])
+def test_the_satellites_that_deviate_least_are_kept(kind):
+    detector = kind(max_exclusion_s=None, min_satellites=4)
+    ratios = np.array([6.0, 3.0, 8.0, 4.0, 5.0, 7.0])
+    found = weights(detector, ratios * offset(1.0, detector), 60)[-1]
+    np.testing.assert_array_equal(found == 1.0, ratios <= 6.0)
+
+
+def test_no_more_are_readmitted_than_there_are():
+    detector = JointChart(min_satellites=32)
+    found = weights(detector, np.full(N, offset(3.0, detector)), 5)
+    np.testing.assert_array_equal(found, 1.0)
+
+
+def test_without_limits_all_can_be_locked_out_for_good():
+    for detector in (Ewma(), JointChart(max_exclusion_s=None, min_satellites=0)):
+        found = weights(detector, np.full(N, offset(0.7, detector)), 400)
+        assert np.all(found[20:] == 0.0)
+
+
+def test_the_joint_chart_is_limited_by_default_and_the_ewma_chart_is_not():
+    assert (JointChart().max_exclusion_s, JointChart().min_satellites) == (60.0, 5)
+    assert (Ewma().max_exclusion_s, Ewma().min_satellites) == (None, 0)
+
+
+@pytest.mark.parametrize("name", ["ewma", "joint-chart"])
+def test_settings_are_checked_at_birth(name):
+    with pytest.raises(
+        ValueError, match="`max_exclusion_s` must be finite and > 0, or None, got 0"
+    ):
+        make_detector({"name": name, "max_exclusion_s": 0.0})
+    with pytest.raises(ValueError, match="`min_satellites` must be at least 0, got -1"):
+        make_detector({"name": name, "min_satellites": -1})
+    with pytest.raises(ValueError, match=r"`min_satellites` must be a whole number, got 4\.5"):
+        make_detector({"name": name, "min_satellites": 4.5})

@@ -1,0 +1,110 @@
+"""Bursts and pauses, and the papers' attacks that are made of them."""
+
+import numpy as np
+import pytest
+
+from spoofgym.attacks import make_attack
+from spoofgym.spoofers import PAPER_ATTACKS, Intermittent, SpooferContext, make_spoofer
+
+pytestmark = pytest.mark.nojit
+
+NOTHING = np.zeros((1, 0), dtype=np.float32)
+FAST = {"control": "rate", "rate_limit_mps": 250.0}
+SLOW = {"control": "acceleration", "rate_limit_mps": 5.0}
+
+
+def flown(spoofer, steps=360, **limits):
+    """(steps,) displacement and rate of a false position to the east."""
+    told = SpooferContext(
+        receivers=1,
+        interval_s=0.5,
+        steps=steps,
+        acceleration_limit_mps2=0.05,
+        action_names=("north_x", "east_x"),
+        **limits,
+    )
+    spoofer.bind(told)
+    displacement, rate = [], []
+    for _ in range(steps):
+        assert np.abs(spoofer.act(NOTHING)).max() <= 1.0
+        displacement.append(spoofer.memory["displacement"][0])
+        rate.append(spoofer.memory["rate"][0])
+    return np.array(displacement), np.array(rate)
+
+
+def test_ramps_and_steps_take_turns_and_return_within_an_epoch():
+    spoofer = Intermittent(shapes=("ramp", "step"), sizes_m=(30.0, -20.0), on_s=30.0, off_s=10.0)
+    found, _ = flown(spoofer, **FAST)
+    burst = np.concatenate([0.5 * np.arange(1, 61), np.zeros(20)])
+    step = np.concatenate([np.full(60, -20.0), np.zeros(20)])
+    want = np.tile(np.concatenate([burst, step]), 3)[:360]
+    np.testing.assert_allclose(found, want, atol=1e-9)
+
+
+def test_after_the_last_burst_there_is_silence():
+    found, _ = flown(Intermittent(on_s=20.0, off_s=5.0, bursts=2), **FAST)
+    assert found[40:50] == pytest.approx(0.0, abs=1e-9)
+    assert found[50:90].all()
+    assert found[90:] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_within_limits_it_returns_as_quickly_as_it_can_and_rests():
+    spoofer = Intermittent(shapes=("step",), sizes_m=(10.0,), on_s=60.0, off_s=60.0)
+    found, rate = flown(spoofer, steps=240, **SLOW)
+    assert found.max() == pytest.approx(10.0)
+    assert found.min() >= -1e-9  # no overshoot
+    assert found[119] == pytest.approx(10.0)
+    # 10 m at 0.05 m/s^2, half of the way up and half down: 28.3 s
+    assert found[120 + 58] == pytest.approx(0.0, abs=1e-6)
+    assert found[120 + 54] > 1e-3
+    assert np.abs(rate[-10:]).max() < 1e-9
+
+
+def test_a_ramp_that_is_broken_off_comes_back():
+    found, rate = flown(Intermittent(sizes_m=(40.0,), on_s=60.0, off_s=90.0), steps=300, **SLOW)
+    assert found.max() > 25.0
+    assert abs(found[-1]) < 1e-6
+    assert abs(rate[-1]) < 1e-6
+
+
+def test_scale_and_heading():
+    one, _ = flown(Intermittent(scale=0.5), **FAST)
+    two, _ = flown(Intermittent(sizes_m=(10.0,)), **FAST)
+    np.testing.assert_array_equal(one, two)
+    low, high = Intermittent.tuning_range(None)
+    assert (low * 20.0, high * 20.0) == pytest.approx((0.1, 1000.0))
+
+
+def test_settings_are_checked_at_birth():
+    with pytest.raises(ValueError, match="`shapes` must be among 'ramp', 'step', got 'sine'"):
+        Intermittent(shapes=("sine",))
+    with pytest.raises(ValueError, match=r"`shapes` and `sizes_m` must be as many, .* got 1 and 2"):
+        Intermittent(sizes_m=(1.0, 2.0))
+    with pytest.raises(ValueError, match="`on_s` must be > 0, got 0"):
+        Intermittent(on_s=0.0)
+    with pytest.raises(ValueError, match="`off_s` must be >= 0, got -1"):
+        Intermittent(off_s=-1.0)
+    with pytest.raises(ValueError, match="`bursts` must be at least 1 or None, got 0"):
+        Intermittent(bursts=0)
+
+
+@pytest.mark.parametrize("name", PAPER_ATTACKS)
+def test_every_attack_of_a_paper_can_be_made(name):
+    found = PAPER_ATTACKS[name]
+    satellites = ("S15", "S05", "S11")[: found.satellites]
+    assert make_attack(found.attack(satellites)).channels == satellites
+    with pytest.raises(ValueError, match="`channels` must name"):
+        found.attack(())
+    steps = round(found.duration_s / 0.5)
+    offset, _ = flown(make_spoofer(dict(found.spoofer)), steps=steps + 10, **FAST)
+    assert offset[0] > 0.0
+    assert offset[steps - 1] > 0.0
+    np.testing.assert_allclose(offset[steps:], 0.0, atol=1e-9)
+
+
+def test_the_intermittent_attack_of_zhong2025():
+    found, _ = flown(make_spoofer(dict(PAPER_ATTACKS["zhong2025-intermittent"].spoofer)), **FAST)
+    time = 200.0 + 0.5 * np.arange(1, 361)  # of the epochs that are spoofed
+    want = np.where(time <= 270.0, 0.5 * (time - 200.0), 0.0)
+    want = np.where((time > 280.0) & (time <= 350.0), 25.0, want)
+    np.testing.assert_allclose(found, want, atol=1e-9)
