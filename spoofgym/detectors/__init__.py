@@ -10,6 +10,7 @@ from .base import Detector, DetectorContext, Verdict
 from .ewma import Ewma
 from .never import Never
 from .snapshot_chi2 import SnapshotChi2
+from .windowed_chi2 import WindowedChi2
 
 __all__ = [
     "DETECTORS",
@@ -19,6 +20,7 @@ __all__ = [
     "Never",
     "SnapshotChi2",
     "Verdict",
+    "WindowedChi2",
     "make_detector",
 ]
 
@@ -26,6 +28,7 @@ DETECTORS: dict[str, type[Detector]] = {
     "ewma": Ewma,
     "never": Never,
     "snapshot-chi2": SnapshotChi2,
+    "windowed-chi2": WindowedChi2,
 }
 """Detectors by name."""
 

@@ -16,6 +16,9 @@ VARIANTS = [
     {"name": "ewma", "smoothing": 1.0, "false_alarm": 0.1, "weight_scale": 1.0},
     {"name": "snapshot-chi2", "signals": "pseudorange"},
     {"name": "snapshot-chi2", "signals": "range_rate", "false_alarm": 0.5},
+    {"name": "windowed-chi2", "window": 1, "covariance": "estimated", "covariance_window": 30},
+    {"name": "windowed-chi2", "window": 4, "false_alarm": 0.3, "covariance": "estimated"},
+    {"name": "windowed-chi2", "window": 1000},
 ]
 
 
