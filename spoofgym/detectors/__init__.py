@@ -24,13 +24,14 @@ from .shewhart import Shewhart
 from .snapshot_chi2 import SnapshotChi2
 from .srv_raim import SrvRaim
 from .traversal_raim import TraversalRaim
+from .windowed_chi2 import WindowedChi2
 
 __all__ = [
-    "DETECTORS",
     "Acna",
     "Aime",
     "ClockDrift",
     "Cusum",
+    "DETECTORS",
     "Detector",
     "DetectorContext",
     "Ewma",
@@ -50,6 +51,7 @@ __all__ = [
     "SrvRaim",
     "TraversalRaim",
     "Verdict",
+    "WindowedChi2",
     "make_detector",
 ]
 
@@ -74,6 +76,7 @@ DETECTORS: dict[str, type[Detector]] = {
     "snapshot-chi2": SnapshotChi2,
     "srv-raim": SrvRaim,
     "traversal-raim": TraversalRaim,
+    "windowed-chi2": WindowedChi2,
 }
 """Detectors by name."""
 

@@ -1,14 +1,18 @@
 """The victim: receivers that turn samples and ranges into a position."""
 
+from .adaptive import SelfTuning
 from .least_squares import Fix, least_squares_fix
+from .loose import LooselyCoupled
 from .replay import Recording, Solution, replay
 from .tight import NavState, NoiseModel, TightlyCoupled
 
 __all__ = [
     "Fix",
+    "LooselyCoupled",
     "NavState",
     "NoiseModel",
     "Recording",
+    "SelfTuning",
     "Solution",
     "TightlyCoupled",
     "least_squares_fix",

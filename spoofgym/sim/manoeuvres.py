@@ -431,5 +431,40 @@ def ke2022() -> Flight:
     )
 
 
-FLIGHTS: dict[str, Callable[[], Flight]] = {"car": car, "ke2022": ke2022, "zhong2025": zhong2025}
+def shadmehri2025() -> Flight:
+    """Flight of shadmehri2025: an airliner for a minute, 200 m/s eastwards and 50 m/s northwards.
+
+    The paper takes a recorded flight that it does not name, and tells these two velocities and
+    the rate of the inertial sensors, 160 Hz.  Here the manoeuvres are mild: 6 deg to the right, a
+    climb of 30 m, and 6 deg back, which ends after the paper's onset at 20 s.
+
+    Returns
+    -------
+    Flight
+        9,601 states at 160 Hz.
+    """
+    return fly(
+        [
+            Until(2.0),
+            Turn(6.0, bank_deg=12.0, ramp_s=3.0),
+            Climb(30.0, rate_mps=6.0, ramp_s=4.0),
+            Turn(-6.0, bank_deg=12.0, ramp_s=3.0),
+            Until(60.0),
+        ],
+        latitude_deg=35.7,
+        longitude_deg=51.4,
+        height_m=3000.0,
+        speed_mps=math.hypot(200.0, 50.0),
+        heading_deg=math.degrees(math.atan2(200.0, 50.0)),
+        rate_hz=160.0,
+        name="shadmehri2025",
+    )
+
+
+FLIGHTS: dict[str, Callable[[], Flight]] = {
+    "car": car,
+    "ke2022": ke2022,
+    "shadmehri2025": shadmehri2025,
+    "zhong2025": zhong2025,
+}
 """The ready-made flights by name."""

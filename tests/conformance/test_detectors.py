@@ -49,6 +49,9 @@ VARIANTS = [
     {"name": "sequential-chi2", "signals": "both", "false_alarm": 0.5},
     {"name": "shewhart", "signals": "both", "weight_scale": 0.5, "bias_window_s": 2.0},
     {"name": "snapshot-chi2", "bias_window_s": 2.0},
+    {"name": "windowed-chi2", "window": 1, "covariance": "estimated", "covariance_window": 30},
+    {"name": "windowed-chi2", "window": 4, "false_alarm": 0.3, "covariance": "estimated"},
+    {"name": "windowed-chi2", "window": 1000},
 ]
 
 

@@ -1,0 +1,104 @@
+"""Reproduction of shadmehri2025: the self-tuning Kalman filter monitor.
+
+Run by ``python -m baselines.papers shadmehri2025``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ..frame import Part, Row, Settings
+from .cases import CASES, DECAYS, FALSE_ALARMS, SPREADS
+from .figures import draw
+from .runs import MARKOV, WHITE, false_alarms, latencies, sample, stability, tuned
+from .tables import (
+    absorption_rows,
+    decay_rows,
+    false_alarm_rows,
+    latency_rows,
+    stability_rows,
+    test_rows,
+)
+from .words import CLAIMS, FOUND, READINGS
+
+TITLE = "Shadmehri & Mahboobi Esfanjani (2025)"
+
+__all__ = ["CLAIMS", "FOUND", "READINGS", "TITLE", "figures", "parts", "rows"]
+
+
+def parts(settings: Settings) -> list[Part]:
+    """Work of a run.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the run.
+
+    Returns
+    -------
+    list of Part
+        Cases of latency, then clean runs, then stability, then one run for the figures.
+    """
+    runs = 40 if settings.quick else 200
+    clean = 60 if settings.quick else 300
+    common: dict[str, Any] = {"runs": runs, "seed": settings.seed}
+    made = []
+    for name, case in CASES.items():
+        given = {"errors": case.errors, "receiver": case.receiver}
+        given["tests"] = {"paper": {}, **case.tests}
+        made.append(Part(name, latencies, given | common, 3.0 * runs))
+    for decay in DECAYS:
+        given = {"errors": MARKOV | {"decay": decay}, "receiver": tuned(100)}
+        given |= {"tests": {"paper": {}}, "ramps": [2.0]}
+        made.append(Part(f"decay {decay:g}", latencies, given | common, 1.0 * runs))
+    common = common | {"runs": clean}
+    for name, errors in (("white", WHITE), ("correlated", MARKOV)):
+        given = {"errors": errors, "receiver": {}, "window": 0}
+        made.append(Part(f"clean, conventional, {name}", false_alarms, given | common, 2.0 * clean))
+    for window in FALSE_ALARMS:
+        given = {"errors": MARKOV, "receiver": tuned(window), "window": window}
+        made.append(Part(f"clean, w = {window}", false_alarms, given | common, 2.0 * clean))
+    for rule, window, name in SPREADS:
+        given = {"errors": WHITE if name == "white" else MARKOV, "window": window, "process": rule}
+        given |= {"runs": runs, "seed": settings.seed}
+        made.append(Part(f"Q {rule}, w = {window}, {name}", stability, given, 1.0 * runs))
+    made.append(Part("sample", sample, {"seed": settings.seed}, 10.0))
+    return made
+
+
+def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
+    """Figures of the paper beside ours.
+
+    Parameters
+    ----------
+    data : dict
+        What each part returned, by its name.
+    settings : Settings
+        Of the run.
+
+    Returns
+    -------
+    list of Row
+        Table 1 in all readings, then what the paper does not measure.
+    """
+    made = [*latency_rows(data), *test_rows(data), *decay_rows(data), *false_alarm_rows(data)]
+    return [*made, *stability_rows(data), *absorption_rows(data)]
+
+
+def figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
+    """Redraw the paper's figures from our runs.
+
+    Parameters
+    ----------
+    data : dict
+        What each part returned, by its name.
+    folder : Path
+        Where the pictures go.
+
+    Returns
+    -------
+    list of Path
+        PNG files.
+    """
+    return draw(data["sample"], folder)

@@ -1,0 +1,197 @@
+"""Cases of the reproduction, and what the notes' prototype found in them.
+
+The prototype was another program of the same equations, of 60 to 150 runs a case; its means and
+standard deviations are the bands of ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from .runs import MARKOV, SMALL_WHITE, WHITE, scaled, tuned
+
+
+class Found(NamedTuple):
+    """What the prototype found at one ramp.
+
+    Attributes
+    ----------
+    detected : float
+        Share of the runs.
+    mean, sd : float or None
+        Of the latency [s], where anything was detected.
+    """
+
+    detected: float
+    mean: float | None = None
+    sd: float | None = None
+
+
+class Case(NamedTuple):
+    """One receiver under one kind of errors.
+
+    Attributes
+    ----------
+    title : str
+        For the tables.
+    errors, receiver : dict
+        Settings.
+    found : dict
+        Prototype's figures by ramp; where there are none, there is no band.
+    tests : dict
+        More tests of the same runs than the paper's, as `runs.judged` takes them.
+    """
+
+    title: str
+    errors: dict[str, float]
+    receiver: dict[str, Any]
+    found: dict[str, Found]
+    tests: Mapping[str, dict[str, Any]] = MappingProxyType({})
+
+
+PAPER = {
+    "conventional": {"2": None, "3": 3.41, "5": 1.91},
+    "tuned": {"2": 0.35, "3": 0.22, "5": 0.11},
+}
+"""Table 1, latency [s]; None where the paper detects nothing."""
+
+
+def _estimated(window: int) -> dict[str, Any]:
+    return {"rule": "estimated", "covariance_window": window}
+
+
+MEANS = {f"mean of {n}": {"rule": "mean", "window": n} for n in (5, 10)}
+"""The paper's mean over N epochs against 25.9."""
+
+CONVENTIONAL = {
+    "conventional, white": Case(
+        "white 3.7/6 m, as the stated R",
+        WHITE,
+        {},
+        {"2": Found(0.05, 3.7, 1.1), "3": Found(0.52, 3.9, 0.75), "5": Found(1.0, 2.5, 0.58)},
+        {"window of 10": {"window": 10}},
+    ),
+    "conventional, correlated": Case(
+        "correlated, stated R",
+        MARKOV,
+        {},
+        {"2": Found(0.0), "3": Found(0.0), "5": Found(1.0, 4.14, 0.13)},
+    ),
+    "conventional, R x 0.24": Case(
+        "correlated, R x 0.24 (fitted)",
+        MARKOV,
+        scaled(0.24),
+        {"2": Found(0.0), "3": Found(1.0, 3.48, 0.21), "5": Found(1.0, 1.66, 0.07)},
+    ),
+    "conventional, R x 0.26": Case(
+        "correlated, R x 0.26 (fitted)",
+        MARKOV,
+        scaled(0.26),
+        {"2": Found(0.0), "3": Found(1.0, 3.69, 0.23), "5": Found(1.0, 1.74, 0.08)},
+    ),
+    "conventional, R x 0.28": Case(
+        "correlated, R x 0.28 (fitted)",
+        MARKOV,
+        scaled(0.28),
+        {"2": Found(0.0), "3": Found(1.0, 3.94, 0.27), "5": Found(1.0, 1.82, 0.07)},
+    ),
+    "conventional, white 1.6 m": Case(
+        "white 1.6/3 m, R x 0.4 (fitted)",
+        SMALL_WHITE,
+        scaled(0.4),
+        {"2": Found(0.05), "3": Found(1.0, 3.46, 0.51), "5": Found(1.0, 1.83, 0.22)},
+    ),
+}
+TUNED = {
+    "tuned, w = 20": Case(
+        "correlated, w = 20",
+        MARKOV,
+        tuned(20),
+        {"2": Found(0.73, 0.24, 0.1), "3": Found(0.95, 0.17, 0.07), "5": Found(1.0, 0.11, 0.04)},
+        {"with itself": {"masked": True}},
+    ),
+    "tuned, w = 30": Case(
+        "correlated, w = 30",
+        MARKOV,
+        tuned(30),
+        {"2": Found(0.74, 0.3, 0.28), "3": Found(0.94, 0.2, 0.08), "5": Found(0.99, 0.13, 0.05)},
+        {"estimated": _estimated(30)},
+    ),
+    "tuned, w = 50": Case(
+        "correlated, w = 50",
+        MARKOV,
+        tuned(50),
+        {"2": Found(0.85, 0.37, 0.19), "3": Found(0.97, 0.24, 0.11), "5": Found(1.0, 0.15, 0.07)},
+        {"with itself": {"masked": True}, **MEANS},
+    ),
+    "tuned, w = 100": Case(
+        "correlated, w = 100",
+        MARKOV,
+        tuned(100),
+        {"2": Found(0.98, 0.38, 0.17), "3": Found(1.0, 0.24, 0.09), "5": Found(1.0, 0.15, 0.06)},
+        {"estimated": _estimated(100), **MEANS},
+    ),
+    "tuned, white": Case(
+        "white 3.7/6 m, w = 100",
+        WHITE,
+        tuned(100),
+        {"2": Found(0.02), "3": Found(0.02), "5": Found(0.06)},
+    ),
+    "tuned, white 1.6 m": Case(
+        "white 1.6/3 m, w = 100",
+        SMALL_WHITE,
+        tuned(100),
+        {"5": Found(0.37)},
+    ),
+    "tuned, w = 50, Q too": Case(
+        "correlated, w = 50, Q adapts too (clamped)",
+        MARKOV,
+        tuned(50, "clamped"),
+        {"2": Found(0.85, 0.36, 0.19), "3": Found(0.97, 0.26, 0.11), "5": Found(1.0, 0.16, 0.07)},
+    ),
+    "tuned, floor": Case(
+        "correlated, w = 50, R no smaller than 0.83 m",
+        MARKOV,
+        tuned(50, floor_m=0.83),
+        {"2": Found(0.0), "3": Found(0.0), "5": Found(0.0)},
+    ),
+}
+SMALL_R = {
+    "R of 0.17 m": Case(
+        "R of 0.17 m, fixed",
+        MARKOV,
+        scaled(0.0021),
+        {"2": Found(1.0, 0.36, 0.1), "3": Found(1.0, 0.25, 0.1), "5": Found(1.0, 0.17, 0.1)},
+    ),
+    "R of 0.37 m": Case(
+        "R of 0.37 m, fixed",
+        MARKOV,
+        scaled(0.01),
+        {"2": Found(1.0, 0.87, 0.1), "3": Found(1.0, 0.56, 0.1), "5": Found(1.0, 0.34, 0.1)},
+    ),
+    "R of 0.83 m": Case(
+        "R of 0.83 m, fixed",
+        MARKOV,
+        scaled(0.05),
+        {"2": Found(1.0, 2.27, 0.25), "3": Found(1.0, 1.3, 0.12), "5": Found(1.0, 0.73, 0.1)},
+    ),
+}
+CASES = CONVENTIONAL | TUNED | SMALL_R
+
+DECAYS = {0.9999: 1.0, 0.999: 0.98, 0.995: 0.43, 0.99: 0.13, 0.97: 0.07, 0.9: 0.02}
+"""Share of ramps of 2 m/s that w = 100 detects, by the decay of the errors."""
+
+FALSE_ALARMS = {5: 5.9e-2, 10: 1.3e-2, 20: 4.8e-3, 30: 2.1e-3, 50: 6.7e-4, 100: 1.7e-4, 150: 2e-4}
+"""Share of clean epochs with an alarm at 25.9, by w."""
+
+SPREADS = (
+    ("raw", 100, "correlated"),
+    ("skip", 100, "correlated"),
+    ("clamped", 100, "correlated"),
+    ("clamped", 100, "white"),
+    ("clamped", 30, "white"),
+    ("clamped", 10, "white"),
+)
+"""Rule of Q, w and errors whose scale of Q is followed."""

@@ -1,0 +1,5 @@
+"""What the paper claims, what we found, and how we read it."""
+
+CLAIMS = """x"""
+FOUND = """x"""
+READINGS = """x"""

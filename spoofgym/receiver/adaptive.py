@@ -1,0 +1,127 @@
+r"""Self-tuning noise of a filter: covariances matched to what the last epochs showed.
+
+The measurement noise is what the residuals of a window leave, and what the estimate adds,
+
+.. math:: R_k = \frac1w \sum_{i=0}^{w-1} v_{k-i} v_{k-i}^T + H P_k H^T, \qquad
+    v_k = z_k - H \hat x_k
+
+It is positive definite by construction, and takes effect at the next epoch, since the estimate has
+to be there first.  Until the window is full the stated noise stays.
+
+The process noise may be scaled by the ratio of seen and believed innovations,
+
+.. math:: Q_k = Q_{k-1} \sqrt{\alpha}, \qquad
+    \alpha = \frac{\mathrm{tr}(C_\gamma - R_k)}{\mathrm{tr}(H P_{k|k-1} H^T)}
+
+This is off by default, because it is not stable: the factors multiply from one epoch to the next
+while the window keeps showing what an earlier Q brought about, so that there is no level to which
+Q returns; and where :math:`\mathrm{tr}\,C_\gamma < \mathrm{tr}\,R_k`, which correlated noise brings
+about some dozen times in 30 s, the root is not real.
+
+A fix that a detector rejects goes into the window like any other: the noise then grows until
+fixes are believed again.  A filter that did not adapt meanwhile would be kept from adapting for
+ever by one false alarm.
+
+Source: `shadmehri2025`, eqs. 8 to 13; the covariance matching is from `ding2007`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._jit import inlined, njit
+from .._registry import check_choice
+
+FloatArray = NDArray[np.float64]
+FIXED, RAW, SKIP, CLAMPED = 0, 1, 2, 3
+PROCESS = {"fixed": FIXED, "raw": RAW, "skip": SKIP, "clamped": CLAMPED}
+LARGEST_SCALE = 1e12
+"""Bound of the scale of Q, so that an unstable run shows and no number overflows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelfTuning:
+    """Settings of the self-tuning noise.
+
+    Parameters
+    ----------
+    window : int
+        w, epochs of residuals, 2 to 100000.  The innovation covariance is then itself an estimate,
+        so that short windows raise false alarms (`windowed-chi2` has a threshold for that) and
+        take the onset of an attack for noise within w epochs.
+    process : {"fixed", "raw", "skip", "clamped"}
+        What becomes of Q.  ``"fixed"``: nothing.  ``"raw"``: the paper's rule, the root of a
+        negative number taken as 0, which Q never leaves again.  ``"skip"``: an epoch with a
+        negative ratio changes nothing.  ``"clamped"``: no epoch more than doubles or halves it.
+        None of the three is stable.
+    floor_m : float
+        Least standard deviation of a coordinate [m]; the paper has none.
+    """
+
+    window: int = 100
+    process: str = "fixed"
+    floor_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if not 2 <= self.window <= 100_000:
+            raise ValueError(f"`window` must be 2 to 100000 epochs, got {self.window}")
+        check_choice("process", self.process, PROCESS)
+        if not (math.isfinite(self.floor_m) and self.floor_m >= 0.0):
+            raise ValueError(f"`floor_m` must be finite and >= 0, got {self.floor_m}")
+
+
+@njit
+def windowed_covariance(window: FloatArray, out: FloatArray) -> None:
+    r"""Mean of the outer products in a window.
+
+    .. math:: C = \frac1w \sum_i v_i v_i^T
+
+    Parameters
+    ----------
+    window : ndarray
+        (w, 3).
+    out : ndarray
+        (3, 3), written.
+    """
+    c00, c01, c02, c11, c12, c22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(window.shape[0]):
+        x, y, z = window[i, 0], window[i, 1], window[i, 2]
+        c00 += x * x
+        c01 += x * y
+        c02 += x * z
+        c11 += y * y
+        c12 += y * z
+        c22 += z * z
+    each = 1.0 / window.shape[0]
+    out[0, 0], out[0, 1], out[0, 2] = each * c00, each * c01, each * c02
+    out[1, 0], out[1, 1], out[1, 2] = each * c01, each * c11, each * c12
+    out[2, 0], out[2, 1], out[2, 2] = each * c02, each * c12, each * c22
+
+
+@inlined
+def process_factor(rule: int, ratio: float) -> float:
+    r"""What an epoch multiplies the process noise by.
+
+    Parameters
+    ----------
+    rule : int
+        One of `PROCESS`, other than `FIXED`.
+    ratio : float
+        :math:`\alpha`, of any sign.
+
+    Returns
+    -------
+    float
+        :math:`\sqrt\alpha`, or what the rule makes of it.
+    """
+    root = math.sqrt(max(ratio, 0.0))
+    if rule == CLAMPED:
+        return min(max(root, 0.5), 2.0)
+    if rule == SKIP and ratio < 0.0:
+        return 1.0
+    return root

@@ -1,0 +1,242 @@
+"""The loosely coupled receiver: 15 states, a strapdown corrected by positions of GNSS.
+
+Inertial samples are mechanized in ECEF axes, exactly as `strapdown` does for the tightly coupled
+receiver, and the errors are estimated in local-level axes, as `shadmehri2025` has them.  At every
+position the filter estimates the errors and takes them out of the solution (closed loop); the
+covariance is Joseph's form, which is right for the weights of a verdict, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._memory import Memory
+from ..earth.wgs84 import STANDARD_GRAVITY
+from ._loose_kernels import LooseState, first_estimate, predict, update
+from .adaptive import PROCESS, SelfTuning
+from .epoch import Epoch
+from .loose_model import POSITION, STATES
+
+FloatArray = NDArray[np.float64]
+_DEG = math.pi / 180.0
+_UG = STANDARD_GRAVITY * 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class LooselyCoupled:
+    """Settings of the 15-state closed-loop loosely coupled receiver.
+
+    Parameters
+    ----------
+    horizontal_sd_m, vertical_sd_m : float
+        Assumed white noise of a position by GNSS [m]: R of the filter, or where self-tuning
+        begins.
+    gyro_noise_deg_per_rth, accel_noise_ug_per_rthz, position_noise_m_per_rth : float
+        Root power spectral densities of the noise that drives attitude, velocity and position.
+    tilt_arcsec, heading_arcsec, velocity_mps, gyro_bias_deg_per_h, accel_bias_ug : float
+        Initial standard deviations; those of the position are R's.
+    initial_factor : float
+        What all initial standard deviations are multiplied with.
+    self_tuning : SelfTuning, mapping of its settings, or None
+        How the noise adapts; None for the conventional filter.
+
+    Notes
+    -----
+    The defaults are those of `shadmehri2025`, section 4.2.  It writes a covariance of 15 states
+    with three numbers in metres for the position; in radians of latitude they would be absurd.
+    """
+
+    horizontal_sd_m: float = 3.7
+    vertical_sd_m: float = 6.0
+    gyro_noise_deg_per_rth: float = 0.005
+    accel_noise_ug_per_rthz: float = 20.0
+    position_noise_m_per_rth: float = 1.0
+    tilt_arcsec: float = 20.0
+    heading_arcsec: float = 180.0
+    velocity_mps: float = 0.1
+    gyro_bias_deg_per_h: float = 0.01
+    accel_bias_ug: float = 100.0
+    initial_factor: float = 3.0
+    self_tuning: SelfTuning | Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        for name, value in vars(self).items():
+            if name != "self_tuning" and not (math.isfinite(value) and value >= 0.0):
+                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+        for name in ("horizontal_sd_m", "vertical_sd_m"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"`{name}` must be > 0, got {getattr(self, name)}")
+        if isinstance(self.self_tuning, Mapping):
+            object.__setattr__(self, "self_tuning", SelfTuning(**self.self_tuning))
+
+    @property
+    def tuning(self) -> SelfTuning | None:
+        """How the noise adapts, if it does."""
+        return self.self_tuning if isinstance(self.self_tuning, SelfTuning) else None
+
+    def noise_variance(self) -> FloatArray:
+        """(3,) assumed variance of a position, east, north, up [m^2]."""
+        return np.array([self.horizontal_sd_m, self.horizontal_sd_m, self.vertical_sd_m]) ** 2
+
+    def initial_sd(self) -> FloatArray:
+        """(15,) standard deviations of the state at time zero, SI units and radians."""
+        tilt, heading = self.tilt_arcsec * _DEG / 3600.0, self.heading_arcsec * _DEG / 3600.0
+        return self.initial_factor * np.concatenate(
+            [
+                [tilt, tilt, heading],
+                np.full(3, self.velocity_mps),
+                np.sqrt(self.noise_variance()),
+                np.full(3, self.gyro_bias_deg_per_h * _DEG / 3600.0),
+                np.full(3, self.accel_bias_ug * _UG),
+            ]
+        )
+
+    def noise_psd(self) -> FloatArray:
+        """(15,) power spectral density of the noise that drives each state."""
+        psd = np.zeros(STATES)
+        psd[0:3] = (self.gyro_noise_deg_per_rth * _DEG / 60.0) ** 2
+        psd[3:6] = (self.accel_noise_ug_per_rthz * _UG) ** 2
+        psd[6:9] = self.position_noise_m_per_rth**2 / 3600.0
+        return psd
+
+
+class LooseReceivers:
+    """A batch of loosely coupled receivers.
+
+    Parameters
+    ----------
+    settings : LooselyCoupled
+        Of all of them.
+    memory : Memory
+        Of B receivers; what changes from one epoch to the next is declared in it.
+    samples : int
+        Inertial samples of an epoch.
+    imu_interval_s : float
+        Between samples.
+
+    Attributes
+    ----------
+    samples : ndarray
+        (B, S, 6) measured specific force and angular rate, to be written before `predict`.
+    fix_e : ndarray
+        (B, 3) position by GNSS, ECEF [m], to be written before `predict`.
+    """
+
+    def __init__(
+        self, settings: LooselyCoupled, memory: Memory, samples: int, imu_interval_s: float
+    ) -> None:
+        self.settings, self.memory, self.imu_interval_s = settings, memory, imu_interval_s
+        b, tuning = memory.receivers, settings.tuning
+        window = tuning.window if tuning else 0
+        self._rule = PROCESS[tuning.process] if tuning else PROCESS["fixed"]
+        self._floor = tuning.floor_m**2 if tuning else 0.0
+        initial = {
+            "position_e": np.zeros((b, 3)),
+            "velocity_e": np.zeros((b, 3)),
+            "C_eb": np.tile(np.eye(3), (b, 1, 1)),
+            "bias": np.zeros((b, 6)),
+            "covariance": np.tile(np.diag(settings.initial_sd() ** 2), (b, 1, 1)),
+            "innovation": np.zeros((b, 3)),
+            "innovation_cov": np.tile(np.eye(3), (b, 1, 1)),
+            "measurement_cov": np.tile(np.diag(settings.noise_variance()), (b, 1, 1)),
+            "process_scale": np.ones(b),
+            "residuals": np.zeros((b, window, 3)),
+            "innovations": np.zeros((b, window if self._rule else 0, 3)),
+            "seen": np.zeros(b, dtype=np.int64),
+        }
+        for name in LooseState._fields:
+            memory.declare(name, initial[name])
+        self.samples, self.fix_e = np.zeros((b, samples, 6)), np.zeros((b, 3))
+        self._psd = settings.noise_psd()
+        self._transition = np.tile(np.eye(STATES), (b, 1, 1))
+        self._imu_delta = np.zeros((b, 6))
+        self._design = np.zeros((b, 3, STATES))
+        self._design[:, np.arange(3), POSITION + np.arange(3)] = -1.0
+        self._ones = np.ones((b, 3))
+
+    @property
+    def state(self) -> LooseState:
+        """What the receivers remember: the arrays of the memory."""
+        memory = self.memory
+        return LooseState(*[memory[name] for name in LooseState._fields])
+
+    def begin(
+        self, position_e: FloatArray, velocity_e: FloatArray, C_eb: FloatArray, error: FloatArray
+    ) -> None:
+        """Begin at a true state, apart from the errors of the alignment.
+
+        Parameters
+        ----------
+        position_e, velocity_e, C_eb : ndarray
+            (3,), (3,) and (3, 3) truth.
+        error : ndarray
+            (B, 15) errors, in the order of the states; the biases are not looked at.
+        """
+        first_estimate(self.state, position_e, velocity_e, C_eb, error)
+
+    def predict(self) -> None:
+        """Run the samples through the strapdown, and compare with the position by GNSS."""
+        predict(
+            self.state,
+            self.samples,
+            self.fix_e,
+            self.imu_interval_s,
+            self._psd,
+            self._transition,
+            self._imu_delta,
+        )
+
+    def update(self, weights: FloatArray | None) -> None:
+        """Correct the solution, and tune the noise.
+
+        Parameters
+        ----------
+        weights : ndarray or None
+            (B, 3) on the columns of the gain; None for ones.
+        """
+        update(self.state, self._ones if weights is None else weights, self._rule, self._floor)
+
+    def epoch(self, time: FloatArray) -> Epoch:
+        """What a detector may see, between `predict` and `update`.
+
+        Parameters
+        ----------
+        time : ndarray
+            (B,) of the epoch [s].
+
+        Returns
+        -------
+        Epoch
+            Read-only views; n = 0, and m = 3 coordinates, east, north, up.
+        """
+        b, state = len(time), self.state
+        none, no_vector = np.zeros((b, 0)), np.zeros((b, 0, 3))
+        arrays: dict[str, NDArray[Any]] = {
+            "time": time,
+            "interval": np.full(b, self.samples.shape[1] * self.imu_interval_s),
+            "innovation": state.innovation,
+            "innovation_cov": state.innovation_cov,
+            "predicted_cov": state.covariance,
+            "design": self._design,
+            "transition": self._transition,
+            "imu_delta": self._imu_delta,
+            "pseudorange": none,
+            "range_rate": none,
+            "satellite_position": no_vector,
+            "satellite_velocity": no_vector,
+            "visible": np.zeros((b, 0), dtype=np.bool_),
+            "predicted_position": state.position_e,
+            "predicted_velocity": state.velocity_e,
+            "gnss_position": self.fix_e,
+        }
+        for name, array in arrays.items():
+            arrays[name] = array.view()
+            arrays[name].flags.writeable = False
+        return Epoch(**arrays)

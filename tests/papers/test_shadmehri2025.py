@@ -1,0 +1,156 @@
+"""shadmehri2025's monitor: the order of its table 1, what turns it round, and its false alarms.
+
+The bands are those of a prototype of 60 to 150 runs a case.  Errors of GNSS are first-order
+Gauss-Markov of 1.6 m and 3 m with a decay of 0.999 an epoch where nothing else is said.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from baselines.papers.shadmehri2025.runs import (
+    FALSE_ALARM,
+    MARKOV,
+    RAMPS,
+    SMALL_WHITE,
+    THRESHOLD,
+    WHITE,
+    judged,
+    latency,
+    play,
+    scaled,
+    tuned,
+)
+
+RUNS = 60
+PAPER = {2.0: 0.35, 3.0: 0.22, 5.0: 0.11}
+CONVENTIONAL, TUNED = {}, tuned(100)
+
+
+@cache
+def statistic(errors, receiver, ramp, runs=RUNS):
+    """(K, B) of one batch; dictionaries by name, since they cannot be hashed."""
+    known = {"markov": MARKOV, "white": WHITE, "small white": SMALL_WHITE}
+    filters = {"conventional": {}, "fitted": scaled(0.26), "less": scaled(0.4), "tuned": TUNED}
+    return play(known[errors], filters[receiver], ramp, runs, seed=0).statistic
+
+
+def delays(errors, receiver, ramp, test=None):
+    return latency(judged(statistic(errors, receiver, ramp), test or {}))
+
+
+def share(delay):
+    return np.isfinite(delay).mean()
+
+
+def test_the_threshold_is_the_paper_s():
+    assert FALSE_ALARM == 1e-5
+    assert pytest.approx(25.9, abs=0.01) == THRESHOLD
+
+
+@pytest.mark.parametrize("ramp", RAMPS)
+def test_correlated_errors_give_the_paper_s_order_and_latencies(ramp):
+    conventional, tuned_ = delays("markov", "conventional", ramp), delays("markov", "tuned", ramp)
+    faster = np.nan_to_num(tuned_, nan=99.0) < np.nan_to_num(conventional, nan=99.5)
+    faster &= np.isfinite(tuned_)
+    assert faster.mean() >= 0.9
+    assert share(conventional) == (1.0 if ramp == 5.0 else 0.0)
+    assert np.nanmedian(tuned_) == pytest.approx(PAPER[ramp], abs=0.17)
+    if ramp == 5.0:
+        assert np.nanmedian(conventional) / np.nanmedian(tuned_) > 10.0
+
+
+def test_a_steeper_ramp_is_seen_no_later():
+    slow, middle, fast = (np.nan_to_num(delays("markov", "tuned", r), nan=99.0) for r in RAMPS)
+    assert (slow >= middle).all()
+    assert (middle >= fast).all()
+
+
+@pytest.mark.parametrize(
+    ("ramp", "printed", "found", "sd"), [(3.0, 3.41, 3.69, 0.23), (5.0, 1.91, 1.74, 0.08)]
+)
+def test_the_common_filter_needs_a_quarter_of_its_stated_noise(ramp, printed, found, sd):
+    delay = delays("markov", "fitted", ramp)
+    assert share(delay) == 1.0
+    assert delay.mean() == pytest.approx(found, abs=sd)
+    assert delay.mean() == pytest.approx(printed, abs=0.5)
+    assert share(delays("markov", "fitted", 2.0)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("errors", "conventional", "tuned_", "most"),
+    [("white", "conventional", "tuned", 0.2), ("small white", "less", "tuned", 0.75)],
+)
+def test_white_errors_turn_the_order_round(errors, conventional, tuned_, most):
+    assert share(delays(errors, conventional, 5.0)) >= 0.95
+    assert share(delays(errors, tuned_, 5.0)) <= most
+
+
+def test_a_window_of_epochs_helps_the_common_filter_more_than_tuning_does():
+    alone, windowed = (delays("white", "conventional", 3.0, {"window": n}) for n in (1, 10))
+    assert 0.25 < share(alone) < 0.8
+    assert share(windowed) >= 0.95
+    assert np.nanmedian(windowed) < np.nanmedian(alone)
+    assert share(delays("white", "tuned", 3.0)) < 0.2
+
+
+def test_the_threshold_for_an_estimated_covariance_costs_little():
+    fitting = {"rule": "estimated", "covariance_window": 100}
+    for ramp in RAMPS:
+        plain, strict = delays("markov", "tuned", ramp), delays("markov", "tuned", ramp, fitting)
+        assert share(strict) >= 0.85
+        assert np.nanmedian(strict) <= np.nanmedian(plain) + 0.15
+
+
+@cache
+def clean(receiver):
+    settings = {} if receiver == 0 else tuned(receiver)
+    return play(MARKOV, settings, 0.0, RUNS, seed=1, attack_s=25.0, after_s=0.0).statistic
+
+
+def test_false_alarms_fall_with_the_window_and_are_far_above_the_stated_rate():
+    rates = [(clean(w) > THRESHOLD).mean() for w in (10, 30, 100)]
+    assert rates[0] > rates[1] > rates[2]
+    assert rates[0] > 5e-3
+    assert rates[2] < 1e-3
+    assert not (clean(0) > THRESHOLD).any()  # 15,000 epochs
+    for w in (10, 30):
+        fitting = judged(clean(w), {"rule": "estimated", "covariance_window": w})
+        assert fitting.mean() < 0.02 * (clean(w) > THRESHOLD).mean()
+
+
+def test_the_alarm_passes_while_the_offset_stays():
+    steps = 50
+    alarm = statistic("markov", "tuned", 5.0) > THRESHOLD
+    assert 0.12 < alarm[:steps].mean() < 0.4
+    assert alarm[steps:].mean() < 0.05
+
+
+def test_the_gain_is_a_small_r_not_tuning():
+    fixed = latency(play(MARKOV, scaled(0.01), 2.0, 30, seed=0).statistic > THRESHOLD)
+    assert share(fixed) == 1.0
+    assert fixed.mean() == pytest.approx(0.87, abs=0.1)
+
+
+def test_a_floor_hides_the_onset():
+    floored = play(MARKOV, tuned(50, floor_m=0.83), 5.0, 30, seed=0).statistic
+    assert share(latency(floored > THRESHOLD)) == 0.0
+
+
+def test_adapting_q_buys_nothing_and_has_no_rest():
+    run = play(MARKOV, tuned(50, "clamped"), 5.0, RUNS, seed=0)
+    only_r = play(MARKOV, tuned(50), 5.0, RUNS, seed=0)
+    both, r = (np.nanmean(latency(p.statistic > THRESHOLD)) for p in (run, only_r))
+    assert both == pytest.approx(r, rel=0.1)
+    low, high = np.quantile(run.scale[-1], [0.05, 0.95])
+    assert high / low > 1e3
+    raw = play(MARKOV, tuned(100, "raw"), 0.0, 30, seed=0)
+    assert (raw.scale[-1] == 0.0).mean() >= 0.95
+
+
+def test_its_own_residual_in_the_covariance_masks_an_offset():
+    run = play(MARKOV, tuned(20), 5.0, RUNS, seed=0)
+    causal, masked = (share(latency(s > THRESHOLD)) for s in (run.statistic, run.masked))
+    assert causal > 0.9
+    assert masked < 0.3
