@@ -27,11 +27,11 @@ from .traversal_raim import TraversalRaim
 from .windowed_chi2 import WindowedChi2
 
 __all__ = [
+    "DETECTORS",
     "Acna",
     "Aime",
     "ClockDrift",
     "Cusum",
-    "DETECTORS",
     "Detector",
     "DetectorContext",
     "Ewma",

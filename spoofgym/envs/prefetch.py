@@ -154,11 +154,10 @@ class NextEpisodes:
             wanted = np.where(known, STOCK, 1)
             for ahead in range(STOCK):
                 lacking = (self._stock[rows] <= ahead) & (ahead < wanted)
-                for i, slot in zip(
-                    np.flatnonzero(lacking), self._slots(rows[lacking], ahead), strict=True
-                ):
-                    self._ask(int(slot), rngs[i])
-                    self._sources[rows[i]] = rngs[i]
+                slots = self._slots(rows[lacking], ahead).tolist()
+                for i, slot in zip(np.flatnonzero(lacking).tolist(), slots, strict=True):
+                    self._ask(slot, rngs[i])
+                    self._sources[int(rows[i])] = rngs[i]
                     self._stock[rows[i]] += 1
         link.wake.put(True)
 
