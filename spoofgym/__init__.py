@@ -45,8 +45,9 @@ the sensors.  Prefixes tell whose value it is: `true_`, `estimated_`, `counterfe
 
 **Environments**
 
-Importing the package registers ``spoofgym/TightlyCoupled-v0`` for `gymnasium.make` and
-`gymnasium.make_vec`.
+Importing the package registers, for `gymnasium.make` and `gymnasium.make_vec`,
+``spoofgym/TightlyCoupled-v0`` and the small environments ``spoofgym/LooselyCoupled-v0``,
+``spoofgym/Snapshot-v0`` and ``spoofgym/WheeledRobot-v0``.
 """
 
 from gymnasium.envs.registration import register
@@ -57,4 +58,22 @@ register(
     id="spoofgym/TightlyCoupled-v0",
     entry_point="spoofgym.envs:SpoofEnv",
     vector_entry_point="spoofgym.envs:SpoofVectorEnv",
+)
+
+register(
+    id="spoofgym/LooselyCoupled-v0",
+    entry_point="spoofgym.envs:LooselyCoupledEnv",
+    vector_entry_point="spoofgym.envs:LooselyCoupledVectorEnv",
+)
+
+register(
+    id="spoofgym/Snapshot-v0",
+    entry_point="spoofgym.envs:SnapshotEnv",
+    vector_entry_point="spoofgym.envs:SnapshotVectorEnv",
+)
+
+register(
+    id="spoofgym/WheeledRobot-v0",
+    entry_point="spoofgym.envs:WheeledRobotEnv",
+    vector_entry_point="spoofgym.envs:WheeledRobotVectorEnv",
 )
