@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._registry import check_choice
+from .observations import KNOWLEDGE
 
 FloatArray = NDArray[np.float64]
 
-LEVELS = ("blind", "tracking", "oracle")
 LEAST_LEVEL = {
     "own_displacement_north": "blind",
     "own_displacement_east": "blind",
@@ -81,9 +81,9 @@ def elements(knowledge: str) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
     low, high : ndarray
         (o,) finite bounds.
     """
-    check_choice("knowledge", knowledge, LEVELS)
-    level = LEVELS.index(knowledge)
-    names = tuple(name for name, least in LEAST_LEVEL.items() if LEVELS.index(least) <= level)
+    check_choice("knowledge", knowledge, KNOWLEDGE)
+    level = KNOWLEDGE.index(knowledge)
+    names = tuple(name for name, least in LEAST_LEVEL.items() if KNOWLEDGE.index(least) <= level)
     bounds = np.array([BOUNDS.get(name, (-10.0, 10.0)) for name in names])
     return names, bounds[:, 0].copy(), bounds[:, 1].copy()
 

@@ -76,8 +76,8 @@ class RobotPlant(Plant):
         Rate of the offset in north and in east that an action of 1 commands.
     displacement_scale_m : float
         Displacement, and error of the estimate, that is observed as 1.
-    position_scale_m : float
-        Motion of the target that is observed as 1, in metres and in metres a second.
+    position_scale_m, velocity_scale_mps : float
+        Motion of the target since the onset, and its velocity, that are observed as 1.
     loop, odometer, fix_errors, receiver : mapping or record, optional
         Settings of `RobotLoop`, `Odometer`, `FixErrors` and `CredibleFilter`.
     interruptions_s : sequence of pairs
@@ -101,6 +101,7 @@ class RobotPlant(Plant):
         rate_limit_mps: float = 1.0,
         displacement_scale_m: float = 10.0,
         position_scale_m: float = 10.0,
+        velocity_scale_mps: float = 1.0,
         loop: Mapping[str, float] | RobotLoop | None = None,
         odometer: Mapping[str, float] | Odometer | None = None,
         fix_errors: Mapping[str, float] | FixErrors | None = None,
@@ -112,11 +113,13 @@ class RobotPlant(Plant):
             ("rate_limit_mps", rate_limit_mps),
             ("displacement_scale_m", displacement_scale_m),
             ("position_scale_m", position_scale_m),
+            ("velocity_scale_mps", velocity_scale_mps),
         ):
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"`{name}` must be finite and > 0, got {value}")
         self.interval_s, self.rate_limit_mps = interval_s, rate_limit_mps
         self.displacement_scale_m, self.position_scale_m = displacement_scale_m, position_scale_m
+        self.velocity_scale_mps = velocity_scale_mps
         self.loop = _record("the loop", RobotLoop, loop)
         self.odometer = _record("the odometer", Odometer, odometer)
         self.fix_errors = _record("the fix", FixErrors, fix_errors)
@@ -354,7 +357,7 @@ class RobotPlant(Plant):
             rate=memory["rate"] / self.rate_limit_mps,
             time=np.stack([since, 1.0 - since], axis=1),
             position=(truth[epoch] - truth[self.onset]) / self.position_scale_m,
-            velocity=self.true_velocity_ne[epoch] / self.position_scale_m,
+            velocity=self.true_velocity_ne[epoch] / self.velocity_scale_mps,
             verdict=np.stack([memory["ratio"], memory["weight"]], axis=1),
             error=self.error_ne() / self.displacement_scale_m,
         )

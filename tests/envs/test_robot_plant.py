@@ -154,6 +154,8 @@ def test_observations_say_what_is_so():
     np.testing.assert_allclose(
         seen["target_position_east"], (truth[30] - truth[20])[1] / 10.0, 1e-5
     )
+    speed = np.hypot(seen["target_velocity_north"], seen["target_velocity_east"])
+    np.testing.assert_allclose(speed, 0.5, 1e-5)
     np.testing.assert_allclose(seen["estimate_error_north"], plant.error_ne()[:, 0] / 10.0, 1e-5)
     np.testing.assert_array_equal(seen["weight"] == 0.0, seen["statistic_ratio"] > 1.0)
     with pytest.raises(ValueError, match=r"unknown knowledge 'oracel'.*did you mean 'oracle'"):

@@ -43,7 +43,6 @@ def dead_reckoning(odometer, epochs, receivers=1, loop=None):
     return np.array(found[1:]), track.position_ne[::SAMPLES]
 
 
-@pytest.mark.nojit
 def test_without_errors_dead_reckoning_follows_the_truth_to_a_few_counts():
     odometer = Odometer(hard_iron_deg=0.0, yaw_noise_deg=0.0)
     found, truth = dead_reckoning(odometer, 150)
@@ -109,7 +108,6 @@ def test_fixes_have_the_stated_errors():
     assert step == pytest.approx(2.0 * (1.0 - math.exp(-1.0 / 60.0)) + 2.0 * 0.2**2, rel=0.03)
 
 
-@pytest.mark.nojit
 def test_a_spoofer_moves_the_fix_and_nothing_else():
     errors = FixErrors()
     np.testing.assert_allclose(
@@ -117,7 +115,6 @@ def test_a_spoofer_moves_the_fix_and_nothing_else():
     )
 
 
-@pytest.mark.nojit
 def test_a_missing_fix_is_not_a_number_and_changes_no_other():
     available = np.array([True, True, False, True])
     found, all_there = fixes(FixErrors(), 4, 2, available=available), fixes(FixErrors(), 4, 2)

@@ -249,7 +249,7 @@ def share_rows(data: Data) -> list[Row]:
 
 def _ordering_rows(data: Data) -> list[Row]:
     rows = []
-    note = "share of runs; all of the prototype's; with 6 deg RIO may see the slow change very late"
+    late = "; with 6 deg RIO may see the slow change so late that it is worse than the filter"
     for data_set in TABLE_NAMES:
         pairs = [("EKF", "GNSS"), ("RIO", "EKF"), ("ACNA", "EKF")]
         if data_set != "jump":
@@ -258,6 +258,8 @@ def _ordering_rows(data: Data) -> list[Row]:
             mine = _pooled(data, f"{data_set}/{better}/sigma")
             ours = float(np.mean(mine < _pooled(data, f"{data_set}/{worse}/sigma")))
             told = f"sigma: {better} < {worse}"
+            note = "share of runs; all of the prototype's"
+            note += late if (data_set, better) == ("both", "RIO") else ""
             rows.append(Row("Runs", data_set, told, 1.0, ours, 1.0, 1.0, note))
     apart = _pooled(data, "jump/ACNA/sigma") - _pooled(data, "jump/RIO/sigma")
     note = "the paper's 1.14 < 1.39 m is not reproducible: both reject the jump at once"
@@ -335,12 +337,12 @@ def _chosen_rows(sweep: dict[str, FloatArray], kind: str, figure: str) -> list[R
 def limit_rows(data: Data) -> list[Row]:
     """What the paper does not look at."""
     part, rows = data["assumptions"], []
-    for key, told, low, high in (
-        ("white jump P_FA", "n_j = 2, Th_j = 1.5 m, white noise of 0.9 m", 0.03, 0.15),
-        ("white slow P_FA", "n_s = 5, Th_s = 1.28 m, white noise of 0.9 m", 0.3, 1.0),
-        ("free P_FA", "slow rule, dead reckoning never anchored", 0.7, 1.0),
+    for key, told, low, high, prototype in (
+        ("white jump P_FA", "n_j = 2, Th_j = 1.5 m, white noise of 0.9 m", 0.03, 0.15, 0.08),
+        ("white slow P_FA", "n_s = 5, Th_s = 1.28 m, white noise of 0.9 m", 0.3, 1.0, 0.76),
+        ("free P_FA", "slow rule, dead reckoning never anchored", 0.7, 1.0, 0.90),
     ):
-        note = "alarms on clean fixes; the prototype had 0.08, 0.76 and 0.90"
+        note = f"alarms on clean fixes; the prototype had {prototype}"
         rows.append(Row("Limits", told, "P_FA", None, float(part[key]), low, high, note))
     part = data["ramps"]
     for rate, found, late, error in zip(
