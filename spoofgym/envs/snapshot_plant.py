@@ -114,7 +114,7 @@ class SnapshotPlant(Plant):
         self._quiet, self._live, self.onset = quiet, live, quiet + live
         self.action_names = tuple(f"{axis}_rate_mps" for axis in AXES)
         self.sky = make_sky(
-            1 + self.onset + self.steps + self.hold,
+            2 + self.onset + self.steps + self.hold,
             interval_s,
             satellites,
             CircularConstellation(satellites=36, time_offset_s=time_offset_s),
