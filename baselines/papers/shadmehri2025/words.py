@@ -20,7 +20,8 @@ the runs, with 0.9 in a thirtieth.
 
 **Under the white noise that the stated R describes, the order reverses**: the common filter sees
 all ramps of 5 m/s, the self-tuning one about one in twenty, and an offset that has grown to
-0.7 m (0.35 s of 2 m/s) cannot be seen in white noise of 3.7 m at 1e-5. Table 1 contradicts the stated R.
+0.7 m (0.35 s of 2 m/s) cannot be seen in white noise of 3.7 m at 1e-5. Table 1 contradicts the
+stated R.
 
 **The common column** needs another R: with correlated errors and the stated one, only 5 m/s is
 seen, after 4.2 s. R times 0.24 to 0.28, which we fitted, gives the paper's latencies of 3 and 5
@@ -30,7 +31,7 @@ m/s and nothing at 2 m/s.
 m detects all ramps, after 0.9, 0.55 and 0.33 s, without a false alarm in the first 15 s, and is
 above the threshold in 60 to 90 % of the epochs from 25 to 30 s, in which the offset stays. The
 alarm of the self-tuning filter passes: after a second or two the window takes the attack for
-noise, and from 25 to 30 s there is no alarm at all.
+noise, and from 25 to 30 s there is next to none.
 
 **False alarms are 15 to 10,000 times as many as stated**, since S is itself estimated from w
 epochs: 1e-1 of all epochs for w = 5, 2e-2 for 10, 1e-3 for 30, 2e-4 for 100. With Hotelling's
