@@ -8,7 +8,7 @@ ever generated.
 earth      the ellipsoid and its gravity, frames, attitude, ranges over the turning Earth
 sim        the authentic world: flights, inertial sensors, clocks, satellites, errors, noise
 attacks    what a spoofer can physically do to measurements
-receiver   the victim: strapdown, 17-state filter, least squares, replay of recordings
+receiver   the victim: strapdown, tightly and loosely coupled filters, least squares, replay
 io         readers of recorded tracks and of navigation files
 detectors  one algorithm a file, behind one contract
 spoofers   who decides what the attack does
@@ -35,7 +35,8 @@ end with their unit: `_m`, `_mps`, `_mps2`, `_deg`, `_s`.
 
 The filter's 17 states are the errors of attitude about ECEF axes, velocity and position (estimate
 minus truth), then of accelerometer bias, gyro bias, and clock bias and drift in units of range
-(truth minus estimate).
+(truth minus estimate).  The loosely coupled filter has 15: attitude, velocity and position about
+local east, north and up, in metres, then gyro and accelerometer biases.
 
 **Vocabulary**
 

@@ -160,6 +160,17 @@ class LooseReceivers:
         self._design = np.zeros((b, 3, STATES))
         self._design[:, np.arange(3), POSITION + np.arange(3)] = -1.0
         self._ones = np.ones((b, 3))
+        nothing, no_vector = np.zeros((b, 0)), np.zeros((b, 0, 3))
+        self._constant: dict[str, NDArray[Any]] = {
+            "interval": np.full(b, samples * imu_interval_s),
+            "design": self._design,
+            "pseudorange": nothing,
+            "range_rate": nothing,
+            "satellite_position": no_vector,
+            "satellite_velocity": no_vector,
+            "visible": np.zeros((b, 0), dtype=np.bool_),
+        }
+        self._constant = {name: _read_only(array) for name, array in self._constant.items()}
 
     @property
     def state(self) -> LooseState:
@@ -216,27 +227,22 @@ class LooseReceivers:
         Epoch
             Read-only views; n = 0, and m = 3 coordinates, east, north, up.
         """
-        b, state = len(time), self.state
-        none, no_vector = np.zeros((b, 0)), np.zeros((b, 0, 3))
-        arrays: dict[str, NDArray[Any]] = {
-            "time": time,
-            "interval": np.full(b, self.samples.shape[1] * self.imu_interval_s),
-            "innovation": state.innovation,
-            "innovation_cov": state.innovation_cov,
-            "predicted_cov": state.covariance,
-            "design": self._design,
-            "transition": self._transition,
-            "imu_delta": self._imu_delta,
-            "pseudorange": none,
-            "range_rate": none,
-            "satellite_position": no_vector,
-            "satellite_velocity": no_vector,
-            "visible": np.zeros((b, 0), dtype=np.bool_),
-            "predicted_position": state.position_e,
-            "predicted_velocity": state.velocity_e,
-            "gnss_position": self.fix_e,
-        }
-        for name, array in arrays.items():
-            arrays[name] = array.view()
-            arrays[name].flags.writeable = False
-        return Epoch(**arrays)
+        state = self.state
+        return Epoch(
+            time=_read_only(time),
+            innovation=_read_only(state.innovation),
+            innovation_cov=_read_only(state.innovation_cov),
+            predicted_cov=_read_only(state.covariance),
+            predicted_position=_read_only(state.position_e),
+            predicted_velocity=_read_only(state.velocity_e),
+            transition=_read_only(self._transition),
+            imu_delta=_read_only(self._imu_delta),
+            gnss_position=_read_only(self.fix_e),
+            **self._constant,
+        )
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    view = array.view()
+    view.flags.writeable = False
+    return view

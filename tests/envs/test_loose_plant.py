@@ -1,5 +1,8 @@
 """The loosely coupled plant: the same bits in any batch, an honest filter, clear refusals."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -98,6 +101,30 @@ def test_receivers_can_be_moved_to_another_batch():
         source.advance(action)
         target.advance(np.ascontiguousarray(action[[5, 0, 1]]))
     np.testing.assert_array_equal(target.error_ne()[[2, 0]], source.error_ne()[[1, 5]])
+
+
+class FarFix(Weigher):
+    """Looks at the fix and the prediction themselves, not at the innovation."""
+
+    needs = frozenset({"gnss_position"})
+
+    def judge(self, epoch):
+        apart = epoch.gnss_position - epoch.predicted_position
+        size = np.sqrt((apart**2).sum(axis=1, keepdims=True))
+        np.testing.assert_allclose(size[:, 0], np.sqrt((epoch.innovation**2).sum(axis=1)))
+        return Verdict(size, np.full_like(size, 6.0), size > 6.0)
+
+
+def test_a_copy_goes_on_by_itself():
+    mine = plant(2, receiver=TUNED, detector=FarFix())
+    mine.begin(rngs(range(2)))
+    copies = [copy.deepcopy(mine), pickle.loads(pickle.dumps(mine))]
+    for _ in range(5):
+        mine.advance(np.ones((2, 2)))
+    for each in copies:
+        for _ in range(5):
+            each.advance(np.ones((2, 2)))
+        same(each, mine, np.arange(2))
 
 
 def test_episodes_differ_and_repeat():

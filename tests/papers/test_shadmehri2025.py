@@ -4,11 +4,14 @@ The bands are those of a prototype of 60 to 150 runs a case.  Errors of GNSS are
 Gauss-Markov of 1.6 m and 3 m with a decay of 0.999 an epoch where nothing else is said.
 """
 
+import json
 from functools import cache
 
 import numpy as np
 import pytest
 
+from baselines.papers import shadmehri2025
+from baselines.papers.frame import Settings
 from baselines.papers.shadmehri2025.runs import (
     FALSE_ALARM,
     MARKOV,
@@ -154,3 +157,21 @@ def test_its_own_residual_in_the_covariance_masks_an_offset():
     causal, masked = (share(latency(s > THRESHOLD)) for s in (run.statistic, run.masked))
     assert causal > 0.9
     assert masked < 0.3
+
+
+def test_rows_and_figures_are_made_of_what_the_parts_return(tmp_path):
+    settings = Settings(quick=True, seed=0)
+    data = {}
+    for part in shadmehri2025.parts(settings):
+        given = part.settings | ({"runs": 4} if "runs" in part.settings else {})
+        data[part.name] = json.loads(json.dumps(part.function(**given), allow_nan=False))
+    rows = shadmehri2025.rows(data, settings)
+    keys = {(row.table, row.row, row.quantity) for row in rows}
+    assert len(keys) == len(rows) > 100
+    printed = [
+        row.paper for row in rows if row.table.startswith("Table 1") and "[s]" in row.quantity
+    ]
+    assert {3.41, 1.91, 0.35, 0.22, 0.11} <= set(printed)
+    pictures = shadmehri2025.figures(data, tmp_path)
+    assert len(pictures) == 5
+    assert all(path.stat().st_size > 10_000 for path in pictures)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..frame import Part, Row, Settings
-from .cases import CASES, DECAYS, FALSE_ALARMS, SPREADS
+from .cases import CASES, DECAYS, FALSE_ALARMS, SMALL_R, SPREADS, WHITE_WINDOWS
 from .figures import draw
 from .runs import MARKOV, WHITE, false_alarms, latencies, sample, stability, tuned
 from .tables import (
@@ -56,6 +56,12 @@ def parts(settings: Settings) -> list[Part]:
     for name, errors in (("white", WHITE), ("correlated", MARKOV)):
         given = {"errors": errors, "receiver": {}, "window": 0}
         made.append(Part(f"clean, conventional, {name}", false_alarms, given | common, 2.0 * clean))
+    for window in WHITE_WINDOWS:
+        given = {"errors": WHITE, "receiver": tuned(window), "window": window}
+        made.append(Part(f"clean, w = {window}, white", false_alarms, given | common, 2.0 * clean))
+    for name in SMALL_R:
+        given = {"errors": MARKOV, "receiver": CASES[name].receiver, "window": 0}
+        made.append(Part(f"clean, {name}", false_alarms, given | common, 2.0 * clean))
     for window in FALSE_ALARMS:
         given = {"errors": MARKOV, "receiver": tuned(window), "window": window}
         made.append(Part(f"clean, w = {window}", false_alarms, given | common, 2.0 * clean))

@@ -186,6 +186,12 @@ DECAYS = {0.9999: 1.0, 0.999: 0.98, 0.995: 0.43, 0.99: 0.13, 0.97: 0.07, 0.9: 0.
 FALSE_ALARMS = {5: 5.9e-2, 10: 1.3e-2, 20: 4.8e-3, 30: 2.1e-3, 50: 6.7e-4, 100: 1.7e-4, 150: 2e-4}
 """Share of clean epochs with an alarm at 25.9, by w."""
 
+WHITE_WINDOWS = (30, 100)
+"""Windows w whose alarms are counted under white errors, too."""
+
+SMALL_R_ALARMS = {"R of 0.17 m": 5e-3, "R of 0.37 m": 0.0, "R of 0.83 m": 0.0}
+"""The same of fixed small R, in the first 15 s after the lead-in."""
+
 SPREADS = (
     ("raw", 100, "correlated"),
     ("skip", 100, "correlated"),

@@ -214,7 +214,8 @@ def told(delay: FloatArray) -> dict[str, float | None]:
     Returns
     -------
     dict
-        ``detected``, ``runs``, ``median``, ``mean``, ``sd``; the last three None where nothing was detected.
+        ``detected``, ``runs``, ``median``, ``mean``, ``sd``; the last three None where nothing was
+        detected.
     """
     found = delay[np.isfinite(delay)]
     share, runs = found.size / delay.size, float(delay.size)
@@ -253,7 +254,7 @@ def latencies(
         the attack and after it, and the mean horizontal error when the attack ends.
     """
     out: dict[str, Any] = {name: {} for name in tests}
-    out |= {"duty": {}, "afterwards": {}, "error_m": {}, "delay": {}}
+    out |= {"duty": {}, "afterwards": {}, "error_m": {}}
     steps = round(ATTACK_S / INTERVAL_S)
     for ramp in ramps:
         run = play(errors, receiver, ramp, runs, seed)
@@ -262,7 +263,6 @@ def latencies(
             statistic = run.masked if test.get("masked") else run.statistic
             out[name][key] = told(latency(judged(statistic, test)))
         alarm = run.statistic > THRESHOLD
-        out["delay"][key] = latency(alarm).tolist()
         out["duty"][key] = float(alarm[:steps].mean())
         out["afterwards"][key] = float(alarm[steps:].mean())
         out["error_m"][key] = float(np.hypot(*run.error[steps - 1].T).mean())
