@@ -5,8 +5,8 @@ elimination.  Sums are only ever added to, never subtracted from, so that one wi
 not spoil the sets without it; and offsets are taken from their median, so that the clock costs no
 digits.
 
-What isn't finite is told by comparisons, here and in other kernels: ``math.isfinite`` takes a number
-from itself, which the relaxed floating-point rules turn into 0.
+What isn't finite is told by comparisons, here and in other kernels: ``math.isfinite`` takes a
+number from itself, which the relaxed floating-point rules turn into 0.
 """
 
 from __future__ import annotations
