@@ -114,7 +114,7 @@ class SnapshotPlant(Plant):
         self._quiet, self._live, self.onset = quiet, live, quiet + live
         self.action_names = tuple(f"{axis}_rate_mps" for axis in AXES)
         self.sky = make_sky(
-            2 + self.onset + self.steps + self.hold,
+            2 + self.onset + self.steps + self.hold,  # the first fix, and one to spare
             interval_s,
             satellites,
             CircularConstellation(satellites=36, time_offset_s=time_offset_s),
@@ -233,7 +233,7 @@ class SnapshotPlant(Plant):
         Raises
         ------
         RuntimeError
-            When the episode of a receiver is over.
+            When the episode of a receiver has been over for more than one epoch.
         """
         memory = self.memory
         if memory["epoch"].max() >= len(self.sky.time) - 1:

@@ -5,7 +5,7 @@ elimination.  Sums are only ever added to, never subtracted from, so that one wi
 not spoil the sets without it; and offsets are taken from their median, so that the clock costs no
 digits.
 
-What is not finite is told by comparisons, here as in other kernels: ``math.isfinite`` takes a
+What isn't finite is told by comparisons, here and in other kernels: ``math.isfinite`` takes a
 number from itself, which the relaxed floating-point rules turn into 0.
 """
 

@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
+from spoofgym.attacks import PerChannel
 from spoofgym.detectors import Raim, SrvRaim, TraversalRaim
 from spoofgym.detectors.raim import residual_statistic
+from spoofgym.envs import Engine, make_setup
+from spoofgym.envs.snapshot import position_error_n
 from spoofgym.receiver.raim import fit_thresholds
 
 from .skies import LINE_OF_SIGHT, NOISE, SATELLITES, context, sky_epoch, spoofed_offset
 
 KINDS = [Raim, SrvRaim, TraversalRaim]
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 0.0}
 FAR = np.array([400.0, -250.0, 300.0, 150.0])
 """Displacement that changes all ranges by much more than the noise."""
 
@@ -193,3 +197,26 @@ def test_frames_are_two_ways_to_search_the_same():
     split = [np.sort([(g == 1).sum(1), (g == 2).sum(1)], axis=0) for g in groups]
     assert all(np.mean((s == [[5], [7]]).all(axis=0)) > 0.7 for s in split)
     assert (groups[0] != groups[1]).any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_in_the_loop_of_the_tightly_coupled_receiver(kind):
+    """A step of one pseudorange is told and left out; the clean receiver raises no alarm."""
+    errors = {}
+    for exclude in (False, True):
+        attack = PerChannel(control="rate", rate_limit_mps=250.0, channels=("S10",), coherent=False)
+        setup = make_setup(detector=kind(exclude=exclude), attack=attack, timeline=SHORT)
+        engine = Engine(2, setup, threads=1)
+        engine.reset([np.random.default_rng(i) for i in range(2)])
+        assert not engine.warmup_alarm.any()
+        slot = engine.setup.world.satellite_ids.index("S10")
+        for k in range(20):
+            verdict = engine.step(np.full((2, 1), 0.5 * (k == 0)))
+            assert verdict.alarm.all()
+            group = engine.batch.detector.memory["group"]
+            seen = engine.batch.epoch.visible
+            np.testing.assert_array_equal(group[:, slot], 2)
+            assert (group[seen] > 0).all()
+            assert not group[~seen].any()
+        errors[exclude] = np.linalg.norm(position_error_n(setup, engine.batch), axis=1).max()
+    assert errors[True] < 10.0 < errors[False]

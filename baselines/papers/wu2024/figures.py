@@ -13,8 +13,8 @@ from .separation import separate
 
 SKY = 0
 PAIR = 2
-CONSTELLATION = 461
-"""One of the 924 with six spoofed satellites, in the middle of the list."""
+CONSTELLATION = 616
+"""One of the 924 with six spoofed satellites, in which all numbers of hybrids are frequent."""
 CAP = 5
 """Numbers of hybrids from here on are drawn as one."""
 
@@ -83,7 +83,7 @@ def draw_figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
         xlabel="constellation of spoofed satellites",
         ylabel="part of the displacements [%]",
         xlim=(0.5, len(pairs) + 0.5),
-        ylim=(0.0, 100.0),
+        ylim=(70.0, 100.0),
     )
     axes.legend(title="NH0", loc="lower right")
     first = folder / "wu2024_figure_1.png"
@@ -94,7 +94,14 @@ def draw_figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
     moved, bins = picture["displacement"] / 1e3, np.clip(picture["hybrids"] - 1, 0, CAP - 1)
     for j, (colour, label) in enumerate(zip(colours, labels, strict=True)):
         chosen = moved[bins == j]
-        space.scatter(chosen[:, 0], chosen[:, 1], chosen[:, 2], s=4, color=colour, label=label)
+        space.scatter(
+            chosen[:, 0],
+            chosen[:, 1],
+            chosen[:, 2],
+            s=4 if j == 0 else 14,
+            color=colour,
+            label=label,
+        )
     space.set(
         title="Figure 2: numbers of hybrids by displacement, six spoofed",
         xlabel="x, ECEF [km]",
