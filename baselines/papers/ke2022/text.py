@@ -16,11 +16,11 @@ FOUND = """\
 - **M2's detection times are reproduced.**  All nine of Fig. 8 lie within 20 % or 1.5 s of the
   paper (medians of 50 runs), and so do the means of the three-channel figures 6 and 7.
 - **The weights do what is claimed.**  Under the three-channel step the plain filter alarms on
-  the unspoofed channels 4 to 6 in every run.  With weights and without satellite biases none of the unspoofed
-  channels alarms, and the position error is a sixth.  With the constant biases of the simulator
-  8 to 36 % of the runs alarm on channels 4 to 6; and under the three-channel ramp channel 4
-  alarms in most runs with either errors.  The paper's 1 to 3 % is met only for the step, and
-  only without biases.
+  the unspoofed channels 4 to 6 in every run.  With weights and without satellite biases none of
+  the unspoofed channels alarms, and the position error is a sixth.  With the constant biases of
+  the simulator 8 to 36 % of the runs alarm on channels 4 to 6; and under the three-channel ramp
+  channel 4 alarms in most runs with either errors.  The paper's 1 to 3 % is met only for the
+  step, and only without biases.
 - **M3 and M4 are no detectors.**  They are told the channel, the size and the onset, and count
   the offset twice: M3 at 10 m is M2 at 20 m, and so on, in the paper's numbers and in ours.
   Told 10 m or 0.1 m/s where nothing is spoofed they alarm in all runs; told the wrong channel
