@@ -62,6 +62,7 @@ def test_the_statistic_is_that_of_a_regression(kind, signals, window, baseline):
                 assert verdict.statistic[b, j] == pytest.approx(want, rel=1e-4, abs=1e-4)
 
 
+@pytest.mark.nojit
 @pytest.mark.parametrize(("signals", "series"), [("pseudorange", 1), ("both", 2)])
 def test_the_threshold_shares_the_false_alarms_among_all_tests(signals, series):
     detector = GlrStep(false_alarm=1e-4, window=20, signals=signals)

@@ -174,6 +174,7 @@ def test_the_filter_begins_when_it_is_told_to():
         np.testing.assert_array_equal(one.threshold, other.threshold)
 
 
+@pytest.mark.nojit
 def test_a_satellite_that_comes_back_begins_anew():
     z, visible = stepped(3.0), np.ones((500, 6), dtype=bool)
     visible[240:260, 0] = False
@@ -214,6 +215,7 @@ def test_no_satellite_is_locked_out_for_good():
     assert guarded.max() == 60
 
 
+@pytest.mark.nojit
 def test_as_many_satellites_as_needed_keep_a_weight():
     z = stepped(0.0, channels=6)
     z[200:, :4] += np.array([40.0, 30.0, -20.0, 25.0])

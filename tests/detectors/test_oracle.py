@@ -52,6 +52,7 @@ def test_what_it_is_told_is_added_once_more(kind):
     np.testing.assert_array_equal(mine[1], other[1])
 
 
+@pytest.mark.nojit
 @pytest.mark.parametrize("kind", [OracleStep, OracleRamp])
 def test_it_alarms_without_an_attack(kind):
     _, alarms = run(told(kind), clean())

@@ -10,10 +10,16 @@ from functools import cache
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from baselines.papers.frame import Settings
 from baselines.papers.ke2022 import campaign, parts
 from baselines.papers.ke2022.tables import CHANNELS, ORACLES, RAMPS, STEPS
+from spoofgym.attacks import PerChannel
+from spoofgym.detectors import DetectorContext, GlrRamp, GlrStep, InnovationRate, Never
+from spoofgym.envs import Engine, Setup, Timeline
+from spoofgym.receiver import TightlyCoupled
+from spoofgym.sim.scenario import SCENARIOS
 
 RUNS = 16
 ATTACKS = [("step", size) for size in STEPS] + [("ramp", size) for size in RAMPS]
@@ -138,6 +144,34 @@ def test_the_adaptive_threshold_needs_no_settling():
     found = flown("ramp", 0.1, "M2 adaptive")
     assert not found["M2 adaptive/alarmed_before"].any()
     assert np.median(delays("ramp", 0.1, "M2 adaptive")) < np.median(delays("ramp", 0.1))
+
+
+def test_false_alarms_in_a_matched_world_are_as_stated():
+    """Of the rate test; the scans keep to their bound."""
+    receivers, alpha, epochs = 256, 0.05, 200
+    setup = Setup(
+        SCENARIOS["ke2022-white"](),
+        TightlyCoupled(tuning="matched"),
+        PerChannel(),
+        Never(),
+        Timeline(warmup_s=epochs, live_s=epochs, attack_s=1.0, time_to_alert_s=0.0),
+    )
+    engine = Engine(receivers, setup, threads=1)
+    batch, world = engine.batch, setup.world
+    batch.begin([np.random.default_rng([7, run]) for run in range(receivers)])
+    detectors = [kind(false_alarm=alpha) for kind in (InnovationRate, GlrStep, GlrRamp)]
+    variance = setup.noise_variance.copy()
+    for detector in detectors:
+        detector.bind(
+            DetectorContext(receivers, world.channels, 1.0, variance, world.satellite_ids)
+        )
+    for _ in range(epochs):
+        epoch = batch.advance()
+        alarms = [detector.judge(epoch).alarm.any(axis=1).sum() for detector in detectors]
+        batch.update(None)
+    low, high = scipy.stats.binom.ppf([1e-3, 1.0 - 1e-3], receivers, alpha)
+    assert low <= alarms[0] <= high
+    assert max(alarms[1:]) <= high
 
 
 def test_parts_are_known_by_their_names():

@@ -16,7 +16,9 @@ Symbols: r innovation of pseudorange j [m], S innovation covariance, :math:`P_v`
 
 Assumptions: normalized innovations are white and of variance 1 about a constant.  In the paper's
 receiver they are smaller, so that alarms are rarer than stated; and so they are in the first
-samples, when the filter still allows for a first level and rate that are not there.
+samples, when the filter still allows for a first level and rate that are not there.  In a receiver
+that assumes the noise of its world (``tuning="matched"``) the rate is the stated one: 4.7 % for 5 %
+in 256 runs of the flight of `ke2022`; with a memory of 100 s it is 0.1 %.
 
 A filter without a memory span fits one line to all samples since it began: :math:`P_v` falls as
 12 / N^3 and its gain as 6 / N^2, so that the longer it has run the later it sees an onset.
