@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ..frame import Part, Row, Settings
-from . import tables
-from .runs import INTERMITTENT, TABLED, metric_part, noise_part, satellites_part, table_part
+from . import experiments, tables
+from .bands import NOISES
+from .runs import INTERMITTENT, TABLED
+from .work import metric_part, noise_part, satellites_part, table_part
 
 TITLE = "Zhong et al. (2025)"
 CLAIMS = """\
@@ -85,11 +87,11 @@ def parts(settings: Settings) -> list[Part]:
             {"pseudorange_sd_m": sd, "runs": few, **common},
             2.0,
         )
-        for sd in tables.NOISES
+        for sd in NOISES
     ]
     out += [
         Part(f"noise-{sd:g}m", noise_part, {"noise_sd_m": sd, "runs": few, **common})
-        for sd in tables.NOISES
+        for sd in NOISES
     ]
     out += [
         Part(f"satellites-{attack}", satellites_part, {"attack": attack, "runs": few, **common})
@@ -115,11 +117,11 @@ def rows(data: Mapping[str, Mapping[str, Any]], settings: Settings) -> list[Row]
     """
     return [
         *tables.table_rows(data),
-        *tables.intermittent_rows(data),
-        *tables.metric_rows(data),
-        *tables.noise_rows(data),
-        *tables.satellite_rows(data),
-        *tables.comparator_rows(data),
+        *experiments.intermittent_rows(data),
+        *experiments.metric_rows(data),
+        *experiments.noise_rows(data),
+        *experiments.satellite_rows(data),
+        *experiments.comparator_rows(data),
     ]
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from spoofgym.detectors.thresholds import two_sided_quantile
 from spoofgym.earth.frames import ecef_to_geodetic
 
+from .bands import LABELS, NOISES, ONSET_S
 from .runs import EPOCH_S, FIRST_S, INTERMITTENT, METHODS, TABLED, Beside, setup_of
-from .tables import LABELS, NOISES, ONSET_S
 
 Data = Mapping[str, Mapping[str, Any]]
 RAMP, STEP = TABLED[3], TABLED[0]
@@ -23,17 +23,17 @@ def _time(count: int) -> Any:
 
 
 def _save(figure: Any, folder: Path, name: str) -> Path:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
     path = folder / f"zhong2025_{name}.png"
-    FigureCanvasAgg(figure).print_png(path)
+    figure.savefig(path)
     return path
 
 
 def _panels(count: int, title: str) -> tuple[Any, list[Any]]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(5.0 * count, 3.6), dpi=110, layout="constrained")
+    figure = Figure(figsize=(5.0 * count, 3.6), dpi=110)
+    margin = 0.7 / (5.0 * count)
+    figure.subplots_adjust(margin, 0.15, 1.0 - 0.3 * margin, 0.88, wspace=0.2)
     figure.suptitle(title)
     return figure, list(figure.subplots(1, count, squeeze=False)[0])
 

@@ -1,0 +1,59 @@
+"""The reproduction of zhong2025, with too few runs to tell anything but that it holds together."""
+
+import dataclasses
+
+import pytest
+
+from baselines.papers import zhong2025
+from baselines.papers.frame import Settings
+from baselines.papers.zhong2025.runs import TABLED
+
+QUICK = Settings(quick=True, seed=1)
+
+
+@pytest.fixture(scope="module")
+def data():
+    """What one part of each kind returns, taken for that of all of its kind."""
+    done = {}
+    for part in zhong2025.parts(QUICK):
+        if part.function not in done:
+            done[part.function] = part.function(**{**part.settings, "runs": 2})
+    return {part.name: done[part.function] for part in zhong2025.parts(QUICK)}
+
+
+def test_parts_have_names_of_their_own_and_settings_that_name_the_seed():
+    for quick in (True, False):
+        parts = zhong2025.parts(Settings(quick=quick, seed=5))
+        assert len({part.name for part in parts}) == len(parts)
+        assert {part.settings["seed"] for part in parts} == {5}
+    assert {part.settings["runs"] for part in parts if part.name in TABLED} == {50}
+
+
+def test_every_figure_of_the_tables_has_a_row(data):
+    rows = zhong2025.rows(data, QUICK)
+    keys = [(row.table, row.row, row.quantity) for row in rows]
+    assert len(set(keys)) == len(keys)
+    for table, number in (("Table 4", 36), ("Table 5", 36), ("Experiment 8", 9)):
+        printed = [
+            row
+            for row in rows
+            if row.table == table
+            and row.paper is not None
+            and "share" not in row.quantity
+            and "other" not in row.quantity
+        ]
+        assert len(printed) == number
+        assert all(row.low is not None and row.high is not None for row in printed)
+    for row in rows:
+        assert all(
+            isinstance(value, float | int | str | None) for value in dataclasses.astuple(row)
+        )
+
+
+def test_the_figures_are_drawn(data, tmp_path):
+    pytest.importorskip("matplotlib")
+    paths = zhong2025.figures(data, tmp_path / "pictures")
+    assert [path.stem for path in paths] == [
+        f"zhong2025_figure_{number}" for number in (2, 3, 4, 5, 7, 8, 9, 10)
+    ]
+    assert all(path.stat().st_size > 10_000 for path in paths)
