@@ -40,12 +40,12 @@ from numpy.typing import ArrayLike, NDArray
 from .._jit import njit
 from ..receiver.epoch import Epoch
 from ..receiver.fits import PRODUCTS, add, squared_residual
+from ..receiver.partition import checked_rows
 from ..receiver.raim import (
     MIN_SATELLITES,
     STATES,
     check_channels,
     check_test,
-    checked_rows,
     fit_thresholds,
     noise_sd,
     test_all,

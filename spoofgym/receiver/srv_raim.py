@@ -21,14 +21,8 @@ from .fits import (
     squared_residual_of_both,
     tabulate,
 )
-from .raim import (
-    MIN_SATELLITES,
-    Partition,
-    check_test,
-    checked_rows,
-    fit_thresholds,
-    partition_of,
-)
+from .partition import Partition, checked_rows, partition_of
+from .raim import MIN_SATELLITES, check_test, fit_thresholds
 
 FloatArray = NDArray[np.float64]
 

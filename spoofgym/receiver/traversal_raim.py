@@ -12,14 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._jit import njit
 from .fits import PRODUCTS, add, squared_residual, squared_residual_of_both, tabulate
-from .raim import (
-    MIN_SATELLITES,
-    Partition,
-    check_test,
-    checked_rows,
-    fit_thresholds,
-    partition_of,
-)
+from .partition import Partition, checked_rows, partition_of
+from .raim import MIN_SATELLITES, check_test, fit_thresholds
 
 FloatArray = NDArray[np.float64]
 

@@ -5,7 +5,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from spoofgym.receiver.raim import checked_rows, fit_thresholds, frame_axes
+from spoofgym.receiver.partition import checked_rows
+from spoofgym.receiver.raim import fit_thresholds, frame_axes
 from spoofgym.receiver.srv_raim import search_vectors, srv_raim
 from spoofgym.receiver.traversal_raim import traversal_raim
 
