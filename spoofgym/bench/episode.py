@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..earth.frames import ecef_to_geodetic
 from ..envs.engine import Engine
 from .entries import Entry
+from .intervals import Interval, spoofing_intervals
 from .metrics import undetected_displacement
 from .panels import GREY
 from .picture import figure_class
@@ -80,6 +81,11 @@ class Episode:
         alarm = self.alarm[self.onset :, ATTACKED]
         return int(alarm.argmax()) + 1 if alarm.any() else 0
 
+    @property
+    def intervals(self) -> list[Interval]:
+        """Spoofing intervals of the attacked receiver by any channel's alarm, since the onset."""
+        return spoofing_intervals(self.alarm[:, [ATTACKED], None], self.time)
+
     def summary(self) -> dict[str, Any]:
         """What came of it, JSON-able."""
         setup = self.suite.setup(self.detector)
@@ -98,6 +104,10 @@ class Episode:
             "warmup_alarm": bool(alarms.any()),
             "alarm": first > 0,
             "delay_s": first * interval if first else None,
+            "spoofing_intervals_s": [
+                [one.onset_s, one.end_s if np.isfinite(one.end_s) else None]
+                for one in self.intervals
+            ],
             "undetected_displacement_m": round(float(undetected), 4),
             "largest_error_m": round(float(commanded.max()), 4),
             "final_error_m": round(float(commanded[-1]), 4),

@@ -56,3 +56,12 @@ def test_it_can_be_drawn(tmp_path: Path, attack: str) -> None:
     assert drawn.summary()["alarm"]
     draw_episode(drawn, tmp_path / "new" / "picture.png")
     assert (tmp_path / "new" / "picture.png").stat().st_size > 10_000
+
+
+def test_its_spoofing_intervals_are_those_of_its_alarms(episode: Episode) -> None:
+    alarm = np.zeros(len(episode.time), dtype=bool)
+    for one in episode.intervals:
+        alarm |= (episode.time >= one.onset_s) & (episode.time < one.end_s)
+    np.testing.assert_array_equal(alarm, episode.alarm[:, 0])
+    told = episode.summary()["spoofing_intervals_s"]
+    assert [onset for onset, _ in told] == [one.onset_s for one in episode.intervals]
