@@ -4,6 +4,9 @@ VENV   ?= .venv
 
 python := $(VENV)/bin/python
 
+# Processes that share the tests, file by file.
+WORKERS ?= auto
+
 # What each target needs beside the library itself.
 extras_bench := flights,report
 extras_check := flights,report,dev
@@ -22,7 +25,7 @@ bench: $(VENV)/.installed-bench ## play the benchmark and write its report
 	$(VENV)/bin/spoofgym bench $(ARGS)
 
 test: $(VENV)/.installed-test ## run all tests; a part of them with ARGS="-k word"
-	$(python) -m pytest $(ARGS)
+	$(python) -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
 check: $(VENV)/.installed-check ## format, lint, types, import directions, docstrings, spelling
 	$(python) -m ruff format --check .

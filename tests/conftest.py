@@ -14,7 +14,6 @@ hypothesis.settings.register_profile("spoofgym", deadline=None, derandomize=True
 hypothesis.settings.load_profile("spoofgym")
 
 DATA_VARIABLE = "SPOOFGYM_DATA"
-_data_tests = pytest.StashKey[frozenset[str]]()
 
 
 @pytest.fixture(scope="session")
@@ -28,24 +27,19 @@ def data_folder() -> Path:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the users of `data_folder`, before -m selects by marker."""
-    users = [item for item in items if "data_folder" in getattr(item, "fixturenames", ())]
-    for item in users:
-        item.add_marker(pytest.mark.data)
-    marked = (item.nodeid for item in items if item.get_closest_marker("data"))
-    config.stash[_data_tests] = frozenset(marked)
+    for item in items:
+        if "data_folder" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.data)
 
 
-def pytest_terminal_summary(
-    terminalreporter: pytest.TerminalReporter, config: pytest.Config
-) -> None:
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Say how many data tests ran: a skipped one shows nothing, and should not look green."""
-    known = config.stash.get(_data_tests, frozenset())
     ran: set[str] = set()
     skipped: set[str] = set()
     for outcome, reports in terminalreporter.stats.items():
-        ids = {report.nodeid for report in reports if hasattr(report, "nodeid")} & known
+        ids = {report.nodeid for report in reports if "data" in getattr(report, "keywords", ())}
         if outcome == "skipped":
             skipped |= ids
         elif outcome in {"passed", "failed", "error", "xfailed", "xpassed"}:

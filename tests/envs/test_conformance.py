@@ -102,7 +102,7 @@ def test_a_bad_action_names_element_and_value(bad):
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"detector": "ewna"}, "valid: ewma, never, snapshot-chi2; did you mean 'ewma'"),
+        ({"detector": "ewna"}, "valid: acna, .*, windowed-chi2; did you mean 'ewma'"),
         ({"detector": {"name": "ewma", "lambda": 1}}, "no setting 'lambda'; valid: smoothing"),
         ({"attack": "meaconer"}, "unknown attack"),
         ({"scenario": "mars"}, "unknown scenario"),
