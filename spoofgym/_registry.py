@@ -35,6 +35,63 @@ def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
         raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
 
 
+def settings_of(word: str, kind: type, given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Keyword arguments of a dataclass; an unknown one is refused with the valid ones.
+
+    Parameters
+    ----------
+    word : str
+        What it is, for the message.
+    kind : type
+        The dataclass.
+    given : mapping or None
+        Settings by name; None for none.
+
+    Returns
+    -------
+    dict
+        A new one.
+
+    Raises
+    ------
+    ValueError
+        When a setting is unknown.
+    """
+    valid = [field.name for field in dataclasses.fields(kind)]
+    settings = dict(given or {})
+    for name in settings:
+        if name not in valid:
+            raise ValueError(f"{word} has no setting {name!r}; valid: {', '.join(valid)}")
+    return settings
+
+
+def record_of(word: str, kind: type[T], given: Mapping[str, Any] | T | None) -> T:
+    """Record from its settings, or the record itself.
+
+    Parameters
+    ----------
+    word : str
+        What it is, for messages.
+    kind : type
+        The dataclass.
+    given : mapping, record or None
+        Settings by name, a record, or None for its defaults.
+
+    Returns
+    -------
+    object
+        Of this kind.
+
+    Raises
+    ------
+    ValueError
+        When a setting is unknown.
+    """
+    if isinstance(given, kind):
+        return given
+    return kind(**settings_of(word, kind, cast("Mapping[str, Any] | None", given)))
+
+
 def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: Any) -> T:
     """Object by name, by name and settings, or a copy of an object.
 

@@ -63,6 +63,7 @@ from numpy.typing import NDArray
 from .._jit import njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
+from .thresholds import check_epochs
 
 FloatArray = NDArray[np.float64]
 VARIANTS = ("literal", "held", "production")
@@ -277,9 +278,7 @@ class Acna(Detector):
                 f"`variant` must be one of {', '.join(map(repr, VARIANTS))}, got {self.variant!r}"
             )
         for name in ("jump_window", "slow_window", "readmission_fixes"):
-            count = getattr(self, name)
-            if not 1 <= count <= MOST_EPOCHS:
-                raise ValueError(f"`{name}` must be in 1 to {MOST_EPOCHS}, got {count}")
+            check_epochs(name, getattr(self, name), MOST_EPOCHS)
         for name in ("jump_threshold_m", "slow_threshold_m", "drift_cap_m", "max_exclusion_s"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):

@@ -41,6 +41,7 @@ from .innovations import (
     rows_of,
     without_bias,
 )
+from .thresholds import run_length
 
 FloatArray = NDArray[np.float64]
 
@@ -64,10 +65,9 @@ def mean_epochs_between_alarms(allowance: float, limit: float) -> float:
 
     Notes
     -----
-    `siegmund1985`, by a Brownian motion whose limit is moved by the mean overshoot.
+    `siegmund1985`; see `thresholds.run_length`.
     """
-    b = 2.0 * allowance * (limit + 1.166)
-    return (math.exp(b) - b - 1.0) / (4.0 * allowance**2)
+    return 0.5 * run_length(allowance, limit)
 
 
 @njit

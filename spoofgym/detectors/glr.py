@@ -44,11 +44,10 @@ from numpy.typing import NDArray
 from .._jit import inlined, njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
-from .thresholds import check_probability, two_sided_quantile
+from .innovations import check_signals
+from .thresholds import check_epochs, check_probability, two_sided_quantile
 
 FloatArray = NDArray[np.float64]
-SIGNALS = ("pseudorange", "range_rate", "both")
-LONGEST = 100_000
 
 
 @inlined
@@ -287,13 +286,8 @@ class _Glr(Detector):
         """Check the settings."""
         check_probability("false_alarm", self.false_alarm)
         for name in ("window", "baseline"):
-            value = getattr(self, name)
-            if not 1 <= value <= LONGEST:
-                raise ValueError(f"`{name}` must be 1 to {LONGEST} epochs, got {value}")
-        if self.signals not in SIGNALS:
-            raise ValueError(
-                f"`signals` must be one of {', '.join(map(repr, SIGNALS))}, got {self.signals!r}"
-            )
+            check_epochs(name, getattr(self, name))
+        check_signals(self.signals)
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare the memory of the last values, and the thresholds.

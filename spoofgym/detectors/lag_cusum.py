@@ -17,10 +17,11 @@ While few innovations are known, the lag is half of them, and the drift is five 
 of the mean's own error, so that a false mean does not make an alarm.
 
 Assumptions: normalized innovations are independent and of variance 1 about their mean.  Then the
-mean time between false alarms of one sum is Siegmund's `run_length`; for two sums of each of 8
-satellites the defaults 0.5 and 13.3 give 4e-6 alarms an epoch, the probability of `ke2022`.  Sums
-that are not begun anew cross the threshold several times, and the baseline errs: with h = 6 alarms
-begin in 1.0 % of the epochs for 0.6 % where the receiver assumes the noise of its world.
+mean time between false alarms of one sum is Siegmund's, `thresholds.run_length`; for two sums of
+each of 8 satellites the defaults 0.5 and 13.3 give 4e-6 alarms an epoch, the probability of
+`ke2022`.  Sums that are not begun anew cross the threshold several times, and the baseline errs:
+with h = 6 alarms begin in 1.0 % of the epochs for 0.6 % where the receiver assumes the noise of its
+world.
 
 Deviations: `page1954` knows the mean.  An alarm does not begin the sums anew: they fall again when
 the change is over.  A satellite that sets and rises begins anew.
@@ -40,31 +41,12 @@ from numpy.typing import NDArray
 from .._jit import njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
+from .innovations import check_signals
+from .thresholds import check_epochs
 
 FloatArray = NDArray[np.float64]
-SIGNALS = ("pseudorange", "range_rate", "both")
-LONGEST = 100_000
 BASELINE_SDS = 5.0
 """Standard deviations of the baseline's error that the drift covers at least."""
-
-
-def run_length(drift: float, threshold: float) -> float:
-    r"""Mean number of epochs until one sum exceeds its threshold where nothing changes.
-
-    .. math:: L = \frac{e^{2 \kappa b} - 2 \kappa b - 1}{2 \kappa^2}, \qquad b = h + 1.166
-
-    Parameters
-    ----------
-    drift, threshold : float
-        Kappa and h.
-
-    Returns
-    -------
-    float
-        L, Siegmund's approximation.
-    """
-    exponent = 2.0 * drift * (threshold + 1.166)
-    return (math.exp(exponent) - exponent - 1.0) / (2.0 * drift * drift)
 
 
 @njit
@@ -169,13 +151,8 @@ class LagCusum(Detector):
             if not 0.0 < value < math.inf:
                 raise ValueError(f"`{name}` must be finite and > 0, got {value}")
         for name in ("lag", "baseline"):
-            value = getattr(self, name)
-            if not 1 <= value <= LONGEST:
-                raise ValueError(f"`{name}` must be 1 to {LONGEST} epochs, got {value}")
-        if self.signals not in SIGNALS:
-            raise ValueError(
-                f"`signals` must be one of {', '.join(map(repr, SIGNALS))}, got {self.signals!r}"
-            )
+            check_epochs(name, getattr(self, name))
+        check_signals(self.signals)
 
     def bind(self, context: DetectorContext) -> None:
         """Begin the sums of all satellites.

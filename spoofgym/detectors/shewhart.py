@@ -20,7 +20,7 @@ Deviations from `zhong2025`, whose method M1 this is:
 2. The paper tests pseudoranges alone, which is the default.  With ``signals="both"`` a satellite's
    statistic is the larger of its two, and each is tested at :math:`\alpha/2`.
 3. The paper's M1 has no weights; nor has this one by default.  `weight_scale` gives it those that
-   M2 has.
+   M2 has, with limits of exclusion (`lockout`).
 
 Source: `zhong2025`, eqs. 15 and 16; the chart is from `shewhart1931`.
 """
@@ -45,6 +45,7 @@ from .innovations import (
     rows_of,
     without_bias,
 )
+from .lockout import check_limits, limit_exclusions, longest_exclusion
 from .thresholds import check_probability, igg3_weight, two_sided_quantile
 
 FloatArray = NDArray[np.float64]
@@ -126,12 +127,19 @@ class Shewhart(Detector):
     bias_window_s : float
         Length of the first window whose mean innovation is taken away from every channel, which is
         not judged before; 0 for none.
+    max_exclusion_s : float or None
+        Longest time that a satellite can have weight 0 without an alarm, above 0; None for no
+        limit.
+    min_satellites : int
+        Fewest satellites that keep a weight above 0, where as many are in view; 0 for none.
     """
 
     false_alarm: float = 1e-5
     weight_scale: float | None = None
     signals: str = "pseudorange"
     bias_window_s: float = 0.0
+    max_exclusion_s: float | None = 60.0
+    min_satellites: int = 5
 
     paper: ClassVar[str] = "zhong2025"
     scope: ClassVar[str] = "channel"
@@ -143,6 +151,7 @@ class Shewhart(Detector):
             raise ValueError(f"`weight_scale` must be in (0, 1] or None, got {self.weight_scale}")
         check_signals(self.signals)
         check_length("bias_window_s", self.bias_window_s)
+        check_limits(self.max_exclusion_s, self.min_satellites)
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare the threshold.
@@ -156,6 +165,9 @@ class Shewhart(Detector):
         self._rows = rows_of(self.signals, context.channels)
         tests = 2 if self.signals == "both" else 1
         self._quantile = two_sided_quantile(self.false_alarm / tests)
+        shape = (context.receivers, context.channels)
+        self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
+        self._longest = longest_exclusion(self.max_exclusion_s, context.epoch_interval_s)
         self._window = 0
         if self.bias_window_s > 0.0:
             self._window = epochs_of(self.bias_window_s, context)
@@ -181,4 +193,13 @@ class Shewhart(Detector):
         weights = None
         if self.weight_scale is not None:
             weights = snapshot_weights(statistic, self.weight_scale * self._quantile)
+            limit_exclusions(
+                statistic,
+                threshold,
+                epoch.visible,
+                self._longest,
+                self.min_satellites,
+                self.memory["excluded"],
+                weights,
+            )
         return Verdict(statistic, threshold, statistic > threshold, weights)

@@ -32,6 +32,52 @@ def check_probability(name: str, value: float) -> None:
         raise ValueError(f"`{name}` must lie between 0 and 1, both excluded, got {value}")
 
 
+def check_epochs(name: str, value: int, most: int = 100_000) -> None:
+    """Raise unless a length in epochs is a whole number in range.
+
+    Parameters
+    ----------
+    name : str
+        Of the setting, for the message.
+    value : int
+        The value.
+    most : int
+        Largest one that is allowed; the least is 1.
+
+    Raises
+    ------
+    ValueError
+        When it is out of range, or not whole.
+    """
+    if not 1 <= value <= most:
+        raise ValueError(f"`{name}` must be 1 to {most} epochs, got {value}")
+    if isinstance(value, bool) or int(value) != value:
+        raise ValueError(f"`{name}` must be a whole number of epochs, got {value}")
+
+
+def run_length(drift: float, threshold: float) -> float:
+    r"""Mean number of epochs until a cumulative sum exceeds its threshold where nothing changes.
+
+    .. math:: L = \frac{e^{2 \kappa b} - 2 \kappa b - 1}{2 \kappa^2}, \qquad b = h + 1.166
+
+    Parameters
+    ----------
+    drift, threshold : float
+        Kappa, above 0, and h, of standard normal samples.
+
+    Returns
+    -------
+    float
+        L of a one-sided sum from zero.
+
+    Notes
+    -----
+    `siegmund1985`, by a Brownian motion whose limit is moved by the mean overshoot.
+    """
+    exponent = 2.0 * drift * (threshold + 1.166)
+    return (math.exp(exponent) - exponent - 1.0) / (2.0 * drift * drift)
+
+
 def two_sided_quantile(false_alarm: float) -> float:
     """Quantile that a standard normal deviate exceeds in size with a given probability.
 

@@ -54,12 +54,11 @@ from .._jit import njit
 from ..receiver.epoch import Epoch
 from ..receiver.nis import normalized_innovation_squared
 from .base import Detector, DetectorContext, Verdict
-from .thresholds import check_probability, chi2_thresholds
+from .innovations import check_signals
+from .thresholds import check_epochs, check_probability, chi2_thresholds
 
 FloatArray = NDArray[np.float64]
-SIGNALS = ("pseudorange", "range_rate", "both")
 COVARIANCES = ("known", "estimated")
-LONGEST = 100_000
 
 
 def estimated_covariance_thresholds(
@@ -170,14 +169,13 @@ class WindowedChi2(Detector):
         """Check the settings."""
         check_probability("false_alarm", self.false_alarm)
         for name in ("window", "covariance_window"):
-            value = getattr(self, name)
-            if not 1 <= value <= LONGEST:
-                raise ValueError(f"`{name}` must be 1 to {LONGEST} epochs, got {value}")
-        for name, valid in (("signals", SIGNALS), ("covariance", COVARIANCES)):
-            if (value := getattr(self, name)) not in valid:
-                raise ValueError(
-                    f"`{name}` must be one of {', '.join(map(repr, valid))}, got {value!r}"
-                )
+            check_epochs(name, getattr(self, name))
+        check_signals(self.signals)
+        if self.covariance not in COVARIANCES:
+            raise ValueError(
+                f"`covariance` must be one of {', '.join(map(repr, COVARIANCES))}, "
+                f"got {self.covariance!r}"
+            )
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare the windows, and the thresholds for every number of rows in one.
@@ -233,7 +231,7 @@ class WindowedChi2(Detector):
         if epoch.visible.shape[1]:
             rows = self._per_satellite * epoch.visible.sum(axis=1)
         else:
-            rows = np.full(len(nis), epoch.innovation.shape[1])
+            rows = (epoch.design != 0.0).any(axis=2).sum(axis=1)  # none where the fix is missing
         total, degrees = np.empty(len(nis)), np.empty(len(nis), dtype=np.int64)
         window_sum(
             nis,

@@ -12,13 +12,13 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from typing import Any, ClassVar, TypeVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
+from .._registry import record_of
 from ..detectors import Detector, DetectorContext, Verdict, make_detector
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
 from ..receiver.epoch import Epoch
@@ -38,24 +38,11 @@ from .plant import Plant
 from .setup import Timeline
 
 FloatArray = NDArray[np.float64]
-T = TypeVar("T")
 
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "acna", "variant": "production"}
 DEFAULT_TIMELINE = {"warmup_s": 60.0, "live_s": 60.0, "attack_s": 150.0, "time_to_alert_s": 10.0}
 SPARE_EPOCHS = 2
 """Epochs that a finished receiver may run until it is reset."""
-
-
-def _record(word: str, kind: type[T], given: Mapping[str, Any] | T | None) -> T:
-    """Record of settings; an unknown one is refused with the valid ones."""
-    if isinstance(given, kind):
-        return given
-    settings = dict(cast("Mapping[str, Any]", given or {}))
-    valid = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    for name in settings:
-        if name not in valid:
-            raise ValueError(f"{word} has no setting {name!r}; valid: {', '.join(valid)}")
-    return kind(**settings)
 
 
 class RobotPlant(Plant):
@@ -120,17 +107,23 @@ class RobotPlant(Plant):
         self.interval_s, self.rate_limit_mps = interval_s, rate_limit_mps
         self.displacement_scale_m, self.position_scale_m = displacement_scale_m, position_scale_m
         self.velocity_scale_mps = velocity_scale_mps
-        self.loop = _record("the loop", RobotLoop, loop)
-        self.odometer = _record("the odometer", Odometer, odometer)
-        self.fix_errors = _record("the fix", FixErrors, fix_errors)
-        self.filter = _record("the receiver", CredibleFilter, receiver)
+        self.loop = record_of("the loop", RobotLoop, loop)
+        self.odometer = record_of("the odometer", Odometer, odometer)
+        self.fix_errors = record_of("the fix", FixErrors, fix_errors)
+        self.filter = record_of("the receiver", CredibleFilter, receiver)
         if not isinstance(timeline, Timeline):
-            timeline = _record("the timeline", Timeline, {**DEFAULT_TIMELINE, **(timeline or {})})
+            timeline = record_of("the timeline", Timeline, {**DEFAULT_TIMELINE, **(timeline or {})})
         self.timeline = timeline
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
         self.onset = self.quiet + self.live
         self.action_names = ("rate_north_mps", "rate_east_mps")
         self._unbound = make_detector(DEFAULT_DETECTOR if detector is None else detector)
+        missing = self._unbound.needs - {"gnss_position", "auxiliary_position"}
+        if missing:
+            raise ValueError(
+                f"{type(self._unbound).__name__} needs {', '.join(sorted(missing))}, which a "
+                "wheeled robot does not have"
+            )
         self._drive()
         self._interrupt(interruptions_s)
         self._populate(receivers)

@@ -10,14 +10,13 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from .._registry import check_choice
+from .._registry import check_choice, record_of
 from ..detectors import Detector, DetectorContext, Verdict, make_detector
 from ..receiver.epoch import Epoch
 from ..receiver.snapshot import (
@@ -109,7 +108,7 @@ class SnapshotPlant(Plant):
                 raise ValueError(f"`{name}` must be finite, got {value}")
         self.spoofed = _which(spoofed, satellites)
         self.rate_limit_mps = _rates(rate_limit_mps)
-        self.timeline = _timeline(timeline)
+        self.timeline = TIMELINE if timeline is None else record_of("timeline", Timeline, timeline)
         quiet, live, self.steps, self.hold = self.timeline.epochs(interval_s)
         self._quiet, self._live, self.onset = quiet, live, quiet + live
         self.action_names = tuple(f"{axis}_rate_mps" for axis in AXES)
@@ -444,12 +443,3 @@ def _rates(rate_limit_mps: float | Sequence[float]) -> FloatArray:
             f"{', '.join(AXES)}, got {rate_limit_mps}"
         )
     return np.broadcast_to(limits, (4,)).copy()
-
-
-def _timeline(timeline: Timeline | Mapping[str, float] | None) -> Timeline:
-    if timeline is None or isinstance(timeline, Timeline):
-        return timeline or TIMELINE
-    valid = [field.name for field in fields(Timeline)]
-    for name in timeline:
-        check_choice("setting of the timeline", name, valid)
-    return Timeline(**timeline)

@@ -83,7 +83,8 @@ def predict_positions(
         (B, 2), (B, 2, 2), (B, 2, 2), (B, 3), written.
     """
     for b in range(increment.shape[0]):
-        valid = math.isfinite(fix[b, 0]) and math.isfinite(fix[b, 1])
+        # comparisons, since the relaxed rules may fold `isfinite` away (see `fits`)
+        valid = abs(fix[b, 0]) < np.inf and abs(fix[b, 1]) < np.inf
         interrupted[b] = 0.0 if valid else interrupted[b] + interval
         grown = noise + drift_rate * drift_rate * (2.0 * outage[b] + interval)
         gnss_position[b, 2] = 0.0

@@ -153,12 +153,12 @@ def test_it_watches_positions_alone():
     ("settings", "message"),
     [
         ({"variant": "literals"}, "`variant` must be one of 'literal', .* got 'literals'"),
-        ({"jump_window": 0}, "`jump_window` must be in 1 to 1000, got 0"),
-        ({"slow_window": 1001}, "`slow_window` must be in 1 to 1000, got 1001"),
+        ({"jump_window": 0}, "`jump_window` must be 1 to 1000 epochs, got 0"),
+        ({"slow_window": 1001}, "`slow_window` must be 1 to 1000 epochs, got 1001"),
         ({"jump_threshold_m": 0.0}, "`jump_threshold_m` must be finite and > 0, got 0"),
         ({"drift_cap_m": np.inf}, "`drift_cap_m` must be finite and > 0, got inf"),
         ({"readmission_rate_mps": -1.0}, "`readmission_rate_mps` must be finite and >= 0"),
-        ({"readmission_fixes": 0}, "`readmission_fixes` must be in 1 to 1000, got 0"),
+        ({"readmission_fixes": 0}, "`readmission_fixes` must be 1 to 1000 epochs, got 0"),
         ({"max_exclusion_s": 0.0}, "`max_exclusion_s` must be finite and > 0, got 0"),
     ],
 )

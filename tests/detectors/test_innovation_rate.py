@@ -236,10 +236,11 @@ def test_as_many_satellites_as_needed_keep_a_weight():
         ({"weight_scale": 1.5}, r"`weight_scale` must be in \(0, 1\] or None, got 1.5"),
         ({"threshold": 0.0}, "`threshold` must be finite and > 0 or None, got 0.0"),
         ({"memory_s": math.inf}, "`memory_s` must be finite and > 0 or None, got inf"),
-        ({"max_exclusion_s": -1.0}, "`max_exclusion_s` must be finite and > 0 or None"),
+        ({"max_exclusion_s": -1.0}, "`max_exclusion_s` must be finite and > 0, or None"),
         ({"correlation_per_s": 0.0}, "`correlation_per_s` must be finite and > 0, got 0.0"),
         ({"noise": math.nan}, "`noise` must be finite and >= 0, got nan"),
         ({"settled_s": -1.0}, "`settled_s` must be finite and >= 0, got -1.0"),
+        ({"min_satellites": 2.5}, "`min_satellites` must be a whole number, got 2.5"),
         ({"min_satellites": -1}, "`min_satellites` must be at least 0, got -1"),
     ],
 )

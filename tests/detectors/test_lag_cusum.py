@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import LagCusum
-from spoofgym.detectors.lag_cusum import run_length
+from spoofgym.detectors.thresholds import run_length
 
 from .support import belief, context, drawn, epoch
 
@@ -96,6 +96,7 @@ def test_a_bias_is_no_change_and_a_change_is_found():
         ({"drift": 0.0}, "`drift` must be finite and > 0, got 0.0"),
         ({"threshold": math.nan}, "`threshold` must be finite and > 0, got nan"),
         ({"lag": 0}, "`lag` must be 1 to 100000 epochs, got 0"),
+        ({"lag": 2.5}, "`lag` must be a whole number of epochs, got 2.5"),
         ({"baseline": -3}, "`baseline` must be 1 to 100000 epochs, got -3"),
         ({"signals": "code"}, "`signals` must be one of 'pseudorange', 'range_rate', 'both'"),
     ],

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spoofgym.detectors import Ewma, JointChart, make_detector
+from spoofgym.detectors import Ewma, JointChart, Shewhart, make_detector
 
 from .support import context, epoch
 
@@ -29,6 +29,7 @@ def offset(ratio, detector):
 KINDS = [
     Ewma(max_exclusion_s=10.0, min_satellites=0),
     JointChart(max_exclusion_s=10.0, min_satellites=0),
+    Shewhart(weight_scale=0.3, max_exclusion_s=10.0, min_satellites=0),
 ]
 
 
@@ -77,7 +78,7 @@ def test_the_joint_chart_is_limited_by_default_and_the_ewma_chart_is_not():
     assert (Ewma().max_exclusion_s, Ewma().min_satellites) == (None, 0)
 
 
-@pytest.mark.parametrize("name", ["ewma", "joint-chart"])
+@pytest.mark.parametrize("name", ["ewma", "innovation-rate", "joint-chart", "shewhart"])
 def test_settings_are_checked_at_birth(name):
     with pytest.raises(
         ValueError, match="`max_exclusion_s` must be finite and > 0, or None, got 0"

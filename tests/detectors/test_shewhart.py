@@ -39,7 +39,9 @@ def test_it_weighs_pseudoranges_down_where_it_is_told_to():
     z[:, 0], z[:, 1], z[:, 2] = 1.0, 1.8, 4.0
     z[:, N] = 9.0
     S = np.tile(np.eye(2 * N), (B, 1, 1))
-    found = judged(z, S, false_alarm=2.0 * scipy.stats.norm.sf(5.0), weight_scale=0.5)
+    found = judged(
+        z, S, false_alarm=2.0 * scipy.stats.norm.sf(5.0), weight_scale=0.5, min_satellites=0
+    )
     # full weight up to 1.25, none from 2.5 on
     want = [1.0, 1.25 / 1.8 * (0.7 / 1.25) ** 2, 0.0, *np.ones(2 * N - 3)]
     np.testing.assert_allclose(found.weights, np.tile(want, (B, 1)))

@@ -7,6 +7,7 @@ import scipy.stats
 from spoofgym.detectors import DetectorContext, WindowedChi2
 from spoofgym.detectors.windowed_chi2 import estimated_covariance_thresholds
 
+from .positions import judge_drifts
 from .support import belief, context, drawn, epoch
 
 N = 4
@@ -20,7 +21,7 @@ def position_epoch(z, S):
     """Epoch of a receiver that measures a position."""
     b = len(z)
     empty = epoch(np.zeros((b, 0)), np.zeros((b, 0, 0)))
-    return empty._replace(innovation=z, innovation_cov=S)
+    return empty._replace(innovation=z, innovation_cov=S, design=np.tile(np.eye(3), (b, 1, 1)))
 
 
 def judge_all(detector, z, S):
@@ -68,6 +69,13 @@ def test_a_window_longer_than_the_run_never_judges():
         assert not verdict.statistic.any()
         assert not verdict.alarm.any()
     assert judge_all(WindowedChi2(window=50), z, np.tile(np.eye(3), (2, 1, 1)))[-1].alarm.all()
+
+
+def test_a_missing_fix_has_no_degrees_of_freedom():
+    detector = WindowedChi2(window=3)
+    verdict = judge_drifts(detector, [[1.0, 1.0], [np.nan, 1.0], [1.0, np.nan], [1.0, np.nan]])[-1]
+    np.testing.assert_allclose(verdict.statistic[:, 0], [2.0, 1.0])
+    np.testing.assert_allclose(verdict.threshold[:, 0], scipy.stats.chi2.isf(1e-5, [4, 2]))
 
 
 def test_an_estimated_covariance_has_a_window_to_fill_as_well():

@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from spoofgym.detectors import Never
+from spoofgym.detectors import Acna, Never
 from spoofgym.envs.robot_plant import RobotPlant
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 40.0, "time_to_alert_s": 5.0}
@@ -207,6 +207,12 @@ def test_an_episode_has_an_end():
         plant.advance(None)
 
 
+class Antenna(Acna):
+    """Needs what a robot does not have."""
+
+    needs = frozenset({"gnss_position", "cn0_dbhz"})
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -218,6 +224,7 @@ def test_an_episode_has_an_end():
         ({"timeline": {"attack_s": -1.0}}, "`attack_s` must be finite and >= 0, got -1"),
         ({"interruptions_s": [[5.0, 4.0]]}, "must be pairs .* got \\[5.0, 4.0\\]"),
         ({"detector": "ewma"}, "Ewma watches satellites, but the receiver measures position"),
+        ({"detector": Antenna()}, "Antenna needs cn0_dbhz, which a wheeled robot does not have"),
         ({"receivers": 0}, "`receivers` must be at least 1, got 0"),
     ],
 )

@@ -187,7 +187,7 @@ def test_false_alarms_come_as_promised():
         ({"rate_limit_mps": [1.0, 2.0]}, "one for each of north, east, down, clock, got"),
         ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be finite and > 0"),
         ({"speed_mps": np.nan}, "`speed_mps` must be finite, got nan"),
-        ({"timeline": {"warmup": 1.0}}, "unknown setting of the timeline 'warmup'"),
+        ({"timeline": {"warmup": 1.0}}, "timeline has no setting 'warmup'; valid: warmup_s"),
         ({"detector": "srv-rain"}, "unknown detector 'srv-rain'"),
     ],
 )

@@ -52,9 +52,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._jit import inlined, njit
+from ..._jit import njit
 from ...receiver.epoch import Epoch
 from ..base import Detector, DetectorContext, Verdict
+from ..lockout import check_limits, readmit_nearest
 from ..thresholds import check_probability, igg3_weight, two_sided_quantile
 from .rate_filter import FIRST_COVARIANCE, advance, restart
 
@@ -156,32 +157,12 @@ def judge_rates(
                 weights[b, j] = igg3_weight(size[b, j], 0.5 * reject, reject)
 
 
-@inlined
-def least_suspicious(ratio: FloatArray, visible: NDArray[np.bool_], weights: FloatArray) -> int:
-    """Visible channel of weight zero with the smallest ratio of statistic to threshold.
-
-    Parameters
-    ----------
-    ratio, visible, weights : ndarray
-        (n,) each, `weights` longer.
-
-    Returns
-    -------
-    int
-        Its number; -1 where there is none.
-    """
-    best = -1
-    for j in range(visible.shape[0]):
-        if visible[j] and weights[j] == 0.0 and (best < 0 or ratio[j] < ratio[best]):
-            best = j
-    return best
-
-
 @njit
 def guard_against_lockout(
     interval: FloatArray,
     visible: NDArray[np.bool_],
-    ratio: FloatArray,
+    size: FloatArray,
+    threshold: FloatArray,
     max_exclusion_s: float,
     min_satellites: int,
     excluded_s: FloatArray,
@@ -195,8 +176,8 @@ def guard_against_lockout(
     ----------
     interval, visible : ndarray
         Of the epoch.
-    ratio : ndarray
-        (B, n) statistic over threshold.
+    size, threshold : ndarray
+        (B, n) statistic and threshold.
     max_exclusion_s : float
         Longest time at weight zero [s]; then the channel begins anew.
     min_satellites : int
@@ -217,12 +198,10 @@ def guard_against_lockout(
                 restart(state[b, j], covariance[b, j])
                 excluded_s[b, j], weights[b, j] = 0.0, 1.0
             used += visible[b, j] and weights[b, j] > 0.0
-        while used < min_satellites:
-            j = least_suspicious(ratio[b], visible[b], weights[b])
-            if j < 0:
-                break
-            excluded_s[b, j], weights[b, j] = 0.0, 1.0
-            used += 1
+        readmit_nearest(size[b], threshold[b], visible[b], min_satellites - used, weights[b])
+        for j in range(visible.shape[1]):
+            if weights[b, j] > 0.0:
+                excluded_s[b, j] = 0.0
 
 
 @dataclass
@@ -272,7 +251,7 @@ class InnovationRate(Detector):
         check_probability("false_alarm", self.false_alarm)
         if self.weight_scale is not None and not 0.0 < self.weight_scale <= 1.0:
             raise ValueError(f"`weight_scale` must be in (0, 1] or None, got {self.weight_scale}")
-        for name in ("threshold", "memory_s", "max_exclusion_s"):
+        for name in ("threshold", "memory_s"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < math.inf:
                 raise ValueError(f"`{name}` must be finite and > 0 or None, got {value}")
@@ -284,8 +263,7 @@ class InnovationRate(Detector):
             value = getattr(self, name)
             if not 0.0 <= value < math.inf:
                 raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
-        if self.min_satellites < 0:
-            raise ValueError(f"`min_satellites` must be at least 0, got {self.min_satellites}")
+        check_limits(self.max_exclusion_s, self.min_satellites)
 
     def bind(self, context: DetectorContext) -> None:
         """Begin the filters of all satellites.
@@ -362,7 +340,8 @@ class InnovationRate(Detector):
         guard_against_lockout(
             epoch.interval,
             epoch.visible,
-            size / threshold,
+            size,
+            threshold,
             math.inf if self.max_exclusion_s is None else self.max_exclusion_s,
             self.min_satellites,
             self.memory["excluded_s"],
