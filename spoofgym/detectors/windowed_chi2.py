@@ -171,8 +171,10 @@ class WindowedChi2(Detector):
         check_probability("false_alarm", self.false_alarm)
         for name in ("window", "covariance_window"):
             value = getattr(self, name)
-            if not 1 <= value <= LONGEST:
-                raise ValueError(f"`{name}` must be 1 to {LONGEST} epochs, got {value}")
+            if not (float(value).is_integer() and 1 <= value <= LONGEST):
+                raise ValueError(
+                    f"`{name}` must be a whole number, 1 to {LONGEST} epochs, got {value}"
+                )
         for name, valid in (("signals", SIGNALS), ("covariance", COVARIANCES)):
             if (value := getattr(self, name)) not in valid:
                 raise ValueError(

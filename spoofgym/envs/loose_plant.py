@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from typing import Any, ClassVar, TypeVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from .._registry import check_choice
+from .._registry import build_record, check_choice
 from ..detectors import Detector, DetectorContext, make_detector
 from ..receiver.loose import LooselyCoupled, LooseReceivers
 from ..sim.loose_world import SOURCES, InertialErrors, first_errors, flown_world, measure
@@ -26,7 +25,6 @@ from .plant import Plant
 from .setup import Timeline
 
 FloatArray = NDArray[np.float64]
-T = TypeVar("T")
 
 INTERVAL_S = 0.1
 DEFAULT_WINDOW = 100
@@ -43,18 +41,6 @@ POSITION_SCALE_M = 10_000.0
 VELOCITY_SCALE_MPS = 100.0
 BOUND = 10.0
 _NORTH_EAST = (1, 0)
-
-
-def _made(word: str, kind: type[T], given: Mapping[str, Any] | T | None) -> T:
-    """Object of a dataclass from its settings; an unknown one is refused with the valid ones."""
-    if isinstance(given, kind):
-        return given
-    settings = dict(cast("Mapping[str, Any]", given or {}))
-    valid = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    for name in settings:
-        if name not in valid:
-            raise ValueError(f"{word} has no setting {name!r}; valid: {', '.join(valid)}")
-    return kind(**settings)
 
 
 class LoosePlant(Plant):
@@ -111,16 +97,14 @@ class LoosePlant(Plant):
             raise ValueError(f"`rate_limit_mps` must be finite and > 0, got {rate_limit_mps}")
         self.receivers, self.rate_limit_mps = receivers, float(rate_limit_mps)
         self.interval_s = INTERVAL_S
-        self.action_names = ("offset_rate_north_mps", "offset_rate_east_mps")
+        self.action_names = ("north_rate", "east_rate")
         self.world = flown_world(flight, INTERVAL_S)
-        self.errors = _made("errors", PositionErrors, errors)
-        self.inertial = _made("inertial", InertialErrors, inertial)
-        self.settings = _made(
+        self.errors = build_record("errors", PositionErrors, errors)
+        self.inertial = build_record("inertial", InertialErrors, inertial)
+        self.settings = build_record(
             "receiver", LooselyCoupled, DEFAULT_RECEIVER if receiver is None else receiver
         )
-        if not isinstance(timeline, Timeline):
-            timeline = DEFAULT_TIMELINE | dict(timeline or {})
-        self.timeline = _made("timeline", Timeline, timeline)
+        self.timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         self._quiet, self._live, self.steps, self.hold = self.timeline.epochs(INTERVAL_S)
         self.onset = self._quiet + self._live
         # one epoch more, which a finished receiver may run until it is reset

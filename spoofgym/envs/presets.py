@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
+from .._registry import build_record
 from ..attacks import Attack, make_attack
 from ..detectors import Detector, make_detector
 from ..receiver import TightlyCoupled
@@ -17,16 +17,6 @@ from .setup import Setup, Timeline
 
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
 DEFAULT_ATTACK = "false-position"
-
-
-def _settings(word: str, kind: type, given: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Keyword arguments for a dataclass; an unknown one is refused with the valid ones."""
-    valid = [field.name for field in fields(kind)]
-    settings = dict(given or {})
-    for name in settings:
-        if name not in valid:
-            raise ValueError(f"{word} has no setting {name!r}; valid: {', '.join(valid)}")
-    return settings
 
 
 def make_setup(
@@ -58,13 +48,10 @@ def make_setup(
         For `Engine` or `Game`.
     """
     world = make_scenario(scenario)
-    if not isinstance(receiver, TightlyCoupled):
-        settings = {"grade": world.imu, **_settings("the receiver", TightlyCoupled, receiver)}
-        receiver = TightlyCoupled(**settings)
-    if not isinstance(timeline, Timeline):
-        timeline = Timeline(**_settings("the timeline", Timeline, timeline))
+    victim = build_record("receiver", TightlyCoupled, receiver, {"grade": world.imu})
+    phases = build_record("timeline", Timeline, timeline)
     judge = make_detector(DEFAULT_DETECTOR if detector is None else detector)
-    return Setup(world, receiver, make_attack(attack), judge, timeline)
+    return Setup(world, victim, make_attack(attack), judge, phases)
 
 
 def make_game(

@@ -10,14 +10,13 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from .._registry import check_choice
+from .._registry import build_record, check_choice
 from ..detectors import Detector, DetectorContext, Verdict, make_detector
 from ..receiver.epoch import Epoch
 from ..receiver.snapshot import (
@@ -35,7 +34,7 @@ from .setup import Timeline
 FloatArray = NDArray[np.float64]
 
 AXES = ("north", "east", "down", "clock")
-TIMELINE = Timeline(warmup_s=10.0, live_s=10.0, attack_s=60.0, time_to_alert_s=10.0)
+DEFAULT_TIMELINE = {"warmup_s": 10.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 10.0}
 CLOCK_SD = (1e4, 10.0)
 """Standard deviation of the receiver's clock offset [m] and drift [m/s]."""
 DISPLACEMENT_SCALE_M = 100.0
@@ -54,7 +53,8 @@ class SnapshotPlant(Plant):
     detector : str, mapping or Detector
         What judges the pseudoranges.
     timeline : Timeline or mapping, optional
-        Phases of an episode; there is nothing to warm up but the detector.
+        Phases of an episode, settings over `DEFAULT_TIMELINE`; there is nothing to warm up but
+        the detector.
     satellites : int
         n, in view and used, the highest ones.
     spoofed : int or sequence of int
@@ -102,17 +102,17 @@ class SnapshotPlant(Plant):
         self.noise_m = _positive("noise_m", noise_m)
         if not receivers >= 1:
             raise ValueError(f"`receivers` must be at least 1, got {receivers}")
-        if not satellites >= 4:
-            raise ValueError(f"`satellites` must be at least 4, got {satellites}")
+        if not isinstance(satellites, int | np.integer) or satellites < 4:
+            raise ValueError(f"`satellites` must be a whole number >= 4, got {satellites!r}")
         for name, value in (("speed_mps", speed_mps), ("heading_deg", heading_deg)):
             if not math.isfinite(value):
                 raise ValueError(f"`{name}` must be finite, got {value}")
         self.spoofed = _which(spoofed, satellites)
         self.rate_limit_mps = _rates(rate_limit_mps)
-        self.timeline = _timeline(timeline)
+        self.timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         quiet, live, self.steps, self.hold = self.timeline.epochs(interval_s)
         self._quiet, self._live, self.onset = quiet, live, quiet + live
-        self.action_names = tuple(f"{axis}_rate_mps" for axis in AXES)
+        self.action_names = tuple(f"{axis}_rate" for axis in AXES)
         self.sky = make_sky(
             2 + self.onset + self.steps + self.hold,  # the first fix, and one to spare
             interval_s,
@@ -424,10 +424,16 @@ def _positive(name: str, value: float) -> float:
 
 def _which(spoofed: int | Sequence[int], satellites: int) -> int | list[int]:
     """Count of spoofed satellites, or their slots."""
-    if isinstance(spoofed, int):
+    if isinstance(spoofed, int | np.integer):
         if not 0 <= spoofed <= satellites:
-            raise ValueError(f"`spoofed` must be within 0..{satellites}, got {spoofed}")
-        return spoofed
+            raise ValueError(
+                f"`spoofed` must be within 0..{satellites}, the number of satellites, got {spoofed}"
+            )
+        return int(spoofed)
+    if isinstance(spoofed, float | str):
+        raise ValueError(
+            f"`spoofed` must be a whole number of satellites, or a list of slots, got {spoofed!r}"
+        )
     slots = [int(j) for j in spoofed]
     if len(set(slots)) < len(slots) or not all(0 <= j < satellites for j in slots):
         raise ValueError(
@@ -444,12 +450,3 @@ def _rates(rate_limit_mps: float | Sequence[float]) -> FloatArray:
             f"{', '.join(AXES)}, got {rate_limit_mps}"
         )
     return np.broadcast_to(limits, (4,)).copy()
-
-
-def _timeline(timeline: Timeline | Mapping[str, float] | None) -> Timeline:
-    if timeline is None or isinstance(timeline, Timeline):
-        return timeline or TIMELINE
-    valid = [field.name for field in fields(Timeline)]
-    for name in timeline:
-        check_choice("setting of the timeline", name, valid)
-    return Timeline(**timeline)
