@@ -77,7 +77,7 @@ def least_squares_fix(
         raise ValueError(f"a fix needs at least 4 satellites, got {len(pr)}")
     r, bias = np.array(guess_e, dtype=float), 0.0
     if r.shape != (3,) or not np.isfinite(r).all():
-        raise ValueError(f"`guess_e` must be three finite numbers, got {guess_e}")
+        raise ValueError(f"`guess_e` must be three finite numbers, got {guess_e!r}")
     for _ in range(MAX_ITERATIONS):
         u, distance = _geometry(sp, r)
         H = np.column_stack([-u, np.ones(len(u))])

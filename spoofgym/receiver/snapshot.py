@@ -271,7 +271,7 @@ def snapshot_fix(
         )
     position, clock = np.array([guess_e], dtype=np.float64), np.zeros((1, 1))
     if position.shape != (1, 3) or not np.isfinite(position).all():
-        raise ValueError(f"`guess_e` must be three finite numbers, got {guess_e}")
+        raise ValueError(f"`guess_e` must be three finite numbers, got {guess_e!r}")
     usable = np.isfinite(rho) & np.isfinite(satellites).all(axis=1)
     lines, distances = np.empty((len(rho), 3)), np.empty(len(rho))
     status = np.zeros(1, dtype=np.int64)
