@@ -5,8 +5,11 @@ from __future__ import annotations
 import copy
 import dataclasses
 import difflib
+import numbers
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, cast
+
+import numpy as np
 
 T = TypeVar("T")
 
@@ -33,63 +36,6 @@ def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
         near = difflib.get_close_matches(str(value), names, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
-
-
-def settings_of(word: str, kind: type, given: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Keyword arguments of a dataclass; an unknown one is refused with the valid ones.
-
-    Parameters
-    ----------
-    word : str
-        What it is, for the message.
-    kind : type
-        The dataclass.
-    given : mapping or None
-        Settings by name; None for none.
-
-    Returns
-    -------
-    dict
-        A new one.
-
-    Raises
-    ------
-    ValueError
-        When a setting is unknown.
-    """
-    valid = [field.name for field in dataclasses.fields(kind)]
-    settings = dict(given or {})
-    for name in settings:
-        if name not in valid:
-            raise ValueError(f"{word} has no setting {name!r}; valid: {', '.join(valid)}")
-    return settings
-
-
-def record_of(word: str, kind: type[T], given: Mapping[str, Any] | T | None) -> T:
-    """Record from its settings, or the record itself.
-
-    Parameters
-    ----------
-    word : str
-        What it is, for messages.
-    kind : type
-        The dataclass.
-    given : mapping, record or None
-        Settings by name, a record, or None for its defaults.
-
-    Returns
-    -------
-    object
-        Of this kind.
-
-    Raises
-    ------
-    ValueError
-        When a setting is unknown.
-    """
-    if isinstance(given, kind):
-        return given
-    return kind(**settings_of(word, kind, cast("Mapping[str, Any] | None", given)))
 
 
 def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: Any) -> T:
@@ -142,4 +88,87 @@ def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec:
         missing = dataclasses.MISSING
         if field.default is field.default_factory is missing and field.name not in settings:
             raise ValueError(f"{word} {name!r} needs the setting {field.name!r}")
+    check_plain_settings(kinds[name], settings)
     return kinds[name](**settings)
+
+
+def check_plain_settings(kind: type, settings: Mapping[str, Any]) -> None:
+    """Raise where a number or a truth value is something else; ranges are for the class to check.
+
+    Parameters
+    ----------
+    kind : type
+        Dataclass that will be made; fields of other types than these are passed over.
+    settings : mapping
+        Its settings by name.
+
+    Raises
+    ------
+    ValueError
+        Names the setting, the value and what it must be.
+    """
+    for field in dataclasses.fields(kind):
+        if field.name not in settings:
+            continue
+        value, said = settings[field.name], getattr(field.type, "__name__", field.type)
+        words = set(str(said).split(" | "))
+        nothing = " or None" if "None" in words else ""
+        words.discard("None")
+        if value is None and nothing:
+            continue
+        truth = isinstance(value, bool | np.bool_)
+        if words == {"bool"}:
+            right, must = truth, "True or False"
+        elif words == {"int"}:
+            whole = isinstance(value, numbers.Real) and float(value).is_integer()
+            right, must = whole and not truth, "a whole number"
+        elif words == {"float"}:
+            right, must = isinstance(value, numbers.Real) and not truth, "a number"
+        else:
+            continue
+        if not right:
+            raise ValueError(f"`{field.name}` must be {must}{nothing}, got {value!r}")
+
+
+def build_record(
+    word: str, kind: type[T], given: Any, defaults: Mapping[str, Any] | None = None
+) -> T:
+    """Record from its settings.
+
+    Parameters
+    ----------
+    word : str
+        Argument that takes the record, for messages.
+    kind : type
+        The record's dataclass.
+    given : dict, record or None
+        Settings by name; a record, which is handed back; None for no settings.
+    defaults : mapping, optional
+        Settings that hold where `given` does not say them; those of the dataclass by default.
+
+    Returns
+    -------
+    record
+        Checked by its class.
+
+    Raises
+    ------
+    ValueError
+        When a setting is unknown; the valid ones are listed.
+    TypeError
+        When `given` is something else.
+    """
+    if isinstance(given, kind):
+        return given
+    if given is not None and not isinstance(given, Mapping):
+        raise TypeError(
+            f"`{word}` must be a dict of settings or an instance of "
+            f"{kind.__module__}.{kind.__qualname__}, got {given!r}"
+        )
+    valid = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    settings = {**(defaults or {}), **(given or {})}
+    for name in settings:
+        if name not in valid:
+            raise ValueError(f"`{word}` has no setting {name!r}; valid: {', '.join(valid)}")
+    check_plain_settings(kind, settings)
+    return kind(**settings)

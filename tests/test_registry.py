@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 
-from spoofgym._registry import build, check_choice
+from spoofgym._registry import build, build_record, check_choice
 
 
 class Shape:
@@ -27,6 +28,13 @@ class Circle(Shape):
 @dataclass
 class Point(Shape):
     pass
+
+
+@dataclass
+class Grid:
+    cells: int = 3
+    wrap: bool = False
+    spacing: float | None = None
 
 
 KINDS = {"square": Square, "circle": Circle, "point": Point}
@@ -89,3 +97,35 @@ def test_a_choice_among_the_valid_ones_passes():
     check_choice("colour", "red", {"red": 1, "blue": 2})
     with pytest.raises(ValueError, match="unknown colour 'rad'; valid: blue, red; did you mean"):
         check_choice("colour", "rad", ["red", "blue"])
+
+
+def test_a_record_is_made_of_settings_over_defaults():
+    assert build_record("grid", Grid, None) == Grid()
+    assert build_record("grid", Grid, {"wrap": True}, {"cells": 5}) == Grid(cells=5, wrap=True)
+    assert build_record("grid", Grid, {"cells": 4}, {"cells": 5}) == Grid(cells=4)
+    own = Grid(cells=7)
+    assert build_record("grid", Grid, own, {"cells": 5}) is own
+    with pytest.raises(ValueError, match="`grid` has no setting 'cell'; valid: cells, wrap, spac"):
+        build_record("grid", Grid, {"cell": 1})
+    for wrong in (5, "cells", [("cells", 1)]):
+        with pytest.raises(TypeError, match="`grid` must be a dict of settings or an instance of"):
+            build_record("grid", Grid, wrong)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"cells": "many"}, "`cells` must be a whole number, got 'many'"),
+        ({"cells": 2.5}, "`cells` must be a whole number, got 2.5"),
+        ({"cells": True}, "`cells` must be a whole number, got True"),
+        ({"cells": None}, "`cells` must be a whole number, got None"),
+        ({"wrap": "maybe"}, "`wrap` must be True or False, got 'maybe'"),
+        ({"wrap": 1}, "`wrap` must be True or False, got 1"),
+        ({"spacing": "wide"}, "`spacing` must be a number or None, got 'wide'"),
+    ],
+)
+def test_numbers_and_truth_values_are_no_words(settings, message):
+    with pytest.raises(ValueError, match=message):
+        build_record("grid", Grid, settings)
+    right = {"cells": np.int64(4), "wrap": np.True_, "spacing": None}
+    assert build_record("grid", Grid, right).cells == 4

@@ -53,6 +53,10 @@ def main(
     if key != ALL:
         load_paper(key)
     runs = [PaperRun(each, settings, out) for each in (KEYS if key == ALL else (key,))]
+    for folder in [run.store.folder for run in runs] + ([figures] if figures else []):
+        folder.mkdir(
+            parents=True, exist_ok=True
+        )  # what can't be written to is told before the work
     try:
         with _progress() as tick:
             found = run_papers(

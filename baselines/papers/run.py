@@ -22,7 +22,7 @@ from .frame import Paper, Part, Row, Settings
 from .paper import load_paper, parts_of, row_record, rows_of, runs_of
 from .sources import digest_of_modules
 from .store import Store
-from .work import work
+from .work import end_with_parent, work
 
 Say = Callable[[str], None]
 """Told what a user should know."""
@@ -300,7 +300,8 @@ def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update({name: value or "1" for name, value in before.items()})
     known = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=end_with_parent)
     try:
         yield pool
     except BaseException:

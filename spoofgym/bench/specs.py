@@ -16,6 +16,8 @@ from .._registry import build
 T = TypeVar("T")
 Spec = dict[str, Any]
 _WORDS = {"None": None, "True": True, "False": False}
+_COMMAS = r",(?![^\[\]]*\])"
+"""Commas between settings, not those within the brackets of a list."""
 
 
 def parse_spec(text: str) -> Spec:
@@ -41,6 +43,8 @@ def parse_spec(text: str) -> Spec:
     --------
     >>> parse_spec("ewma:smoothing=0.2,weight_scale=none")
     {'name': 'ewma', 'smoothing': 0.2, 'weight_scale': None}
+    >>> parse_spec("aime:windows_s=[5,25],signals=both")
+    {'name': 'aime', 'windows_s': [5, 25], 'signals': 'both'}
     """
     text = text.strip()
     if text.startswith("{"):
@@ -55,7 +59,7 @@ def parse_spec(text: str) -> Spec:
     if not name or "=" not in rest:
         name, rest = text, ""
     spec = {"name": name}
-    for part in filter(None, rest.split(",")):
+    for part in filter(None, re.split(_COMMAS, rest)):
         setting, equals, value = part.partition("=")
         if not equals or not setting.strip():
             raise ValueError(f"a setting is written `name=value`, got {part!r} in {text!r}")

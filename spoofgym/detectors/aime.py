@@ -142,6 +142,8 @@ class Aime(Detector):
     def __post_init__(self) -> None:
         """Check the settings."""
         check_probability("false_alarm", self.false_alarm)
+        if isinstance(self.windows_s, int | float | str):
+            raise ValueError(f"`windows_s` must be a list of lengths, got {self.windows_s!r}")
         self.windows_s = tuple(self.windows_s)
         increasing = all(a < b for a, b in zip(self.windows_s, self.windows_s[1:], strict=False))
         above = all(math.isfinite(w) and w > 0.0 for w in self.windows_s)

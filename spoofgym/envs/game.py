@@ -12,7 +12,7 @@ from ._kernels import displace
 from .books import Books
 from .engine import Engine
 from .observations import ObservationTerm, Observer
-from .played import Turn
+from .played import Turn, check_rules
 from .rewards import RewardTerm, named_terms, reward_of
 from .setup import Setup
 from .snapshot import Snapshot
@@ -74,8 +74,7 @@ class Game:
         threads: int | None = None,
         prefetch: bool = False,
     ) -> None:
-        if not np.isfinite(target_heading_deg):
-            raise ValueError(f"`target_heading_deg` must be finite, got {target_heading_deg}")
+        check_rules(end_at_alarm, target_heading_deg)
         self.set_rewards(reward)
         self.setup, self.end_at_alarm = setup, end_at_alarm
         self.engine = Engine(receivers, setup, threads=threads, prefetch=prefetch)

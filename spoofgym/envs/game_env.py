@@ -107,10 +107,8 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         """
         if not self._running:
             raise RuntimeError("the episode is over: call reset() before step()")
-        given = checked_action(
-            np.asarray(action)[None], (1, len(self.action_names)), self.action_names
-        )
-        turn = self.game.step(given)
+        given = checked_action(action, (len(self.action_names),), self.action_names)
+        turn = self.game.step(given[None])
         terminated = bool(turn.terminated[0])
         self._running = not terminated
         observation = self.game.observe()[0]

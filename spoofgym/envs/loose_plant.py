@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from .._registry import check_choice, record_of
+from .._registry import build_record, check_choice
 from ..detectors import Detector, DetectorContext, make_detector
 from ..receiver.loose import LooselyCoupled, LooseReceivers
 from ..sim.loose_world import SOURCES, InertialErrors, first_errors, flown_world, measure
@@ -97,16 +97,14 @@ class LoosePlant(Plant):
             raise ValueError(f"`rate_limit_mps` must be finite and > 0, got {rate_limit_mps}")
         self.receivers, self.rate_limit_mps = receivers, float(rate_limit_mps)
         self.interval_s = INTERVAL_S
-        self.action_names = ("offset_rate_north_mps", "offset_rate_east_mps")
+        self.action_names = ("north_rate", "east_rate")
         self.world = flown_world(flight, INTERVAL_S)
-        self.errors = record_of("errors", PositionErrors, errors)
-        self.inertial = record_of("inertial", InertialErrors, inertial)
-        self.settings = record_of(
+        self.errors = build_record("errors", PositionErrors, errors)
+        self.inertial = build_record("inertial", InertialErrors, inertial)
+        self.settings = build_record(
             "receiver", LooselyCoupled, DEFAULT_RECEIVER if receiver is None else receiver
         )
-        if not isinstance(timeline, Timeline):
-            timeline = DEFAULT_TIMELINE | dict(timeline or {})
-        self.timeline = record_of("timeline", Timeline, timeline)
+        self.timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         self._quiet, self._live, self.steps, self.hold = self.timeline.epochs(INTERVAL_S)
         self.onset = self._quiet + self._live
         # one epoch more, which a finished receiver may run until it is reset

@@ -59,9 +59,10 @@ def make_plant(kind: type[Plant], receivers: int, settings: Mapping[str, Any]) -
     ValueError
         When a setting is unknown.
     """
-    valid = plant_settings(kind)
+    known = plant_settings(kind)
     for name in settings:
-        if name not in valid:
+        if name not in known:
+            valid = signature_over(kind, inspect.signature(PlantEnv.__init__)).parameters
             raise ValueError(
                 f"the environment {kind.kind!r} has no setting {name!r}; valid: {', '.join(valid)}"
             )

@@ -12,7 +12,7 @@ from .._registry import check_choice
 from .books import Books
 from .observations import KNOWLEDGE
 from .plant import Plant
-from .played import Turn
+from .played import Turn, check_rules
 from .rewards import RewardTerm, default_rewards, named_terms, reward_of
 
 FloatArray = NDArray[np.float64]
@@ -67,8 +67,7 @@ class PlantGame:
         target_heading_deg: float = 90.0,
     ) -> None:
         check_choice("knowledge", knowledge, KNOWLEDGE)
-        if not np.isfinite(target_heading_deg):
-            raise ValueError(f"`target_heading_deg` must be finite, got {target_heading_deg}")
+        check_rules(end_at_alarm, target_heading_deg)
         self.plant, self.knowledge, self.end_at_alarm = plant, knowledge, end_at_alarm
         names, low, high = plant.observation(knowledge)
         self.observation_names = names

@@ -3,12 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Real
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+
+
+def check_rules(end_at_alarm: bool, target_heading_deg: float) -> None:
+    """Raise unless the rules of an episode make sense.
+
+    Parameters
+    ----------
+    end_at_alarm : bool
+        Whether an alarm ends the episode.
+    target_heading_deg : float
+        Direction in which displacement counts.
+
+    Raises
+    ------
+    ValueError
+        Names the rule and its value.
+    """
+    if not isinstance(end_at_alarm, bool | np.bool_):
+        raise ValueError(f"`end_at_alarm` must be True or False, got {end_at_alarm!r}")
+    if not isinstance(target_heading_deg, Real) or not np.isfinite(float(target_heading_deg)):
+        raise ValueError(
+            f"`target_heading_deg` must be a finite number, got {target_heading_deg!r}"
+        )
 
 
 class Turn(NamedTuple):

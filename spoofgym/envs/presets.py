@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .._registry import settings_of
+from .._registry import build_record
 from ..attacks import Attack, make_attack
 from ..detectors import Detector, make_detector
 from ..receiver import TightlyCoupled
@@ -48,13 +48,10 @@ def make_setup(
         For `Engine` or `Game`.
     """
     world = make_scenario(scenario)
-    if not isinstance(receiver, TightlyCoupled):
-        settings = {"grade": world.imu, **settings_of("the receiver", TightlyCoupled, receiver)}
-        receiver = TightlyCoupled(**settings)
-    if not isinstance(timeline, Timeline):
-        timeline = Timeline(**settings_of("the timeline", Timeline, timeline))
+    victim = build_record("receiver", TightlyCoupled, receiver, {"grade": world.imu})
+    phases = build_record("timeline", Timeline, timeline)
     judge = make_detector(DEFAULT_DETECTOR if detector is None else detector)
-    return Setup(world, receiver, make_attack(attack), judge, timeline)
+    return Setup(world, victim, make_attack(attack), judge, phases)
 
 
 def make_game(

@@ -9,6 +9,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .._registry import check_plain_settings
+
 FloatArray = NDArray[np.float64]
 
 
@@ -107,6 +109,7 @@ class AlarmPenalty:
 
     def __post_init__(self) -> None:
         """Check the price."""
+        check_plain_settings(AlarmPenalty, {"penalty_m": self.penalty_m})
         if not (np.isfinite(self.penalty_m) and self.penalty_m >= 0.0):
             raise ValueError(f"`penalty_m` must be finite and >= 0, got {self.penalty_m}")
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from .._registry import record_of
+from .._registry import build_record
 from ..detectors import Detector, DetectorContext, Verdict, make_detector
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
 from ..receiver.epoch import Epoch
@@ -107,16 +107,14 @@ class RobotPlant(Plant):
         self.interval_s, self.rate_limit_mps = interval_s, rate_limit_mps
         self.displacement_scale_m, self.position_scale_m = displacement_scale_m, position_scale_m
         self.velocity_scale_mps = velocity_scale_mps
-        self.loop = record_of("the loop", RobotLoop, loop)
-        self.odometer = record_of("the odometer", Odometer, odometer)
-        self.fix_errors = record_of("the fix", FixErrors, fix_errors)
-        self.filter = record_of("the receiver", CredibleFilter, receiver)
-        if not isinstance(timeline, Timeline):
-            timeline = record_of("the timeline", Timeline, {**DEFAULT_TIMELINE, **(timeline or {})})
-        self.timeline = timeline
-        self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
+        self.loop = build_record("loop", RobotLoop, loop)
+        self.odometer = build_record("odometer", Odometer, odometer)
+        self.fix_errors = build_record("fix_errors", FixErrors, fix_errors)
+        self.filter = build_record("receiver", CredibleFilter, receiver)
+        self.timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
+        self.quiet, self.live, self.steps, self.hold = self.timeline.epochs(interval_s)
         self.onset = self.quiet + self.live
-        self.action_names = ("rate_north_mps", "rate_east_mps")
+        self.action_names = ("north_rate", "east_rate")
         self._unbound = make_detector(DEFAULT_DETECTOR if detector is None else detector)
         missing = self._unbound.needs - {"gnss_position", "auxiliary_position"}
         if missing:
@@ -148,12 +146,16 @@ class RobotPlant(Plant):
         """Epochs that have a fix; the first one has, since the filter begins there."""
         time = np.arange(self.epochs) * self.interval_s
         self.available = np.ones(self.epochs, dtype=np.bool_)
-        for pair in interruptions_s:
-            if len(pair) != 2 or not 0.0 < pair[0] < pair[1]:
-                raise ValueError(
-                    "`interruptions_s` must be pairs (begin, end) with 0 < begin < end, got "
-                    f"{list(pair)}"
-                )
+        pairs = np.array(interruptions_s, dtype=np.float64)
+        if pairs.size == 0:
+            pairs = np.empty((0, 2))
+        right = pairs.ndim == 2 and pairs.shape[1] == 2
+        if not (right and (pairs[:, 0] > 0.0).all() and (pairs[:, 0] < pairs[:, 1]).all()):
+            raise ValueError(
+                "`interruptions_s` must be pairs (begin, end) with 0 < begin < end, got "
+                f"{interruptions_s}"
+            )
+        for pair in pairs:
             self.available &= (time < pair[0]) | (time >= pair[1])
 
     def _populate(self, receivers: int) -> None:

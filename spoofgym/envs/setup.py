@@ -14,6 +14,9 @@ from ..receiver.matching import assumed_noise
 from ..sim.scenario import Scenario
 from ..sim.world import World
 
+MOST_EPOCHS = 100_000
+"""Longest episode."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Timeline:
@@ -62,7 +65,19 @@ class Timeline:
         -------
         quiet, live, attack, hold : int
             Warm-up without and with detectors, command phase, hold.
+
+        Raises
+        ------
+        ValueError
+            When an episode would have more than `MOST_EPOCHS` epochs, all of which are kept in
+            memory.
         """
+        length = self.warmup_s + self.attack_s + self.time_to_alert_s
+        if length > MOST_EPOCHS * interval_s:
+            raise ValueError(
+                f"an episode must have at most {MOST_EPOCHS} epochs; {length:g} s at intervals of "
+                f"{interval_s:g} s are {length / interval_s:.0f}"
+            )
         warmup = round(self.warmup_s / interval_s)
         live = min(round(self.live_s / interval_s), warmup)
         attack = max(round(self.attack_s / interval_s), 1)

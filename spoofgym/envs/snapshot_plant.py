@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from .._registry import check_choice, record_of
+from .._registry import build_record, check_choice
 from ..detectors import Detector, DetectorContext, Verdict, make_detector
 from ..receiver.epoch import Epoch
 from ..receiver.snapshot import (
@@ -34,7 +34,7 @@ from .setup import Timeline
 FloatArray = NDArray[np.float64]
 
 AXES = ("north", "east", "down", "clock")
-TIMELINE = Timeline(warmup_s=10.0, live_s=10.0, attack_s=60.0, time_to_alert_s=10.0)
+DEFAULT_TIMELINE = {"warmup_s": 10.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 10.0}
 CLOCK_SD = (1e4, 10.0)
 """Standard deviation of the receiver's clock offset [m] and drift [m/s]."""
 DISPLACEMENT_SCALE_M = 100.0
@@ -53,7 +53,8 @@ class SnapshotPlant(Plant):
     detector : str, mapping or Detector
         What judges the pseudoranges.
     timeline : Timeline or mapping, optional
-        Phases of an episode; there is nothing to warm up but the detector.
+        Phases of an episode, settings over `DEFAULT_TIMELINE`; there is nothing to warm up but
+        the detector.
     satellites : int
         n, in view and used, the highest ones.
     spoofed : int or sequence of int
@@ -101,17 +102,17 @@ class SnapshotPlant(Plant):
         self.noise_m = _positive("noise_m", noise_m)
         if not receivers >= 1:
             raise ValueError(f"`receivers` must be at least 1, got {receivers}")
-        if not satellites >= 4:
-            raise ValueError(f"`satellites` must be at least 4, got {satellites}")
+        if not isinstance(satellites, int | np.integer) or satellites < 4:
+            raise ValueError(f"`satellites` must be a whole number >= 4, got {satellites!r}")
         for name, value in (("speed_mps", speed_mps), ("heading_deg", heading_deg)):
             if not math.isfinite(value):
                 raise ValueError(f"`{name}` must be finite, got {value}")
         self.spoofed = _which(spoofed, satellites)
         self.rate_limit_mps = _rates(rate_limit_mps)
-        self.timeline = TIMELINE if timeline is None else record_of("timeline", Timeline, timeline)
+        self.timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         quiet, live, self.steps, self.hold = self.timeline.epochs(interval_s)
         self._quiet, self._live, self.onset = quiet, live, quiet + live
-        self.action_names = tuple(f"{axis}_rate_mps" for axis in AXES)
+        self.action_names = tuple(f"{axis}_rate" for axis in AXES)
         self.sky = make_sky(
             2 + self.onset + self.steps + self.hold,  # the first fix, and one to spare
             interval_s,
@@ -423,10 +424,16 @@ def _positive(name: str, value: float) -> float:
 
 def _which(spoofed: int | Sequence[int], satellites: int) -> int | list[int]:
     """Count of spoofed satellites, or their slots."""
-    if isinstance(spoofed, int):
+    if isinstance(spoofed, int | np.integer):
         if not 0 <= spoofed <= satellites:
-            raise ValueError(f"`spoofed` must be within 0..{satellites}, got {spoofed}")
-        return spoofed
+            raise ValueError(
+                f"`spoofed` must be within 0..{satellites}, the number of satellites, got {spoofed}"
+            )
+        return int(spoofed)
+    if isinstance(spoofed, float | str):
+        raise ValueError(
+            f"`spoofed` must be a whole number of satellites, or a list of slots, got {spoofed!r}"
+        )
     slots = [int(j) for j in spoofed]
     if len(set(slots)) < len(slots) or not all(0 <= j < satellites for j in slots):
         raise ValueError(

@@ -54,14 +54,14 @@ def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) 
     action : array_like
         From the user.
     shape : tuple of int
-        (B, a) that it must have.
+        That it must have: (B, a), or (a,) of a single environment.
     names : tuple of str
         Name of each element, for the message.
 
     Returns
     -------
     ndarray
-        (B, a) float64, C-contiguous, a copy.
+        Of that shape, float64, C-contiguous, a copy.
 
     Raises
     ------
@@ -75,9 +75,10 @@ def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) 
         )
     # the comparison is false for NaN
     if not np.abs(array).max(initial=0.0) <= 1.0 + TOLERANCE:
-        row, column = np.argwhere(~(np.abs(array) <= 1.0 + TOLERANCE))[0]
+        where = tuple(np.argwhere(~(np.abs(array) <= 1.0 + TOLERANCE))[0])
+        whose = f" of receiver {where[0]}" if array.ndim == 2 else ""
         raise ValueError(
-            f"an action must be finite and in [-1, 1]; {names[column]!r} of receiver {row} is "
-            f"{array[row, column]}"
+            f"an action must be finite and in [-1, 1]; {names[where[-1]]!r}{whose} is "
+            f"{array[where]}"
         )
     return array

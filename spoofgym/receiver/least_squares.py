@@ -62,7 +62,7 @@ def least_squares_fix(
     Raises
     ------
     ValueError
-        With fewer than 4 satellites, a singular geometry, or no convergence.
+        With fewer than 4 satellites, a singular geometry, no convergence, or a wrong guess.
 
     Notes
     -----
@@ -76,6 +76,8 @@ def least_squares_fix(
     if len(pr) < 4:
         raise ValueError(f"a fix needs at least 4 satellites, got {len(pr)}")
     r, bias = np.array(guess_e, dtype=float), 0.0
+    if r.shape != (3,) or not np.isfinite(r).all():
+        raise ValueError(f"`guess_e` must be three finite numbers, got {guess_e!r}")
     for _ in range(MAX_ITERATIONS):
         u, distance = _geometry(sp, r)
         H = np.column_stack([-u, np.ones(len(u))])

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
+from .._registry import build_record
 from ..earth.wgs84 import STANDARD_GRAVITY
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
@@ -73,8 +74,9 @@ class LooselyCoupled:
         for name in ("horizontal_sd_m", "vertical_sd_m"):
             if getattr(self, name) <= 0.0:
                 raise ValueError(f"`{name}` must be > 0, got {getattr(self, name)}")
-        if isinstance(self.self_tuning, Mapping):
-            object.__setattr__(self, "self_tuning", SelfTuning(**self.self_tuning))
+        if self.self_tuning is not None:
+            tuning = build_record("self_tuning", SelfTuning, self.self_tuning)
+            object.__setattr__(self, "self_tuning", tuning)
 
     @property
     def tuning(self) -> SelfTuning | None:

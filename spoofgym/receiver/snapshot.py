@@ -252,7 +252,7 @@ def snapshot_fix(
     Raises
     ------
     ValueError
-        With fewer than 4 satellites, a singular geometry, or no convergence.
+        With fewer than 4 satellites, a singular geometry, no convergence, or wrong shapes.
 
     Examples
     --------
@@ -269,8 +269,10 @@ def snapshot_fix(
             "`pseudorange` must be (n,) and `satellite_position_e` (n, 3), "
             f"got {rho.shape} and {satellites.shape}"
         )
-    usable = np.isfinite(rho) & np.isfinite(satellites).all(axis=1)
     position, clock = np.array([guess_e], dtype=np.float64), np.zeros((1, 1))
+    if position.shape != (1, 3) or not np.isfinite(position).all():
+        raise ValueError(f"`guess_e` must be three finite numbers, got {guess_e!r}")
+    usable = np.isfinite(rho) & np.isfinite(satellites).all(axis=1)
     lines, distances = np.empty((len(rho), 3)), np.empty(len(rho))
     status = np.zeros(1, dtype=np.int64)
     fix_receivers(rho[None], satellites[None], usable.astype(float)[None], position, clock, status)

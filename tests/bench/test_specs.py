@@ -20,6 +20,7 @@ from spoofgym.spoofers import SPOOFERS, Ramp, Spoofer
         ("ewma", {"name": "ewma"}),
         ("ewma:smoothing=0.2", {"name": "ewma", "smoothing": 0.2}),
         ("ewma:weight_scale=none", {"name": "ewma", "weight_scale": None}),
+        ("aime:windows_s=[5, 25],b=1", {"name": "aime", "windows_s": [5, 25], "b": 1}),
         ("ewma:a=1, b=true,c=both", {"name": "ewma", "a": 1, "b": True, "c": "both"}),
         ('{"name": "ewma", "smoothing": 1}', {"name": "ewma", "smoothing": 1}),
         ("my.module:Class", {"name": "my.module:Class"}),

@@ -201,9 +201,9 @@ class Compass(Weigher):
     [
         ({"receivers": 0}, "`receivers` must be at least 1, got 0"),
         ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be finite and > 0, got 0"),
-        ({"errors": {"decays": 0.1}}, "errors has no setting 'decays'; valid: horizontal_sd_m"),
-        ({"receiver": {"window": 1}}, "receiver has no setting 'window'"),
-        ({"timeline": {"attack": 1}}, "timeline has no setting 'attack'"),
+        ({"errors": {"decays": 0.1}}, "`errors` has no setting 'decays'; valid: horizontal_sd_m"),
+        ({"receiver": {"window": 1}}, "`receiver` has no setting 'window'"),
+        ({"timeline": {"attack": 1}}, "`timeline` has no setting 'attack'"),
         ({"timeline": {"attack_s": 50.0}}, "an episode takes 75.1 s, but 'shadmehri2025' lasts"),
         ({"flight": "shadmehri"}, "unknown flight 'shadmehri'.*did you mean 'shadmehri2025'"),
         ({"detector": "ewma"}, "Ewma watches satellites, but the receiver measures position"),

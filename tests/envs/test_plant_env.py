@@ -143,6 +143,8 @@ def test_a_bad_action_names_element_and_value(bad):
     envs.reset(seed=0)
     with pytest.raises(ValueError, match=r"finite and in \[-1, 1\].*_rate.*is"):
         env.step(bad)
+    with pytest.raises(ValueError, match=r"shape \(2,\) .*got \(3,\)"):
+        env.step([0.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="of receiver 1 is"):
         envs.step([[0.0, 0.0], bad])
     with pytest.raises(ValueError, match=r"shape \(2, 2\)"):
@@ -159,7 +161,10 @@ def test_a_step_needs_a_running_episode():
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"rate": 1.0}, "'toy' has no setting 'rate'; valid: detector, timeline, rate_mps, gain"),
+        (
+            {"rate": 1.0},
+            "'toy' has no setting 'rate'; valid: detector, timeline, knowledge, .*rate_mps, gain",
+        ),
         ({"rate_mps": 0.0}, "`rate_mps` must be > 0, got 0.0"),
         ({"receivers": 4}, "no setting 'receivers'"),
         ({"detector": "ewma"}, "Ewma watches satellites, but the receiver measures position"),

@@ -153,7 +153,7 @@ class OneBound(ToyPlant):
         (Unbounded, {}, "needs finite bounds of 'b', got 0.0 to inf"),
         (OneBound, {}, r"has 2 names, but bounds of shapes \(1,\)"),
         (ToyPlant, {"knowledge": "omniscient"}, "unknown knowledge 'omniscient'"),
-        (ToyPlant, {"target_heading_deg": np.inf}, "`target_heading_deg` must be finite"),
+        (ToyPlant, {"target_heading_deg": np.inf}, "`target_heading_deg` must be a finite number"),
         (ToyPlant, {"alarm_penalty_m": -1.0}, "`penalty_m` must be finite"),
         (ToyPlant, {"reward": [DisplacementGain()] * 2}, "two reward terms have the same name"),
     ],

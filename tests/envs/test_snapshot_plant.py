@@ -177,9 +177,11 @@ def test_false_alarms_come_as_promised():
     ("settings", "message"),
     [
         ({"receivers": 0}, "`receivers` must be at least 1, got 0"),
-        ({"satellites": 3}, "`satellites` must be at least 4, got 3"),
+        ({"satellites": 3}, "`satellites` must be a whole number >= 4, got 3"),
+        ({"satellites": 6.5}, "`satellites` must be a whole number >= 4, got 6.5"),
         ({"satellites": 30}, "`satellites` must be at most .* got 30"),
-        ({"spoofed": 13}, r"`spoofed` must be within 0..12, got 13"),
+        ({"spoofed": 13}, r"`spoofed` must be within 0..12, the number of satellites, got 13"),
+        ({"spoofed": 2.5}, "`spoofed` must be a whole number of satellites, or a list"),
         ({"spoofed": [1, 1]}, r"slots within 0..11, each once, got \[1, 1\]"),
         ({"spoofed": [12]}, r"slots within 0..11, each once, got \[12\]"),
         ({"noise_m": 0.0}, "`noise_m` must be finite and > 0, got 0.0"),
@@ -187,7 +189,8 @@ def test_false_alarms_come_as_promised():
         ({"rate_limit_mps": [1.0, 2.0]}, "one for each of north, east, down, clock, got"),
         ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be finite and > 0"),
         ({"speed_mps": np.nan}, "`speed_mps` must be finite, got nan"),
-        ({"timeline": {"warmup": 1.0}}, "timeline has no setting 'warmup'; valid: warmup_s"),
+        ({"timeline": {"warmup": 1.0}}, "`timeline` has no setting 'warmup'; valid: warmup_s"),
+        ({"timeline": {"attack_s": 1e9}}, "at most 100000 epochs; 1e[+]09 s at intervals of 1 s"),
         ({"detector": "srv-rain"}, "unknown detector 'srv-rain'"),
     ],
 )

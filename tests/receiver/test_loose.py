@@ -6,6 +6,7 @@ import pytest
 from spoofgym._memory import Memory
 from spoofgym.earth.frames import ecef_to_geodetic
 from spoofgym.earth.wgs84 import radii_of_curvature
+from spoofgym.receiver import SelfTuning
 from spoofgym.receiver._loose_kernels import invert, joseph, propagate
 from spoofgym.receiver.loose import LooselyCoupled, LooseReceivers
 from spoofgym.receiver.loose_model import STATES, fill_local_axes, geodetic_point
@@ -203,6 +204,12 @@ def test_a_position_s_latitude_longitude_and_height():
 def test_settings_are_checked_at_birth(settings, message):
     with pytest.raises(ValueError, match=message):
         LooselyCoupled(**settings)
+
+
+def test_self_tuning_is_a_record_or_its_settings():
+    assert LooselyCoupled(self_tuning={"window": 50}).tuning == SelfTuning(window=50)
+    with pytest.raises(TypeError, match=r"`self_tuning` must be a dict of settings .* got 'r'"):
+        LooselyCoupled(self_tuning="r")
 
 
 def test_an_epoch_has_a_whole_number_of_samples():

@@ -86,6 +86,9 @@ def test_bad_input_is_refused():
         snapshot_fix(rho[0], np.tile(satellites[0, :1], (12, 1)))
     with pytest.raises(ValueError, match=r"got \(11,\) and \(12, 3\)"):
         snapshot_fix(rho[0, 1:], satellites[0])
+    for guess in ((0.0, 0.0), (np.nan, 0.0, 0.0)):  # too short a one would be read beyond its end
+        with pytest.raises(ValueError, match="`guess_e` must be three finite numbers, got"):
+            snapshot_fix(rho[0], satellites[0], guess)
     absurd = rho[0, :4] + 2e7 * np.random.default_rng(57).standard_normal(4)
     with pytest.raises(ValueError, match="no convergence within 20 iterations"):
         snapshot_fix(absurd, satellites[0, :4])
