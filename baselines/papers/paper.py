@@ -184,7 +184,8 @@ def runs_of(parts: Sequence[Part], data: dict[str, dict[str, Any]]) -> int:
     Returns
     -------
     int
-        Sum over the parts of `runs`, told in the result or among the settings; 1 for a part that
-        tells none.
+        Sum over the parts of `runs` or `cases`, told in the result or among the settings; 1 for a
+        part that tells none.
     """
-    return sum(int(data[p.name].get("runs", p.settings.get("runs", 1))) for p in parts)
+    told = [{"runs": 1} | part.settings | data[part.name] for part in parts]
+    return sum(int(part["cases"] if "cases" in part else part["runs"]) for part in told)

@@ -32,7 +32,9 @@ class SnapshotEnv(PlantEnv):
 
     **Reward.** As in `SpoofEnv`: increase of the largest displacement of the victim along the
     target direction [m]; at an alarm, minus what was gained within the time to alert, minus the
-    alarm penalty.  ``info["reward_*"]`` are the parts.
+    alarm penalty.  ``info["reward_*"]`` are the parts.  A fix of one epoch is as noisy as its
+    pseudoranges: the largest displacement of an idle spoofer is some metres, with few satellites
+    many, and that is the zero of this scale.
 
     **Start.** No displacement, after a clean warm-up.  An alarm there is a false alarm, and shows
     in ``info["warmup_alarm"]``; nothing is drawn again for it.
