@@ -81,6 +81,8 @@ class Detector(ABC):
         What it takes for a measurement: satellites' ranges, a position (n = 0), or either.
     oracle : bool
         Whether it is told what no receiver can know; never part of a comparison by default.
+    silent_epochs : int
+        Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`.
     memory : Memory
         What it remembers of every receiver.
     """
@@ -90,6 +92,7 @@ class Detector(ABC):
     scope: ClassVar[str] = "receiver"
     watches: ClassVar[str] = "satellites"
     oracle: ClassVar[bool] = False
+    silent_epochs: int = 0
     memory: Memory
 
     @abstractmethod

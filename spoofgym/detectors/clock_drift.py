@@ -224,6 +224,7 @@ class ClockDrift(Detector):
         self._bias_window = 0
         if self.bias_window_s > 0.0:
             self._bias_window = epochs_of(self.bias_window_s, context)
+            self.silent_epochs = self._bias_window
             declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:

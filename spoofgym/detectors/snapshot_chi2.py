@@ -76,6 +76,7 @@ class SnapshotChi2(Detector):
         self._window = 0
         if self.bias_window_s > 0.0:
             self._window = epochs_of(self.bias_window_s, context)
+            self.silent_epochs = self._window
             declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:

@@ -209,6 +209,7 @@ class WindowedChi2(Detector):
             self._thresholds = estimated_covariance_thresholds(
                 self.false_alarm, self.window, self.covariance_window, rows
             )
+        self.silent_epochs = self._hold
         self.memory.declare("past", np.zeros((context.receivers, self.window)))
         self.memory.declare("past_rows", np.zeros((context.receivers, self.window), dtype=np.int64))
         self.memory.declare("seen", np.zeros(context.receivers, dtype=np.int64))

@@ -20,7 +20,7 @@ from ..receiver.state import LANES, ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.sensors import SensorBuffers
 from .prefetch import STOCK, NextEpisodes
-from .setup import Setup
+from .setup import Setup, check_settles
 from .workers import Workers
 
 FloatArray = NDArray[np.float64]
@@ -70,6 +70,7 @@ class Batch:
                 world.satellite_ids,
             )
         )
+        check_settles(self.detector, setup.live + setup.steps + setup.hold)
 
     def __getstate__(self) -> dict[str, Any]:
         """State without the view of the epoch, which a copy makes anew of its own buffers."""

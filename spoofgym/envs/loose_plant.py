@@ -22,7 +22,7 @@ from ..sim.noise import padded
 from ..sim.position_error import PositionErrors
 from .observations import KNOWLEDGE
 from .plant import Plant
-from .setup import Timeline
+from .setup import Timeline, check_settles
 
 FloatArray = NDArray[np.float64]
 
@@ -128,6 +128,7 @@ class LoosePlant(Plant):
             )
         variance = self.settings.noise_variance()
         detector.bind(DetectorContext(self.receivers, 0, INTERVAL_S, variance, ()))
+        check_settles(detector, self._live + self.steps + self.hold)
         return detector
 
     def _declared(self) -> Memory:

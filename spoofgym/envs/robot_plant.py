@@ -35,7 +35,7 @@ from ..sim.odometry import (
 from ..sim.robot_track import RobotLoop
 from . import robot_observation
 from .plant import Plant
-from .setup import Timeline
+from .setup import Timeline, check_settles
 
 FloatArray = NDArray[np.float64]
 
@@ -180,6 +180,7 @@ class RobotPlant(Plant):
         self.detector = copy.deepcopy(self._unbound)
         variance = np.full(AXES, self.filter.noise_variance)
         self.detector.bind(DetectorContext(b, 0, self.interval_s, variance, ()))
+        check_settles(self.detector, self.live + self.steps + self.hold)
 
     def spawn(self, receivers: int) -> RobotPlant:
         """Another batch of the same settings.

@@ -84,6 +84,28 @@ class Timeline:
         return warmup - live, live, attack, round(self.time_to_alert_s / interval_s)
 
 
+def check_settles(detector: Detector, epochs: int) -> None:
+    """Raise where a detector is silent for a whole episode.
+
+    Parameters
+    ----------
+    detector : Detector
+        Bound.
+    epochs : int
+        Epochs of an episode in which it judges.
+
+    Raises
+    ------
+    ValueError
+        When its windows are not full before the episode ends.
+    """
+    if detector.silent_epochs >= epochs:
+        raise ValueError(
+            f"{type(detector).__name__} can't alarm in its first {detector.silent_epochs} epochs, "
+            f"and an episode has {epochs} in which it judges; shorten its windows"
+        )
+
+
 class Setup:
     """What all batches of an engine share, computed once.
 

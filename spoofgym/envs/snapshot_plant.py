@@ -29,7 +29,7 @@ from ..sim.constellation import CircularConstellation
 from ..sim.sky import make_sky, measure, scratch
 from .observations import KNOWLEDGE
 from .plant import Plant
-from .setup import Timeline
+from .setup import Timeline, check_settles
 
 FloatArray = NDArray[np.float64]
 
@@ -135,6 +135,7 @@ class SnapshotPlant(Plant):
         self.detector = copy.deepcopy(self._judge)
         variance = np.repeat([self.noise_m**2, 1.0], n)
         self.detector.bind(DetectorContext(b, n, self.interval_s, variance, self.sky.satellite_ids))
+        check_settles(self.detector, self._live + self.steps + self.hold)
         c = n if self.detector.scope == "channel" else 1
         self.memory = Memory(b)
         start = np.tile(self.sky.position_e[0], (b, 1))

@@ -104,6 +104,14 @@ def test_a_bad_action_names_element_and_value(bad):
     [
         ({"detector": "ewna"}, "valid: acna, .*; did you mean 'ewma'"),
         ({"detector": {"name": "ewma", "lambda": 1}}, "no setting 'lambda'; valid: smoothing"),
+        (
+            {"detector": {"name": "windowed-chi2", "window": 5000}},
+            "WindowedChi2 can't alarm in its first 4999 epochs, and an episode has 440",
+        ),
+        (
+            {"detector": {"name": "cusum", "bias_window_s": 220.0}},
+            "Cusum can't alarm in its first 440 epochs",
+        ),
         ({"attack": "meaconer"}, "unknown attack"),
         ({"scenario": "mars"}, "unknown scenario"),
         ({"scenario": {"imu": "toy"}}, "unknown imu grade"),
