@@ -24,7 +24,7 @@ KNOWLEDGE = ("blind", "tracking", "oracle")
 
 
 def short(name, **settings):
-    """Settings of an episode of 24 commands; windows of a detector that are longer are shortened."""
+    """Settings of an episode of 24 commands, and of a detector that has settled by then."""
     interval = SMALL[name]
     parts = {"warmup_s": 10, "live_s": 10, "attack_s": 24, "time_to_alert_s": 5}
     settings["timeline"] = {key: count * interval for key, count in parts.items()}
