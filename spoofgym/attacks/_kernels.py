@@ -94,7 +94,7 @@ def false_position(
     action, hold, by_rate, unit_scale, rate_limit, displacement, rate
         As in `kinematic_step`, with a leading axis of receivers.
     to_ecef : ndarray
-        (a, 3) commanded axes in ECEF axes.
+        (B, a, 3) commanded axes in ECEF axes.
     coherent : bool
         Whether range rates follow.
     epochs : ndarray
@@ -119,8 +119,9 @@ def false_position(
         for i in range(displacement.shape[1]):
             d, e = displacement[b, i], rate[b, i]
             still = still and d == 0.0 and e == 0.0
-            dx, dy, dz = dx + d * to_ecef[i, 0], dy + d * to_ecef[i, 1], dz + d * to_ecef[i, 2]
-            ex, ey, ez = ex + e * to_ecef[i, 0], ey + e * to_ecef[i, 1], ez + e * to_ecef[i, 2]
+            axis = to_ecef[b, i]
+            dx, dy, dz = dx + d * axis[0], dy + d * axis[1], dz + d * axis[2]
+            ex, ey, ez = ex + e * axis[0], ey + e * axis[1], ez + e * axis[2]
         for s in range(captured.shape[0]):
             d_range[b, s] = 0.0
             d_rate[b, s] = 0.0

@@ -26,13 +26,10 @@ class AttackContext(NamedTuple):
         B.
     world : World
         Truth; the spoofer's equipment knows geometry and the target's true motion.
-    onset : int
-        Epoch after which the attack begins.
     """
 
     receivers: int
     world: World
-    onset: int
 
 
 @dataclass(kw_only=True)
@@ -164,6 +161,25 @@ class Attack(ABC):
         self.memory = Memory(context.receivers)
         self.memory.declare("displacement", np.zeros((context.receivers, axes)))
         self.memory.declare("rate", np.zeros((context.receivers, axes)))
+        self.memory.declare("onset", np.zeros(context.receivers, dtype=np.int64))
+        self.memory.declare("key", np.zeros((context.receivers, 2), dtype=np.uint64))
+
+    def begin(
+        self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
+    ) -> None:
+        """Begin new episodes of some receivers; their memory has been reset before.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Which receivers.
+        keys : ndarray
+            (b, 2) keys of the attack's noise in these episodes, for `spoofgym.sim.noise.normals`.
+        onsets : ndarray
+            (b,) epochs of the world after which the attack begins.
+        """
+        self.memory["onset"][rows] = onsets
+        self.memory["key"][rows] = keys
 
     @abstractmethod
     def command(

@@ -73,9 +73,22 @@ class FalsePosition(Attack):
             Sizes and world.
         """
         super().bind(context)
-        C_en = context.world.local_frame(min(context.onset, context.world.epochs - 1))
-        columns = ["ned".index(letter) for letter in self.axes]
-        self._to_ecef = np.ascontiguousarray(C_en[:, columns].T)
+        self._columns = ["ned".index(letter) for letter in self.axes]
+        self.memory.declare("to_ecef", np.zeros((context.receivers, len(self.axes), 3)))
+
+    def begin(
+        self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
+    ) -> None:
+        """Take the axes at the true position when the attack begins.
+
+        Parameters
+        ----------
+        rows, keys, onsets : ndarray
+            As in `Attack`.
+        """
+        super().begin(rows, keys, onsets)
+        axes = self.world.C_en[onsets][:, :, self._columns]
+        self.memory["to_ecef"][rows] = axes.transpose(0, 2, 1)
 
     def command(
         self,
@@ -108,7 +121,7 @@ class FalsePosition(Attack):
             self.rate_limit_mps,
             self.memory["displacement"],
             self.memory["rate"],
-            self._to_ecef,
+            self.memory["to_ecef"],
             self.coherent,
             epochs,
             world.epoch_time,

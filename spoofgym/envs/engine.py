@@ -18,7 +18,7 @@ from ..receiver import _kernels
 from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import LANES, ReceiverBuffers
 from ..sim.noise import padded
-from ..sim.sensors import SensorBuffers
+from ..sim.sensors import SOURCES, SensorBuffers
 from .prefetch import STOCK, NextEpisodes
 from .setup import Setup, check_settles
 from .workers import Workers
@@ -59,7 +59,7 @@ class Batch:
         self.verdict: Verdict | None = None
         self._action: FloatArray | None = None
         self.attack = copy.deepcopy(setup.attack)
-        self.attack.bind(AttackContext(receivers, world, setup.onset))
+        self.attack.bind(AttackContext(receivers, world))
         self.detector = copy.deepcopy(setup.detector)
         self.detector.bind(
             DetectorContext(
@@ -101,6 +101,8 @@ class Batch:
             rows, list(rngs), scenario.imu_grade, scenario.gnss_errors, setup.bias_sd
         )
         self.attack.memory.reset()
+        spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
+        self.attack.begin(rows, spoofer_keys, np.full(self.receivers, setup.onset))
         self.detector.reset()
         state, measured = self.buffers.state, self.buffers.measured
         measured.noise_variance[:] = setup.noise_variance

@@ -51,6 +51,8 @@ class World:
         (K, 3) true antenna, ECEF [m], [m/s].
     C_eb : ndarray
         (K, 3, 3) true attitude.
+    C_en : ndarray
+        (K, 3, 3) to ECEF from the north-east-down axes at the true position.
     """
 
     name: str
@@ -66,6 +68,7 @@ class World:
     position_e: FloatArray
     velocity_e: FloatArray
     C_eb: FloatArray
+    C_en: FloatArray
 
     @property
     def epochs(self) -> int:
@@ -102,8 +105,8 @@ class World:
         ndarray
             (3, 3) `C_en`, to ECEF from local axes.
         """
-        latitude, longitude, _ = ecef_to_geodetic(self.position_e[epoch])
-        return dcm_e_from_n(latitude, longitude)
+        C_en: FloatArray = self.C_en[epoch]
+        return C_en
 
 
 def build_world(
@@ -198,6 +201,7 @@ def build_world(
         position_e=position_e.copy(),
         velocity_e=velocity_e.copy(),
         C_eb=trajectory.C_eb[epoch_end].copy(),
+        C_en=np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2])),
     )
 
 

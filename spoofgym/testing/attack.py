@@ -102,6 +102,13 @@ def _filled(record: Record) -> dict[str, NDArray[Any]]:
     return {name: array for name, array in record.items() if array is not None}
 
 
+def _begin(bound: Attack, whose: NDArray[np.intp], rows: NDArray[np.intp] | None = None) -> None:
+    """Begin an episode in all rows, or in some; whose episodes they are tells their keys."""
+    where = np.arange(len(whose)) if rows is None else rows
+    keys = np.stack([whose, whose + 1], axis=1).astype(np.uint64)[where]
+    bound.begin(where, keys, np.full(len(where), ONSET))
+
+
 class _AttackTrial(Trial[Attack]):
     """An attack that is given one action an epoch."""
 
@@ -119,8 +126,14 @@ class _AttackTrial(Trial[Attack]):
 
     def bind(self, rows: NDArray[np.intp]) -> Attack:
         bound = copy.deepcopy(self.unbound)
-        bound.bind(AttackContext(len(rows), self.world, ONSET))
+        bound.bind(AttackContext(len(rows), self.world))
+        _begin(bound, rows)
         return bound
+
+    def reset(self, bound: Attack, mask: NDArray[np.bool_] | None) -> None:
+        super().reset(bound, mask)
+        rows = np.arange(self.receivers)
+        _begin(bound, rows, rows if mask is None else rows[mask])
 
     def command(
         self,
@@ -223,7 +236,8 @@ def _check_declarations(attack: Attack, world: World) -> int:
 def _check_begin(attack: Attack, world: World, axes: int) -> None:
     bound = copy.deepcopy(attack)
     for receivers in (len(STARTS), 1):
-        bound.bind(AttackContext(receivers, world, ONSET))
+        bound.bind(AttackContext(receivers, world))
+        _begin(bound, np.arange(receivers))
         for name in ("displacement", "rate"):
             array = bound.memory.get(name)
             require(

@@ -17,9 +17,16 @@ def world():
     return Scenario().world()
 
 
+def begin(attack, world, receivers):
+    """Bind an attack, and begin an episode in every receiver."""
+    attack.bind(AttackContext(receivers, world))
+    rows = np.arange(receivers)
+    attack.begin(rows, np.ones((receivers, 2), dtype=np.uint64), np.full(receivers, ONSET))
+
+
 def command(attack, world, actions, start=ONSET):
     """Offsets after each of some commands to one receiver."""
-    attack.bind(AttackContext(1, world, ONSET))
+    begin(attack, world, 1)
     epochs = np.array([start])
     for action in actions:
         d_range, d_rate = np.empty((1, world.channels)), np.empty((1, world.channels))
@@ -91,7 +98,7 @@ def test_without_coherence_only_the_code_is_moved(world):
 
 def test_receivers_at_different_epochs_have_their_own_truth(world):
     attack = FalsePosition(control="rate")
-    attack.bind(AttackContext(2, world, ONSET))
+    begin(attack, world, 2)
     epochs = np.array([40, 300])
     d_range, d_rate = np.empty((2, world.channels)), np.empty((2, world.channels))
     attack.command(np.ones((2, 2)), epochs, d_range, d_rate, 0, 2)
@@ -152,7 +159,7 @@ def test_axes_are_letters_of_the_local_frame(axes):
 
 def test_a_satellite_that_is_not_there_is_told_with_those_that_are(world):
     with pytest.raises(ValueError, match="'S31' is not in view on 'zhong2025'; in view: S05, S06"):
-        PerChannel(channels=["S05", "S31"]).bind(AttackContext(1, world, ONSET))
+        PerChannel(channels=["S05", "S31"]).bind(AttackContext(1, world))
 
 
 def test_attacks_by_name():
