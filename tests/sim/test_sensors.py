@@ -49,7 +49,6 @@ def test_an_episode_begins_with_the_errors_of_the_grade():
     )
     buffers = SensorBuffers(2, N)
     buffers.floats[:] = np.nan
-    buffers.epoch[:] = 9
     generators = [np.random.default_rng(seed) for seed in (1, 2)]
     grade = IMU_GRADES["consumer"]
     buffers.draw_keys(np.arange(2), generators)
@@ -65,7 +64,6 @@ def test_an_episode_begins_with_the_errors_of_the_grade():
         np.testing.assert_array_equal(state.gnss_noise[b], [0.5, 0.1])
         for zero in (state.residual, state.range_offset, state.rate_offset):
             assert not zero[b].any()
-    assert not buffers.epoch.any()
 
 
 def test_chance_depends_on_the_seed_alone():
