@@ -44,6 +44,25 @@ def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin,
 
 
 @njit
+def time_fractions(epochs, onset, steps, out):
+    """Parts of the command phase that are over, and left.
+
+    Parameters
+    ----------
+    epochs, onset : ndarray
+        (B,) epoch that each receiver is at, and that of its onset.
+    steps : int
+        Epochs of the command phase.
+    out : ndarray
+        (B, 2), written.
+    """
+    for b in range(out.shape[0]):
+        since = (epochs[b] - onset[b]) / steps
+        out[b, 0] = since
+        out[b, 1] = 1.0 - since
+
+
+@njit
 def local_motion(position_e, velocity_e, C_en, epochs, onset, per_position, per_velocity, out):
     """Motion since the onset in the local axes there, scaled.
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._registry import check_choice
-from ._kernels import local_motion
+from ._kernels import local_motion, time_fractions
 from .engine import Engine
 from .setup import Setup
 from .snapshot import Snapshot, position_error_n
@@ -151,10 +151,7 @@ class Time:
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the two fractions."""
-        batch = snapshot.batch
-        since = (batch.epochs - batch.onset) / snapshot.setup.steps
-        out[:, 0] = since
-        out[:, 1] = 1.0 - since
+        time_fractions(snapshot.batch.epochs, snapshot.batch.onset, snapshot.setup.steps, out)
 
 
 @dataclass(frozen=True)
@@ -410,11 +407,10 @@ class Observer:
         """
         out = np.take(self._table, snapshot.batch.epochs, axis=0)
         for term, part in self._parts:
-            own = out[:, part]
-            term(snapshot, own)
-            # min and max, since np.clip costs three times as much on small arrays
-            np.maximum(own, self.low[part], out=own)
-            np.minimum(own, self.high[part], out=own)
+            term(snapshot, out[:, part])
+        # min and max, since np.clip costs three times as much on small arrays
+        np.maximum(out, self.low, out=out)
+        np.minimum(out, self.high, out=out)
         return out
 
     def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:

@@ -49,6 +49,7 @@ def chain_worlds(worlds: Sequence[World]) -> World:
     ids = first.satellite_ids if same else tuple(f"slot{s:02d}" for s in range(first.channels))
 
     def joined(name: str) -> NDArray[Any]:
+        """One array of all worlds."""
         return np.concatenate([getattr(world, name) for world in worlds])
 
     return replace(
