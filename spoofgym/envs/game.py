@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -187,16 +187,6 @@ class Game:
         )
         return displacement
 
-    def _commands(self, action: FloatArray) -> Iterator[FloatArray]:
-        """Commands of the epochs of one decision."""
-        count = self.setup.repeat
-        for j in range(1, count + 1):
-            if j == count or self.setup.between == "hold":
-                yield action
-            else:
-                yield self._given + (j / count) * (action - self._given)
-        self._given[:] = action
-
     def _play(self, command: FloatArray) -> tuple[FloatArray, Score]:
         """One epoch: displacement, and what it counts."""
         verdict = self.engine.step(command)
@@ -207,11 +197,11 @@ class Game:
 
     def _decide(self, action: FloatArray) -> tuple[FloatArray, Score]:
         """One decision: the last displacement, and what all its epochs count."""
-        commands = self._commands(action)
-        displacement, score = self._play(next(commands))
-        for command in commands:
-            displacement, later = self._play(command)
+        displacement, score = self._play(self.setup.command(self._given, action, 0))
+        for epoch in range(1, self.setup.repeat):
+            displacement, later = self._play(self.setup.command(self._given, action, epoch))
             score = joined(score, later)
+        self._given[:] = action
         return displacement, score
 
     def step(self, action: FloatArray) -> Turn:
