@@ -47,7 +47,8 @@ the sensors.  Prefixes tell whose value it is: `true_`, `estimated_`, `counterfe
 **Environments**
 
 Importing the package registers, for `gymnasium.make` and `gymnasium.make_vec`,
-``spoofgym/TightlyCoupled-v0`` and the small environments ``spoofgym/LooselyCoupled-v0``,
+``spoofgym/TightlyCoupled-v0``, ``spoofgym/TightlyCoupled-v1``, whose attacks begin at a random
+time in a random direction, and the small environments ``spoofgym/LooselyCoupled-v0``,
 ``spoofgym/Snapshot-v0`` and ``spoofgym/WheeledRobot-v0``.
 """
 
@@ -59,6 +60,13 @@ register(
     id="spoofgym/TightlyCoupled-v0",
     entry_point="spoofgym.envs:SpoofEnv",
     vector_entry_point="spoofgym.envs:SpoofVectorEnv",
+)
+
+register(
+    id="spoofgym/TightlyCoupled-v1",
+    entry_point="spoofgym.envs:SpoofEnv",
+    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
+    kwargs={"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"},
 )
 
 register(
