@@ -166,6 +166,25 @@ class Game:
         result: FloatArray = (error_e * self._target_e).sum(axis=1)
         return result
 
+    def displacement(self) -> FloatArray:
+        """Error along the target direction, less what it was at the onset.
+
+        Returns
+        -------
+        ndarray
+            (B,) [m].
+        """
+        batch, displacement = self.engine.batch, np.empty(self.receivers)
+        displace(
+            batch.buffers.state.position_e,
+            self.setup.world.position_e,
+            batch.epochs,
+            self._target_e,
+            self.books.origin,
+            displacement,
+        )
+        return displacement
+
     def step(self, action: FloatArray) -> Turn:
         """One command of all receivers, and one epoch.
 
@@ -181,15 +200,7 @@ class Game:
         """
         verdict = self.engine.step(action)
         engine, world, batch = self.engine, self.setup.world, self.engine.batch
-        displacement = np.empty(self.receivers)
-        displace(
-            batch.buffers.state.position_e,
-            world.position_e,
-            batch.epochs,
-            self._target_e,
-            self.books.origin,
-            displacement,
-        )
+        displacement = self.displacement()
         score = self.books.score(displacement, verdict.alarm, engine.hold)
         info: dict[str, NDArray[Any]] = {
             "time_s": world.epoch_time[batch.epochs],
