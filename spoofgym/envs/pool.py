@@ -38,7 +38,7 @@ def uniforms(keys: NDArray[np.uint64], purpose: int) -> FloatArray:
         for k0, k1 in keys
     ]
     # the upper 53 bits, which a float holds exactly
-    return (np.array(words, dtype=np.uint64) >> np.uint64(11)) * 2.0**-53
+    return np.array([int(word) >> 11 for word in words], dtype=np.float64) * 2.0**-53
 
 
 def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray:
@@ -70,7 +70,8 @@ def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray
         )
     if not (np.isfinite(given).all() and (given >= 0.0).all() and given.sum() > 0.0):
         raise ValueError(f"`weights` must be finite, >= 0, and not all 0, got {weights!r}")
-    return given / given.sum()
+    chances: FloatArray = given / given.sum()
+    return chances
 
 
 def drawn(keys: NDArray[np.uint64], weights: FloatArray) -> NDArray[np.int64]:
@@ -90,7 +91,7 @@ def drawn(keys: NDArray[np.uint64], weights: FloatArray) -> NDArray[np.int64]:
     """
     found = np.searchsorted(np.cumsum(weights), uniforms(keys, OPPONENT), side="right")
     # rounding of the sum must not lead beyond the last one that can be drawn
-    return np.minimum(found, np.flatnonzero(weights)[-1]).astype(np.int64)
+    return np.array(np.minimum(found, np.flatnonzero(weights)[-1]), dtype=np.int64)
 
 
 class JointMemory(Memory):
@@ -214,7 +215,8 @@ class PooledDetector(Detector):
             verdict = self._of_pool(self.members[k].judge(epoch), epoch.innovation.shape)
             rows = opponent == k
             if merged is None:
-                merged = Verdict(*(None if part is None else np.array(part) for part in verdict))
+                copies: list[Any] = [None if part is None else np.array(part) for part in verdict]
+                merged = Verdict(*copies)
                 continue
             for whole, part in zip(merged, verdict, strict=True):
                 if whole is not None and part is not None:
@@ -229,5 +231,5 @@ class PooledDetector(Detector):
         if self._alike:
             return verdict._replace(weights=weights)
         ratio = (verdict.statistic / verdict.threshold).max(axis=1, keepdims=True)
-        alarm = verdict.alarm.any(axis=1, keepdims=True)
+        alarm = np.asarray(verdict.alarm.any(axis=1, keepdims=True))
         return Verdict(ratio, np.ones_like(ratio), alarm, weights)

@@ -18,7 +18,8 @@ from ...detectors import Detector, DetectorContext, Verdict
 from ...receiver.epoch import Epoch
 from ..pool import JointMemory
 from .policy import DetectorPolicy, PolicyContext
-from .sight import ALL_SIGHTS, Sight, slots
+from .sight import ALL_SIGHTS, Sight
+from .sight_terms import slots
 
 FloatArray = NDArray[np.float64]
 STATISTICS = ("receiver", "channel")

@@ -202,7 +202,7 @@ class Duel:
         verdict = self.agent.verdict(action, limit, batch.epoch.visible)
         batch.verdict = verdict
         engine.update(verdict)
-        alarm = verdict.alarm.any(axis=1)
+        alarm = np.asarray(verdict.alarm.any(axis=1))
         displacement = self.game.displacement()
         holding = ledger.holding
         gain, retraction, first, finished = ledger.count(displacement, alarm)
@@ -265,7 +265,7 @@ def duel_setup(
 
     Parameters
     ----------
-    scenario, receiver, attack, timeline
+    scenario, receiver, attack, timeline : str, mapping or object
         As in `make_setup`.
     statistic : {"receiver", "channel"}
         Whether the detector agent has one statistic, or one for every slot.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
 from typing import Any
 
@@ -10,6 +11,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from ..._registry import check_choice
 from ..game_env import refuse_rendering
 from ..spaces import action_space, checked_action, observation_space
 from .duel import Duel, DuelTurn, duel_setup
@@ -17,6 +19,8 @@ from .duel import Duel, DuelTurn, duel_setup
 SPOOFER, DETECTOR = "spoofer_0", "detector_0"
 AGENTS = (SPOOFER, DETECTOR)
 SETUP = ("scenario", "receiver", "attack", "timeline", "statistic", "weighs")
+SETTINGS = (*SETUP, *list(inspect.signature(Duel).parameters)[2:-1])
+"""All settings of a duel."""
 OPTIONS: tuple[str, ...] = ()
 """Options that a reset knows: none."""
 
@@ -150,5 +154,7 @@ def make_duel(receivers: int, *, threads: int | None = None, **settings: Any) ->
     Duel
         Not reset yet.
     """
+    for name in settings:
+        check_choice("setting of the duel", name, SETTINGS)
     shared = {name: settings.pop(name) for name in SETUP if name in settings}
     return Duel(receivers, duel_setup(**shared), threads=threads, **settings)
