@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from .attacks import Attack
-from .envs.duel.agent import PolicyDetector
+from .envs.duel.agent import EXCLUSION_S, PolicyDetector
 from .envs.duel.calibrate import calibrate
 from .envs.duel.calibration import Calibration
 from .envs.duel.detector_view import DetectorVectorView, DetectorView
@@ -56,6 +56,7 @@ def env(
     knowledge: str = "tracking",
     statistic: str = "receiver",
     weighs: bool = True,
+    exclusion_s: float | None = EXCLUSION_S,
     payoff: str | Mapping[str, Any] = "neyman-pearson",
     threshold: float | str | Calibration = RUNNING,
     false_alarm: float = 0.05,
@@ -73,6 +74,10 @@ def env(
         Whether the detector has one statistic, or one for every slot.
     weighs : bool
         Whether the detector weighs satellites in the filter.
+    exclusion_s : float or None
+        Allowance of exclusion in an episode: an epoch costs its interval times what the weights of
+        the visible satellites lack, on average, of 1; beyond it all weights are 1.  None for no
+        limit: then the best answer to any attack is not to look at GNSS.
     payoff : {"neyman-pearson", "weighted"} or mapping
         Undetected displacement at a fixed false-alarm rate, or a weighted sum of false alarms,
         delay and error, ``{"name": "weighted", "false_alarm": ..., "delay_per_s": ...,

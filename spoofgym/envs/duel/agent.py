@@ -19,11 +19,13 @@ from ...receiver.epoch import Epoch
 from ..pool import JointMemory
 from .policy import DetectorPolicy, PolicyContext
 from .sight import ALL_SIGHTS, Sight
-from .sight_terms import slots
+from .sight_terms import ExclusionLeft, slots
 
 FloatArray = NDArray[np.float64]
 STATISTICS = ("receiver", "channel")
 DELAYS = (0, 1)
+EXCLUSION_S = 30.0
+"""Allowance of exclusion; without one the best answer to any attack is not to look at GNSS."""
 
 
 def action_names(statistic: str, weighs: bool, channels: int) -> tuple[str, ...]:
@@ -64,6 +66,23 @@ def check_delay(decision_delay: int) -> None:
         raise ValueError(f"`decision_delay` must be 0 or 1, got {decision_delay!r}")
 
 
+def check_exclusion(exclusion_s: float | None) -> None:
+    """Raise unless an allowance of exclusion makes sense.
+
+    Parameters
+    ----------
+    exclusion_s : float or None
+        Of an episode.
+
+    Raises
+    ------
+    ValueError
+        When it is not finite, or negative.
+    """
+    if exclusion_s is not None and not (np.isfinite(exclusion_s) and exclusion_s >= 0.0):
+        raise ValueError(f"`exclusion_s` must be finite and >= 0, or None, got {exclusion_s}")
+
+
 @dataclass
 class DetectorAgent(Detector):
     """Takes in every epoch, and lets someone else decide; by itself it is quiet, with weights 1.
@@ -74,10 +93,15 @@ class DetectorAgent(Detector):
         One statistic, or one for every slot.
     weighs : bool
         Whether the agent weighs satellites; if not, it only watches.
+    exclusion_s : float or None
+        Allowance of exclusion in an episode: an epoch costs its interval times what the weights
+        of the visible satellites lack, on average, of 1.  An epoch that would exceed it is used
+        with all weights 1.  None for no limit.
     """
 
     statistic: str = "receiver"
     weighs: bool = True
+    exclusion_s: float | None = EXCLUSION_S
 
     paper: ClassVar[str] = "groves2013"
 
@@ -86,6 +110,7 @@ class DetectorAgent(Detector):
         check_choice("statistic", self.statistic, STATISTICS)
         if not isinstance(self.weighs, bool | np.bool_):
             raise ValueError(f"`weighs` must be True or False, got {self.weighs!r}")
+        check_exclusion(self.exclusion_s)
         self.scope = self.statistic  # type: ignore[misc]  # the object's choice, not the class's
 
     def bind(self, context: DetectorContext) -> None:
@@ -98,7 +123,7 @@ class DetectorAgent(Detector):
         """
         super().bind(context)
         n = context.channels
-        self.sight = Sight(ALL_SIGHTS, n)
+        self.sight = Sight((*ALL_SIGHTS, ExclusionLeft(self.exclusion_s)), n)
         self.action_names = action_names(self.statistic, self.weighs, n)
         self._columns = n if self.statistic == "channel" else 1
         self.sight.declare(self.memory)
@@ -131,9 +156,13 @@ class DetectorAgent(Detector):
         return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))
 
     def verdict(
-        self, action: FloatArray, threshold: FloatArray, visible: NDArray[np.bool_]
+        self,
+        action: FloatArray,
+        threshold: FloatArray,
+        visible: NDArray[np.bool_],
+        interval: FloatArray,
     ) -> Verdict:
-        """Verdict of an action.
+        """Verdict of an action; what it excludes is taken off the allowance.
 
         Parameters
         ----------
@@ -143,6 +172,8 @@ class DetectorAgent(Detector):
             (B,) what the statistic is compared with.
         visible : ndarray
             (B, n) bool; the statistic of an invisible slot is 0, its weight 1.
+        interval : ndarray
+            (B,) time since the last epoch [s].
 
         Returns
         -------
@@ -157,8 +188,20 @@ class DetectorAgent(Detector):
         weights = None
         if self.weighs:
             weight = np.where(visible, share[:, self._columns :], 1.0)
+            weight = self._allowed(weight, visible, interval)
             weights = np.concatenate([weight, weight], axis=1)
         return Verdict(statistic, limit, statistic > limit, weights)
+
+    def _allowed(
+        self, weight: FloatArray, visible: NDArray[np.bool_], interval: FloatArray
+    ) -> FloatArray:
+        """Weights of satellites within the allowance, which they use up."""
+        lacking = (1.0 - weight).sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
+        used = self.memory["excluded_s"] + interval * lacking
+        limit = np.inf if self.exclusion_s is None else self.exclusion_s
+        within = used <= limit
+        self.memory["excluded_s"] = np.where(within, used, self.memory["excluded_s"])
+        return np.where(within[:, None], weight, 1.0)
 
 
 @dataclass
@@ -167,7 +210,7 @@ class PolicyDetector(DetectorAgent):
 
     Parameters
     ----------
-    statistic, weighs
+    statistic, weighs, exclusion_s
         As in `DetectorAgent`.
     policy : DetectorPolicy
         Who decides; copied.
@@ -242,7 +285,7 @@ class PolicyDetector(DetectorAgent):
             action = np.array(action)
             action[quiet, : self._columns], action[quiet, self._columns :] = -1.0, 1.0
         threshold = np.full(len(quiet), float(self.threshold))
-        return self.verdict(action, threshold, epoch.visible)
+        return self.verdict(action, threshold, epoch.visible, epoch.interval)
 
 
 def policy_context(agent: DetectorAgent, context: DetectorContext) -> PolicyContext:

@@ -62,8 +62,8 @@ def calibrate(
         Folder in which calibrations are kept, by a digest of policy, game and request: what is
         there is not computed again.
     **settings
-        ``scenario``, ``receiver``, ``attack``, ``timeline``, ``statistic``, ``weighs``, as in
-        `spoofgym.duel_v0.env`.
+        ``scenario``, ``receiver``, ``attack``, ``timeline``, ``statistic``, ``weighs``,
+        ``exclusion_s``, as in `spoofgym.duel_v0.env`.
 
     Returns
     -------

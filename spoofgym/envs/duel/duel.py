@@ -18,7 +18,7 @@ from ..observations import terms_of
 from ..pool import NATURE, uniforms
 from ..presets import DEFAULT_ATTACK, make_setup
 from ..setup import Setup, Timeline
-from .agent import DetectorAgent, check_delay
+from .agent import EXCLUSION_S, DetectorAgent, check_delay
 from .calibration import Calibration
 from .ledger import Ledger
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
@@ -199,7 +199,7 @@ class Duel:
         """
         engine, batch, ledger = self.game.engine, self.game.engine.batch, self.ledger
         limit = self.threshold.values.copy()
-        verdict = self.agent.verdict(action, limit, batch.epoch.visible)
+        verdict = self.agent.verdict(action, limit, batch.epoch.visible, batch.epoch.interval)
         batch.verdict = verdict
         engine.update(verdict)
         alarm = np.asarray(verdict.alarm.any(axis=1))
@@ -260,6 +260,7 @@ def duel_setup(
     timeline: Mapping[str, float] | Timeline | None = None,
     statistic: str = "receiver",
     weighs: bool = True,
+    exclusion_s: float | None = EXCLUSION_S,
 ) -> Setup:
     """What all receivers of a duel share.
 
@@ -271,6 +272,8 @@ def duel_setup(
         Whether the detector agent has one statistic, or one for every slot.
     weighs : bool
         Whether it weighs satellites.
+    exclusion_s : float or None
+        Its allowance of exclusion in an episode.
 
     Returns
     -------
@@ -281,6 +284,6 @@ def duel_setup(
         scenario=scenario,
         receiver=receiver,
         attack=attack,
-        detector=DetectorAgent(statistic, weighs),
+        detector=DetectorAgent(statistic, weighs, exclusion_s),
         timeline=timeline,
     )

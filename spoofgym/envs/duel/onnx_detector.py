@@ -38,6 +38,8 @@ class DetectorCard(Record):
         One statistic, or one for every slot.
     weighs : bool
         Whether it weighs satellites.
+    exclusion_s : float or None
+        Allowance of exclusion in an episode.
     decision_delay : {0, 1}
         Of the game that it was made in.
     threshold : float or None
@@ -57,6 +59,7 @@ class DetectorCard(Record):
     action: Space
     statistic: Literal["receiver", "channel"]
     weighs: bool
+    exclusion_s: float | None = Field(default=None, ge=0.0)
     decision_delay: Literal[0, 1]
     threshold: float | None = Field(default=None, gt=0.0, le=1.0)
     calibration: dict[str, Any] = Field(default_factory=dict)
@@ -132,6 +135,7 @@ def write_card(
         action=Space(names=agent.action_names, low=(-1.0,) * size, high=(1.0,) * size),
         statistic=agent.statistic,
         weighs=agent.weighs,
+        exclusion_s=agent.exclusion_s,
         decision_delay=duel.decision_delay,
         threshold=None if calibration is None else calibration.threshold,
         calibration=told,

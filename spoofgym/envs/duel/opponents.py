@@ -107,7 +107,14 @@ def make_opponent(spec: DetectorSpec) -> Detector:
             f"{name} has no threshold on its card: calibrate it by spoofgym.duel_v0.calibrate, "
             "and give it as `threshold`"
         )
-    return PolicyDetector(card.statistic, card.weighs, policy, threshold, card.decision_delay)
+    return PolicyDetector(
+        statistic=card.statistic,
+        weighs=card.weighs,
+        exclusion_s=card.exclusion_s,
+        policy=policy,
+        threshold=threshold,
+        decision_delay=card.decision_delay,
+    )
 
 
 def pooled_detector(

@@ -165,8 +165,8 @@ class RunningThreshold:
     .. math:: h \leftarrow h + g\,(a - \alpha)
 
     where a is 1 if it had an alarm.  The mean of a over n clean episodes is then below
-    :math:`\alpha + (1 + g - h_0) / (g n)`, whatever the detector does, and however it changes.  Every receiver
-    has a threshold of its own, which begins anew with its seed.
+    :math:`\alpha + (1 + g - h_0) / (g n)`, whatever the detector does, and however it changes.
+    Every receiver has a threshold of its own, which begins anew with its seed.
 
     Parameters
     ----------

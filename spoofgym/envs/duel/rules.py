@@ -18,7 +18,7 @@ from .duel import Duel, DuelTurn, duel_setup
 
 SPOOFER, DETECTOR = "spoofer_0", "detector_0"
 AGENTS = (SPOOFER, DETECTOR)
-SETUP = ("scenario", "receiver", "attack", "timeline", "statistic", "weighs")
+SETUP = ("scenario", "receiver", "attack", "timeline", "statistic", "weighs", "exclusion_s")
 SETTINGS = (*SETUP, *list(inspect.signature(Duel).parameters)[2:-1])
 """All settings of a duel."""
 OPTIONS: tuple[str, ...] = ()

@@ -285,3 +285,34 @@ class Elapsed:
         """Add the interval."""
         memory["elapsed"] = memory["elapsed"] + epoch.interval
         out[:, 0] = memory["elapsed"] * (1.0 / self.scale_s)
+
+
+@dataclass(frozen=True)
+class ExclusionLeft:
+    """Part of the allowance of exclusion that is left.
+
+    Parameters
+    ----------
+    exclusion_s : float or None
+        The allowance; without a limit all is left.
+    """
+
+    exclusion_s: float | None
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``exclusion_left``."""
+        return ("exclusion_left",)
+
+    def bounds(self) -> tuple[float, float]:
+        """0 and 1."""
+        return 0.0, 1.0
+
+    def declare(self, memory: Memory, channels: int) -> None:
+        """What has been used up [s]."""
+        memory.declare("excluded_s", np.zeros(memory.receivers))
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        """Write the part."""
+        out[:, 0] = 1.0
+        if self.exclusion_s:
+            out[:, 0] -= memory["excluded_s"] / self.exclusion_s

@@ -45,7 +45,9 @@ def played(duel, epoch_of, push, seed):
 @pytest.mark.parametrize("push", PUSH)
 def test_the_aec_form_with_an_agent_of_ewma_is_the_env_with_ewma(push):
     expected, info = reference(PerSatellite(), push, 4)
-    duel = aec(timeline=NO_LIVE, attack=STRONG, attack_probability=1.0, threshold=0.5)
+    duel = aec(
+        timeline=NO_LIVE, attack=STRONG, attack_probability=1.0, threshold=0.5, exclusion_s=None
+    )
     own, last, total = played(
         duel, lambda d: d.unwrapped.rules.duel.game.engine.batch.epoch, push, 4
     )
@@ -60,7 +62,9 @@ def test_the_aec_form_with_an_agent_of_ewma_is_the_env_with_ewma(push):
 @pytest.mark.parametrize("push", PUSH)
 def test_the_parallel_form_is_the_env_with_ewma_one_epoch_late(push):
     expected, info = reference(Late(), push, 4)
-    duel = parallel(timeline=NO_LIVE, attack=STRONG, attack_probability=1.0, threshold=0.5)
+    duel = parallel(
+        timeline=NO_LIVE, attack=STRONG, attack_probability=1.0, threshold=0.5, exclusion_s=None
+    )
     core = duel.rules.duel
     agent = bound(PerSatellite(), core)
     duel.reset(seed=4)

@@ -11,7 +11,6 @@ from spoofgym.envs.pool import NATURE, OPPONENT, checked_weights, drawn, uniform
 from .support import ALARM, QUIET, SHORT, aec, parallel
 
 PUSH = np.array([0.4, 1.0])
-CLEAN_SEED, ATTACKED_SEED = 1, 0
 
 
 def run(env, seed, push=PUSH, decision=QUIET):
@@ -48,9 +47,9 @@ def test_a_clean_episode_is_the_clean_run_whatever_is_commanded_and_pays_nothing
     trace = run(env, seed)
     own = [step[2]["spoofer_0"]["displacement_m"] for step in trace[1:]]
     np.testing.assert_array_equal(own[:30], expected)
-    for _, rewards, infos in trace:
+    for _, rewards, _ in trace:
         assert rewards == {"spoofer_0": 0.0, "detector_0": 0.0}
-    assert infos["spoofer_0"]["undetected_displacement_m"] == 0.0
+    assert trace[-1][2]["spoofer_0"]["undetected_displacement_m"] == 0.0
 
 
 def test_the_detector_is_not_told():
@@ -65,7 +64,7 @@ def test_the_detector_is_not_told():
 
 
 def test_the_detector_observes_no_truth():
-    """Its observation is the same when the truth of the world is deleted after the measurement."""
+    """Its observation is the same when the sensors' true errors are deleted after a measurement."""
     env = aec(attack_probability=1.0)
     env.reset(seed=3)
     env.step(PUSH)
@@ -78,11 +77,10 @@ def test_the_detector_observes_no_truth():
     first = agent.memory["observation"].copy()
     agent.reset()
     batch.sensors.floats[:] = np.nan
-    duel.setup.world.position_e.flags.writeable = True
     agent.look(batch.epoch)
     np.testing.assert_array_equal(agent.memory["observation"], first)
     assert np.isfinite(seen).all()
-    assert set(remembered) == {"observation", "average", "elapsed"}
+    assert set(remembered) == {"observation", "average", "elapsed", "excluded_s"}
 
 
 @pytest.mark.parametrize("payoff", ["neyman-pearson", "weighted"])
@@ -123,3 +121,32 @@ def test_the_ledger_keeps_the_rules_of_the_books():
     np.testing.assert_allclose(ledger.credited, books.credited, atol=1e-12)
     np.testing.assert_array_equal(ledger.detected, books.detected)
     assert 0.2 < ledger.detected.mean() < 0.9
+
+
+def test_who_looks_away_has_an_allowance():
+    """An attack can't reach a filter that does not look; so it may do so for a limited time."""
+    found = {}
+    for allowance in (0.0, 5.0, None):
+        env = parallel(attack_probability=1.0, threshold=1.0, exclusion_s=allowance)
+        env.reset(seed=2)
+        left = []
+        while env.agents:
+            actions = {"spoofer_0": PUSH, "detector_0": -np.ones(13)}
+            observations, *_, infos = env.step(actions)
+            left.append(observations["detector_0"][-1])
+        assert env.rules.observation_names["detector_0"][-1] == "exclusion_left"
+        found[allowance] = infos["spoofer_0"]["undetected_displacement_m"]
+        agent = env.rules.duel.agent
+        if allowance == 5.0:
+            # the first decision is seen in the observation of the second epoch
+            np.testing.assert_allclose(left[:12], [*(1.0 - 0.1 * np.arange(11)), 0.0], atol=1e-6)
+            assert agent.memory["excluded_s"] == 5.0
+    trusting = run(parallel(attack_probability=1.0, threshold=1.0), 2)
+    assert found[0.0] == trusting[-1][2]["spoofer_0"]["undetected_displacement_m"]
+    assert found[None] < found[5.0] < found[0.0]
+
+
+@pytest.mark.parametrize("bad", [-1.0, np.inf, np.nan])
+def test_a_bad_allowance(bad):
+    with pytest.raises(ValueError, match="`exclusion_s` must be finite and >= 0"):
+        parallel(exclusion_s=bad)
