@@ -126,8 +126,11 @@ class DetectorGame:
             Rewards, ends and information; what nature has drawn is told when an episode is over.
         """
         if self.duel.decision_delay == 0:
+            # the world may end one epoch after an episode
+            playing = np.flatnonzero(~self.duel.over)
             turn = self.duel.decide(action)
-            self._arrive(self._everyone)
+            if len(playing):
+                self._arrive(playing)
         else:
             self._arrive(self._everyone)
             turn = self.duel.decide(action)

@@ -84,6 +84,8 @@ class Duel:
         What counts of the running episodes.
     attacked : ndarray
         (B,) bool, what nature has drawn.
+    over : ndarray
+        (B,) bool, whose episode has ended.
     """
 
     def __init__(
@@ -108,7 +110,6 @@ class Duel:
         self.decision_delay, self.attack_probability = decision_delay, attack_probability
         self.payoff = make_payoff(payoff)
         self.threshold = make_threshold(threshold, false_alarm, receivers)
-        _check_spare_epochs(setup)
         self.game = Game(
             receivers,
             setup,
@@ -120,7 +121,7 @@ class Duel:
         self.setup, self.receivers = setup, receivers
         self.ledger = Ledger(receivers, setup.steps, setup.hold)
         self.attacked = np.zeros(receivers, dtype=np.bool_)
-        self._over = np.zeros(receivers, dtype=np.bool_)
+        self.over = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
         self._sources: list[np.random.Generator | None] = [None] * receivers
         self._command = np.zeros((receivers, len(self.game.action_names)))
@@ -150,7 +151,7 @@ class Duel:
         where = self._everyone if rows is None else rows
         self.game.reset(rngs, rows)
         self.ledger.reset(where)
-        self._command[where], self._over[where] = 0.0, False
+        self._command[where], self.over[where] = 0.0, False
         for row, rng in zip(where, rngs, strict=True):
             if self._sources[row] is not rng:
                 self._sources[row] = rng
@@ -211,8 +212,8 @@ class Duel:
         outcome = DuelOutcome(gain, retraction, first, self.attacked, ~ledger.detected, interval)
         won, paid = self.payoff(outcome)
         # a receiver whose episode is over may be stepped once more before it is reset
-        self.threshold.learn(ledger.detected, terminated & ~self.attacked & ~self._over)
-        self._over |= terminated
+        self.threshold.learn(ledger.detected, terminated & ~self.attacked & ~self.over)
+        self.over |= terminated
         info = {
             "time_s": self.setup.world.epoch_time[batch.epochs],
             "alarm": alarm,
@@ -240,16 +241,6 @@ class Duel:
     def close(self) -> None:
         """End the threads."""
         self.game.close()
-
-
-def _check_spare_epochs(setup: Setup) -> None:
-    """Raise unless a finished receiver can run on while others are reset."""
-    last = setup.onset + setup.steps + setup.hold + 2
-    if last >= setup.world.epochs:
-        raise ValueError(
-            f"a duel needs two epochs after an episode, but {setup.world.name!r} ends with it; "
-            "shorten the `timeline`"
-        )
 
 
 def duel_setup(

@@ -99,8 +99,8 @@ def test_damaged_cards(file, fields, message):
 
 
 def test_other_files(file, tmp_path):
-    with pytest.raises(ValueError, match="has no setting 'theshold'; valid: threshold"):
-        duel_v0.SpooferView({"name": str(file), "theshold": 0.2}, timeline=SHORT)
+    with pytest.raises(ValueError, match="has no setting 'level'; valid: threshold"):
+        duel_v0.SpooferView({"name": str(file), "level": 0.2}, timeline=SHORT)
     small = tmp_path / "small.onnx"
     small.write_bytes(network(3, 2).SerializeToString())
     with pytest.raises(ValueError, match=r"float32 \(batch, 3\); the card says"):

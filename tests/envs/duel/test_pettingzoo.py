@@ -198,8 +198,8 @@ def test_bad_actions_of_the_aec_form():
         ({"attack_probability": 1.5}, r"in \[0, 1\], got 1.5"),
         ({"weighs": "yes"}, "`weighs` must be True or False"),
         ({"render_mode": "human"}, "nothing to render"),
-        ({"treshold": 0.5}, "did you mean 'threshold'"),
-        ({"timeline": {"attack_s": 207.5}}, "two epochs after an episode"),
+        ({"thresholds": 0.5}, "did you mean 'threshold'"),
+        ({"timeline": {"attack_s": 208.0}}, "lasts 418 s"),
     ],
 )
 def test_bad_settings(kwargs, message):

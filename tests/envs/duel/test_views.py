@@ -276,3 +276,26 @@ def test_an_unfinished_episode_survives_pickling(make):
         mine, theirs = envs.step(action), copy.step(action)
         np.testing.assert_array_equal(mine[0], theirs[0])
         np.testing.assert_array_equal(mine[1], theirs[1])
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_an_episode_may_last_as_long_as_the_flight(delay):
+    timeline = {"warmup_s": 200.0, "live_s": 10.0, "attack_s": 207.5, "time_to_alert_s": 10.0}
+    kwargs = {"threshold": 0.5, "timeline": timeline, "decision_delay": delay}
+    envs = duel_v0.DetectorVectorView(2, "ramp", **kwargs)
+    setup = envs.game.duel.setup
+    spare = setup.world.epochs - 1 - (setup.onset + setup.steps + setup.hold)
+    envs.reset(seed=1)
+    alarm = np.tile(QUIET, (2, 1))
+    envs.step(alarm)
+    alarm[0] = 1.0
+    assert envs.step(alarm)[2].tolist() == [True, False]
+    # from here on the receivers end at different times, and one runs on while the other is reset
+    for _ in range(envs.game.duel.epochs - 2):
+        observation, _, over, _, _ = envs.step(np.tile(QUIET, (2, 1)))
+        assert np.isfinite(observation).all()
+    assert over.tolist() == [False, True]
+    envs.step(np.tile(QUIET, (2, 1)))
+    last = envs.game.duel.game.engine.batch.epochs
+    assert spare == 1
+    assert last[1] == setup.onset + (1 - delay)
