@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from .attacks import Attack
+from .envs.domain import Domain
 from .envs.duel.agent import EXCLUSION_S, PolicyDetector
 from .envs.duel.calibrate import calibrate
 from .envs.duel.calibration import Calibration
@@ -61,7 +62,8 @@ def env(
     threshold: float | str | Calibration = RUNNING,
     false_alarm: float = 0.05,
     attack_probability: float = 0.5,
-    target_heading_deg: float = 90.0,
+    domain: Mapping[str, Any] | Domain | None = None,
+    target_heading_deg: float | str = 90.0,
     render_mode: None = None,
 ) -> Any:
     """Make the AEC form: the spoofer moves, measurements arrive, the detector decides on them.
@@ -89,7 +91,9 @@ def env(
         Rate of clean episodes with an alarm that a running threshold keeps, in (0, 1).
     attack_probability : float
         That nature draws an attack, in [0, 1].
-    target_heading_deg : float
+    domain : mapping or Domain, optional
+        What differs from episode to episode.
+    target_heading_deg : float or {"random", "worst"}
         Direction in which displacement counts, clockwise from north.
     render_mode : None
         There is nothing to render.

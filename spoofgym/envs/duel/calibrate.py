@@ -130,7 +130,7 @@ def _check(false_alarm: float, runs: int, confidence: float, receivers: int) -> 
 def _told(duel: Duel) -> dict[str, Any]:
     """Everything of a duel that a clean run depends on, JSON-able."""
     setup = duel.setup
-    parts = ("scenario", "receiver", "timeline", "detector")
+    parts = ("scenario", "receiver", "timeline", "detector", "domain")
     told = {name: describe(getattr(setup, name)) for name in parts}
     return {**told, "decision_delay": duel.decision_delay}
 
@@ -184,7 +184,7 @@ def _context(duel: Duel) -> Any:
             duel.receivers,
             setup.world.channels,
             setup.scenario.epoch_interval_s,
-            setup.noise_variance,
+            setup.cases.largest_variance,
             setup.world.satellite_ids,
         ),
     )

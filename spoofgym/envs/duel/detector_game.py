@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -91,7 +91,10 @@ class DetectorGame:
         return self.duel.agent.sight.low, self.duel.agent.sight.high
 
     def reset(
-        self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp] | None = None
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: NDArray[np.intp] | None = None,
+        given: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin new episodes, up to the first epoch that is to be judged.
 
@@ -101,9 +104,11 @@ class DetectorGame:
             One per row.
         rows : ndarray, optional
             Which receivers; all by default.
+        given : mapping, optional
+            As in `Engine.reset`.
         """
         where = self._everyone if rows is None else rows
-        self.duel.reset(rngs, rows)
+        self.duel.reset(rngs, rows, given)
         self.pool.begin(where, self.duel.game.engine.batch.sensors.keys[DOMAIN, where])
         if self.duel.decision_delay == 0:
             self._arrive(where)

@@ -12,11 +12,10 @@ from ...attacks import Attack
 from ...receiver import TightlyCoupled
 from ...sim.scenario import Scenario
 from ...sim.sensors import SOURCES
+from ..domain import Domain
 from ..engine import Batch
-from ..game import Game
-from ..observations import terms_of
 from ..pool import NATURE, uniforms
-from ..presets import DEFAULT_ATTACK, make_setup
+from ..presets import DEFAULT_ATTACK, make_game, make_setup
 from ..setup import Setup, Timeline
 from .agent import EXCLUSION_S, DetectorAgent, check_delay
 from .calibration import Calibration
@@ -71,8 +70,6 @@ class Duel:
         Whether an epoch is judged by a decision on itself, or by one on the epoch before.
     attack_probability : float
         In [0, 1].
-    target_heading_deg : float
-        Direction in which displacement counts, clockwise from north.
     threads : int, optional
         As in `Engine`.
 
@@ -99,7 +96,6 @@ class Duel:
         false_alarm: float = 0.05,
         decision_delay: int = 0,
         attack_probability: float = 0.5,
-        target_heading_deg: float = 90.0,
         threads: int | None = None,
     ) -> None:
         check_delay(decision_delay)
@@ -110,14 +106,7 @@ class Duel:
         self.decision_delay, self.attack_probability = decision_delay, attack_probability
         self.payoff = make_payoff(payoff)
         self.threshold = make_threshold(threshold, false_alarm, receivers)
-        self.game = Game(
-            receivers,
-            setup,
-            observation=terms_of(knowledge),
-            reward=(),
-            target_heading_deg=target_heading_deg,
-            threads=threads,
-        )
+        self.game = make_game(receivers, setup, knowledge=knowledge, reward=(), threads=threads)
         self.setup, self.receivers = setup, receivers
         self.ledger = Ledger(receivers, setup.steps, setup.hold)
         self.attacked = np.zeros(receivers, dtype=np.bool_)
@@ -137,7 +126,10 @@ class Duel:
         return self.setup.steps + self.setup.hold
 
     def reset(
-        self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp] | None = None
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: NDArray[np.intp] | None = None,
+        given: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin new episodes, and run their warm-up, in which the detector agent is not asked.
 
@@ -147,9 +139,11 @@ class Duel:
             One per row; one that a receiver has not had before restarts a running threshold.
         rows : ndarray, optional
             Which receivers; all by default.
+        given : mapping, optional
+            As in `Engine.reset`.
         """
         where = self._everyone if rows is None else rows
-        self.game.reset(rngs, rows)
+        self.game.reset(rngs, rows, given)
         self.ledger.reset(where)
         self._command[where], self.over[where] = 0.0, False
         for row, rng in zip(where, rngs, strict=True):
@@ -252,6 +246,8 @@ def duel_setup(
     statistic: str = "receiver",
     weighs: bool = True,
     exclusion_s: float | None = EXCLUSION_S,
+    domain: Mapping[str, Any] | Domain | None = None,
+    target_heading_deg: float | str = 90.0,
 ) -> Setup:
     """What all receivers of a duel share.
 
@@ -265,6 +261,8 @@ def duel_setup(
         Whether it weighs satellites.
     exclusion_s : float or None
         Its allowance of exclusion in an episode.
+    domain, target_heading_deg : optional
+        As in `make_setup`.
 
     Returns
     -------
@@ -277,4 +275,6 @@ def duel_setup(
         attack=attack,
         detector=DetectorAgent(statistic, weighs, exclusion_s),
         timeline=timeline,
+        domain=domain,
+        target_heading_deg=target_heading_deg,
     )

@@ -18,7 +18,17 @@ from .duel import Duel, DuelTurn, duel_setup
 
 SPOOFER, DETECTOR = "spoofer_0", "detector_0"
 AGENTS = (SPOOFER, DETECTOR)
-SETUP = ("scenario", "receiver", "attack", "timeline", "statistic", "weighs", "exclusion_s")
+SETUP = (
+    "scenario",
+    "receiver",
+    "attack",
+    "timeline",
+    "statistic",
+    "weighs",
+    "exclusion_s",
+    "domain",
+    "target_heading_deg",
+)
 SETTINGS = (*SETUP, *list(inspect.signature(Duel).parameters)[2:-1])
 """All settings of a duel."""
 OPTIONS: tuple[str, ...] = ()

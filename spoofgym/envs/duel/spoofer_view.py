@@ -18,7 +18,16 @@ from .opponents import DetectorSpec, label_of, members_of, pooled_detector
 
 DetectorPool = Sequence[DetectorSpec] | DetectorSpec
 Weights = Sequence[float] | None
-WORLD = ("scenario", "receiver", "attack", "timeline")
+WORLD = (
+    "scenario",
+    "receiver",
+    "attack",
+    "timeline",
+    "domain",
+    "target_heading_deg",
+    "decision_interval_s",
+    "between",
+)
 RESET_FIRST = "the pool has changed: call reset() before step()"
 
 
@@ -118,8 +127,7 @@ class SpooferView(GameEnv[Game]):
     render_mode : None
         There is nothing to render.
     **settings
-        ``scenario``, ``receiver``, ``attack``, ``timeline``, ``knowledge``, ``alarm_penalty_m`` (0
-        by default) and ``target_heading_deg``, as in `SpoofEnv`.
+        As in `SpoofEnv`, but for the detector; ``alarm_penalty_m`` is 0 by default.
 
     Attributes
     ----------

@@ -110,7 +110,7 @@ def test_the_ledger_keeps_the_rules_of_the_books():
     steps, hold, runs = 12, 4, 200
     rng = np.random.default_rng(3)
     books, ledger = Books(runs, steps, hold), Ledger(runs, steps, hold)
-    books.reset(np.arange(runs), np.zeros(runs))
+    books.reset(np.arange(runs))
     ledger.reset(np.arange(runs))
     displacement = rng.normal(size=(steps + hold, runs)).cumsum(axis=0)
     alarms = rng.random((steps + hold, runs)) < 0.06

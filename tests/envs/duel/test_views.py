@@ -18,6 +18,10 @@ SPOOFERS = [{"name": "ramp", "rate_mps": 0.5}, "none", Ramp(rate_mps=3.0)]
 WARY = duel_v0.PolicyDetector(policy=duel_v0.FunctionPolicy(wary), threshold=0.2)
 DETECTORS = ["ewma", "snapshot-chi2", WARY]
 SPOOFER = {"pool": DETECTORS, "weights": [1.0, 1.0, 2.0], "timeline": SHORT, "attack": STRONG}
+DOMAIN = {
+    "domain": {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
+    "target_heading_deg": "random",
+}
 DETECTOR = {"pool": SPOOFERS, "timeline": SHORT, "attack": STRONG, "threshold": 0.5}
 
 
@@ -72,8 +76,20 @@ def single_runs(make, act, seed, steps):
             {**DETECTOR, "decision_delay": 1, "threshold": "running"},
             detector_actions,
         ),
+        (
+            duel_v0.SpooferView,
+            duel_v0.SpooferVectorView,
+            {**SPOOFER, **DOMAIN},
+            spoofer_actions,
+        ),
+        (
+            duel_v0.DetectorView,
+            duel_v0.DetectorVectorView,
+            {**DETECTOR, **DOMAIN},
+            detector_actions,
+        ),
     ],
-    ids=["spoofer", "detector", "detector-late"],
+    ids=["spoofer", "detector", "detector-late", "spoofer-domain", "detector-domain"],
 )
 def test_every_receiver_of_a_vector_view_is_the_single_view(single, vector, kwargs, act, mode):
     receivers, steps, seed = 5, 75, 11
