@@ -170,8 +170,8 @@ class Game:
             error_n = position_error_n(self.setup, self.engine.batch)
             self._origin[where] = error_n[where, :2]
 
-    def _displacement(self) -> FloatArray:
-        """(B,) of this epoch [m]."""
+    def displacement(self) -> FloatArray:
+        """Displacement that counts, of this epoch, (B,) [m]."""
         batch, twin, world = self.engine.batch, self.engine.twin, self.setup.world
         displacement = np.empty(self.receivers)
         displace(
@@ -192,7 +192,7 @@ class Game:
         verdict = self.engine.step(command)
         if self.engine.twin is not None:
             self.engine.step_twin()
-        displacement = self._displacement()
+        displacement = self.displacement()
         return displacement, self.books.score(displacement, verdict.alarm, self.engine.hold)
 
     def _decide(self, action: FloatArray) -> tuple[FloatArray, Score]:
