@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
 from ..envs.engine import Engine
-from ..envs.observations import Observer
+from ..envs.observer import Observer
 from ..envs.setup import Setup
 from ..envs.snapshot import Snapshot
 from ..spoofers import Spoofer

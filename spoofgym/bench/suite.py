@@ -20,7 +20,8 @@ from .. import __version__
 from ..attacks import ATTACKS, Attack, make_attack
 from ..detectors import DETECTORS, Detector
 from ..envs.attach import spoofer_context as spoofer_context
-from ..envs.observations import Observer, terms_of
+from ..envs.observations import terms_of
+from ..envs.observer import Observer
 from ..envs.presets import make_setup
 from ..envs.setup import Setup, Timeline
 from ..sim.scenario import Scenario, make_scenario

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._kernels import score as score_kernel
-from .rewards import Outcome
 
 FloatArray = NDArray[np.float64]
 Hold = Callable[[NDArray[np.intp]], NDArray[np.bool_]]
@@ -21,15 +20,19 @@ class Score(NamedTuple):
 
     Attributes
     ----------
-    outcome : Outcome
-        What rewards are made of.
+    gain, retraction : ndarray
+        (B,) displacement gained, and taken back by an alarm [m].
+    first : ndarray
+        (B,) bool, whether this step brought the first alarm.
     alarm : ndarray
         (B,) bool, an alarm now, or in the time to alert after the last command.
     finished : ndarray
-        (B,) bool, whether this was the last command.
+        (B,) bool, whether this was the last command, or the episode was ended early.
     """
 
-    outcome: Outcome
+    gain: FloatArray
+    retraction: FloatArray
+    first: NDArray[np.bool_]
     alarm: NDArray[np.bool_]
     finished: NDArray[np.bool_]
 
@@ -54,6 +57,8 @@ class Books:
         (B,) undetected displacement so far [m].
     origin : ndarray
         (B,) error along the target direction at the onset [m].
+    ended : ndarray
+        (B,) bool, whose episode is over; the game sets it.
     """
 
     def __init__(self, receivers: int, steps: int, hold: int) -> None:
@@ -62,6 +67,7 @@ class Books:
         self.detected = np.zeros(receivers, dtype=np.bool_)
         self.credited = np.zeros(receivers)
         self.origin = np.zeros(receivers)
+        self.ended = np.zeros(receivers, dtype=np.bool_)
         self._largest = np.zeros((receivers, steps + 1))
 
     def reset(self, rows: NDArray[np.intp], origin: FloatArray) -> None:
@@ -78,9 +84,16 @@ class Books:
         self.detected[rows] = False
         self.credited[rows] = 0.0
         self._largest[rows] = 0.0
+        self.ended[rows] = False
         self.origin[rows] = origin
 
-    def score(self, displacement: FloatArray, alarms: NDArray[np.bool_], hold: Hold) -> Score:
+    def score(
+        self,
+        displacement: FloatArray,
+        alarms: NDArray[np.bool_],
+        hold: Hold,
+        early: NDArray[np.bool_] | None = None,
+    ) -> Score:
         """Count one step of every receiver.
 
         Parameters
@@ -91,6 +104,8 @@ class Books:
             (B, c) bool.
         hold : callable
             Called with the receivers that have given their last command without an alarm.
+        early : ndarray, optional
+            (B,) bool, for whom this is the last command before the end of the window.
 
         Returns
         -------
@@ -114,6 +129,9 @@ class Books:
             first,
             finished,
         )
+        if early is not None:
+            # one whose episode is over may be stepped once more
+            finished = (finished | early) & ~self.ended
         if finished.any() and self.hold:
             rows = np.flatnonzero(finished & ~(self.detected | first))
             if len(rows):
@@ -121,7 +139,7 @@ class Books:
         np.logical_or(self.detected, first, out=self.detected)
         self.credited += gain
         self.credited += retraction
-        return Score(Outcome(gain, retraction, first), alarm, finished)
+        return Score(gain, retraction, first, alarm, finished)
 
     def _score_hold(
         self,
@@ -133,9 +151,10 @@ class Books:
     ) -> None:
         """Write what alarms in the time to alert after the last command do."""
         alarmed = late.any(axis=0)
-        # index of the last epoch that counts, with the first alarm at steps + 1 + argmax
-        kept = np.maximum(self.steps + late.argmax(axis=0) - self.hold, 0)
-        before = self._largest[rows, self.steps]
+        last = np.minimum(self.step_count[rows], self.steps)
+        # index of the last epoch that counts, with the first alarm at last + 1 + argmax
+        kept = np.maximum(last + late.argmax(axis=0) - self.hold, 0)
+        before = self._largest[rows, last]
         retraction[rows] = np.where(alarmed, self._largest[rows, kept] - before, 0.0)
         first[rows] = alarmed
         alarm[rows] |= alarmed

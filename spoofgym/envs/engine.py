@@ -7,13 +7,13 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..attacks import AttackContext
-from ..detectors import DetectorContext, Verdict
+from ..detectors import Detector, DetectorContext, Verdict
 from ..receiver import _kernels
 from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import LANES, ReceiverBuffers
@@ -21,9 +21,11 @@ from ..sim.noise import padded
 from ..sim.sensors import SOURCES, SensorBuffers
 from .prefetch import STOCK, NextEpisodes
 from .setup import Setup, check_settles
+from .witness import Witness
 from .workers import Workers
 
 FloatArray = NDArray[np.float64]
+W = TypeVar("W", bound=Witness)
 RECEIVERS_PER_THREAD = 16
 KEPT = 8
 """Largest size of the batches that are kept for the time to alert of a few receivers."""
@@ -61,16 +63,58 @@ class Batch:
         self.attack = copy.deepcopy(setup.attack)
         self.attack.bind(AttackContext(receivers, world))
         self.detector = copy.deepcopy(setup.detector)
-        self.detector.bind(
+        self.bind_detector(self.detector)
+        self.witnesses = [copy.deepcopy(witness) for witness in setup.witnesses]
+        for witness in self.witnesses:
+            witness.bind(self)
+
+    def bind_detector(self, detector: Detector) -> None:
+        """Bind a detector to these receivers.
+
+        Parameters
+        ----------
+        detector : Detector
+            In the loop, or beside it.
+
+        Raises
+        ------
+        ValueError
+            When it can't alarm within an episode.
+        """
+        setup = self.setup
+        detector.bind(
             DetectorContext(
-                receivers,
-                world.channels,
+                self.receivers,
+                setup.world.channels,
                 setup.scenario.epoch_interval_s,
                 setup.noise_variance.copy(),
-                world.satellite_ids,
+                setup.world.satellite_ids,
             )
         )
-        check_settles(self.detector, setup.live + setup.steps + setup.hold)
+        check_settles(detector, setup.live + setup.steps + setup.hold)
+
+    def witness(self, kind: type[W]) -> W:
+        """Witness of a kind.
+
+        Parameters
+        ----------
+        kind : type
+            Its class.
+
+        Returns
+        -------
+        Witness
+            Of this batch.
+
+        Raises
+        ------
+        LookupError
+            When the game was made without one.
+        """
+        for witness in self.witnesses:
+            if isinstance(witness, kind):
+                return witness
+        raise LookupError(f"no {kind.__name__} looks at these epochs")
 
     def __getstate__(self) -> dict[str, Any]:
         """State without the view of the epoch, which a copy makes anew of its own buffers."""
@@ -104,6 +148,8 @@ class Batch:
         spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
         self.attack.begin(rows, spoofer_keys, np.full(self.receivers, setup.onset))
         self.detector.reset()
+        for witness in self.witnesses:
+            witness.begin()
         state, measured = self.buffers.state, self.buffers.measured
         measured.noise_variance[:] = setup.noise_variance
         self.buffers.noise_psd[:] = setup.receiver.noise_psd(setup.noise)
@@ -220,6 +266,8 @@ class Batch:
             Its verdict.
         """
         self.verdict = self.detector.judge(self.epoch)
+        for witness in self.witnesses:
+            witness.see(self)
         return self.verdict
 
     def update(self, weights: FloatArray | None) -> None:
@@ -320,6 +368,8 @@ class Batch:
         self.sensors.epoch[to] = other.sensors.epoch[rows]
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
         self.detector.memory.copy_rows(to, other.detector.memory, rows)
+        for mine, theirs in zip(self.witnesses, other.witnesses, strict=True):
+            mine.copy_rows(to, theirs, rows)
         weights = self.weights.copy()
         weights[to] = other.weights[rows]
         self.weights = weights

@@ -2,22 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..detectors import Detector, Verdict
 from ._kernels import displace
+from .actions import ActionTerm, Actor, FullCommand
 from .books import Books
+from .ends import AtAlarm, Ends, EndTerm, Standing
 from .engine import Engine
-from .observations import ObservationTerm, Observer
+from .observations import ObservationTerm
+from .observer import Observer
 from .played import Turn, check_rules
-from .rewards import RewardTerm, named_terms, reward_of
+from .rewards import Outcome, RewardTerm, named_terms, reward_of
 from .setup import Setup
 from .snapshot import Snapshot
+from .watching import WatchBooks, needed
+from .witness import Watch
 
 FloatArray = NDArray[np.float64]
+Listener = Callable[["Game", Standing, Verdict], None]
+"""Called after every epoch of a command, before the time to alert, if it was the last."""
+BEGIN_NAMES = ("time_s", "warmup_alarm", "coasting")
+"""Keys of the information at the begin of an episode."""
+STEP_NAMES = (
+    "time_s",
+    "alarm",
+    "detected",
+    "warmup_alarm",
+    "coasting",
+    "displacement_m",
+    "undetected_displacement_m",
+)
+"""Keys of the information of a step, without the parts that terms and watching detectors add."""
 
 
 class Game:
@@ -39,6 +59,12 @@ class Game:
         Terms of the observation.
     reward : sequence of RewardTerm
         Terms of the reward.
+    action : sequence of ActionTerm, optional
+        Terms of the action; every element that the attack takes by default.
+    end : sequence of EndTerm, optional
+        Terms of the end; by `end_at_alarm` if there are none given.
+    watch : sequence of Detector
+        Detectors that judge every epoch beside the one in the loop, and tell in ``info``.
     end_at_alarm : bool
         Whether an alarm ends the episode.  If not, it goes on without further reward.
     target_heading_deg : float
@@ -54,13 +80,17 @@ class Game:
         The receivers.
     books : Books
         What counts of the running episodes.
+    end_at_alarm : bool
+        Whether an alarm ends the episode.
     target_heading_deg : float
         As it was given.
-    begin_names : tuple of str
-        Keys of `begin_info`.
+    heading_rad : ndarray
+        (B,) the same for every receiver [rad].
+    listeners : list of callable
+        Each a `Listener`.
+    begin_names, info_names : tuple of str
+        Keys of `begin_info`, and of the information of a step.
     """
-
-    begin_names: ClassVar[tuple[str, ...]] = ("time_s", "warmup_alarm", "coasting")
 
     def __init__(
         self,
@@ -69,21 +99,49 @@ class Game:
         *,
         observation: Sequence[ObservationTerm],
         reward: Sequence[RewardTerm],
+        action: Sequence[ActionTerm] | None = None,
+        end: Sequence[EndTerm] | None = None,
+        watch: Sequence[Detector] = (),
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
         threads: int | None = None,
         prefetch: bool = False,
     ) -> None:
         check_rules(end_at_alarm, target_heading_deg)
-        self.set_rewards(reward)
-        self.setup, self.end_at_alarm = setup, end_at_alarm
+        self._settings: dict[str, Any] = {
+            "observation": observation,
+            "reward": reward,
+            "action": action,
+            "end": end,
+            "watch": watch,
+            "end_at_alarm": end_at_alarm,
+            "target_heading_deg": target_heading_deg,
+            "threads": threads,
+            "prefetch": prefetch,
+        }
+        ends = ((AtAlarm(),) if end_at_alarm else ()) if end is None else tuple(end)
+        self._ends = Ends(ends)
+        self.end_at_alarm = self._ends.at_alarm
+        self.watch = Watch(watch) if watch else None
+        witnesses = needed([*observation, *ends])
+        if self.watch is not None:
+            witnesses.append(self.watch)
+        if witnesses or setup.witnesses:
+            setup = setup.altered(witnesses=witnesses)
+        self.setup = setup
         self.engine = Engine(receivers, setup, threads=threads, prefetch=prefetch)
         self.observer = Observer(observation, setup)
         self.target_heading_deg = target_heading_deg
         heading = np.radians(target_heading_deg)
         self._target_e = setup.onset_C_en @ np.array([np.cos(heading), np.sin(heading), 0.0])
         self._rows = np.arange(receivers)
+        self.heading_rad = np.full(receivers, heading)
+        self.actor = Actor((FullCommand(),) if action is None else action, setup)
+        self.actor.aim(self.heading_rad)
         self.books = Books(receivers, setup.steps, setup.hold)
+        self.listeners: list[Listener] = []
+        self._watch = WatchBooks(self.watch.names, receivers) if self.watch is not None else None
+        self.set_rewards(reward)
 
     @property
     def receivers(self) -> int:
@@ -103,7 +161,19 @@ class Game:
     @property
     def action_names(self) -> tuple[str, ...]:
         """Name of every element of an action."""
-        return self.setup.attack.action_names(self.setup.world)
+        return self.actor.names
+
+    @property
+    def begin_names(self) -> tuple[str, ...]:
+        """Keys of `begin_info`."""
+        return BEGIN_NAMES if self._watch is None else (*BEGIN_NAMES, *self._watch.begin_names)
+
+    @property
+    def info_names(self) -> tuple[str, ...]:
+        """Keys of the information of a step."""
+        rewards = [key for key, _ in self._reward_parts]
+        watched = () if self._watch is None else self._watch.step_names
+        return (*STEP_NAMES, *rewards, *self._ends.info_names, *watched)
 
     @property
     def step_count(self) -> NDArray[np.int64]:
@@ -119,6 +189,27 @@ class Game:
             Terms of the reward, each with a name of its own.
         """
         self._reward_parts = named_terms(terms)
+
+    def altered(self, setup: Setup | None = None, **changes: Any) -> Game:
+        """A new game, not begun yet, with some settings changed.
+
+        Parameters
+        ----------
+        setup : Setup, optional
+            Another one.
+        **changes
+            Arguments of this class by name.
+
+        Returns
+        -------
+        Game
+            Of as many receivers, without listeners.
+        """
+        return Game(
+            self.receivers,
+            self.setup if setup is None else setup,
+            **{**self._settings, **changes},
+        )
 
     def close(self) -> None:
         """End the threads; they are started again when they are needed."""
@@ -159,6 +250,9 @@ class Game:
         where = self._rows if rows is None else rows
         self.engine.reset(rngs, rows)
         self.books.reset(where, self._projection()[where])
+        self.actor.aim(self.heading_rad)
+        if self._watch is not None:
+            self._watch.reset(where, self.engine)
 
     def _projection(self) -> FloatArray:
         batch = self.engine.batch
@@ -172,14 +266,16 @@ class Game:
         Parameters
         ----------
         action : ndarray
-            (B, a) float64, C-contiguous, in [-1, 1].
+            (B, k) float64, C-contiguous, in [-1, 1].
 
         Returns
         -------
         Turn
             Rewards, ends and information.
         """
-        verdict = self.engine.step(action)
+        if self._watch is not None:
+            self._watch.forget(self.engine)
+        verdict = self.engine.step(self.actor.command(action))
         engine, world, batch = self.engine, self.setup.world, self.engine.batch
         displacement = np.empty(self.receivers)
         displace(
@@ -190,7 +286,8 @@ class Game:
             self.books.origin,
             displacement,
         )
-        score = self.books.score(displacement, verdict.alarm, engine.hold)
+        early, truncated, ends = self._judge_ends(displacement, verdict)
+        score = self.books.score(displacement, verdict.alarm, engine.hold, early)
         info: dict[str, NDArray[Any]] = {
             "time_s": world.epoch_time[batch.epochs],
             "alarm": score.alarm,
@@ -200,8 +297,39 @@ class Game:
             "displacement_m": displacement,
             "undetected_displacement_m": self.books.credited.copy(),
         }
-        reward = reward_of(self._reward_parts, score.outcome, info)
-        return Turn(reward, self.books.over(score.finished, self.end_at_alarm), info)
+        terminated = self.books.over(score.finished, self.end_at_alarm)
+        truncated &= ~terminated
+        self.books.ended = over = terminated | truncated
+        outcome = Outcome(
+            score.gain,
+            score.retraction,
+            score.first,
+            score.alarm,
+            action,
+            self.books.credited,
+            over,
+        )
+        reward = reward_of(self._reward_parts, outcome, info)
+        info.update(ends)
+        if self._watch is not None:
+            info.update(self._watch.step_info(engine))
+        return Turn(reward, terminated, truncated, info)
+
+    def _judge_ends(
+        self, displacement: FloatArray, verdict: Verdict
+    ) -> tuple[NDArray[np.bool_] | None, NDArray[np.bool_], dict[str, NDArray[Any]]]:
+        """Ends before that of the window, and what is told of them; tell the listeners, too."""
+        nobody = np.zeros(self.receivers, dtype=np.bool_)
+        if not (self._ends or self.listeners):
+            return None, nobody, {}
+        standing = Standing(self.snapshot()._replace(step=self.step_count + 1), displacement)
+        for listener in self.listeners:
+            listener(self, standing, verdict)
+        if not self._ends:
+            return None, nobody, {}
+        ends: dict[str, NDArray[Any]] = {}
+        early, truncated = self._ends.judge(standing, ends)
+        return early, truncated, ends
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
         """Information at the begin of an episode.
@@ -212,8 +340,10 @@ class Game:
             Arrays with a leading axis of receivers.
         """
         engine = self.engine
+        watched = {} if self._watch is None else self._watch.begin_info()
         return {
             "time_s": self.setup.world.epoch_time[engine.batch.epochs],
             "warmup_alarm": engine.warmup_alarm.copy(),
             "coasting": engine.batch.buffers.measured.coasting.copy(),
+            **watched,
         }

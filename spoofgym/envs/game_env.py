@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .played import Played
+from .resets import warn_unknown
 from .spaces import action_space, checked_action, observation_space
 
 Observation = NDArray[np.float32]
@@ -56,11 +57,20 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
 
     def __init__(self, game: G) -> None:
         self.render_mode = None
+        self._adopt(game)
+
+    def _adopt(self, game: G) -> None:
+        """Take a game that has not begun."""
         self.game = game
         self.observation_names, self.action_names = game.observation_names, game.action_names
         self.observation_space = observation_space(game)
         self.action_space = action_space(game)
-        self._running = False
+        self._begun = self._running = False
+
+    @property
+    def begun(self) -> bool:
+        """Whether it has been reset."""
+        return self._begun
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -72,7 +82,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         seed : int, optional
             Seeds the receiver; without it the next episode of the same stream begins.
         options : dict, optional
-            Not used.
+            There are none; they are warned of.
 
         Returns
         -------
@@ -81,9 +91,10 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         info : dict
             Whether the warm-up alarmed, and the time.
         """
+        warn_unknown(options)
         super().reset(seed=seed)
         self.game.reset([self.np_random])
-        self._running = True
+        self._begun = self._running = True
         return self.game.observe()[0], _of_one(self.game.begin_info())
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -101,7 +112,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         reward : float
             Sum of ``info["reward_*"]``.
         terminated, truncated : bool
-            The second is always False.
+            The second is False, unless an end term truncates.
         info : dict
             Parts of the reward, alarm, displacement, time.
         """
@@ -109,10 +120,10 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
             raise RuntimeError("the episode is over: call reset() before step()")
         given = checked_action(action, (len(self.action_names),), self.action_names)
         turn = self.game.step(given[None])
-        terminated = bool(turn.terminated[0])
-        self._running = not terminated
+        terminated, truncated = bool(turn.terminated[0]), bool(turn.truncated[0])
+        self._running = not (terminated or truncated)
         observation = self.game.observe()[0]
-        return observation, float(turn.reward[0]), terminated, False, _of_one(turn.info)
+        return observation, float(turn.reward[0]), terminated, truncated, _of_one(turn.info)
 
 
 def _of_one(info: dict[str, NDArray[Any]]) -> dict[str, Any]:

@@ -11,12 +11,35 @@ from ..detectors import Detector, make_detector
 from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario, make_scenario
 from .game import Game
-from .observations import ObservationTerm, terms_of
-from .rewards import RewardTerm, default_rewards
+from .observations import terms_of
+from .rewards import default_rewards
 from .setup import Setup, Timeline
+from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
 DEFAULT_ATTACK = "false-position"
+
+
+WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any] | Detector]
+"""Detectors beside the one in the loop."""
+
+
+def make_watch(spec: WatchSpec) -> tuple[Detector, ...]:
+    """Detectors beside the one in the loop.
+
+    Parameters
+    ----------
+    spec : str, mapping, Detector or sequence of them
+        Each as `make_detector` takes it.
+
+    Returns
+    -------
+    tuple of Detector
+        New ones.
+    """
+    if isinstance(spec, str | Mapping | Detector):
+        spec = (spec,)
+    return tuple(make_detector(each) for each in spec)
 
 
 def make_setup(
@@ -59,8 +82,11 @@ def make_game(
     setup: Setup,
     *,
     knowledge: str = "tracking",
-    observation: Sequence[ObservationTerm] | None = None,
-    reward: Sequence[RewardTerm] | None = None,
+    observation: ObservationSpec | None = None,
+    action: ActionSpec | None = None,
+    reward: RewardSpec | None = None,
+    end: EndSpec | None = None,
+    watch: WatchSpec = (),
     alarm_penalty_m: float = 10.0,
     end_at_alarm: bool = True,
     target_heading_deg: float = 90.0,
@@ -77,13 +103,15 @@ def make_game(
         World, victim, attack, detector, timeline.
     knowledge : {"blind", "tracking", "oracle"}
         What the spoofer observes, where `observation` does not say it.
-    observation : sequence of ObservationTerm, optional
-        Terms of the observation.
-    reward : sequence of RewardTerm, optional
-        Terms of the reward.
+    observation, action, reward, end : optional
+        Terms, as `make_terms` takes them.
+    watch : sequence of str, mapping or Detector
+        Detectors beside the one in the loop, each as `make_detector` takes it.
     alarm_penalty_m : float
         Price of an alarm, where `reward` does not say it.
-    end_at_alarm, target_heading_deg, threads, prefetch : optional
+    end_at_alarm : bool
+        Whether an alarm ends the episode, where `end` does not say it.
+    target_heading_deg, threads, prefetch : optional
         As in `Game`.
 
     Returns
@@ -94,8 +122,15 @@ def make_game(
     return Game(
         receivers,
         setup,
-        observation=terms_of(knowledge) if observation is None else tuple(observation),
-        reward=default_rewards(alarm_penalty_m) if reward is None else tuple(reward),
+        observation=(
+            terms_of(knowledge) if observation is None else make_terms("observation", observation)
+        ),
+        action=None if action is None else make_terms("action", action),
+        reward=(
+            default_rewards(alarm_penalty_m) if reward is None else make_terms("reward", reward)
+        ),
+        end=None if end is None else make_terms("end", end),
+        watch=make_watch(watch),
         end_at_alarm=end_at_alarm,
         target_heading_deg=target_heading_deg,
         threads=threads,

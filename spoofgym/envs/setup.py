@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +15,7 @@ from ..receiver import TightlyCoupled
 from ..receiver.matching import assumed_noise
 from ..sim.scenario import Scenario
 from ..sim.world import World
+from .witness import Witness
 
 MOST_EPOCHS = 100_000
 """Longest episode."""
@@ -122,6 +125,11 @@ class Setup:
     timeline : Timeline
         Phases of an episode.
 
+    Attributes
+    ----------
+    witnesses : tuple of Witness
+        What looks at every epoch beside the detector; copied for every batch.
+
     Raises
     ------
     ValueError
@@ -138,6 +146,7 @@ class Setup:
     ) -> None:
         self.scenario, self.receiver, self.timeline = scenario, receiver, timeline
         self.attack, self.detector = attack, detector
+        self.witnesses: tuple[Witness, ...] = ()
         self.world: World = scenario.world()
         interval = scenario.epoch_interval_s
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval)
@@ -160,3 +169,27 @@ class Setup:
         C_ne = C_en.T
         # the error turns the local axes: C_nb (estimated) = dC C_nb
         self.first_C_eb = C_en @ (error.T @ (C_ne @ self.world.C_eb[0]))
+
+    def altered(
+        self, *, detector: Detector | None = None, witnesses: Sequence[Witness] | None = None
+    ) -> Setup:
+        """The same world and attack, with another detector or other witnesses.
+
+        Parameters
+        ----------
+        detector : Detector, optional
+            In the loop.
+        witnesses : sequence of Witness, optional
+            Beside it.
+
+        Returns
+        -------
+        Setup
+            A new one that shares the world.
+        """
+        other = copy.copy(self)
+        if detector is not None:
+            other.detector = detector
+        if witnesses is not None:
+            other.witnesses = tuple(witnesses)
+        return other

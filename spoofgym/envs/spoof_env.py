@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from ..attacks import Attack
@@ -11,10 +11,9 @@ from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario
 from .game import Game
 from .game_env import GameEnv, refuse_rendering
-from .observations import ObservationTerm
-from .presets import DEFAULT_ATTACK, make_game, make_setup
-from .rewards import RewardTerm
+from .presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
 from .setup import Timeline
+from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec
 
 
 class SpoofEnv(GameEnv[Game]):
@@ -47,7 +46,7 @@ class SpoofEnv(GameEnv[Game]):
     in ``info["warmup_alarm"]``; nothing is drawn again for it.
 
     **End.** `terminated` after the last command of the attack window (300 by default), or at an
-    alarm. `truncated` never.
+    alarm. `truncated` never, unless an end term does it.
 
     Parameters
     ----------
@@ -64,14 +63,21 @@ class SpoofEnv(GameEnv[Game]):
         Lengths of warm-up, attack window and time to alert.
     knowledge : {"tracking", "blind", "oracle"}
         What the spoofer observes.
-    observation : sequence of ObservationTerm, optional
-        Own list of terms instead of `knowledge`.
-    reward : sequence of RewardTerm, optional
+    observation : str, mapping, path, ObservationTerm or sequence of them, optional
+        Own list of terms instead of `knowledge`, as `make_terms` takes them.
+    action : str, mapping, path, ActionTerm or sequence of them, optional
+        Own list of terms instead of the attack's elements.
+    reward : str, mapping, path, RewardTerm or sequence of them, optional
         Own list of terms instead of the above.
+    end : str, mapping, path, EndTerm or sequence of them, optional
+        Own list of terms instead of `end_at_alarm`.
+    watch : sequence of str, mapping or Detector
+        Detectors that judge the same epochs and change nothing; ``info["watch_NAME_alarm"]`` and
+        more tell of them.
     alarm_penalty_m : float
         Price of an alarm.
     end_at_alarm : bool
-        Whether an alarm ends the episode.
+        Whether an alarm ends the episode, where `end` does not say it.
     target_heading_deg : float
         Direction in which displacement counts, clockwise from north.
     render_mode : None
@@ -105,8 +111,11 @@ class SpoofEnv(GameEnv[Game]):
         receiver: Mapping[str, Any] | TightlyCoupled | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
-        observation: Sequence[ObservationTerm] | None = None,
-        reward: Sequence[RewardTerm] | None = None,
+        observation: ObservationSpec | None = None,
+        action: ActionSpec | None = None,
+        reward: RewardSpec | None = None,
+        end: EndSpec | None = None,
+        watch: WatchSpec = (),
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
@@ -125,7 +134,10 @@ class SpoofEnv(GameEnv[Game]):
             setup,
             knowledge=knowledge,
             observation=observation,
+            action=action,
             reward=reward,
+            end=end,
+            watch=watch,
             alarm_penalty_m=alarm_penalty_m,
             end_at_alarm=end_at_alarm,
             target_heading_deg=target_heading_deg,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
@@ -13,10 +13,10 @@ from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario
 from .game import Game
 from .game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
-from .observations import ObservationTerm
-from .presets import DEFAULT_ATTACK, make_game, make_setup
-from .rewards import RewardTerm
+from .infos import InfoSpec
+from .presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
 from .setup import Timeline
+from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec
 
 
 class SpoofVectorEnv(GameVectorEnv[Game]):
@@ -26,17 +26,20 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
     ----------
     num_envs : int
         Receivers, at least 1.
-    autoreset_mode : {"next_step", "same_step"} or AutoresetMode
-        When a finished receiver begins its next episode.
+    autoreset_mode : {"next_step", "same_step", "disabled"} or AutoresetMode
+        When a finished receiver begins its next episode; with ``disabled``, when ``reset`` is
+        called with ``options={"reset_mask": ...}``.
+    infos : {"all", "none"} or sequence of str
+        Which information is handed out, by its keys; `final_obs` and `final_info` always are.
     threads : int, optional
         Threads of the engine; as many as processors by default.
     prefetch : bool
         Whether one more thread warms up every receiver's next episode while the present one runs,
         also with ``threads=1``.  The bits are the same, unless those of the detector depend on the
         size of the batch: such a one cannot be reproduced with it; see `Engine`.
-    scenario, detector, attack, receiver, timeline, knowledge, observation, reward
+    scenario, detector, attack, receiver, timeline, knowledge, observation, action, reward, end
         As in `SpoofEnv`.
-    alarm_penalty_m, end_at_alarm, target_heading_deg, render_mode
+    watch, alarm_penalty_m, end_at_alarm, target_heading_deg, render_mode
         As in `SpoofEnv`.
 
     Attributes
@@ -59,6 +62,7 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
         num_envs: int = 1,
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        infos: InfoSpec = "all",
         threads: int | None = None,
         prefetch: bool = True,
         scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
@@ -67,8 +71,11 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
         receiver: Mapping[str, Any] | TightlyCoupled | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
-        observation: Sequence[ObservationTerm] | None = None,
-        reward: Sequence[RewardTerm] | None = None,
+        observation: ObservationSpec | None = None,
+        action: ActionSpec | None = None,
+        reward: RewardSpec | None = None,
+        end: EndSpec | None = None,
+        watch: WatchSpec = (),
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
@@ -88,11 +95,14 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
             setup,
             knowledge=knowledge,
             observation=observation,
+            action=action,
             reward=reward,
+            end=end,
+            watch=watch,
             alarm_penalty_m=alarm_penalty_m,
             end_at_alarm=end_at_alarm,
             target_heading_deg=target_heading_deg,
             threads=threads,
             prefetch=prefetch,
         )
-        super().__init__(game, mode)
+        super().__init__(game, mode, infos)
