@@ -84,7 +84,8 @@ class AtAlarm:
         batch = standing.snapshot.batch
         if batch.verdict is None:
             return np.zeros(batch.receivers, dtype=np.bool_)
-        return np.logical_or.reduce(batch.verdict.alarm, axis=1)
+        alarm: Mask = np.logical_or.reduce(batch.verdict.alarm, axis=1)
+        return alarm
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,8 @@ class Game:
         As it was given.
     heading_rad : ndarray
         (B,) the same for every receiver [rad].
+    settings : dict
+        Arguments as they were given, for `altered`.
     listeners : list of callable
         Each a `Listener`.
     begin_names, info_names : tuple of str
@@ -108,7 +110,7 @@ class Game:
         prefetch: bool = False,
     ) -> None:
         check_rules(end_at_alarm, target_heading_deg)
-        self._settings: dict[str, Any] = {
+        self.settings: dict[str, Any] = {
             "observation": observation,
             "reward": reward,
             "action": action,
@@ -208,7 +210,7 @@ class Game:
         return Game(
             self.receivers,
             self.setup if setup is None else setup,
-            **{**self._settings, **changes},
+            **{**self.settings, **changes},
         )
 
     def close(self) -> None:

@@ -57,10 +57,16 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
 
     def __init__(self, game: G) -> None:
         self.render_mode = None
-        self._adopt(game)
+        self.adopt(game)
 
-    def _adopt(self, game: G) -> None:
-        """Take a game that has not begun."""
+    def adopt(self, game: G) -> None:
+        """Take a game that has not begun.
+
+        Parameters
+        ----------
+        game : Played
+            Instead of the present one, if there is one.
+        """
         self.game = game
         self.observation_names, self.action_names = game.observation_names, game.action_names
         self.observation_space = observation_space(game)

@@ -105,10 +105,16 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         self.metadata = {**type(self).metadata, "autoreset_mode": autoreset_mode}
         self.render_mode = None
         self._infos = infos
-        self._adopt(game)
+        self.adopt(game)
 
-    def _adopt(self, game: G) -> None:
-        """Take a game that has not begun."""
+    def adopt(self, game: G) -> None:
+        """Take a game that has not begun.
+
+        Parameters
+        ----------
+        game : Played
+            Instead of the present one, if there is one.
+        """
         self.game, self.num_envs = game, game.receivers
         self.observation_names, self.action_names = game.observation_names, game.action_names
         self.single_observation_space = observation_space(game)

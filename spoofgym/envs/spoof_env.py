@@ -87,6 +87,8 @@ class SpoofEnv(GameEnv[Game]):
     ----------
     observation_names, action_names : tuple of str
         Name of every element.
+    given_detector : object
+        Detector that has been set, as it was given; None for the default.
 
     Examples
     --------
@@ -143,4 +145,5 @@ class SpoofEnv(GameEnv[Game]):
             target_heading_deg=target_heading_deg,
             threads=1,
         )
+        self.given_detector: Any = detector
         super().__init__(game)

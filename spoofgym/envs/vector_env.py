@@ -46,6 +46,8 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
     ----------
     observation_names, action_names : tuple of str
         Name of every element.
+    given_detector : object
+        Detector that has been set, as it was given; None for the default.
 
     Examples
     --------
@@ -105,4 +107,5 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
             threads=threads,
             prefetch=prefetch,
         )
+        self.given_detector: Any = detector
         super().__init__(game, mode, infos)
