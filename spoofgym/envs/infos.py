@@ -80,7 +80,8 @@ def masked(info: Mapping[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]
         With a key ``_<name>`` beside every name.
     """
     result: dict[str, Any] = dict(info)
-    masks = np.tile(mask, (len(info), 1))  # a row each, so that none is shared
+    masks = np.empty((len(info), len(mask)), dtype=np.bool_)  # a row each, so that none is shared
+    masks[:] = mask
     for name, row in zip(info, masks, strict=True):
-        result[f"_{name}"] = row
+        result["_" + name] = row
     return result

@@ -127,10 +127,8 @@ class OwnCommand:
         attack = snapshot.batch.attack
         axes = out.shape[1] // 2
         memory = attack.memory
-        np.multiply(memory["displacement"], 1.0 / self.scale_m, out=out[:, :axes], casting="unsafe")
-        np.multiply(
-            memory["rate"], 1.0 / attack.rate_limit_mps, out=out[:, axes:], casting="unsafe"
-        )
+        out[:, :axes] = memory["displacement"] * (1.0 / self.scale_m)
+        out[:, axes:] = memory["rate"] * (1.0 / attack.rate_limit_mps)
 
 
 @dataclass(frozen=True)

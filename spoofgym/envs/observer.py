@@ -64,6 +64,7 @@ class Observer:
             raise ValueError(f"two terms write the same observation: {', '.join(twice)}")
         self.low = np.array(low, dtype=np.float32)
         self.high = np.array(high, dtype=np.float32)
+        self._bounds = np.zeros((2, 0, len(names)), dtype=np.float32)
         self.knowledge = KNOWLEDGE[max(KNOWLEDGE.index(term.knowledge) for term in terms)]
 
     def observe(self, snapshot: Snapshot) -> NDArray[np.float32]:
@@ -79,13 +80,16 @@ class Observer:
         ndarray
             (B, o) float32, a new array within the bounds.
         """
-        out = np.take(self._table, snapshot.batch.epochs, axis=0)
+        out = self._table.take(snapshot.batch.epochs, axis=0)
         for term, part in self._parts:
-            own = out[:, part]
-            term(snapshot, own)
-            # min and max, since np.clip costs three times as much on small arrays
-            np.maximum(own, self.low[part], out=own)
-            np.minimum(own, self.high[part], out=own)
+            term(snapshot, out[:, part])
+        if self._parts:
+            if self._bounds.shape[1] != len(out):
+                self._bounds = np.repeat(np.array([self.low, self.high])[:, None], len(out), axis=1)
+            # min and max, since np.clip costs three times as much on small arrays, and of equal
+            # shapes, since a part or a row is a short loop each; the table lies within the bounds
+            np.maximum(out, self._bounds[0], out=out)
+            np.minimum(out, self._bounds[1], out=out)
         return out
 
     def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:

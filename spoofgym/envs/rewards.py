@@ -132,7 +132,9 @@ class AlarmPenalty:
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         """The price, where the first alarm came."""
-        return np.where(outcome.detected, -self.penalty_m, 0.0)
+        result = np.zeros(len(outcome.detected))
+        result[outcome.detected] = -self.penalty_m
+        return result
 
 
 @dataclass(frozen=True)
@@ -271,6 +273,6 @@ def reward_of(
     """
     reward = np.zeros(len(outcome.gain))
     for key, term in terms:
-        info[key] = term(outcome)
-        reward += info[key]
+        part = info[key] = term(outcome)
+        reward += part
     return reward
