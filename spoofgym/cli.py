@@ -609,7 +609,7 @@ def perf(
     """Measure how fast this machine steps the environments, resets included."""
     from .bench.perf import machine, overhead, single_speed, vector_speed
 
-    found = {
+    found: dict[str, Any] = {
         "machine": machine(),
         "single": single_speed(duration),
         "vector": vector_speed(num_envs, threads, duration),

@@ -150,6 +150,7 @@ def overhead(num_envs: int = 64, rounds: int = 5, **settings: Any) -> dict[str, 
     command = env.game.actor.command(np.zeros((num_envs, len(env.action_names))))
 
     def seconds(step: Callable[[Any], Any], what: Any) -> float:
+        """Processor time of the steps of an episode."""
         env.reset(seed=0)
         began = time.thread_time()
         for _ in range(steps):
