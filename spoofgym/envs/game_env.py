@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .played import Played
+from .resets import warn_unknown
 from .spaces import action_space, checked_action, observation_space
 
 Observation = NDArray[np.float32]
@@ -57,11 +58,26 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
 
     def __init__(self, game: G) -> None:
         self.render_mode = None
+        self.adopt(game)
+
+    def adopt(self, game: G) -> None:
+        """Take a game that has not begun.
+
+        Parameters
+        ----------
+        game : Played
+            Instead of the present one, if there is one.
+        """
         self.game = game
         self.observation_names, self.action_names = game.observation_names, game.action_names
         self.observation_space = observation_space(game)
         self.action_space = action_space(game)
-        self._running = False
+        self._begun = self._running = False
+
+    @property
+    def begun(self) -> bool:
+        """Whether it has been reset."""
+        return self._begun
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -74,7 +90,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
             Seeds the receiver; without it the next episode of the same stream begins.
         options : dict, optional
             ``"domain"``: circumstances that are not to be drawn, such as ``{"start_s": 10.0}``; see
-            `spoofgym.envs.domain.CHOICES`.
+            `spoofgym.envs.domain.CHOICES`.  Others are warned of.
 
         Returns
         -------
@@ -83,9 +99,10 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         info : dict
             Whether the warm-up alarmed, and the time.
         """
+        warn_unknown(options, ("domain",))
         super().reset(seed=seed)
         self.game.reset([self.np_random], given=told_domain(options))
-        self._running = True
+        self._begun = self._running = True
         return self.game.observe()[0], _of_one(self.game.begin_info())
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -103,7 +120,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         reward : float
             Sum of ``info["reward_*"]``.
         terminated, truncated : bool
-            The second is always False.
+            The second is False, unless an end term truncates.
         info : dict
             Parts of the reward, alarm, displacement, time.
         """
@@ -111,10 +128,10 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
             raise RuntimeError("the episode is over: call reset() before step()")
         given = checked_action(action, (len(self.action_names),), self.action_names)
         turn = self.game.step(given[None])
-        terminated = bool(turn.terminated[0])
-        self._running = not terminated
+        terminated, truncated = bool(turn.terminated[0]), bool(turn.truncated[0])
+        self._running = not (terminated or truncated)
         observation = self.game.observe()[0]
-        return observation, float(turn.reward[0]), terminated, False, _of_one(turn.info)
+        return observation, float(turn.reward[0]), terminated, truncated, _of_one(turn.info)
 
 
 def told_domain(options: dict[str, Any] | None) -> Mapping[str, Any] | None:
