@@ -112,8 +112,9 @@ class SpoofEnv(GameEnv[Game]):
 
     Notes
     -----
-    Version history: v0, the first.  v1: the receiver is switched on at a random time of the flight,
-    and the target direction is drawn for every episode, and observed.
+    Version history: v0, the first.  ``spoofgym/RandomStart-v0`` is the same class, with a receiver
+    that is switched on at a random time of the flight, and a target direction that is drawn for
+    every episode, and observed.
     """
 
     def __init__(

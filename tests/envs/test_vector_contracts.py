@@ -184,9 +184,9 @@ def test_a_part_of_the_receivers_can_be_seeded():
 
 def test_unknown_options_are_warned_of(name):
     envs, env = make(name), gym.make(name, **settings(name))
-    with pytest.warns(UserWarning, match=r"no option 'speed'; valid: reset_mask"):
+    with pytest.warns(UserWarning, match=r"no option 'speed'; valid: domain, reset_mask"):
         envs.reset(seed=0, options={"speed": 2})
-    with pytest.warns(UserWarning, match=r"no option 'speed'; valid: none"):
+    with pytest.warns(UserWarning, match=r"no option 'speed'; valid: domain"):
         env.reset(seed=0, options={"speed": 2})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
