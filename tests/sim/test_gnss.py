@@ -67,6 +67,7 @@ def epochs_of(errors, count, tau=0.5, bias_sd=0.0, change=None):
             0,
             buffers.keys[2, 0],
             buffers.keys[1, 0],
+            buffers.keys[7, 0],
             k,
             tau if k else 0.0,
             truth,
