@@ -181,6 +181,8 @@ class Batch:
         self.attack.command(
             self._action, self.epochs, sensors.range_offset, sensors.rate_offset, lo, hi
         )
+        if self.attack.replaces_errors:
+            sensors.authentic[lo:hi] = self.attack.memory["authentic"][lo:hi]
         self._advance(lo, hi)
 
     def advance(self) -> Epoch:

@@ -200,6 +200,8 @@ class Game:
             "displacement_m": displacement,
             "undetected_displacement_m": self.books.credited.copy(),
         }
+        if self.setup.attack.capture is not None:
+            info["captured_channels"] = batch.attack.memory["captured"].sum(axis=1)
         reward = reward_of(self._reward_parts, score.outcome, info)
         return Turn(reward, self.books.over(score.finished, self.end_at_alarm), info)
 
