@@ -208,9 +208,7 @@ def per_channel(
 
 
 @njit
-def add_displaced(
-    shift, satellites, position_e, velocity_e, captured, coherent, d_range, d_rate
-):
+def add_displaced(shift, satellites, position_e, velocity_e, captured, coherent, d_range, d_rate):
     """Add the offsets that make captured ranges those of a displaced antenna.
 
     Both ranges are computed by the same instructions; without displacement and rate the offset is

@@ -38,6 +38,13 @@ class AttackContext(NamedTuple):
     world: World
 
 
+def _record(name: str, kind: type[Any], given: Any) -> Any:
+    """Record of an option, also from what results write of it, with the name of its class."""
+    if isinstance(given, Mapping) and given.get("kind") == kind.__qualname__:
+        given = {key: value for key, value in given.items() if key != "kind"}
+    return build_record(name, kind, given)
+
+
 @dataclass(kw_only=True)
 class Attack(ABC):
     r"""An attack commanded by rate or by acceleration of its offsets.
@@ -106,7 +113,7 @@ class Attack(ABC):
         if isinstance(self.channels, str):
             if self.channels != "all" and "*" not in self.channels:
                 raise ValueError(
-                    "`channels` must be 'all' or some satellite ids, or a pattern such as 'E*', "
+                    "`channels` must be 'all' or a pattern such as 'E*' or some satellite ids, "
                     f"got {self.channels!r}"
                 )
         else:
@@ -118,7 +125,7 @@ class Attack(ABC):
             if self.errors == "replaced":
                 self.errors = CounterfeitErrors()
         else:
-            self.errors = build_record("errors", CounterfeitErrors, self.errors)
+            self.errors = _record("errors", CounterfeitErrors, self.errors)
         for name, kind in (
             ("tracking", TrackingError),
             ("spoofer_clock", SpooferClock),
@@ -126,7 +133,7 @@ class Attack(ABC):
         ):
             given = getattr(self, name)
             if given is not None:
-                setattr(self, name, build_record(name, kind, given))
+                setattr(self, name, _record(name, kind, given))
 
     @property
     @abstractmethod
