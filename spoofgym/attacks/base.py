@@ -120,6 +120,10 @@ class Attack(ABC):
             self.channels = tuple(self.channels)
             if not self.channels:
                 raise ValueError("`channels` must name at least one satellite")
+        self._check_options()
+
+    def _check_options(self) -> None:
+        """Make records of the options."""
         if isinstance(self.errors, str):
             check_choice("`errors`", self.errors, ERRORS)
             if self.errors == "replaced":
@@ -200,7 +204,7 @@ class Attack(ABC):
         Raises
         ------
         ValueError
-            When a satellite is not in the world, or a pattern fits none; those that are, are listed.
+            When a satellite is not in the world, or a pattern fits none; lists those that are.
         """
         present = [name for name in world.satellite_ids if name]
         wanted = (self.channels,) if isinstance(self.channels, str) else self.channels

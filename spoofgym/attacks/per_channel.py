@@ -17,8 +17,8 @@ class PerChannel(Attack):
     """Offset added to the pseudorange of every captured satellite, as in the five papers.
 
     What the spoofer changes is the authentic range itself; with `tracking`, the range that it takes
-    for the authentic one, at a wrong position.  The limits apply to each channel for itself.  Offsets of satellites that are not in view have no
-    effect.
+    for the authentic one, at a wrong position.  The limits apply to each channel for itself.
+    Offsets of satellites that are not in view have no effect.
 
     Parameters
     ----------

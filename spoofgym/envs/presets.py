@@ -39,7 +39,8 @@ def make_setup(
     scenario : str, mapping or Scenario
         As `make_scenario` takes it.
     receiver : str, mapping or TightlyCoupled, optional
-        A name in `RECEIVERS`, or settings of `TightlyCoupled`; its grade is that of the scenario's sensors by default.
+        A name in `RECEIVERS`, or settings of `TightlyCoupled`; its grade is that of the scenario's
+        sensors by default.
     attack : str, mapping or Attack
         As `make_attack` takes it.
     detector : str, mapping or Detector, optional

@@ -38,8 +38,8 @@ which lies between 1 (white) and N (constant).  By the same argument as above
 
 For 35 s and epochs of 0.5 s, s is about 140 long before the end, so that this part is right from a
 few minutes on.  Range rates come from the carrier, which does not wander, and keep their variance.
-Both formulas assume a filter that remembers the whole run; even with range rates of 8 cm/s, a crystal
-clock and consumer sensors it does.
+Both formulas assume a filter that remembers the whole run; even with range rates of 8 cm/s, a
+crystal clock and consumer sensors it does.
 
 **Manoeuvres.**  A rotation :math:`\int \omega\,dt` leaves an error of attitude of m times its
 size, with m a typical scale-factor or cross-coupling error, and a change :math:`\Delta f` of the

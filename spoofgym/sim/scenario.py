@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeGuard
 
 from .._registry import check_choice
 from .constellation import (
@@ -112,7 +112,9 @@ def _world(
     )
 
 
-def _is_analytic(constellation: Constellation) -> bool:
+def _is_analytic(
+    constellation: Constellation,
+) -> TypeGuard[CircularConstellation | CombinedConstellation]:
     """Whether a constellation is made of circular ones alone, so that equal ones are one."""
     if isinstance(constellation, CombinedConstellation):
         return all(map(_is_analytic, constellation.parts))
@@ -122,7 +124,7 @@ def _is_analytic(constellation: Constellation) -> bool:
 @lru_cache(maxsize=8)
 def _named_world(
     flight: str,
-    constellation: Constellation,
+    constellation: CircularConstellation | CombinedConstellation,
     epoch_interval_s: float,
     channels: int,
     mask_deg: float,
@@ -155,8 +157,8 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "ke2022": lambda: _ke2022("ke2022", "ke2022"),
     "ke2022-white": lambda: _ke2022("ke2022-white", "white"),
 }
-"""Scenarios by name: the flight of `zhong2025` under the errors and grades that they name, also with
-a second constellation whose ids begin with E, and that of `ke2022` at 1 Hz, with the satellite
+"""Scenarios by name: the flight of `zhong2025` under the errors and grades that they name, also
+with a second constellation whose ids begin with E, and that of `ke2022` at 1 Hz, with the satellite
 biases of its errors and without."""
 
 

@@ -45,7 +45,7 @@ def test_changed_settings_of_a_threat_stand_in_its_label():
 
 
 def test_an_unknown_threat_is_told_the_near_one():
-    with pytest.raises(ValueError, match="valid: false-position, .*did you mean 'tracking-1m'"):
+    with pytest.raises(ValueError, match=r"valid: false-position, .*did you mean 'tracking-1m'"):
         make_attack("tracking-2m")
 
 
@@ -55,7 +55,7 @@ def test_a_threat_is_taken_where_an_attack_is():
     assert env.unwrapped.game.setup.attack.label == "meaconer"
     assert env.unwrapped.game.setup.receiver.tuning == "matched"
     env.close()
-    with pytest.raises(ValueError, match="unknown receiver 'match'; .*did you mean 'matched'"):
+    with pytest.raises(ValueError, match=r"unknown receiver 'match'; .*did you mean 'matched'"):
         single(receiver="match")
 
 
