@@ -51,7 +51,7 @@ __all__ = [
 def env(
     *,
     scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
-    receiver: Mapping[str, Any] | TightlyCoupled | None = None,
+    receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
     attack: str | Mapping[str, Any] | Attack = "false-position",
     timeline: Mapping[str, float] | Timeline | None = None,
     knowledge: str = "tracking",

@@ -5,14 +5,34 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .._registry import build
+from .._registry import build, check_choice
 from .base import Attack, AttackContext
 from .false_position import FalsePosition
+from .meaconer import Meaconer
+from .options import Capture, CounterfeitErrors, SpooferClock, TrackingError
 from .per_channel import PerChannel
+from .threats import THREATS
 
-__all__ = ["ATTACKS", "Attack", "AttackContext", "FalsePosition", "PerChannel", "make_attack"]
+__all__ = [
+    "ATTACKS",
+    "THREATS",
+    "Attack",
+    "AttackContext",
+    "Capture",
+    "CounterfeitErrors",
+    "FalsePosition",
+    "Meaconer",
+    "PerChannel",
+    "SpooferClock",
+    "TrackingError",
+    "make_attack",
+]
 
-ATTACKS: dict[str, type[Attack]] = {"false-position": FalsePosition, "per-channel": PerChannel}
+ATTACKS: dict[str, type[Attack]] = {
+    "false-position": FalsePosition,
+    "per-channel": PerChannel,
+    "meaconer": Meaconer,
+}
 """Attacks by name."""
 
 
@@ -22,8 +42,8 @@ def make_attack(spec: str | Mapping[str, Any] | Attack) -> Attack:
     Parameters
     ----------
     spec : str, mapping or Attack
-        A name in `ATTACKS`; ``{"name": ..., "setting": value, ...}``; or an attack, which is
-        copied.
+        A name in `ATTACKS` or in `THREATS`; ``{"name": ..., "setting": value, ...}``, which changes
+        settings of a threat, and says so in its label; or an attack, which is copied.
 
     Returns
     -------
@@ -36,5 +56,22 @@ def make_attack(spec: str | Mapping[str, Any] | Attack) -> Attack:
         When the name or a setting is unknown; the valid ones are listed.
     TypeError
         When `spec` is something else.
+
+    Examples
+    --------
+    >>> from spoofgym.attacks import make_attack
+    >>> make_attack("tracking-1m").label
+    'tracking-1m'
+    >>> make_attack({"name": "tracking-1m", "rate_limit_mps": 1.0}).label
+    'tracking-1m rate_limit_mps=1.0'
     """
+    if isinstance(spec, str):
+        spec = {"name": spec}
+    if isinstance(spec, Mapping) and isinstance(spec.get("name"), str):
+        name = spec["name"]
+        check_choice("attack", name, [*ATTACKS, *THREATS])
+        if name in THREATS:
+            settings = {key: value for key, value in spec.items() if key != "name"}
+            changed = "".join(f" {key}={settings[key]}" for key in sorted(settings))
+            spec = {**THREATS[name], "threat": f"{name}{changed}", **settings}
     return build("attack", ATTACKS, Attack, spec)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from .._jit import njit
 from ..earth.ranging import range_and_rate
 
@@ -72,6 +74,7 @@ def false_position(
     displacement,
     rate,
     to_ecef,
+    target_error,
     coherent,
     epochs,
     epoch_time,
@@ -95,6 +98,8 @@ def false_position(
         As in `kinematic_step`, with a leading axis of receivers.
     to_ecef : ndarray
         (B, a, 3) commanded axes in ECEF axes.
+    target_error : ndarray
+        (B, 6) what the spoofer's idea of the true antenna is wrong by, ECEF [m], [m/s].
     coherent : bool
         Whether range rates follow.
     epochs : ndarray
@@ -114,8 +119,11 @@ def false_position(
         kinematic_step(
             action[b], hold, tau, True, by_rate, unit_scale, rate_limit, displacement[b], rate[b]
         )
-        dx, dy, dz, ex, ey, ez = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        wrong = target_error[b]
+        dx, dy, dz, ex, ey, ez = wrong[0], wrong[1], wrong[2], wrong[3], wrong[4], wrong[5]
         still = True
+        for i in range(6):
+            still = still and wrong[i] == 0.0
         for i in range(displacement.shape[1]):
             d, e = displacement[b, i], rate[b, i]
             still = still and d == 0.0 and e == 0.0
@@ -197,3 +205,213 @@ def per_channel(
             d_range[b, slots[i]] = displacement[b, i]
             if coherent:
                 d_rate[b, slots[i]] = rate[b, i]
+
+
+@njit
+def add_displaced(shift, satellites, position_e, velocity_e, captured, coherent, d_range, d_rate):
+    """Add the offsets that make captured ranges those of a displaced antenna.
+
+    Both ranges are computed by the same instructions; without displacement and rate the offset is
+    exactly zero.
+
+    Parameters
+    ----------
+    shift : ndarray
+        (6,) displacement and its rate, ECEF [m], [m/s].
+    satellites : ndarray
+        (n, 8) truth of the epoch.
+    position_e, velocity_e : ndarray
+        (3,) true antenna.
+    captured : ndarray
+        (n,) bool, which channels are the spoofer's.
+    coherent : bool
+        Whether range rates follow.
+    d_range, d_rate : ndarray
+        (n,), added to [m], [m/s].
+    """
+    still = True
+    for i in range(6):
+        still = still and shift[i] == 0.0
+    if still:
+        return
+    for s in range(captured.shape[0]):
+        p = satellites[s]
+        if not captured[s] or p[6] == 0.0:
+            continue
+        for counterfeit in range(2):
+            f = float(counterfeit)
+            rho, change, _, _, _ = range_and_rate(
+                p[0],
+                p[1],
+                p[2],
+                p[3],
+                p[4],
+                p[5],
+                position_e[0] + f * shift[0],
+                position_e[1] + f * shift[1],
+                position_e[2] + f * shift[2],
+                velocity_e[0] + f * shift[3],
+                velocity_e[1] + f * shift[4],
+                velocity_e[2] + f * shift[5],
+            )
+            d_range[s] += (2.0 * f - 1.0) * rho
+            if coherent:
+                d_rate[s] += (2.0 * f - 1.0) * change
+
+
+@njit
+def displaced_ranges(
+    shift,
+    coherent,
+    epochs,
+    satellites,
+    position_e,
+    velocity_e,
+    captured,
+    d_range,
+    d_rate,
+    lo,
+    hi,
+):
+    """Add to all receivers' offsets those of antennas that are displaced from the true ones.
+
+    Parameters
+    ----------
+    shift : ndarray
+        (B, 6) displacement and its rate, ECEF [m], [m/s].
+    coherent : bool
+        Whether range rates follow.
+    epochs : ndarray
+        (B,) epoch that each receiver is at; the next one is measured.
+    satellites, position_e, velocity_e : ndarray
+        Truth, of `World`.
+    captured : ndarray
+        (n,) bool, which channels are the spoofer's.
+    d_range, d_rate : ndarray
+        (B, n), added to [m], [m/s].
+    lo, hi : int
+        Slice of receivers.
+    """
+    for b in range(lo, hi):
+        k = epochs[b] + 1
+        add_displaced(
+            shift[b],
+            satellites[k],
+            position_e[k],
+            velocity_e[k],
+            captured,
+            coherent,
+            d_range[b],
+            d_rate[b],
+        )
+
+
+@njit
+def one_sided_step(action, hold, tau, by_rate, unit_scale, rate_limit, displacement, rate):
+    r"""Move one commanded offset that cannot fall below zero to the end of an interval, in place.
+
+    As `kinematic_step`, but the rate stays above :math:`-w`, with which the offset can still come
+    to rest at zero within the limit of acceleration a,
+
+    .. math:: w = \sqrt{a^2 \tau^2 + 2 a \max(D + v \tau / 2, 0)} - a \tau
+
+    or, where rates are commanded, :math:`w = D / \tau`.
+
+    Parameters
+    ----------
+    action, hold, tau, by_rate, unit_scale, rate_limit, displacement, rate
+        As in `kinematic_step`, of one element.
+    """
+    offset, old = displacement[0], rate[0]
+    u = min(max(action[0], -1.0), 1.0)
+    if by_rate:
+        new = old if hold else unit_scale * u
+        new = max(new, -offset / tau)
+        old = new
+    else:
+        step = unit_scale * tau
+        new = old if hold else min(max(old + step * u, -rate_limit), rate_limit)
+        ahead = max(offset + 0.5 * old * tau, 0.0)
+        new = max(new, step - math.sqrt(step * step + 2.0 * unit_scale * ahead))
+    displacement[0] = max(offset + 0.5 * (old + new) * tau, 0.0)
+    rate[0] = new
+
+
+@njit
+def meaconer(
+    action,
+    hold,
+    by_rate,
+    unit_scale,
+    rate_limit,
+    displacement,
+    rate,
+    antenna,
+    follows,
+    coherent,
+    onsets,
+    epochs,
+    epoch_time,
+    satellites,
+    position_e,
+    velocity_e,
+    captured,
+    d_range,
+    d_rate,
+    lo,
+    hi,
+):
+    """Command the delay of a replay, and write the offsets of the meaconer's antenna and its delay.
+
+    Parameters
+    ----------
+    action, hold, by_rate, unit_scale, rate_limit, displacement, rate
+        As in `kinematic_step`, with a leading axis of receivers, and one element.
+    antenna : ndarray
+        (B, 3) from the target's to the meaconer's antenna at the onset, ECEF [m].
+    follows : bool
+        Whether it stays at the target's side, or where it was on the Earth.
+    coherent : bool
+        Whether range rates follow.
+    onsets, epochs : ndarray
+        (B,) epoch of the onset, and epoch that each receiver is at; the next one is measured.
+    epoch_time, satellites, position_e, velocity_e : ndarray
+        Truth, of `World`.
+    captured : ndarray
+        (n,) bool, which channels are the spoofer's.
+    d_range, d_rate : ndarray
+        (B, n), written: offsets [m], [m/s].
+    lo, hi : int
+        Slice of receivers.
+    """
+    shift = np.zeros(6)
+    for b in range(lo, hi):
+        k = epochs[b] + 1
+        tau = epoch_time[k] - epoch_time[k - 1]
+        one_sided_step(
+            action[b], hold, tau, by_rate, unit_scale, rate_limit, displacement[b], rate[b]
+        )
+        square, closing = 0.0, 0.0
+        for i in range(3):
+            shift[i] = antenna[b, i]
+            if not follows:
+                shift[i] += position_e[onsets[b], i] - position_e[k, i]
+                shift[3 + i] = -velocity_e[k, i]
+            square += shift[i] * shift[i]
+            closing += shift[i] * shift[3 + i]
+        way = math.sqrt(square)
+        delay = displacement[b, 0] + way
+        change = rate[b, 0] + (closing / way if way > 0.0 else 0.0)
+        for s in range(captured.shape[0]):
+            d_range[b, s] = delay if captured[s] else 0.0
+            d_rate[b, s] = change if captured[s] and coherent else 0.0
+        add_displaced(
+            shift,
+            satellites[k],
+            position_e[k],
+            velocity_e[k],
+            captured,
+            coherent,
+            d_range[b],
+            d_rate[b],
+        )

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from fnmatch import fnmatchcase
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
+from .._registry import build_record, check_choice
 from ..sim.world import World
+from .equipment import Equipment
+from .options import Capture, CounterfeitErrors, SpooferClock, TrackingError
 
 FloatArray = NDArray[np.float64]
 CONTROLS = ("rate", "acceleration")
+ERRORS = ("inherited", "replaced")
 
 
 class AttackContext(NamedTuple):
@@ -30,6 +36,13 @@ class AttackContext(NamedTuple):
 
     receivers: int
     world: World
+
+
+def _record(name: str, kind: type[Any], given: Any) -> Any:
+    """Record of an option, also from what results write of it, with the name of its class."""
+    if isinstance(given, Mapping) and given.get("kind") == kind.__qualname__:
+        given = {key: value for key, value in given.items() if key != "kind"}
+    return build_record(name, kind, given)
 
 
 @dataclass(kw_only=True)
@@ -54,15 +67,38 @@ class Attack(ABC):
     coherent : bool
         Whether the range rates follow the commanded ranges.  If not, the code drifts away from the
         carrier, which a receiver could see: the attack is labelled ``pseudorange-only``.
-    channels : "all" or tuple of str
-        Ids of the satellites that are counterfeited.
+    channels : "all", str or tuple of str
+        Which satellites are counterfeited: ids, or patterns such as ``"E*"`` for a whole
+        constellation.
+    errors : {"inherited", "replaced"}, mapping or CounterfeitErrors
+        ``"inherited"``: the authentic errors stay in the counterfeit measurements; else settings of
+        what takes their place at the capture, ``"replaced"`` for the default ones.
+    tracking : mapping or TrackingError, optional
+        How badly the spoofer knows the target's position; perfectly by default.
+    spoofer_clock : mapping or SpooferClock, optional
+        Clock of the spoofer; perfect by default.
+    capture : mapping or Capture, optional
+        When channels follow the counterfeit signals; all of them at the onset by default.
+    threat : str
+        Name in `THREATS` that the settings belong to, for results; `make_attack` sets it.
+
+    Attributes
+    ----------
+    one_sided : bool
+        Whether offsets cannot fall below zero.
     """
 
+    one_sided: ClassVar[bool] = False
     control: str = "acceleration"
     acceleration_limit_mps2: float = 0.05
     rate_limit_mps: float = 5.0
     coherent: bool = True
     channels: str | tuple[str, ...] = "all"
+    errors: str | Mapping[str, Any] | CounterfeitErrors = "inherited"
+    tracking: Mapping[str, Any] | TrackingError | None = None
+    spoofer_clock: Mapping[str, Any] | SpooferClock | None = None
+    capture: Mapping[str, Any] | Capture | None = None
+    threat: str = ""
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -75,14 +111,33 @@ class Attack(ABC):
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"`{name}` must be finite and > 0, got {value}")
         if isinstance(self.channels, str):
-            if self.channels != "all":
+            if self.channels != "all" and "*" not in self.channels:
                 raise ValueError(
-                    f"`channels` must be 'all' or some satellite ids, got {self.channels!r}"
+                    "`channels` must be 'all' or a pattern such as 'E*' or some satellite ids, "
+                    f"got {self.channels!r}"
                 )
         else:
             self.channels = tuple(self.channels)
             if not self.channels:
                 raise ValueError("`channels` must name at least one satellite")
+        self._check_options()
+
+    def _check_options(self) -> None:
+        """Make records of the options."""
+        if isinstance(self.errors, str):
+            check_choice("`errors`", self.errors, ERRORS)
+            if self.errors == "replaced":
+                self.errors = CounterfeitErrors()
+        else:
+            self.errors = _record("errors", CounterfeitErrors, self.errors)
+        for name, kind in (
+            ("tracking", TrackingError),
+            ("spoofer_clock", SpooferClock),
+            ("capture", Capture),
+        ):
+            given = getattr(self, name)
+            if given is not None:
+                setattr(self, name, _record(name, kind, given))
 
     @property
     @abstractmethod
@@ -92,8 +147,39 @@ class Attack(ABC):
     @property
     def label(self) -> str:
         """Threat in a word, for results."""
-        partial = "" if self.channels == "all" else "-partial"
-        return f"{self.kind}{partial}" + ("" if self.coherent else "-pseudorange-only")
+        name = self.threat or self.kind + ("" if self.channels == "all" else "-partial")
+        if not self.threat:
+            options = {
+                "replaced": self.errors != "inherited",
+                "tracking": self.tracking is not None,
+                "clock": self.spoofer_clock is not None,
+                "capture": self.capture is not None,
+            }
+            name += "".join(f"-{word}" for word, chosen in options.items() if chosen)
+        hint = "" if self.coherent or "pseudorange-only" in name else "-pseudorange-only"
+        return name + hint
+
+    @property
+    def equipment(self) -> Equipment:
+        """Options as records."""
+        records: dict[str, Any] = {
+            "errors": None if self.errors == "inherited" else self.errors,
+            "tracking": self.tracking,
+            "clock": self.spoofer_clock,
+            "capture": self.capture,
+        }
+        return Equipment(**records)
+
+    @property
+    def replaces_errors(self) -> bool:
+        """Whether ``memory["authentic"]`` tells which authentic errors stay."""
+        return self.errors != "inherited"
+
+    @property
+    def idle_is_clean(self) -> bool:
+        """Whether an attack without commands leaves the measurements as they are, exactly."""
+        imperfect = self.tracking is not None or self.spoofer_clock is not None
+        return not (imperfect or self.replaces_errors)
 
     @property
     def unit_scale(self) -> float:
@@ -118,18 +204,23 @@ class Attack(ABC):
         Raises
         ------
         ValueError
-            When a satellite is not in the world; those that are, are listed.
+            When a satellite is not in the world, or a pattern fits none; lists those that are.
         """
         present = [name for name in world.satellite_ids if name]
-        if self.channels == "all":
-            return np.array([bool(name) for name in world.satellite_ids])
-        for name in self.channels:
-            if name not in present:
+        wanted = (self.channels,) if isinstance(self.channels, str) else self.channels
+        patterns = ["*" if name == "all" else name for name in wanted]
+        for pattern in patterns:
+            if not any(fnmatchcase(name, pattern) for name in present):
                 raise ValueError(
-                    f"satellite {name!r} is not in view on {world.name!r}; in view: "
+                    f"satellite {pattern!r} is not in view on {world.name!r}; in view: "
                     f"{', '.join(present)}"
                 )
-        return np.array([name in self.channels and bool(name) for name in world.satellite_ids])
+        return np.array(
+            [
+                bool(name) and any(fnmatchcase(name, pattern) for pattern in patterns)
+                for name in world.satellite_ids
+            ]
+        )
 
     @abstractmethod
     def action_names(self, world: World) -> tuple[str, ...]:
@@ -163,6 +254,8 @@ class Attack(ABC):
         self.memory.declare("rate", np.zeros((context.receivers, axes)))
         self.memory.declare("onset", np.zeros(context.receivers, dtype=np.int64))
         self.memory.declare("key", np.zeros((context.receivers, 2), dtype=np.uint64))
+        self._equipment = self.equipment
+        self._equipment.declare(self.memory, context.world.channels)
 
     def begin(
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
@@ -180,6 +273,24 @@ class Attack(ABC):
         """
         self.memory["onset"][rows] = onsets
         self.memory["key"][rows] = keys
+        self._equipment.begin(self.memory, self.world, rows, keys, onsets)
+
+    def _prepare(self, epochs: NDArray[np.int64], lo: int, hi: int) -> None:
+        """Let what the spoofer knows, and its clock, come to the coming epoch."""
+        self._equipment.advance(self.memory, self.world, epochs, lo, hi)
+
+    def _transmit(
+        self,
+        epochs: NDArray[np.int64],
+        d_range: FloatArray,
+        d_rate: FloatArray,
+        lo: int,
+        hi: int,
+    ) -> None:
+        """Make of perfect offsets what the receivers get."""
+        self._equipment.transmit(
+            self.memory, self.world, self.mask, self.coherent, epochs, d_range, d_rate, lo, hi
+        )
 
     @abstractmethod
     def command(

@@ -21,13 +21,15 @@ class FalsePosition(Attack):
     .. math:: \Delta\rho_j = \rho_j(r + D) - \rho_j(r), \qquad
         \Delta\dot\rho_j = \dot\rho_j(r + D, v + \dot D) - \dot\rho_j(r, v)
 
-    The authentic errors stay (inherited), and the spoofer knows the true position exactly (ideal).
+    The true position is what the spoofer takes for it: with `tracking`, its error is added to D.
     The displacement D is commanded in the north-east-down axes at the true position when the attack
     begins; the limits apply to the size of the vector.
 
     Parameters
     ----------
-    control, acceleration_limit_mps2, rate_limit_mps, coherent, channels
+    control, acceleration_limit_mps2, rate_limit_mps, coherent, channels, errors, tracking
+        As in `Attack`.
+    spoofer_clock, capture, threat
         As in `Attack`.
     axes : str
         Letters of the commanded axes, from ``"n"``, ``"e"`` and ``"d"``, in the order of the
@@ -113,6 +115,7 @@ class FalsePosition(Attack):
             Slice of receivers to work on.
         """
         world = self.world
+        self._prepare(epochs, lo, hi)
         false_position(
             self._idle if action is None else action,
             action is None,
@@ -122,6 +125,7 @@ class FalsePosition(Attack):
             self.memory["displacement"],
             self.memory["rate"],
             self.memory["to_ecef"],
+            self.memory["target_error"],
             self.coherent,
             epochs,
             world.epoch_time,
@@ -134,3 +138,4 @@ class FalsePosition(Attack):
             lo,
             hi,
         )
+        self._transmit(epochs, d_range, d_rate, lo, hi)

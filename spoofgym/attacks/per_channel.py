@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..sim.world import World
-from ._kernels import per_channel
+from ._kernels import displaced_ranges, per_channel
 from .base import Attack, AttackContext, FloatArray
 
 
@@ -16,12 +16,15 @@ from .base import Attack, AttackContext, FloatArray
 class PerChannel(Attack):
     """Offset added to the pseudorange of every captured satellite, as in the five papers.
 
-    The limits apply to each channel for itself.  Offsets of satellites that are not in view have no
-    effect.
+    What the spoofer changes is the authentic range itself; with `tracking`, the range that it takes
+    for the authentic one, at a wrong position.  The limits apply to each channel for itself.
+    Offsets of satellites that are not in view have no effect.
 
     Parameters
     ----------
-    control, acceleration_limit_mps2, rate_limit_mps, coherent, channels
+    control, acceleration_limit_mps2, rate_limit_mps, coherent, channels, errors, tracking
+        As in `Attack`.
+    spoofer_clock, capture, threat
         As in `Attack`.
     """
 
@@ -80,6 +83,8 @@ class PerChannel(Attack):
         lo, hi : int
             Slice of receivers to work on.
         """
+        world = self.world
+        self._prepare(epochs, lo, hi)
         per_channel(
             self._idle if action is None else action,
             action is None,
@@ -91,9 +96,24 @@ class PerChannel(Attack):
             self._slots,
             self.coherent,
             epochs,
-            self.world.epoch_time,
+            world.epoch_time,
             d_range,
             d_rate,
             lo,
             hi,
         )
+        if self.tracking is not None:
+            displaced_ranges(
+                self.memory["target_error"],
+                self.coherent,
+                epochs,
+                world.satellites,
+                world.position_e,
+                world.velocity_e,
+                self.mask,
+                d_range,
+                d_rate,
+                lo,
+                hi,
+            )
+        self._transmit(epochs, d_range, d_rate, lo, hi)

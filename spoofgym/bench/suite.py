@@ -124,8 +124,8 @@ class Suite:
     ----------
     scenario : str, mapping or Scenario
         As `make_scenario` takes it.
-    receiver : mapping
-        Settings of the victim.
+    receiver : str or mapping
+        A name, or settings of the victim.
     attack : str, mapping or Attack
         As `make_attack` takes it.
     timeline : mapping or Timeline
@@ -152,7 +152,7 @@ class Suite:
     """
 
     scenario: str | Mapping[str, Any] | Scenario = "zhong2025"
-    receiver: Mapping[str, Any] = field(default_factory=dict)
+    receiver: str | Mapping[str, Any] = field(default_factory=dict)
     attack: str | Mapping[str, Any] | Attack = "false-position"
     timeline: Mapping[str, float] | Timeline = field(default_factory=Timeline)
     domain: Mapping[str, Any] | Domain | None = None

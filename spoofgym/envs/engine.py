@@ -288,9 +288,12 @@ class Batch:
         self.attack.command(
             self._action, self.epochs, sensors.range_offset, sensors.rate_offset, lo, hi
         )
+        if self.attack.replaces_errors:
+            sensors.authentic[lo:hi] = self.attack.memory["authentic"][lo:hi]
         if self.clean is not None:
             spared = lo + np.flatnonzero(self.clean[lo:hi])
             sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
+            sensors.authentic[spared] = 1.0
         self._advance(lo, hi)
 
     def advance(self) -> Epoch:

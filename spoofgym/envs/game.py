@@ -222,7 +222,8 @@ class Game:
         """Keys of the information of a step."""
         rewards = [key for key, _ in self._reward_parts]
         watched = () if self._watch is None else self._watch.step_names
-        return (*STEP_NAMES, *rewards, *self._ends.info_names, *watched)
+        captured = () if self.setup.attack.capture is None else ("captured_channels",)
+        return (*STEP_NAMES, *captured, *rewards, *self._ends.info_names, *watched)
 
     @property
     def step_count(self) -> NDArray[np.int64]:
@@ -379,6 +380,8 @@ class Game:
             "undetected_displacement_m": self.books.credited.copy(),
             "cost": score.first.astype(np.float64),
         }
+        if self.setup.attack.capture is not None:
+            info["captured_channels"] = batch.attack.memory["captured"].sum(axis=1)
         outcome = Outcome(
             score.gain,
             score.retraction,

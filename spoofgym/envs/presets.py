@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .._registry import build_record
+from .._registry import build_record, check_choice
 from ..attacks import Attack, make_attack
 from ..detectors import Detector, make_detector
 from ..receiver import TightlyCoupled
@@ -19,6 +19,11 @@ from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
 DEFAULT_ATTACK = "false-position"
+RECEIVERS: dict[str, dict[str, Any]] = {
+    "paper": {"tuning": "paper"},
+    "matched": {"tuning": "matched"},
+}
+"""Victims by name: the noise that they assume as the papers print it, or as the world has it."""
 
 
 WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any] | Detector]
@@ -46,7 +51,7 @@ def make_watch(spec: WatchSpec) -> tuple[Detector, ...]:
 def make_setup(
     *,
     scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
-    receiver: Mapping[str, Any] | TightlyCoupled | None = None,
+    receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
     attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
     detector: str | Mapping[str, Any] | Detector | None = None,
     timeline: Mapping[str, float] | Timeline | None = None,
@@ -61,8 +66,9 @@ def make_setup(
     ----------
     scenario : str, mapping or Scenario
         As `make_scenario` takes it.
-    receiver : mapping or TightlyCoupled, optional
-        Settings of `TightlyCoupled`; its grade is that of the scenario's sensors by default.
+    receiver : str, mapping or TightlyCoupled, optional
+        A name in `RECEIVERS`, or settings of `TightlyCoupled`; its grade is that of the scenario's
+        sensors by default.
     attack : str, mapping or Attack
         As `make_attack` takes it.
     detector : str, mapping or Detector, optional
@@ -80,6 +86,9 @@ def make_setup(
         For `Engine` or `Game`.
     """
     world = make_scenario(scenario)
+    if isinstance(receiver, str):
+        check_choice("receiver", receiver, RECEIVERS)
+        receiver = RECEIVERS[receiver]
     victim = build_record("receiver", TightlyCoupled, receiver, {"grade": world.imu})
     phases = build_record("timeline", Timeline, timeline)
     judge = make_detector(DEFAULT_DETECTOR if detector is None else detector)

@@ -57,9 +57,10 @@ class SpoofEnv(GameEnv[Game]):
         A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied; the
         EWMA chart with weights (m = 0.3) by default.
     attack : str, mapping or Attack
-        A name in `ATTACKS`, a dict with a name and settings, or an object, which is copied.
-    receiver : mapping or TightlyCoupled, optional
-        Settings of the victim.
+        A name in `ATTACKS` or `THREATS`, a dict with a name and settings, or an object, which is
+        copied.
+    receiver : str, mapping or TightlyCoupled, optional
+        ``"paper"`` or ``"matched"``, or settings of the victim.
     timeline : mapping or Timeline, optional
         Lengths of warm-up, attack window and time to alert.
     knowledge : {"tracking", "blind", "oracle"}
@@ -123,7 +124,7 @@ class SpoofEnv(GameEnv[Game]):
         scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
         detector: str | Mapping[str, Any] | Detector | None = None,
         attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
-        receiver: Mapping[str, Any] | TightlyCoupled | None = None,
+        receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
         observation: ObservationSpec | None = None,

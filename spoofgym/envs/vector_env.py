@@ -73,7 +73,7 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
         scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
         detector: str | Mapping[str, Any] | Detector | None = None,
         attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
-        receiver: Mapping[str, Any] | TightlyCoupled | None = None,
+        receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
         observation: ObservationSpec | None = None,

@@ -350,6 +350,7 @@ def measure(
             b,
             keys[2, b],
             keys[1, b],
+            keys[7, b],
             k,
             tau,
             satellites[k],

@@ -1,9 +1,9 @@
 r"""What a matched receiver assumes: the noise of the world that it is in, and of its own sensors.
 
-The filter has 17 states and takes everything else for white noise.  Two kinds of error are not
-white: satellite biases that last for the whole run, and what scale-factor and cross-coupling
-errors make of manoeuvres.  Both are entered as inflated noise, sized so that the covariance ends
-up at the spread of the errors.
+The filter has 17 states and takes everything else for white noise.  Three kinds of error are not
+white: satellite biases that last for the whole run, code errors that wander, and what scale-factor
+and cross-coupling errors make of manoeuvres.  All are entered as inflated noise, sized so that the
+covariance ends up at the spread of the errors.
 
 **Constant biases.**  Over N epochs of the same geometry with white noise :math:`\sigma_w` and
 constant biases :math:`\sigma_b`, the averaged pseudoranges have errors of variance
@@ -24,6 +24,22 @@ about N / k.  The price is in the
 innovation covariance, where R stands alone: it overstates the innovations of pseudoranges by about
 :math:`\sqrt{N}`, so that tests of them that rely on S have hardly any power.  Only states for the
 biases would do better.  Range rates have no biases, and keep their variance and their power.
+
+**Correlated code errors.**  The mean of N epochs of a first-order Gauss-Markov error of variance
+:math:`\sigma_c^2`, which falls by the factor :math:`\alpha` from one epoch to the next, has the
+variance :math:`s_N \sigma_c^2 / N` with
+
+.. math:: s_N = 1 + 2 \sum_{k=1}^{N-1} (1 - k / N)\, \alpha^k
+    = \frac{1 + \alpha}{1 - \alpha} - \frac{2 \alpha (1 - \alpha^N)}{N (1 - \alpha)^2},
+
+which lies between 1 (white) and N (constant).  By the same argument as above
+
+.. math:: R = \sigma_w^2 + s_N \sigma_c^2 + N \sigma_b^2 .
+
+For 35 s and epochs of 0.5 s, s is about 140 long before the end, so that this part is right from a
+few minutes on.  Range rates come from the carrier, which does not wander, and keep their variance.
+Both formulas assume a filter that remembers the whole run; even with range rates of 8 cm/s, a
+crystal clock and consumer sensors it does.
 
 **Manoeuvres.**  A rotation :math:`\int \omega\,dt` leaves an error of attitude of m times its
 size, with m a typical scale-factor or cross-coupling error, and a change :math:`\Delta f` of the
@@ -157,6 +173,28 @@ def _rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def inflation(alpha: float, epochs: int) -> float:
+    r"""Variance of the mean of a Gauss-Markov error, by that of as many white ones.
+
+    .. math:: s_N = \frac{1 + \alpha}{1 - \alpha}
+        - \frac{2 \alpha (1 - \alpha^N)}{N (1 - \alpha)^2}
+
+    Parameters
+    ----------
+    alpha : float
+        Correlation of neighbouring epochs, 0 to below 1.
+    epochs : int
+        N.
+
+    Returns
+    -------
+    float
+        1 to N.
+    """
+    rest = 1.0 - alpha
+    return (1.0 + alpha) / rest - 2.0 * alpha * (1.0 - alpha**epochs) / (epochs * rest**2)
+
+
 def assumed_noise(
     receiver: TightlyCoupled,
     errors: GnssErrors,
@@ -178,7 +216,7 @@ def assumed_noise(
     world : World
         Where the receiver is; a matched one is told how much it manoeuvres.
     epochs : int
-        Length of the episode, N in :math:`R = \sigma_w^2 + N \sigma_b^2`.
+        Length of the episode, N in :math:`R = \sigma_w^2 + s_N \sigma_c^2 + N \sigma_b^2`.
     flown : int, optional
         Epochs of the world whose manoeuvres it may meet; as many as `epochs` by default.
 
@@ -203,4 +241,7 @@ def assumed_noise(
         ),
     )
     pseudorange = model.pseudorange_sd**2 + epochs * bias_sd**2
+    if errors.correlated_sd_m > 0.0:
+        alpha = math.exp(-float(world.epoch_time[1] - world.epoch_time[0]) / errors.correlation_s)
+        pseudorange += inflation(alpha, epochs) * errors.correlated_sd_m**2
     return np.concatenate([pseudorange, np.full(n, model.range_rate_sd**2)]), model

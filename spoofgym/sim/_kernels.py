@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from .._jit import njit
 from ..earth.ranging import range_and_rate
 from .clock import advance_clock
@@ -73,8 +75,72 @@ def imu_block(sensors, b, keys, epoch, truth, root_rate, noise, samples):
 
 
 @njit
+def advance_correlated(sensors, b, keys, epoch, tau, noise):
+    r"""Correlated code errors of one receiver at its next epoch: first-order Gauss-Markov.
+
+    .. math:: c^+ = \alpha c + \sigma \sqrt{1 - \alpha^2}\, w, \qquad \alpha = e^{-\tau / T}
+
+    which is exact for any interval, and stationary since it begins with :math:`\sigma w`.
+
+    Parameters
+    ----------
+    sensors : SensorState
+        Errors of the batch; `correlated` is advanced.
+    b, epoch : int
+        Receiver and epoch.
+    keys : ndarray
+        (2,) key of the source.
+    tau : float
+        Time since the epoch before [s]; 0 for the first epoch.
+    noise : ndarray
+        (P,) scratch memory for the deviates, at least n.
+    """
+    sd, time_constant = sensors.correlated_noise[b, 0], sensors.correlated_noise[b, 1]
+    alpha = math.exp(-tau / time_constant) if tau > 0.0 else 0.0
+    driving = sd * math.sqrt(1.0 - alpha * alpha)
+    normals(keys[0], keys[1], epoch, noise)
+    for s in range(sensors.correlated.shape[1]):
+        sensors.correlated[b, s] = alpha * sensors.correlated[b, s] + driving * noise[s]
+
+
+@njit
+def replace_errors(sensors, b, noise, out_range, out_rate):
+    """Take the authentic errors from the channels whose counterfeit signals bring their own.
+
+    Parameters
+    ----------
+    sensors : SensorState
+        Errors of the batch, and `authentic`, the part of them that stays.
+    b : int
+        Receiver.
+    noise : ndarray
+        Deviates that `gnss_epoch` has drawn.
+    out_range, out_rate : ndarray
+        (n,), overwritten [m], [m/s].
+    """
+    n = out_range.shape[0]
+    for s in range(n):
+        code, rate = sensors.authentic[b, s], sensors.authentic[b, n + s]
+        if code != 1.0:
+            error = sensors.satellite_bias[b, s] + sensors.gnss_noise[b, 0] * noise[s]
+            out_range[s] -= (1.0 - code) * (error + sensors.correlated[b, s])
+        if rate != 1.0:
+            out_rate[s] -= (1.0 - rate) * sensors.gnss_noise[b, 1] * noise[n + s]
+
+
+@njit
 def gnss_epoch(
-    sensors, b, gnss_keys, clock_keys, epoch, tau, satellites, noise, out_range, out_rate
+    sensors,
+    b,
+    gnss_keys,
+    clock_keys,
+    correlated_keys,
+    epoch,
+    tau,
+    satellites,
+    noise,
+    out_range,
+    out_rate,
 ):
     """Measure one receiver's pseudoranges and range rates at one epoch.
 
@@ -84,8 +150,8 @@ def gnss_epoch(
         Errors of the batch; the clock is advanced.
     b, epoch : int
         Receiver and epoch.
-    gnss_keys, clock_keys : ndarray
-        (2,) keys of the two sources.
+    gnss_keys, clock_keys, correlated_keys : ndarray
+        (2,) keys of the three sources.
     tau : float
         Time since the epoch before [s]; 0 leaves the clock alone.
     satellites : ndarray
@@ -104,6 +170,9 @@ def gnss_epoch(
         sensors.clock[b, 0], sensors.clock[b, 1] = advance_clock(
             sensors.clock[b, 0], sensors.clock[b, 1], tau, p, f, a, w
         )
+    correlated = sensors.correlated_noise[b, 0] > 0.0
+    if correlated:
+        advance_correlated(sensors, b, correlated_keys, epoch, tau, noise)
     normals(gnss_keys[0], gnss_keys[1], epoch, noise)
     n = satellites.shape[0]
     for s in range(n):
@@ -115,3 +184,7 @@ def gnss_epoch(
             + sensors.gnss_noise[b, 1] * noise[n + s]
             + sensors.rate_offset[b, s]
         )
+    if correlated:
+        for s in range(n):
+            out_range[s] += sensors.correlated[b, s]
+    replace_errors(sensors, b, noise, out_range, out_rate)

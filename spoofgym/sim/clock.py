@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from .._jit import inlined
+from ..earth.wgs84 import SPEED_OF_LIGHT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +36,35 @@ class ReceiverClock:
             value = getattr(self, item.name)
             if not math.isfinite(value) or (item.name.endswith("psd") and value < 0.0):
                 raise ValueError(f"`{item.name}` must be finite, a PSD also >= 0, got {value}")
+
+
+def clock_of_allan(h0: float, h_2: float) -> ReceiverClock:
+    r"""Clock of an oscillator that is known by two coefficients of its Allan variance.
+
+    .. math:: S_p = \tfrac12 c^2 h_0, \qquad S_f = 2 \pi^2 c^2 h_{-2}
+
+    Parameters
+    ----------
+    h0 : float
+        White frequency noise [s].
+    h_2 : float
+        Random walk of the frequency [1/s].
+
+    Returns
+    -------
+    ReceiverClock
+        Offset and drift of the default.
+
+    Notes
+    -----
+    Brown and Hwang (2012), section 9.3, `brownhwang2012`; the flicker noise is left out.
+    """
+    c2 = SPEED_OF_LIGHT**2
+    return ReceiverClock(phase_psd=0.5 * c2 * h0, frequency_psd=2.0 * math.pi**2 * c2 * h_2)
+
+
+TCXO = clock_of_allan(2e-19, 2e-20)
+"""A temperature-compensated crystal oscillator by `brownhwang2012`: 0.0090 m^2/s, 0.035 m^2/s^3."""
 
 
 @inlined

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..earth.wgs84 import EARTH_RATE, EQUATORIAL_RADIUS, GRAVITATIONAL_CONSTANT
 
 PLANES = 6
-"""Orbital planes of the circular model, 60 degrees apart."""
+"""Orbital planes of the circular model of the book, 60 degrees apart."""
 
 
 class SatelliteStates(NamedTuple):
@@ -136,7 +136,7 @@ class CircularConstellation:
 
     .. math::
         u = \frac{2\pi (j - 1)}{N} + \omega t, \qquad
-        \Omega = \frac{\pi\,(j \bmod 6)}{3} - \omega_{ie} t, \qquad
+        \Omega = \frac{2\pi\,(j \bmod M)}{M} - \omega_{ie} t, \qquad
         \omega = \sqrt{\mu / r^3}
 
     Parameters
@@ -151,14 +151,24 @@ class CircularConstellation:
         Added to the time of the simulation [s]: another geometry over the same place.  It moves
         the satellites and turns the Earth, while the offset of Groves' software moves the
         satellites alone.
+    planes : int
+        Number of orbital planes M, 1 to 99.
+    prefix : str
+        One capital letter that the ids begin with.
     """
 
     satellites: int = 30
     radius_m: float = 2.656175e7
     inclination_deg: float = 55.0
     time_offset_s: float = 0.0
+    planes: int = PLANES
+    prefix: str = "S"
 
     def __post_init__(self) -> None:
+        if not 1 <= self.planes <= 99:
+            raise ValueError(f"`planes` must be within 1..99, got {self.planes}")
+        if not (len(self.prefix) == 1 and "A" <= self.prefix <= "Z"):
+            raise ValueError(f"`prefix` must be a capital letter, A to Z, got {self.prefix!r}")
         if not 1 <= self.satellites <= 99:
             raise ValueError(f"`satellites` must be within 1..99, got {self.satellites}")
         if not EQUATORIAL_RADIUS < self.radius_m < math.inf:
@@ -173,7 +183,7 @@ class CircularConstellation:
     @property
     def satellite_ids(self) -> tuple[str, ...]:
         """Ids "S01", "S02", ... in order."""
-        return tuple(f"S{j:02d}" for j in range(1, self.satellites + 1))
+        return tuple(f"{self.prefix}{j:02d}" for j in range(1, self.satellites + 1))
 
     @property
     def angular_rate(self) -> float:
@@ -200,8 +210,68 @@ class CircularConstellation:
             radius_rate=0.0,
             latitude_argument=2.0 * np.pi * (j - 1) / self.satellites + self.angular_rate * t,
             latitude_argument_rate=self.angular_rate,
-            node=np.pi * (j % PLANES) / 3.0 - EARTH_RATE * t,
+            node=2.0 * np.pi * (j % self.planes) / self.planes - EARTH_RATE * t,
             node_rate=-EARTH_RATE,
             inclination=math.radians(self.inclination_deg),
             inclination_rate=0.0,
         )
+
+
+@dataclass(frozen=True)
+class CombinedConstellation:
+    """Several constellations as one, on one system time.
+
+    Parameters
+    ----------
+    parts : tuple of Constellation
+        With different satellite ids; a receiver hears them all, and has one clock for them.
+    """
+
+    parts: tuple[Constellation, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", tuple(self.parts))
+        if not self.parts:
+            raise ValueError("`parts` must hold at least one constellation, got none")
+        ids = [name for part in self.parts for name in part.satellite_ids]
+        twice = sorted({name for name in ids if ids.count(name) > 1})
+        if twice:
+            raise ValueError(f"`parts` must have different satellite ids, got {twice[0]!r} twice")
+
+    @property
+    def _order(self) -> NDArray[np.intp]:
+        """Places of the sorted satellite ids in those of the parts, one after the other."""
+        return np.argsort([name for part in self.parts for name in part.satellite_ids])
+
+    @property
+    def satellite_ids(self) -> tuple[str, ...]:
+        """Ids of all parts, sorted."""
+        return tuple(sorted(name for part in self.parts for name in part.satellite_ids))
+
+    def states(self, time: ArrayLike) -> SatelliteStates:
+        """Positions and velocities of all satellites.
+
+        Parameters
+        ----------
+        time : array_like
+            (K,) time of the simulation [s].
+
+        Returns
+        -------
+        SatelliteStates
+            (K, n, 3) position and velocity, ECEF [m], [m/s].
+        """
+        states = [part.states(time) for part in self.parts]
+        position, velocity = (np.concatenate(group, axis=1) for group in zip(*states, strict=True))
+        return SatelliteStates(position[:, self._order], velocity[:, self._order])
+
+
+TWO_CONSTELLATIONS = CombinedConstellation(
+    (
+        CircularConstellation(),
+        CircularConstellation(
+            satellites=24, radius_m=2.96e7, inclination_deg=56.0, planes=3, prefix="E"
+        ),
+    )
+)
+"""The book's satellites, and as many on three planes as Galileo has (`galileo-os-sis-icd`)."""

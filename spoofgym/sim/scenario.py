@@ -6,10 +6,15 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeGuard
 
 from .._registry import check_choice
-from .constellation import CircularConstellation, Constellation
+from .constellation import (
+    TWO_CONSTELLATIONS,
+    CircularConstellation,
+    CombinedConstellation,
+    Constellation,
+)
 from .flight import Flight, turned
 from .gnss import ERRORS, GnssErrors
 from .imu import IMU_GRADES, ImuGrade
@@ -82,10 +87,11 @@ class Scenario:
         World
             All truth of the run.
         """
-        if isinstance(self.flight, str) and isinstance(self.constellation, CircularConstellation):
+        constellation = self.constellation
+        if isinstance(self.flight, str) and _is_analytic(constellation):
             return _named_world(
                 self.flight,
-                self.constellation,
+                constellation,
                 self.epoch_interval_s,
                 self.channels,
                 self.mask_deg,
@@ -121,10 +127,19 @@ def _world(
     )
 
 
+def _is_analytic(
+    constellation: Constellation,
+) -> TypeGuard[CircularConstellation | CombinedConstellation]:
+    """Whether a constellation is made of circular ones alone, so that equal ones are one."""
+    if isinstance(constellation, CombinedConstellation):
+        return all(map(_is_analytic, constellation.parts))
+    return isinstance(constellation, CircularConstellation)
+
+
 @lru_cache(maxsize=8)
 def _named_world(
     flight: str,
-    constellation: CircularConstellation,
+    constellation: CircularConstellation | CombinedConstellation,
     epoch_interval_s: float,
     channels: int,
     mask_deg: float,
@@ -149,11 +164,20 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "zhong2025-tactical": lambda: _preset("zhong2025-tactical", "zhong2025", "tactical"),
     "zhong2025-consumer": lambda: _preset("zhong2025-consumer", "zhong2025", "consumer"),
     "groves": lambda: _preset("groves", "groves", "aviation"),
+    "realistic": lambda: _preset("realistic", "realistic", "aviation"),
+    "realistic-tactical": lambda: _preset("realistic-tactical", "realistic", "tactical"),
+    "realistic-consumer": lambda: _preset("realistic-consumer", "realistic", "consumer"),
+    "realistic-two-constellations": lambda: replace(
+        _preset("realistic-two-constellations", "realistic", "aviation"),
+        constellation=TWO_CONSTELLATIONS,
+        channels=24,
+    ),
     "ke2022": lambda: _ke2022("ke2022", "ke2022"),
     "ke2022-white": lambda: _ke2022("ke2022-white", "white"),
 }
-"""Scenarios by name: the flight of `zhong2025` under the errors and grades that they name, and that
-of `ke2022` at 1 Hz, with the satellite biases of its errors and without."""
+"""Scenarios by name: the flight of `zhong2025` under the errors and grades that they name, also
+with a second constellation whose ids begin with E, and that of `ke2022` at 1 Hz, with the satellite
+biases of its errors and without."""
 
 
 def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:

@@ -17,8 +17,9 @@ from .imu import ImuGrade
 from .noise import normals, padded
 
 FloatArray = NDArray[np.float64]
-SOURCES = ("imu", "clock", "gnss", "bias", "trajectory", "domain", "spoofer")
-"""Sources of chance; each has a key of its own in every episode."""
+SOURCES = ("imu", "clock", "gnss", "bias", "trajectory", "domain", "spoofer", "correlated")
+"""Sources of chance; each has a key of its own in every episode.  New ones come last, which leaves
+the keys of the others as they are."""
 
 
 class SensorState(NamedTuple):
@@ -42,6 +43,13 @@ class SensorState(NamedTuple):
         (B, n) constant for an episode [m].
     range_offset, rate_offset : ndarray
         (B, n) what the attack adds [m], [m/s].
+    correlated_noise : ndarray
+        (B, 2) standard deviation [m] and correlation time [s] of the correlated code errors.
+    correlated : ndarray
+        (B, n) correlated code errors of the present epoch [m].
+    authentic : ndarray
+        (B, 2n) factor on the authentic errors, pseudoranges first: 1, or 0 where a counterfeit
+        signal brings errors of its own.
     """
 
     accel_bias: FloatArray
@@ -57,6 +65,9 @@ class SensorState(NamedTuple):
     satellite_bias: FloatArray
     range_offset: FloatArray
     rate_offset: FloatArray
+    correlated_noise: FloatArray
+    correlated: FloatArray
+    authentic: FloatArray
 
 
 @njit
@@ -73,7 +84,7 @@ def sensor_size(receivers: int, channels: int) -> int:
     int
         Length of the buffer.
     """
-    return receivers * (6 + 27 + 4 + 6 + 6 + 3 * channels)
+    return receivers * (6 + 27 + 4 + 6 + 6 + 2 + 6 * channels)
 
 
 @njit
@@ -119,6 +130,12 @@ def unpack_sensors(floats: FloatArray, receivers: int, channels: int) -> SensorS
     range_offset = floats[o : o + n * b].reshape((b, n))
     o += n * b
     rate_offset = floats[o : o + n * b].reshape((b, n))
+    o += n * b
+    correlated_noise = floats[o : o + 2 * b].reshape((b, 2))
+    o += 2 * b
+    correlated = floats[o : o + n * b].reshape((b, n))
+    o += n * b
+    authentic = floats[o : o + 2 * n * b].reshape((b, 2 * n))
     return SensorState(
         accel_bias,
         gyro_bias,
@@ -133,6 +150,9 @@ def unpack_sensors(floats: FloatArray, receivers: int, channels: int) -> SensorS
         satellite_bias,
         range_offset,
         rate_offset,
+        correlated_noise,
+        correlated,
+        authentic,
     )
 
 
@@ -222,6 +242,9 @@ class SensorBuffers:
         state.gnss_noise[rows] = errors.code_sd_m, errors.range_rate_sd_mps
         state.range_offset[rows] = 0.0
         state.rate_offset[rows] = 0.0
+        state.correlated_noise[rows] = errors.correlated_sd_m, errors.correlation_s
+        state.correlated[rows] = 0.0
+        state.authentic[rows] = 1.0
         deviates = np.empty(padded(len(bias_sd)))
         for row in rows:
             k0, k1 = self.keys[SOURCES.index("bias"), row]

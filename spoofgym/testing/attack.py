@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..attacks import Attack, AttackContext, FalsePosition, make_attack
+from ..attacks import Attack, AttackContext, FalsePosition, Meaconer, make_attack
 from ..sim.scenario import Scenario
 from ..sim.world import World
 from .contract import first_difference, require, same_bits
@@ -41,6 +42,12 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     - there is no chance, and all that it remembers is in its `memory`, so that some receivers can
       be reset, moved, copied and pickled.
 
+    An attack with imperfect equipment has to show all of this with perfect equipment, and the rest
+    with its own, where two rules cannot hold: it changes measurements without a command, where its
+    errors, its clock or its idea of the target's position do (`idle_is_clean` tells); and its range
+    rates are the derivatives of ranges that noise moves between the epochs, which no trapezoid
+    follows.
+
     Parameters
     ----------
     attack : Attack, str or mapping
@@ -59,19 +66,37 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     unbound = make_attack(attack)
     world = copy.deepcopy(Scenario().world())
     truth = _fingerprint(world)
+    perfect = unbound.equipment.perfect
+    if not perfect:
+        check_attack(_perfected(unbound))
     axes = _check_declarations(unbound, world)
     _check_begin(unbound, world, axes)
-    _check_idle(unbound, world, axes)
+    if unbound.idle_is_clean:
+        _check_idle(unbound, world, axes)
     trial = _AttackTrial(unbound, world, _actions(axes))
     steps = [Step(**_filled(record)) for record in run_trial(trial)]
     _check_motion(unbound, steps, trial.actions)
     _check_channels(unbound, world, steps)
     _check_slices(trial, steps)
     _check_limits(unbound, world, axes)
-    _check_rates(unbound, world, axes)
+    if perfect and not (isinstance(unbound, Meaconer) and not unbound.follows):
+        # the way from an antenna that stays behind bends within an epoch
+        _check_rates(unbound, world, axes)
     require(
         _fingerprint(world) == truth,
         "the attack has changed the arrays of the `World`, which all receivers share; copy them",
+    )
+
+
+def _perfected(attack: Attack) -> Attack:
+    """The same attack with perfect equipment."""
+    return dataclasses.replace(
+        attack,
+        errors="inherited",
+        tracking=None,
+        spoofer_clock=None,
+        capture=None,
+        threat="",
     )
 
 
@@ -267,7 +292,12 @@ def _check_motion(
     for step, action in zip(steps, actions, strict=True):
         tau = step.interval[:, None]
         require(
-            action is not None or same_bits(step.rate, rate),
+            not attack.one_sided or bool((step.displacement >= 0.0).all()),
+            "offsets of an attack with `one_sided` must not fall below 0, got "
+            f"{step.displacement.min():g} m",
+        )
+        require(
+            action is not None or attack.one_sided or same_bits(step.rate, rate),
             "without a command (None) the rate must stay as it is, got a change at "
             f"{first_difference(step.rate, rate)}",
         )
@@ -312,7 +342,7 @@ def _check_limits(attack: Attack, world: World, axes: int) -> None:
             )
             rate = step.rate
     # well below the limits an action is obeyed to the letter
-    action = -0.3 / np.sqrt(axes) * sign
+    action = (0.3 if attack.one_sided else -0.3) / np.sqrt(axes) * sign
     step = _AttackTrial(attack, world, [action], start).steps()[0]
     want = attack.unit_scale * action * (1.0 if by_rate else step.interval[0])
     require(
@@ -335,7 +365,7 @@ def _check_channels(attack: Attack, world: World, steps: Sequence[Step]) -> None
             f"{np.abs(step.d_rate).max():g} m/s",
         )
     require(
-        bool(np.any([step.d_range for step in steps])),
+        attack.capture is not None or bool(np.any([step.d_range for step in steps])),
         "commands must change at least one pseudorange, got none changed",
     )
 

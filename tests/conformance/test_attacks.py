@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from spoofgym.attacks import ATTACKS, FalsePosition, PerChannel
+from spoofgym.attacks import ATTACKS, THREATS, FalsePosition, Meaconer, PerChannel
 from spoofgym.testing import check_attack
 
 SOME = ("S05", "S11", "S30")
@@ -24,6 +24,40 @@ def test_every_attack_keeps_the_contract(name, control, coherent, channels):
 @pytest.mark.parametrize("axes", ["n", "d", "end"])
 def test_a_false_position_keeps_the_contract_along_any_axes(axes):
     check_attack(FalsePosition(axes=axes, acceleration_limit_mps2=1.0, rate_limit_mps=3.0))
+
+
+OPTIONS = {
+    "replaced": {"errors": "replaced"},
+    "replaced-pseudoranges": {"errors": {"bias_sd_m": 1.0}, "coherent": False},
+    "tracking": {"tracking": {"sd_m": 1.0, "delay_s": 0.7, "bias_m": [1.0, 2.0, 3.0]}},
+    "clock": {"spoofer_clock": {"offset_sd_m": 5.0, "drift_mps": 0.1, "frequency_psd": 0.01}},
+    "capture": {"capture": {"delay_s": 2.0, "alignment_m": 0.05}},
+    "all": {
+        "errors": "replaced",
+        "tracking": {"sd_m": 1.0},
+        "spoofer_clock": {"phase_psd": 0.01},
+        "capture": {"alignment_m": None},
+        "channels": "S1*",
+    },
+}
+
+
+@pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
+@pytest.mark.parametrize("name", ATTACKS)
+def test_every_option_keeps_the_contract(name, options):
+    if name == "meaconer":
+        options = {key: value for key, value in options.items() if key != "tracking"}
+    check_attack({"name": name, **options})
+
+
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_meaconer_with_an_antenna_of_its_own_keeps_the_contract(follows):
+    check_attack({"name": "meaconer", "antenna_m": [30.0, 10.0, -5.0], "follows": follows})
+
+
+@pytest.mark.parametrize("name", sorted(set(THREATS) - {"partial-constellation"}))
+def test_every_threat_keeps_the_contract(name):
+    check_attack(name)
 
 
 def test_the_attack_itself_is_left_alone():
@@ -186,6 +220,12 @@ class BendsTheWorld(PerChannel):
         self.world.position_e[-1] += 1.0
 
 
+class RunsAhead(Meaconer):
+    def command(self, action, epochs, d_range, d_rate, lo, hi):
+        super().command(action, epochs, d_range, d_rate, lo, hi)
+        self.memory["displacement"][lo:hi] -= 0.5
+
+
 BROKEN = [
     (Silent(), "`label` must name the threat"),
     (Mislabelled(), "`label` must say 'pseudorange-only' where"),
@@ -210,6 +250,7 @@ BROKEN = [
     (Trembles(), "When all is done again, the attack must do the same"),
     (KeepsTheAction(), "valid during `command` only"),
     (RemembersOutside(), "After a reset the attack must be as it was after `bind`"),
+    (RunsAhead(), "with `one_sided` must not fall below 0"),
     (BendsTheWorld(), "has changed the arrays of the `World`"),
 ]
 

@@ -16,7 +16,13 @@ from scipy import stats
 
 from spoofgym.envs.recording import record_run
 from spoofgym.receiver import NoiseModel, TightlyCoupled, replay
-from spoofgym.receiver.matching import WINDOW_S, Motion, matched_sensors, motion_of
+from spoofgym.receiver.matching import (
+    WINDOW_S,
+    Motion,
+    inflation,
+    matched_sensors,
+    motion_of,
+)
 from spoofgym.receiver.nis import normalized_innovation_squared
 from spoofgym.receiver.tight import FILTER_GRADES
 from spoofgym.sim.imu import IMU_GRADES
@@ -112,6 +118,44 @@ def test_position_ends_at_the_spread_that_constant_biases_give_it(errors):
     worst = position * times[-1] / times
     assert (worst > low).all(), worst
     assert (worst < high).all(), worst
+
+
+@pytest.mark.parametrize("grade", GRADES)
+def test_position_ends_at_the_spread_of_realistic_errors(grade):
+    times = np.array((20.0, 60.0, 110.0, 200.0, 300.0, 400.0))
+    scenario, groups = (
+        Scenario(errors="realistic", imu=grade),
+        (POSITION_AND_CLOCK, VELOCITY_AND_DRIFT),
+    )
+    position, motion = mean_errors(scenario, matched(grade), times, *groups).T
+    low, high = bounds(RUNS * 4, len(times))
+    assert (motion > (0.7 if grade == "consumer" else low)).all(), motion
+    assert (motion < high).all(), motion
+    assert (position < high).all(), position
+    assert position[-1] > low, position
+
+
+def test_range_rates_keep_their_power_among_correlated_errors():
+    batch = begin(Scenario(errors="realistic"), matched("aviation"), RUNS, 300.0)
+    advance_to(batch, 200.0)
+    n = batch.setup.world.channels
+    rates, satellites = 0.0, 0
+    for _ in range(40):
+        epoch = batch.advance()
+        rates += normalized_innovation_squared(
+            epoch.innovation, epoch.innovation_cov, n, 2 * n
+        ).sum()
+        satellites += int(epoch.visible.sum())
+        batch.update(None)
+    low, high = bounds(satellites, 1)
+    assert low < rates / satellites < high
+
+
+@pytest.mark.parametrize(("alpha", "epochs"), [(0.0, 5), (0.9, 1), (0.9, 7), (0.986, 700)])
+def test_inflation_is_the_variance_of_a_mean(alpha, epochs):
+    k = np.arange(epochs)
+    correlation = alpha ** np.abs(k[:, None] - k)
+    assert inflation(alpha, epochs) == pytest.approx(correlation.sum() / epochs)
 
 
 def test_taking_constant_biases_for_white_noise_is_what_the_inflation_prevents():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spoofgym.sim.clock import ReceiverClock, advance_clock
+from spoofgym.sim.clock import TCXO, ReceiverClock, advance_clock
 
 PSD = st.floats(0.0, 100.0)
 
@@ -61,3 +61,13 @@ def test_only_densities_must_not_be_negative():
     for name in ("phase_psd", "frequency_psd"):
         with pytest.raises(ValueError, match=f"`{name}` must be finite, a PSD also >= 0, got -1"):
             ReceiverClock(**{name: -1.0})
+
+
+def test_a_crystal_oscillator_is_as_stable_as_its_coefficients():
+    """Allan variance h0 / (2 tau) + (2 pi)^2 tau h_-2 / 6, and the book's typical densities."""
+    tau, c = 10.0, 299_792_458.0
+    p, f = TCXO.phase_psd, TCXO.frequency_psd
+    allan = (p / tau + f * tau / 3.0) / c**2  # of the two-state clock
+    assert allan == pytest.approx(2e-19 / (2 * tau) + (2 * math.pi) ** 2 * tau * 2e-20 / 6.0)
+    assert p == pytest.approx(0.01, rel=0.15)  # Groves (2013), section 9.4.2
+    assert f == pytest.approx(0.04, rel=0.15)

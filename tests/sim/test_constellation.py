@@ -11,7 +11,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from spoofgym.earth.wgs84 import EARTH_RATE, GRAVITATIONAL_CONSTANT
-from spoofgym.sim.constellation import CircularConstellation, Constellation
+from spoofgym.sim.constellation import (
+    CircularConstellation,
+    CombinedConstellation,
+    Constellation,
+)
 
 PROPERTY = settings(deadline=None, max_examples=50)
 EARTH_RATE_E = np.array([0.0, 0.0, EARTH_RATE])
@@ -133,10 +137,30 @@ def test_shape_and_order() -> None:
         assert array.flags.c_contiguous
 
 
+def test_constellations_combined_are_those_they_are_made_of() -> None:
+    own = CircularConstellation()
+    other = CircularConstellation(satellites=4, prefix="A", planes=2, radius_m=3e7)
+    both = CombinedConstellation((own, other))
+    assert both.satellite_ids == tuple(sorted(own.satellite_ids + other.satellite_ids))
+    for part in (own, other):
+        places = [both.satellite_ids.index(name) for name in part.satellite_ids]
+        for found, want in zip(both.states([0.0, 50.0]), part.states([0.0, 50.0]), strict=True):
+            assert_array_equal(found[:, places], want)
+
+
+def test_combined_constellations_must_have_names_of_their_own() -> None:
+    with pytest.raises(ValueError, match="different satellite ids, got 'S01' twice"):
+        CombinedConstellation((CircularConstellation(), CircularConstellation(satellites=1)))
+    with pytest.raises(ValueError, match="at least one constellation, got none"):
+        CombinedConstellation(())
+
+
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
         ({"satellites": 0}, r"1\.\.99, got 0"),
+        ({"planes": 0}, r"`planes` must be within 1\.\.99, got 0"),
+        ({"prefix": "gps"}, "`prefix` must be a capital letter, A to Z, got 'gps'"),
         ({"radius_m": 6.0e6}, r"above 6378137 m, got 6000000"),
         ({"radius_m": float("nan")}, "got nan"),
         ({"inclination_deg": 181.0}, r"0\.\.180, got 181"),

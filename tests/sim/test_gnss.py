@@ -48,10 +48,10 @@ def test_standard_deviations_must_be_finite_and_not_negative(name, value):
         replace(ERRORS["groves"], **{name: value})
 
 
-def epochs_of(errors, count, tau=0.5, bias_sd=0.0, change=None):
+def epochs_of(errors, count, tau=0.5, bias_sd=0.0, change=None, seed=3):
     """(count, N) errors of pseudoranges and range rates of one receiver, and its clocks."""
     buffers = SensorBuffers(1, N)
-    generator = np.random.default_rng(3)
+    generator = np.random.default_rng(seed)
     buffers.draw_keys(np.arange(1), [generator])
     buffers.begin(np.arange(1), IMU_GRADES["aviation"], errors, np.full(N, float(bias_sd)))
     if change is not None:
@@ -66,6 +66,7 @@ def epochs_of(errors, count, tau=0.5, bias_sd=0.0, change=None):
             0,
             buffers.keys[2, 0],
             buffers.keys[1, 0],
+            buffers.keys[7, 0],
             k,
             tau if k else 0.0,
             truth,
@@ -149,3 +150,71 @@ def test_noise_of_other_sources_does_not_move_with_the_clock_s():
     np.testing.assert_allclose(
         noisy - clocks[:, :1], quiet - (1000.0 - 10.0 * np.arange(20)[:, None]), atol=2e-8
     )
+
+
+WANDERING = replace(
+    SILENT,
+    correlated_sd_m=0.75,
+    correlation_s=35.0,
+    clock=ReceiverClock(offset_m=0.0, drift_mps=0.0),
+)
+
+
+@pytest.mark.parametrize("tau", [0.5, 5.0])
+def test_correlated_errors_are_gauss_markov_and_stationary(tau):
+    ranges = np.concatenate(
+        [epochs_of(WANDERING, 200, tau, seed=seed)[0] for seed in range(40)], axis=1
+    )
+    count = ranges.shape[1]  # independent histories
+    for k in (0, 1, 50, 199):
+        assert ranges[k].std() == pytest.approx(0.75, rel=4.0 / math.sqrt(2 * count))
+    for lag in (1, 20, 100):
+        found = (ranges[lag:] * ranges[:-lag]).mean() / 0.75**2
+        assert found == pytest.approx(math.exp(-lag * tau / 35.0), abs=0.12)
+    # what drives it is white
+    driving = ranges[1:] - math.exp(-tau / 35.0) * ranges[:-1]
+    spread = 0.75 * math.sqrt(1.0 - math.exp(-2.0 * tau / 35.0))
+    assert driving.std() == pytest.approx(spread, rel=0.02)
+    assert abs((driving[1:] * driving[:-1]).mean()) < 0.02 * spread**2
+
+
+def test_correlated_errors_leave_range_rates_and_other_streams_alone():
+    white = replace(SILENT, code_sd_m=1.0, range_rate_sd_mps=0.1)
+    without, rates, _, _ = epochs_of(white, 30)
+    both, same, _, state = epochs_of(replace(white, correlated_sd_m=0.75), 30)
+    np.testing.assert_array_equal(rates, same)
+    np.testing.assert_allclose((both - without)[-1], state.correlated[0], rtol=0, atol=1e-8)
+    alone, _, _, _ = epochs_of(replace(SILENT, correlated_sd_m=0.75), 30)
+    silent, _, _, _ = epochs_of(SILENT, 30)
+    np.testing.assert_allclose(both - without, alone - silent, rtol=0, atol=2e-8)
+
+
+def test_authentic_errors_can_be_taken_away():
+    def capture(state):
+        state.authentic[0, :3] = 0.0
+        state.authentic[0, N : N + 2] = 0.0
+
+    errors = replace(
+        ERRORS["groves"], correlated_sd_m=2.0, clock=ReceiverClock(offset_m=5.0, drift_mps=1.0)
+    )
+    ranges, rates, _, _ = epochs_of(errors, 1, bias_sd=3.0, change=capture)
+    own, own_rates, _, _ = epochs_of(errors, 1, bias_sd=3.0)
+    np.testing.assert_allclose(ranges[0, :3], 5.0, rtol=0, atol=2e-8)
+    np.testing.assert_allclose(rates[0, :2], 1.0, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(ranges[0, 3:], own[0, 3:])
+    np.testing.assert_array_equal(rates[0, 2:], own_rates[0, 2:])
+
+
+def test_the_realistic_errors_are_those_that_were_measured():
+    """Autocorrelation of the code error: 0.73 at 1 s, 0.32 at 30 s, 0.02 at 120 s."""
+    errors = ERRORS["realistic"]
+    wandering, white = errors.correlated_sd_m**2, errors.code_sd_m**2
+    for lag, found in ((1.0, 0.73), (30.0, 0.32), (120.0, 0.02)):
+        model = wandering * math.exp(-lag / errors.correlation_s) / (wandering + white)
+        assert model == pytest.approx(found, abs=0.06)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
+def test_a_correlation_time_must_be_above_zero(value):
+    with pytest.raises(ValueError, match=r"`correlation_s` must be finite and >=? 0, got"):
+        replace(ERRORS["groves"], correlation_s=value)

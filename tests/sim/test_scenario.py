@@ -25,7 +25,10 @@ def test_every_scenario_says_what_it_is(name):
     ("settings", "said"),
     [
         ({"flight": "zhong2024"}, "unknown flight 'zhong2024'; valid: .*did you mean 'zhong2025'"),
-        ({"errors": "none"}, "unknown errors 'none'; valid: groves, ke2022, white, zhong2025"),
+        (
+            {"errors": "none"},
+            "unknown errors 'none'; valid: groves, ke2022, realistic, white, zhong2025",
+        ),
         ({"imu": "Tactical"}, "unknown imu grade 'Tactical'; .* did you mean 'tactical'"),
     ],
 )

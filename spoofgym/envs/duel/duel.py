@@ -240,7 +240,7 @@ class Duel:
 def duel_setup(
     *,
     scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
-    receiver: Mapping[str, Any] | TightlyCoupled | None = None,
+    receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
     attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
     timeline: Mapping[str, float] | Timeline | None = None,
     statistic: str = "receiver",

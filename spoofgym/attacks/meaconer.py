@@ -1,0 +1,151 @@
+"""Meaconing: authentic signals are recorded and replayed, as another antenna received them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..sim.world import World
+from ._kernels import meaconer
+from .base import Attack, AttackContext, FloatArray
+from .options import checked_vector
+
+
+@dataclass(kw_only=True)
+class Meaconer(Attack):
+    r"""Record and replay: the ranges of the meaconer's antenna, and one delay.
+
+    .. math:: \Delta\rho_j = \rho_j(r_m) - \rho_j(r) + |r_m - r| + D, \qquad D \ge 0
+
+    and the range rates are the derivatives.  The victim's position becomes that of the antenna at
+    :math:`r_m`; the way from there to the victim and the delay D, the one command, are common to
+    all channels and go into its clock.  There is no freedom per axis or per satellite.  Within a
+    delay of D the satellites move by less than 4 mm per kilometre of D, which is left out.
+
+    Parameters
+    ----------
+    control, acceleration_limit_mps2, rate_limit_mps, coherent, channels, errors
+        As in `Attack`, for the delay in metres.
+    tracking : None
+        A meaconer needs no position; anything else is refused.
+    spoofer_clock, capture, threat
+        As in `Attack`.
+    antenna_m : tuple of float
+        (3,) north, east, down from the target's to the meaconer's antenna at the onset.
+    follows : bool
+        Whether the antenna stays at the target's side; if not, it stays where it was on the Earth.
+    """
+
+    one_sided: ClassVar[bool] = True
+    antenna_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    follows: bool = True
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        super().__post_init__()
+        self.antenna_m = checked_vector("antenna_m", self.antenna_m)
+        if self.tracking is not None:
+            raise ValueError(
+                f"`tracking` must be None, since a meaconer needs no position; got {self.tracking}"
+            )
+
+    @property
+    def kind(self) -> str:
+        """Name of what is commanded."""
+        return "meaconer"
+
+    @property
+    def idle_is_clean(self) -> bool:
+        """Whether an attack without commands leaves the measurements as they are, exactly."""
+        return super().idle_is_clean and self.follows and self.antenna_m == (0.0, 0.0, 0.0)
+
+    def action_names(self, world: World) -> tuple[str, ...]:
+        """Name of the one element of an action.
+
+        Parameters
+        ----------
+        world : World
+            Not needed here.
+
+        Returns
+        -------
+        tuple of str
+            ``("delay_acceleration",)`` or ``("delay_rate",)``.
+        """
+        return (f"delay_{self.control}",)
+
+    def bind(self, context: AttackContext) -> None:
+        """Prepare for a batch of receivers.
+
+        Parameters
+        ----------
+        context : AttackContext
+            Sizes and world.
+        """
+        super().bind(context)
+        self.memory.declare("antenna", np.zeros((context.receivers, 3)))
+
+    def begin(
+        self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
+    ) -> None:
+        """Place the antenna beside the target.
+
+        Parameters
+        ----------
+        rows, keys, onsets : ndarray
+            As in `Attack`.
+        """
+        super().begin(rows, keys, onsets)
+        self.memory["antenna"][rows] = (self.world.C_en[onsets] * self.antenna_m).sum(axis=2)
+
+    def command(
+        self,
+        action: FloatArray | None,
+        epochs: NDArray[np.int64],
+        d_range: FloatArray,
+        d_rate: FloatArray,
+        lo: int,
+        hi: int,
+    ) -> None:
+        """Take one command, and write what it adds to the measurements of the coming epoch.
+
+        Parameters
+        ----------
+        action : ndarray or None
+            (B, 1) in [-1, 1]; None holds the rate, until the delay would fall below zero.
+        epochs : ndarray
+            (B,) the epoch that each receiver is at.
+        d_range, d_rate : ndarray
+            (B, n), written [m], [m/s].
+        lo, hi : int
+            Slice of receivers to work on.
+        """
+        world, memory = self.world, self.memory
+        self._prepare(epochs, lo, hi)
+        meaconer(
+            self._idle if action is None else action,
+            action is None,
+            self.control == "rate",
+            self.unit_scale,
+            self.rate_limit_mps,
+            memory["displacement"],
+            memory["rate"],
+            memory["antenna"],
+            self.follows,
+            self.coherent,
+            memory["onset"],
+            epochs,
+            world.epoch_time,
+            world.satellites,
+            world.position_e,
+            world.velocity_e,
+            self.mask,
+            d_range,
+            d_rate,
+            lo,
+            hi,
+        )
+        self._transmit(epochs, d_range, d_rate, lo, hi)

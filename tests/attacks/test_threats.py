@@ -1,0 +1,112 @@
+"""Threats by name, and what imperfect tracking costs."""
+
+import json
+
+import numpy as np
+import pytest
+
+from spoofgym.attacks import ATTACKS, THREATS, AttackContext, make_attack
+from spoofgym.bench.specs import spec_of
+from spoofgym.detectors import Never
+from spoofgym.envs import Setup, Timeline
+from spoofgym.envs.engine import Batch
+from spoofgym.receiver import TightlyCoupled
+from spoofgym.receiver.matching import Motion, matched_sensors
+from spoofgym.receiver.nis import normalized_innovation_squared
+from spoofgym.sim.scenario import Scenario, make_scenario
+
+from ..envs.support import single
+
+REFERENCE = {
+    (1.0, 5.0): (28.0, 853.0),
+    (5.0, 30.0): (18.0, 385.0),
+    (1.0, 30.0): (0.8, 15.0),
+    (0.1, 5.0): (0.3, 8.0),
+}
+"""Added NIS per epoch in the linear surrogate, `realistic` and `groves`, by SD and correlation."""
+RUNS = 32
+
+
+@pytest.mark.parametrize("name", THREATS)
+def test_a_threat_is_a_spec_that_fits_into_json_and_names_itself(name):
+    assert json.loads(json.dumps(THREATS[name])) == THREATS[name]
+    attack = make_attack(name)
+    assert attack.label == name
+    again = make_attack(json.loads(json.dumps(spec_of("attack", ATTACKS, attack))))
+    assert again.label == name
+    assert {**vars(again)} == {**vars(attack)}
+
+
+def test_changed_settings_of_a_threat_stand_in_its_label():
+    attack = make_attack({"name": "tracking-1m", "rate_limit_mps": 2.0})
+    assert (attack.rate_limit_mps, attack.tracking.sd_m) == (2.0, 1.0)
+    assert attack.label == "tracking-1m rate_limit_mps=2.0"
+    assert "pseudorange-only" in make_attack({"name": "tracking-1m", "coherent": False}).label
+
+
+def test_an_unknown_threat_is_told_the_near_one():
+    with pytest.raises(ValueError, match=r"valid: false-position, .*did you mean 'tracking-1m'"):
+        make_attack("tracking-2m")
+
+
+def test_a_threat_is_taken_where_an_attack_is():
+    env = single(attack="meaconer", scenario="realistic", receiver="matched")
+    assert env.action_space.shape == (1,)
+    assert env.unwrapped.game.setup.attack.label == "meaconer"
+    assert env.unwrapped.game.setup.receiver.tuning == "matched"
+    env.close()
+    with pytest.raises(ValueError, match=r"unknown receiver 'match'; .*did you mean 'matched'"):
+        single(receiver="match")
+
+
+def test_a_partial_constellation_is_one_of_two():
+    attack = make_attack("partial-constellation")
+    world = make_scenario("realistic-two-constellations").world()
+    taken = [s for s, yes in zip(world.satellite_ids, attack.captured(world), strict=True) if yes]
+    others = [s for s in world.satellite_ids if s and s not in taken]
+    assert all(s.startswith("E") for s in taken)
+    assert all(s.startswith("S") for s in others)
+    assert min(len(taken), len(others)) >= 4
+    with pytest.raises(ValueError, match=r"satellite 'E\*' is not in view on 'zhong2025'"):
+        attack.bind(AttackContext(1, Scenario().world()))
+
+
+def added_nis(errors, tracking, inertial=None):
+    """NIS that a tracking error adds per epoch, against the clean run of the same noise."""
+    attack = make_attack({"name": "false-position", "tracking": tracking})
+    phases = Timeline(warmup_s=200.0, live_s=0.0, attack_s=150.0, time_to_alert_s=0.0)
+    receiver = TightlyCoupled(tuning="matched")
+    setup = Setup(Scenario(errors=errors), receiver, attack, Never(), phases)
+    if inertial is not None:
+        setup.noise = setup.noise._replace(inertial=inertial)
+    clean, attacked = (Batch(setup, RUNS, lambda work, b: work(0, b)) for _ in range(2))
+    for batch in (clean, attacked):
+        batch.begin([np.random.default_rng([5, run]) for run in range(RUNS)])
+        batch.quiet_epochs(setup.onset)
+    total = 0.0
+    for _ in range(setup.steps):
+        without = clean.advance().innovation.copy()
+        epoch = attacked.advance_attacked(None)
+        change = epoch.innovation - without
+        total += normalized_innovation_squared(
+            change, epoch.innovation_cov, 0, change.shape[1]
+        ).mean()
+        clean.update(None)
+        attacked.update(None)
+    return total / setup.steps
+
+
+@pytest.mark.parametrize("number", [0, 1], ids=["realistic", "groves"])
+@pytest.mark.parametrize("case", REFERENCE, ids=str)
+def test_a_tracking_error_costs_what_the_reference_says(case, number):
+    """Pseudorange noise of the matched receiver, inertial sensors as their data sheet says."""
+    tracking = dict(zip(("sd_m", "correlation_s"), case, strict=True))
+    sheet = matched_sensors("aviation", Motion())
+    found = added_nis(("realistic", "groves")[number], tracking, sheet)
+    assert found == pytest.approx(REFERENCE[case][number], rel=0.2)
+
+
+def test_a_receiver_that_expects_manoeuvres_takes_slow_errors_for_motion():
+    tracking = {"sd_m": 1.0, "correlation_s": 30.0}
+    sheet = added_nis("groves", tracking, matched_sensors("aviation", Motion()))
+    assert added_nis("groves", tracking) < 0.75 * sheet
