@@ -18,7 +18,7 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -28,6 +28,7 @@ from spoofgym.bench.suite import Suite, Tuning
 from spoofgym.bench.tuning_table import EXCESS_HEAD, excess_texts
 from spoofgym.cli import INTERRUPTED, clear_errors
 from spoofgym.envs.setup import Timeline
+from spoofgym.tasks import task_of
 
 from .profile_card import profile_card, rivals
 from .profile_choice import Choice
@@ -52,6 +53,13 @@ FILES = {"out", "start"}
 def main(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Card of the profile, a .json file.")],
+    task: Annotated[
+        str | None,
+        typer.Option(
+            help="Task of spoofgym-bench-v1, T1 to T5, which decides detector, scenario, attack "
+            "and times."
+        ),
+    ] = None,
     detector: Annotated[
         str, typer.Option(help="Detector: a name, with settings as name:key=value or JSON.")
     ] = "ewma",
@@ -128,17 +136,26 @@ def main(
         select_runs=select_runs,
         margin=margin,
     )
+    if task is None:
+        world: dict[str, Any] = {
+            "scenario": parse_spec(scenario),
+            "attack": parse_spec(attack),
+            "detectors": [parse_spec(detector)],
+            "timeline": Timeline(
+                warmup_s=warmup_s,
+                live_s=live_s,
+                attack_s=attack_s,
+                time_to_alert_s=time_to_alert_s,
+            ),
+        }
+    else:
+        world = _world_of_task(context, task)
     suite = Suite(
-        scenario=parse_spec(scenario),
-        attack=parse_spec(attack),
-        detectors=[parse_spec(detector)],
+        **world,
         spoofers=[
             {"name": "ramp", "rate_mps": "tuned", "heading_deg": heading},
             {"name": "accelerating-ramp", "acceleration_mps2": "tuned", "heading_deg": heading},
         ],
-        timeline=Timeline(
-            warmup_s=warmup_s, live_s=live_s, attack_s=attack_s, time_to_alert_s=time_to_alert_s
-        ),
         entropy=seed,
         tuning=Tuning(
             runs=select_runs, sift_runs=max(select_runs // 16, 1), budget=budget, margin=margin
@@ -164,6 +181,22 @@ def main(
         return
     _print_table(run, choice)
     typer.echo(f"written: {out}")
+
+
+DECIDED = {"detector", "scenario", "attack", "warmup_s", "live_s", "attack_s", "time_to_alert_s"}
+"""Options that a task decides."""
+
+
+def _world_of_task(context: typer.Context, task: str) -> dict[str, Any]:
+    """What a task tells a `Suite`."""
+    for option in context.command.params:
+        source = context.get_parameter_source(str(option.name))
+        if option.name in DECIDED and source is not None and source.name == "COMMANDLINE":
+            raise ValueError(f"{option.opts[0]} can't be given with --task, which decides it")
+    chosen = task_of(task)
+    if chosen.pooled:
+        raise ValueError(f"task {task} hides a pool of detectors; a profile is for one of them")
+    return chosen.suite_kwargs
 
 
 def _command(context: typer.Context) -> str:

@@ -57,6 +57,8 @@ random time in a random direction, and the small environments ``spoofgym/Loosely
 
 from gymnasium.envs.registration import register
 
+from .tasks import TASKS as _TASKS
+
 __version__ = "0.1.0"
 
 register(
@@ -101,3 +103,15 @@ register(
     entry_point="spoofgym.duel_v0:DetectorView",
     vector_entry_point="spoofgym.duel_v0:DetectorVectorView",
 )
+
+for _task in _TASKS.values():
+    register(
+        id=_task.env_id,
+        entry_point="spoofgym.envs.duel.spoofer_view:SpooferView"
+        if _task.pooled
+        else "spoofgym.envs:SpoofEnv",
+        vector_entry_point="spoofgym.envs.duel.spoofer_view:SpooferVectorView"
+        if _task.pooled
+        else "spoofgym.envs:SpoofVectorEnv",
+        kwargs=_task.env_kwargs,
+    )

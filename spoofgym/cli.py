@@ -132,6 +132,13 @@ OraclesOption = Annotated[
         help="Let detectors play that are told the attack by their settings; the results say so.",
     ),
 ]
+TaskOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Task of spoofgym-bench-v1, T1 to T6, which sets scenario, receiver, attack, times "
+        "and detectors; see `spoofgym tasks`."
+    ),
+]
 OutOption = Annotated[Path, typer.Option(help="Folder of the results.")]
 
 
@@ -487,6 +494,8 @@ def tune(
 @app.command()
 @clear_errors
 def bench(
+    context: typer.Context,
+    task: TaskOption = None,
     detector: Annotated[
         list[str] | None,
         typer.Option(
@@ -535,21 +544,26 @@ def bench(
     from .bench.entries import DEFAULT_DETECTORS
     from .bench.store import ResultsFolder
 
+    spoofers = _tuned_by_default(_specs(spoofer)) if spoofer else None
     world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
-    suite = _suite(
-        world,
-        real,
-        tuning,
-        attack,
-        (warmup_s, live_s, attack_s, time_to_alert_s),
-        seed,
-        detectors=_specs(detector) if detector else list(DEFAULT_DETECTORS),
-        spoofers=_tuned_by_default(_specs(spoofer)) if spoofer else None,
-        budget=budget,
-        training=training_seeds,
-        runs=seeds,
-        allow_oracles=allow_oracles,
-    )
+    if task is None:
+        suite = _suite(
+            world,
+            real,
+            tuning,
+            attack,
+            (warmup_s, live_s, attack_s, time_to_alert_s),
+            seed,
+            detectors=_specs(detector) if detector else list(DEFAULT_DETECTORS),
+            spoofers=spoofers,
+            budget=budget,
+            training=training_seeds,
+            runs=seeds,
+            allow_oracles=allow_oracles,
+        )
+    else:
+        _refuse_world(context)
+        suite = _suite_of_task(task, spoofers, seed, budget, training_seeds, seeds)
     suite.check_fit()
     folder = ResultsFolder(out)
     folder.open(suite, overwrite=overwrite)
@@ -582,6 +596,32 @@ def _tuned_by_default(specs: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
     usual = {spec["name"]: spec for spec in DEFAULT_SPOOFERS}
     return [usual.get(spec["name"], spec) if len(spec) == 1 else spec for spec in specs]
+
+
+@app.command()
+@clear_errors
+def tasks(as_json: JsonOption = False) -> None:
+    """List the tasks of spoofgym-bench-v1, with the scores that are known."""
+    from .bench.task_scores import stored_scores
+    from .tasks import TASKS
+
+    scores = stored_scores()
+    if as_json:
+        _print_json(
+            [
+                {"key": key, "env_id": task.env_id, "title": task.title, **scores.get(key, {})}
+                for key, task in TASKS.items()
+            ]
+        )
+        return
+    columns = ("none", "ramp", "profile", "ppo")
+    rows = []
+    for key, task in TASKS.items():
+        found = scores.get(key, {}).get("undetected_displacement_m", {})
+        texts = (f"{found[name]:.1f}" if found.get(name) is not None else "-" for name in columns)
+        rows.append((key, task.env_id, *texts, task.title))
+    heads = ("task", "environment", *(f"{name} [m]" for name in columns), "what it asks for")
+    _print_table("spoofgym-bench-v1: mean undetected displacement", heads, rows)
 
 
 @app.command()
@@ -628,6 +668,57 @@ def perf(
         "a step of the environment beside its engine, one thread",
         ("", "single", "vector"),
         [(key, *(str(each[key]) for each in beside)) for key in beside[0]],
+    )
+
+
+WORLD_OPTIONS = (
+    "detector",
+    "scenario",
+    "errors",
+    "imu",
+    "tuning",
+    "attack",
+    "track",
+    "ephemeris",
+    "from_s",
+    "duration",
+    "day",
+    "warmup_s",
+    "live_s",
+    "attack_s",
+    "time_to_alert_s",
+)
+"""Options that a task decides."""
+
+
+def _refuse_world(context: typer.Context) -> None:
+    """Raise where an option is given that the task decides."""
+    for option in context.command.params:
+        source = context.get_parameter_source(str(option.name))
+        if option.name in WORLD_OPTIONS and source is not None and source.name == "COMMANDLINE":
+            raise ValueError(f"{option.opts[0]} can't be given with --task, which decides it")
+
+
+def _suite_of_task(
+    task: str,
+    spoofers: list[dict[str, Any]] | None,
+    seed: int,
+    budget: float,
+    training: int,
+    runs: int,
+) -> Suite:
+    """The suite of a task."""
+    from .bench.suite import Suite, Tuning
+    from .tasks import SUITE, task_of
+
+    chosen = task_of(task)
+    return Suite(
+        **chosen.suite_kwargs,
+        spoofers=spoofers,
+        runs=runs,
+        entropy=seed,
+        tuning=Tuning(runs=training, sift_runs=max(training // 16, 1), budget=budget),
+        notes=(f"task {chosen.key} of {SUITE}: {chosen.title}",),
     )
 
 

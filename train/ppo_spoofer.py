@@ -106,6 +106,7 @@ from spoofgym.spoofers import KNOWLEDGE, Profile, card_of, shipped
 from spoofgym.spoofers.base import direction
 from spoofgym.spoofers.card import Card, fields_of
 from spoofgym.spoofers.onnx_policy import OnnxPolicy
+from spoofgym.tasks import task_of
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,8 @@ class Arguments:
 
     out: Path
     """Folder of the run; its last part is the name of the spoofer."""
+    task: str = ""
+    """Task of spoofgym-bench-v1, T1 to T5, which decides detector, scenario, attack and times."""
     detector: str = "ewma"
     """Detector that it learns against: a name, with settings as name:key=value or JSON."""
     knowledge: str = "blind"
@@ -220,12 +223,25 @@ class Arguments:
                 f"`detector` must be one of {', '.join(sorted(DETECTORS))}: a card can't name a "
                 f"class of another module; got {self.detector!r}"
             )
+        if self.task:
+            self._check_task()
         if self.gamma != 1.0:
             warnings.warn(
                 f"`gamma` = {self.gamma:g}: what is scored is not discounted, and with less than 1 "
                 "the spoofer learns to be quick rather than to get far",
                 stacklevel=2,
             )
+
+    def _check_task(self) -> None:
+        if task_of(self.task).pooled:
+            raise ValueError(
+                f"`task` must have one detector, {self.task} hides a pool of them; train on "
+                "'spoofgym/SpooferView-v0'"
+            )
+        decided = ("detector", "scenario", "attack", "attack_s", "warmup_s")
+        for item in fields(self):
+            if item.name in decided and getattr(self, item.name) != item.default:
+                raise ValueError(f"`{item.name}` can't be given with `task`, which decides it")
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -237,6 +253,9 @@ class Arguments:
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """What `gymnasium.make` takes."""
+        if self.task:
+            target = {"target_heading_deg": self.heading_deg}
+            return {**target, **task_of(self.task).env_kwargs, "knowledge": self.knowledge}
         return {
             "scenario": parse_spec(self.scenario),
             "detector": detector_entry(parse_spec(self.detector)).spec,
@@ -253,12 +272,10 @@ class Arguments:
     @property
     def suite(self) -> Suite:
         """Campaign of the same preset, for its runs and for tuning the ramps."""
-        env = self.env_kwargs
+        world = {k: v for k, v in self.env_kwargs.items() if k not in ("detector", "knowledge")}
         return Suite(
-            scenario=env["scenario"],
-            attack=env["attack"],
-            timeline=env["timeline"],
-            detectors=[env["detector"]],
+            **world,
+            detectors=[self.env_kwargs["detector"]],
             spoofers=[
                 {"name": "ramp", "rate_mps": "tuned", "heading_deg": self.heading_deg},
                 {
@@ -431,7 +448,8 @@ class Scales:
 
 def make_model(args: Arguments, env: AlongHeading, scales: Scales = Scales()) -> PPO:
     """PPO with fresh weights, whose first actions lie around that of a ramp."""
-    n_steps = args.n_steps or env.get_attr("game")[0].setup.steps
+    setup = env.get_attr("game")[0].setup
+    n_steps = args.n_steps or setup.steps // setup.repeat
     size = n_steps * args.num_envs
     if size % args.batch_size and args.batch_size < size:
         # stable-baselines3 warns of a last minibatch that is smaller; it is harmless

@@ -1,0 +1,219 @@
+r"""The tasks of `spoofgym-bench-v1`: environments whose settings never change, and their scores.
+
+A task is an environment and an alarm budget.  What a spoofer scores is its mean undetected
+displacement over the evaluation runs, by the rules of the benchmark, where it keeps the budget; and
+the part of the way from the best ramp to the optimised profile that it goes,
+
+.. math:: s = \frac{x - x_{ramp}}{x_{profile} - x_{ramp}}
+
+so that 0 is a ramp, 1 is what an open-loop search finds, and more than 1 takes feedback.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+from ._registry import check_choice
+
+SUITE = "spoofgym-bench-v1"
+"""Name of the tasks together; a change of any of them makes another one."""
+BUDGET = 0.05
+"""How much more often than without attack an alarm may come, as a part of the runs."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One task.
+
+    Parameters
+    ----------
+    key : str
+        ``"T1"`` and so on.
+    title : str
+        What it asks for, in a line.
+    settings : dict
+        Keyword arguments of `SpoofEnv`, JSON-able, but for the detector.
+    detectors : tuple
+        Whom the spoofer meets, as `make_detector` takes them; more than one are a pool, from which
+        every episode draws, and the spoofer is not told which it is.
+    alert_limit_m : float or None
+        Error that the navigation must not exceed unnoticed, where the task names one.
+    """
+
+    key: str
+    title: str
+    settings: dict[str, Any]
+    detectors: tuple[dict[str, Any], ...]
+    alert_limit_m: float | None = None
+
+    @property
+    def env_id(self) -> str:
+        """Id for `gymnasium.make`."""
+        return f"spoofgym/Bench{self.key}-v1"
+
+    @property
+    def pooled(self) -> bool:
+        """Whether there is more than one detector."""
+        return len(self.detectors) > 1
+
+    @property
+    def env_kwargs(self) -> dict[str, Any]:
+        """Keyword arguments of the environment; a copy."""
+        whom = {"pool": list(self.detectors)} if self.pooled else {"detector": self.detectors[0]}
+        return copy.deepcopy({**self.settings, **whom})
+
+    @property
+    def suite_kwargs(self) -> dict[str, Any]:
+        """Keyword arguments of a benchmark's `Suite`; a copy."""
+        return copy.deepcopy({**self.settings, "detectors": self.detectors})
+
+
+EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
+RANGE_RATES = {"name": "cusum", "signals": "range_rate"}
+EVERYTHING = {
+    "start_s": [0.0, None],
+    "turned_deg": [0.0, 360.0],
+    "constellation_time_s": [0.0, 43_200.0],
+    "worlds": 16,
+    "imu": ["aviation", "tactical", "consumer"],
+    "errors": ["zhong2025", "groves", "realistic"],
+}
+
+TASKS: dict[str, Task] = {
+    task.key: task
+    for task in (
+        Task(
+            "T1",
+            "snapshot chi-square, ideal spoofer: the known optimum",
+            {"scenario": "zhong2025", "attack": "false-position-ideal"},
+            ({"name": "snapshot-chi2"},),
+        ),
+        Task(
+            "T2",
+            "EWMA chart with weights, ideal spoofer",
+            {"scenario": "zhong2025", "attack": "false-position-ideal"},
+            (EWMA,),
+        ),
+        Task(
+            "T3",
+            "matched receiver, range rates tested, target tracked to 1 m",
+            {"scenario": "realistic", "receiver": "matched", "attack": "tracking-1m"},
+            (RANGE_RATES,),
+        ),
+        Task(
+            "T4",
+            "tactical sensors, half an hour, alert limit 556 m",
+            {
+                "scenario": {"name": "realistic-tactical", "flight": "airway"},
+                "receiver": "matched",
+                "attack": "tracking-1m",
+                "timeline": {"warmup_s": 200.0, "live_s": 60.0, "attack_s": 1800.0},
+                "decision_interval_s": 10.0,
+                "between": "linear",
+            },
+            (RANGE_RATES,),
+            556.0,
+        ),
+        Task(
+            "T5",
+            "everything drawn anew in every episode",
+            {
+                "scenario": "realistic",
+                "receiver": "matched",
+                "attack": "tracking-1m",
+                "domain": EVERYTHING,
+                "target_heading_deg": "worst",
+            },
+            (EWMA,),
+        ),
+        Task(
+            "T6",
+            "a hidden pool of detectors",
+            {"scenario": "zhong2025", "attack": "false-position-ideal"},
+            (
+                EWMA,
+                {"name": "snapshot-chi2"},
+                {"name": "cusum"},
+                {"name": "innovation-rate"},
+                {"name": "aime"},
+            ),
+        ),
+    )
+}
+"""The tasks by their keys."""
+
+
+def task_of(key: str) -> Task:
+    """Task by its key.
+
+    Parameters
+    ----------
+    key : str
+        ``"T1"`` to ``"T6"``.
+
+    Returns
+    -------
+    Task
+        The task.
+
+    Raises
+    ------
+    ValueError
+        When there is none; the valid ones are listed.
+
+    Examples
+    --------
+    >>> from spoofgym.tasks import task_of
+    >>> task_of("T4").alert_limit_m
+    556.0
+    """
+    check_choice("task", key, TASKS)
+    return TASKS[key]
+
+
+def normalised(score: float, ramp: float, profile: float) -> float:
+    """Part of the way from the best ramp to the optimised profile.
+
+    Parameters
+    ----------
+    score, ramp, profile : float
+        Mean undetected displacements [m].
+
+    Returns
+    -------
+    float
+        0 for the ramp, 1 for the profile.
+
+    Raises
+    ------
+    ValueError
+        When the profile is no better than the ramp.
+    """
+    if not profile > ramp:
+        raise ValueError(
+            f"the profile must get farther than the ramp, got {profile:g} m and {ramp:g} m"
+        )
+    return (score - ramp) / (profile - ramp)
+
+
+PAPERS: dict[str, tuple[str, dict[str, Any]]] = {
+    "ke2022": (
+        "spoofgym/TightlyCoupled-v0",
+        {
+            "scenario": "ke2022",
+            "attack": "paper-ideal",
+            "detector": {"name": "innovation-rate"},
+            "timeline": {"warmup_s": 350.0, "live_s": 150.0, "attack_s": 200.0},
+        },
+    ),
+    "shadmehri2025": ("spoofgym/LooselyCoupled-v0", {}),
+    "song2021": ("spoofgym/WheeledRobot-v0", {}),
+    "wu2024": ("spoofgym/Snapshot-v0", {}),
+    "zhong2025": (
+        "spoofgym/TightlyCoupled-v0",
+        {"scenario": "zhong2025", "attack": "paper-ideal", "detector": EWMA},
+    ),
+}
+"""Environments of the papers' scenarios: id and keyword arguments, by the keys of the papers."""
