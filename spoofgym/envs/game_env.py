@@ -9,31 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .played import Played
+from .rendering import RENDER_MODES, Recorder, Screen
 from .spaces import action_space, checked_action, observation_space
 
 Observation = NDArray[np.float32]
 
 
 G = TypeVar("G", bound=Played)
-
-
-def refuse_rendering(render_mode: object) -> None:
-    """Raise unless nothing is to be rendered.
-
-    Parameters
-    ----------
-    render_mode : object
-        Of the user.
-
-    Raises
-    ------
-    ValueError
-        When it is not None.
-    """
-    if render_mode is not None:
-        raise ValueError(
-            f"`render_mode` must be None, there is nothing to render; got {render_mode!r}"
-        )
 
 
 class GameEnv(gym.Env[Observation, Observation], Generic[G]):
@@ -43,6 +25,15 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
     ----------
     game : Played
         Of one receiver, not begun yet.
+    render_mode : {"human", "rgb_array"}, optional
+        Whether a window shows the episode, or `render` returns pictures of it.
+    recorder : Recorder, optional
+        Looks at the game for them; without it there is no render mode.
+
+    Raises
+    ------
+    ValueError
+        When there is no such render mode.
 
     Attributes
     ----------
@@ -52,10 +43,19 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         Name of every element.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 2}  # noqa: RUF012  (Gymnasium's)
+    metadata: dict[str, Any] = {  # noqa: RUF012  (Gymnasium's)
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 2,
+    }
 
-    def __init__(self, game: G) -> None:
-        self.render_mode = None
+    def __init__(
+        self, game: G, render_mode: str | None = None, recorder: Recorder | None = None
+    ) -> None:
+        self.render_mode, self._screen = render_mode, _screen(render_mode, recorder)
+        if recorder is None:
+            self.metadata = {**self.metadata, "render_modes": []}
+        else:
+            self.metadata = {**self.metadata, "render_fps": 1.0 / recorder.interval_s}
         self.game = game
         self.observation_names, self.action_names = game.observation_names, game.action_names
         self.observation_space = observation_space(game)
@@ -84,7 +84,10 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         super().reset(seed=seed)
         self.game.reset([self.np_random])
         self._running = True
-        return self.game.observe()[0], _of_one(self.game.begin_info())
+        info = _of_one(self.game.begin_info())
+        if self._screen is not None:
+            self._screen.begin(info)
+        return self.game.observe()[0], info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Give one command, and run one epoch.
@@ -111,8 +114,49 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         turn = self.game.step(given[None])
         terminated = bool(turn.terminated[0])
         self._running = not terminated
-        observation = self.game.observe()[0]
-        return observation, float(turn.reward[0]), terminated, False, _of_one(turn.info)
+        observation, info = self.game.observe()[0], _of_one(turn.info)
+        if self._screen is not None:
+            self._screen.add(info)
+        return observation, float(turn.reward[0]), terminated, False, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the episode from its onset until now.
+
+        Returns
+        -------
+        ndarray or None
+            (H, W, 3) uint8 in mode ``rgb_array``; None in mode ``human``, which also draws at
+            every reset and step.
+
+        Raises
+        ------
+        RuntimeError
+            Before the first reset, and in mode ``human`` without a display.
+        """
+        if self._screen is None:
+            gym.logger.warn(
+                "render() needs a render mode: make the environment with "
+                "render_mode='rgb_array' or 'human'"
+            )
+            return None
+        return self._screen.render()
+
+    def close(self) -> None:
+        """End what runs beside, and close the window."""
+        self.game.close()
+        if self._screen is not None:
+            self._screen.close()
+
+
+def _screen(render_mode: str | None, recorder: Recorder | None) -> Screen | None:
+    """What draws, if anything is to be drawn."""
+    if render_mode is None:
+        return None
+    if recorder is None:
+        raise ValueError(
+            f"`render_mode` must be None, there is nothing to render; got {render_mode!r}"
+        )
+    return Screen(render_mode, recorder)
 
 
 def _of_one(info: dict[str, NDArray[Any]]) -> dict[str, Any]:

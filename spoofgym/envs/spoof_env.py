@@ -10,9 +10,10 @@ from ..detectors import Detector
 from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario
 from .game import Game
-from .game_env import GameEnv, refuse_rendering
+from .game_env import GameEnv
 from .observations import ObservationTerm
 from .presets import DEFAULT_ATTACK, make_game, make_setup
+from .rendering import GameRecorder
 from .rewards import RewardTerm
 from .setup import Timeline
 
@@ -74,8 +75,8 @@ class SpoofEnv(GameEnv[Game]):
         Whether an alarm ends the episode.
     target_heading_deg : float
         Direction in which displacement counts, clockwise from north.
-    render_mode : None
-        There is nothing to render yet.
+    render_mode : {"human", "rgb_array"}, optional
+        Whether a window shows the episode, or `render` returns pictures of it.
 
     Attributes
     ----------
@@ -110,9 +111,8 @@ class SpoofEnv(GameEnv[Game]):
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
-        render_mode: None = None,
+        render_mode: str | None = None,
     ) -> None:
-        refuse_rendering(render_mode)
         setup = make_setup(
             scenario=scenario,
             receiver=receiver,
@@ -131,4 +131,4 @@ class SpoofEnv(GameEnv[Game]):
             target_heading_deg=target_heading_deg,
             threads=1,
         )
-        super().__init__(game)
+        super().__init__(game, render_mode, GameRecorder(game))

@@ -1,0 +1,140 @@
+"""Frames written as a moving picture: GIF by Pillow, MP4 by FFmpeg."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._registry import check_choice
+
+Frame = NDArray[np.uint8]
+COLOURS = 64
+"""Colours of a GIF."""
+GIF_CLOCK_S = 0.01
+"""Unit of the time that a GIF shows a frame."""
+
+
+def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0) -> Path:
+    """Write frames as they come; none is kept.
+
+    Parameters
+    ----------
+    frames : iterable of ndarray
+        (H, W, 3) uint8, at least one, all of one shape.
+    path : Path or str
+        File; its ending tells the format, ``.gif`` or ``.mp4``.
+    fps : float
+        Frames a second; a GIF has 100 over a whole number, the nearest is taken.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ValueError
+        When the ending or `fps` is not valid, or there is no frame.
+    ImportError
+        When the library that writes the format is not installed.
+    """
+    path = Path(path)
+    if not (np.isfinite(fps) and 0.0 < fps <= 100.0):
+        raise ValueError(f"`fps` must be above 0 and at most 100, got {fps}")
+    writers = {".gif": _write_gif, ".mp4": _write_mp4}
+    ending = path.suffix.lower()
+    check_choice("ending of an animation", ending, writers)
+    stream = iter(frames)
+    first = next(stream, None)
+    if first is None:
+        raise ValueError("an animation needs at least one frame")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    try:
+        writers[ending](chain([first], stream), first.shape[:2], part, fps)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
+    """Write a GIF; all frames share the palette of the first and what later ones add to it."""
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise ImportError("a GIF needs Pillow: pip install spoofgym[report]") from error
+
+    def quantized() -> Iterator[Any]:
+        """Frames of few colours."""
+        for frame in frames:
+            image = Image.fromarray(frame)
+            yield image.quantize(
+                COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
+            )
+
+    images = quantized()
+    clock = max(round(1.0 / (fps * GIF_CLOCK_S)), 1)
+    next(images).save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=images,
+        duration=round(1000.0 * clock * GIF_CLOCK_S),
+        loop=0,
+    )
+
+
+def ffmpeg_program() -> str:
+    """FFmpeg of this machine, or that of the package ``imageio-ffmpeg``.
+
+    Returns
+    -------
+    str
+        Its path.
+
+    Raises
+    ------
+    ImportError
+        When there is neither.
+    """
+    found = shutil.which("ffmpeg")
+    if found is not None:
+        return found
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+    except ImportError as error:
+        raise ImportError(
+            "an MP4 needs FFmpeg: pip install spoofgym[video], or write a .gif"
+        ) from error
+    return str(get_ffmpeg_exe())
+
+
+def _write_mp4(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
+    """Pipe frames into FFmpeg, which makes H.264 with even width and height of them."""
+    height, width = shape
+    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}"]
+    wanted = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2", "-c:v", "libx264", "-preset", "veryfast"]
+    wanted += ["-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4"]
+    command = [ffmpeg_program(), "-y", "-loglevel", "error", *given, "-i", "-", *wanted, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        pipe: Any = process.stdin
+        try:
+            for frame in frames:
+                pipe.write(np.ascontiguousarray(frame).data)
+        except BrokenPipeError:
+            pass  # FFmpeg has ended early, and says why
+        except BaseException:
+            process.kill()
+            raise
+        _, told = process.communicate()
+    if process.returncode:
+        text = " ".join(told.decode(errors="replace").split())
+        raise OSError(f"FFmpeg failed with code {process.returncode}: {text}")
