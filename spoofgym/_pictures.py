@@ -22,6 +22,8 @@ COLOURS = (
 )
 BLUE, ORANGE, GREEN = COLOURS[:3]
 """The clean twin, what is attacked, what is commanded."""
+RED = "#B2182B"
+"""Alarms."""
 GREY = "#777777"
 GRID = "#dddddd"
 

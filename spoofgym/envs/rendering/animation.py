@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._pictures import COLOURS, GREY, RED
 from ..._registry import check_choice
 
 Frame = NDArray[np.uint8]
-COLOURS = 64
-"""Colours of a GIF."""
+TINTS = 10
+"""Steps from a colour of the pictures to white, in the palette of a GIF."""
 GIF_CLOCK_S = 0.01
 """Unit of the time that a GIF shows a frame."""
 
@@ -27,7 +28,8 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
     Parameters
     ----------
     frames : iterable of ndarray
-        (H, W, 3) uint8, at least one, all of one shape.
+        (H, W, 3) uint8, at least one, all of one shape; a GIF is made for those of `Painter`, and
+        takes the nearest of their colours.
     path : Path or str
         File; its ending tells the format, ``.gif`` or ``.mp4``.
     fps : float
@@ -66,21 +68,18 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
 
 
 def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
-    """Write a GIF; all frames share the palette of the first and what later ones add to it."""
+    """Write a GIF, in the colours of our pictures."""
     try:
         from PIL import Image
     except ImportError as error:
         raise ImportError("a GIF needs Pillow: pip install spoofgym[report]") from error
 
-    def quantized() -> Iterator[Any]:
-        """Frames of few colours."""
-        for frame in frames:
-            image = Image.fromarray(frame)
-            yield image.quantize(
-                COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
-            )
-
-    images = quantized()
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(gif_palette())
+    images = (
+        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in frames
+    )
     clock = max(round(1.0 / (fps * GIF_CLOCK_S)), 1)
     next(images).save(
         path,
@@ -90,6 +89,23 @@ def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps:
         duration=round(1000.0 * clock * GIF_CLOCK_S),
         loop=0,
     )
+
+
+def gif_palette() -> bytes:
+    """Tints of all colours of the pictures, as smooth edges have them, and shades of grey.
+
+    Returns
+    -------
+    bytes
+        Red, green and blue of up to 256 colours.
+    """
+    named = [COLOURS[:6], (RED, GREY)]
+    full = [[int(c[k : k + 2], 16) for k in (1, 3, 5)] for group in named for c in group]
+    part = np.linspace(0.0, 1.0, TINTS, endpoint=False)[:, None, None]
+    tints = (1.0 - part) * np.array(full) + part * 255.0
+    greys = np.repeat(np.linspace(0.0, 255.0, 64), 3)
+    levels = np.concatenate([tints.ravel(), greys])
+    return np.round(levels).astype(np.uint8).tobytes()
 
 
 def ffmpeg_program() -> str:

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._pictures import figure_class
+from ..._pictures import RED, figure_class
 from ..sight import Stage
 from .history import RenderHistory
-from .panels import RED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

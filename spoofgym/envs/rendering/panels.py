@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._pictures import BLUE, GREEN, GREY, GRID, ORANGE, style
+from ..._pictures import BLUE, GREEN, GREY, GRID, ORANGE, RED, style
 from ..sight import FloatArray, Sky, Stage
 from .history import RenderHistory
 from .scales import equal_limits, round_down, round_up
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from matplotlib.text import Text
 
-RED = "#B2182B"
-"""Alarms."""
 SMALL = 8.5
 """Size of the type of labels."""
 LEAST_M = 2.0
