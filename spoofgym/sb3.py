@@ -25,6 +25,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from .attacks import Attack
 from .detectors import Detector
+from .envs.domain import Domain
 from .envs.observations import ObservationTerm
 from .envs.presets import DEFAULT_ATTACK, make_game, make_setup
 from .envs.rewards import RewardTerm
@@ -66,7 +67,7 @@ class SpoofVecEnv(VecEnv):
         As ``seed(seed)`` before the first reset.
     scenario, detector, attack, receiver, timeline, knowledge, observation, reward
         As in `SpoofEnv`.
-    alarm_penalty_m, end_at_alarm, target_heading_deg
+    alarm_penalty_m, end_at_alarm, target_heading_deg, domain, decision_interval_s, between, twin
         As in `SpoofEnv`.
 
     Attributes
@@ -95,7 +96,11 @@ class SpoofVecEnv(VecEnv):
         reward: Sequence[RewardTerm] | None = None,
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
-        target_heading_deg: float = 90.0,
+        target_heading_deg: float | str = 90.0,
+        domain: Mapping[str, Any] | Domain | None = None,
+        decision_interval_s: float | None = None,
+        between: str = "hold",
+        twin: bool = False,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"`num_envs` must be at least 1, got {num_envs}")
@@ -110,6 +115,10 @@ class SpoofVecEnv(VecEnv):
             attack=attack,
             detector=detector,
             timeline=timeline,
+            domain=domain,
+            target_heading_deg=target_heading_deg,
+            decision_interval_s=decision_interval_s,
+            between=between,
         )
         self.game = make_game(
             num_envs,
@@ -119,9 +128,9 @@ class SpoofVecEnv(VecEnv):
             reward=reward,
             alarm_penalty_m=alarm_penalty_m,
             end_at_alarm=end_at_alarm,
-            target_heading_deg=target_heading_deg,
             threads=threads,
             prefetch=prefetch,
+            twin=twin,
         )
         self.observation_names = self.game.observer.names
         self.action_names = setup.attack.action_names(setup.world)

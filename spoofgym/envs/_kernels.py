@@ -2,32 +2,93 @@
 
 from __future__ import annotations
 
+import math
+
 from .._jit import njit
 
 
 @njit
-def displace(position_e, true_position_e, epochs, target_e, origin, displacement):
-    """Displacements along the target direction.
+def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin, displacement):
+    """Displacements along the target direction, in the local axes at the onset.
 
     Parameters
     ----------
-    position_e, true_position_e : ndarray
-        (B, 3) estimated, and (K, 3) true, ECEF [m].
-    epochs : ndarray
-        (B,) the epoch that each receiver is at.
-    target_e : ndarray
-        (3,) direction in which displacement counts, ECEF.
+    position_e, reference_e : ndarray
+        (B, 3) estimated, and (K, 3) what it is compared to, ECEF [m].
+    rows : ndarray
+        (B,) which of the references is each receiver's.
+    C_en : ndarray
+        (K, 3, 3) local axes at all epochs.
+    onset : ndarray
+        (B,) epoch after which each receiver's attack begins.
+    heading : ndarray
+        (B,) direction in which displacement counts, clockwise from north [rad].
+    worst : bool
+        Whether the size counts, in whatever direction.
     origin : ndarray
-        (B,) projected error at the onset [m].
+        (B, 2) north and east difference at the onset, which does not count [m].
     displacement : ndarray
         (B,), written [m].
     """
     for b in range(displacement.shape[0]):
-        k = epochs[b]
-        total = 0.0
+        north, east = -origin[b, 0], -origin[b, 1]
+        axes = C_en[onset[b]]
         for i in range(3):
-            total += (position_e[b, i] - true_position_e[k, i]) * target_e[i]
-        displacement[b] = total - origin[b]
+            apart = position_e[b, i] - reference_e[rows[b], i]
+            north += apart * axes[i, 0]
+            east += apart * axes[i, 1]
+        if worst:
+            displacement[b] = math.sqrt(north * north + east * east)
+        else:
+            displacement[b] = math.cos(heading[b]) * north + math.sin(heading[b]) * east
+
+
+@njit
+def time_fractions(epochs, onset, steps, out):
+    """Parts of the command phase that are over, and left.
+
+    Parameters
+    ----------
+    epochs, onset : ndarray
+        (B,) epoch that each receiver is at, and that of its onset.
+    steps : int
+        Epochs of the command phase.
+    out : ndarray
+        (B, 2), written.
+    """
+    for b in range(out.shape[0]):
+        since = (epochs[b] - onset[b]) / steps
+        out[b, 0] = since
+        out[b, 1] = 1.0 - since
+
+
+@njit
+def local_motion(position_e, velocity_e, C_en, epochs, onset, per_position, per_velocity, out):
+    """Motion since the onset in the local axes there, scaled.
+
+    Parameters
+    ----------
+    position_e, velocity_e : ndarray
+        (K, 3) true, ECEF [m], [m/s].
+    C_en : ndarray
+        (K, 3, 3) local axes at all epochs.
+    epochs, onset : ndarray
+        (B,) epoch that each receiver is at, and that of its onset.
+    per_position, per_velocity : float
+        Factors.
+    out : ndarray
+        (B, 6), written: position less that at the onset, and velocity; north, east, down.
+    """
+    for b in range(out.shape[0]):
+        k, first = epochs[b], onset[b]
+        axes = C_en[first]
+        for j in range(3):
+            moved, speed = 0.0, 0.0
+            for i in range(3):
+                moved += (position_e[k, i] - position_e[first, i]) * axes[i, j]
+                speed += velocity_e[k, i] * axes[i, j]
+            out[b, j] = per_position * moved
+            out[b, 3 + j] = per_velocity * speed
 
 
 @njit

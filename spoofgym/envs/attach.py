@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Mapping
+from numbers import Real
 from typing import Any
 
 from .._describe import describe, unlike
@@ -19,7 +20,7 @@ from .spoof_env import SpoofEnv
 ENV_ID = "spoofgym/TightlyCoupled-v0"
 """Environment that cards are compared with."""
 SETUP = tuple(inspect.signature(make_setup).parameters)
-"""Settings that make the world, the victim, the attack, the detector and the timeline."""
+"""Settings that make the world, the victim, the attack, the detector and the decisions."""
 
 
 def attach(
@@ -202,19 +203,18 @@ def _wrapped(env: Any, game: Game, card: Card) -> list[str]:
 
 def _other_settings(card: Card, game: Game) -> list[str]:
     """Where the environment is another one than that of a card."""
-    default = inspect.signature(SpoofEnv).parameters["target_heading_deg"].default
-    target = card.env_kwargs.get("target_heading_deg", default)
-    return unlike(
-        _settings(setup_of_card(card), target), _settings(game.setup, game.target_heading_deg)
-    )
+    return unlike(_settings(setup_of_card(card)), _settings(game.setup))
 
 
-def _settings(setup: Setup, target_heading_deg: float) -> dict[str, Any]:
+def _settings(setup: Setup) -> dict[str, Any]:
     """Everything that decides what a spoofer meets, JSON-able."""
-    parts = {name: _told(getattr(setup, name)) for name in SETUP}
-    return {**parts, "target_heading_deg": float(target_heading_deg)}
+    return {name: _told(getattr(setup, name)) for name in SETUP}
 
 
 def _told(part: Any) -> Any:
     """A part of the setup by its settings; a class of the user, by its name."""
+    if part is None or isinstance(part, str):
+        return part
+    if isinstance(part, Real):
+        return float(part)
     return describe(part) if dataclasses.is_dataclass(part) else type(part).__qualname__

@@ -34,6 +34,24 @@ class Score(NamedTuple):
     finished: NDArray[np.bool_]
 
 
+def joined(first: Score, then: Score) -> Score:
+    """Two scores in a row as one.
+
+    Parameters
+    ----------
+    first, then : Score
+        Of the same receivers.
+
+    Returns
+    -------
+    Score
+        Sums, and whether either had an alarm or the end.
+    """
+    a, b = first.outcome, then.outcome
+    outcome = Outcome(a.gain + b.gain, a.retraction + b.retraction, a.detected | b.detected)
+    return Score(outcome, first.alarm | then.alarm, first.finished | then.finished)
+
+
 class Books:
     """Books of B receivers; the rules stand in `Game`.
 
@@ -52,8 +70,6 @@ class Books:
         (B,) bool, whether the attack has raised an alarm.
     credited : ndarray
         (B,) undetected displacement so far [m].
-    origin : ndarray
-        (B,) error along the target direction at the onset [m].
     """
 
     def __init__(self, receivers: int, steps: int, hold: int) -> None:
@@ -61,24 +77,20 @@ class Books:
         self.step_count = np.zeros(receivers, dtype=np.int64)
         self.detected = np.zeros(receivers, dtype=np.bool_)
         self.credited = np.zeros(receivers)
-        self.origin = np.zeros(receivers)
         self._largest = np.zeros((receivers, steps + 1))
 
-    def reset(self, rows: NDArray[np.intp], origin: FloatArray) -> None:
+    def reset(self, rows: NDArray[np.intp]) -> None:
         """Begin new episodes.
 
         Parameters
         ----------
         rows : ndarray
             Which receivers.
-        origin : ndarray
-            Their error along the target direction at the onset [m].
         """
         self.step_count[rows] = 0
         self.detected[rows] = False
         self.credited[rows] = 0.0
         self._largest[rows] = 0.0
-        self.origin[rows] = origin
 
     def score(self, displacement: FloatArray, alarms: NDArray[np.bool_], hold: Hold) -> Score:
         """Count one step of every receiver.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._memory import Memory
 from ..attacks import AttackContext
 from ..detectors import DetectorContext, Verdict
 from ..receiver import _kernels
@@ -19,6 +20,7 @@ from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import LANES, ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.sensors import SOURCES, SensorBuffers
+from .domain import draw, told
 from .prefetch import STOCK, NextEpisodes
 from .setup import Setup, check_settles
 from .workers import Workers
@@ -58,6 +60,10 @@ class Batch:
         self.weights = self.ones
         self.verdict: Verdict | None = None
         self._action: FloatArray | None = None
+        self.memory = Memory(receivers)
+        for name in ("first", "onset", "case"):
+            self.memory.declare(name, np.zeros(receivers, dtype=np.int64))
+        self.memory.declare("heading", np.zeros(receivers))
         self.attack = copy.deepcopy(setup.attack)
         self.attack.bind(AttackContext(receivers, world))
         self.detector = copy.deepcopy(setup.detector)
@@ -66,7 +72,7 @@ class Batch:
                 receivers,
                 world.channels,
                 setup.scenario.epoch_interval_s,
-                setup.noise_variance.copy(),
+                setup.cases.largest_variance,
                 world.satellite_ids,
             )
         )
@@ -83,40 +89,84 @@ class Batch:
 
     @property
     def epochs(self) -> NDArray[np.int64]:
-        """(B,) the epoch that each receiver is at."""
+        """(B,) the epoch of the world that each receiver is at."""
         return self.sensors.epoch
 
-    def begin(self, rngs: Sequence[np.random.Generator]) -> None:
+    @property
+    def onset(self) -> NDArray[np.int64]:
+        """(B,) the epoch of the world after which each receiver's attack begins."""
+        onset: NDArray[np.int64] = self.memory["onset"]
+        return onset
+
+    @property
+    def heading(self) -> FloatArray:
+        """(B,) direction in which displacement counts, clockwise from north [rad]."""
+        heading: FloatArray = self.memory["heading"]
+        return heading
+
+    def begin(
+        self, rngs: Sequence[np.random.Generator], given: Mapping[str, Any] | None = None
+    ) -> None:
         """Begin a new episode in every receiver: errors, first fix, attitude, empty memories.
 
         Parameters
         ----------
         rngs : sequence of Generator
             One per receiver.
+        given : mapping, optional
+            Circumstances that are not to be drawn; see `domain.CHOICES`.
         """
-        setup = self.setup
-        scenario = setup.scenario
-        rows = np.arange(self.receivers)
-        self.sensors.begin(
-            rows, list(rngs), scenario.imu_grade, scenario.gnss_errors, setup.bias_sd
-        )
+        setup, b = self.setup, self.receivers
+        rows = np.arange(b)
+        self.sensors.draw_keys(rows, rngs)
+        grade = self._settle(given)
         self.attack.memory.reset()
         spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
-        self.attack.begin(rows, spoofer_keys, np.full(self.receivers, setup.onset))
+        self.attack.begin(rows, spoofer_keys, self.onset)
         self.detector.reset()
-        state, measured = self.buffers.state, self.buffers.measured
-        measured.noise_variance[:] = setup.noise_variance
-        self.buffers.noise_psd[:] = setup.receiver.noise_psd(setup.noise)
+        self._begin_cases()
         self._measure_first()
-        b, n = self.receivers, setup.world.channels
+        first = self.memory["first"]
         _kernels.first_fix(
-            self.buffers.floats, self.buffers.flags, setup.world.position_e[0], b, n, 0, b
+            self.buffers.floats,
+            self.buffers.flags,
+            setup.world.position_e[first],
+            b,
+            setup.world.channels,
+            0,
+            b,
         )
-        state.C_eb[:] = setup.first_C_eb
+        state = self.buffers.state
+        state.C_eb[:] = setup.cases.first_C_eb(grade, first)
         state.accel_bias_b[:] = 0.0
         state.gyro_bias_b[:] = 0.0
-        state.covariance[:] = setup.receiver.initial_covariance(setup.noise)
         self.verdict, self.weights = None, self.ones
+
+    def _settle(self, given: Mapping[str, Any] | None) -> NDArray[np.int64]:
+        """Choose the circumstances of new episodes; (B,) their grades."""
+        setup, bounds = self.setup, self.setup.bounds
+        choice = draw(bounds, self.sensors.keys[SOURCES.index("domain")])
+        if given:
+            interval = setup.scenario.epoch_interval_s
+            choice = told(given, choice, bounds, setup.cases.names, interval)
+        first = choice.world * setup.epochs_each + choice.start
+        self.sensors.epoch[:] = first
+        self.memory["first"][:] = first
+        self.memory["onset"][:] = first + setup.onset
+        self.memory["case"][:] = setup.cases.index(choice.world, choice.grade, choice.error)
+        self.memory["heading"][:] = choice.heading
+        return choice.grade
+
+    def _begin_cases(self) -> None:
+        """Draw the errors, and tell the victims what they assume."""
+        cases = self.memory["case"]
+        state, measured = self.buffers.state, self.buffers.measured
+        for index in np.unique(cases).tolist():
+            case, rows = self.setup.cases[index], np.flatnonzero(cases == index)
+            self.sensors.begin(rows, case.grade, case.errors, case.bias_sd)
+            measured.noise_variance[rows] = case.noise_variance
+            self.buffers.noise_psd[rows] = case.noise_psd
+            state.covariance[rows] = case.covariance
 
     def _measure_first(self) -> None:
         world, buffers, sensors = self.setup.world, self.buffers, self.sensors
@@ -318,6 +368,7 @@ class Batch:
         self.buffers.block[:, to] = other.buffers.block[:, rows]
         self.sensors.keys[:, to] = other.sensors.keys[:, rows]
         self.sensors.epoch[to] = other.sensors.epoch[rows]
+        self.memory.copy_rows(to, other.memory, rows)
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
         self.detector.memory.copy_rows(to, other.detector.memory, rows)
         weights = self.weights.copy()
@@ -357,9 +408,10 @@ def _warm_up(
     batch: Batch,
     rngs: Sequence[np.random.Generator],
     between: Callable[[], None] | None = None,
+    given: Mapping[str, Any] | None = None,
 ) -> NDArray[np.bool_]:
     """Begin new episodes, and run them to the onset; (B,) bool, who alarmed."""
-    batch.begin(rngs)
+    batch.begin(rngs, given)
     batch.quiet_epochs(batch.setup.quiet, between=between)
     alarms = batch.live_epochs(batch.setup.live, between=between)
     alarmed: NDArray[np.bool_] = np.logical_or.reduce(alarms, axis=0)
@@ -405,17 +457,28 @@ class Engine:
         are warmed up together depends on timing, so its runs cannot be reproduced
         (`check_detector` checks that it is none).  One thread more than `threads` computes, also
         with ``threads=1``.
+    twin : bool
+        Whether a clean twin runs beside every receiver: the same flight, noise and detector, but no
+        attack.  It shares the warm-up.
 
     Attributes
     ----------
     batch : Batch
         The receivers.
+    twin : Batch or None
+        The same receivers, not attacked.
     warmup_alarm : ndarray
         (B,) bool, whether the detector alarmed before the attack: a false alarm.
     """
 
     def __init__(
-        self, receivers: int, setup: Setup, *, threads: int | None = None, prefetch: bool = False
+        self,
+        receivers: int,
+        setup: Setup,
+        *,
+        threads: int | None = None,
+        prefetch: bool = False,
+        twin: bool = False,
     ) -> None:
         if receivers < 1:
             raise ValueError(f"`receivers` must be at least 1, got {receivers}")
@@ -425,6 +488,7 @@ class Engine:
         self.threads = threads if threads is not None else available_threads(receivers)
         self._workers = Workers(self.threads - 1)
         self.batch = Batch(setup, receivers, self._run)
+        self.twin = Batch(setup, receivers, self._run) if twin else None
         self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
         self._few: dict[int, Batch] = {}
@@ -451,7 +515,10 @@ class Engine:
         self._workers.run(work, bounds)
 
     def reset(
-        self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp] | None = None
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: NDArray[np.intp] | None = None,
+        given: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin new episodes and run their warm-up.
 
@@ -461,10 +528,32 @@ class Engine:
             One per row.
         rows : ndarray, optional
             Which receivers; all by default.
+        given : mapping, optional
+            Circumstances of these episodes that are not to be drawn, one value, or one per row; see
+            `domain.CHOICES`.
         """
         where = self._everyone if rows is None else rows
+        if given:
+            # before anything has been begun
+            nothing = draw(self.setup.bounds, np.zeros((len(where), 2), dtype=np.uint64))
+            interval = self.setup.scenario.epoch_interval_s
+            told(given, nothing, self.setup.bounds, self.setup.cases.names, interval)
+        self._reset(rngs, where, given)
+        if self.twin is not None:
+            self.twin.copy_rows(where, self.batch, where)
+
+    def _reset(
+        self,
+        rngs: Sequence[np.random.Generator],
+        where: NDArray[np.intp],
+        given: Mapping[str, Any] | None,
+    ) -> None:
         if self._next is None:
-            self._begin(rngs, where)
+            self._begin(rngs, where, given)
+            return
+        if given:
+            self._begin(self._next.instead(where, rngs), where, given)
+            self._next.prepare(where, rngs)
             return
         prepared = self._next.prepared(where, rngs)
         if prepared.any():
@@ -477,13 +566,18 @@ class Engine:
             self._begin(others, where[~prepared])
         self._next.prepare(where, rngs)
 
-    def _begin(self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp]) -> None:
+    def _begin(
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: NDArray[np.intp],
+        given: Mapping[str, Any] | None = None,
+    ) -> None:
         """Begin new episodes and run their warm-up here and now."""
         if len(rows) == self.receivers:
-            self.warmup_alarm = _warm_up(self.batch, rngs)
+            self.warmup_alarm = _warm_up(self.batch, rngs, given=given)
             return
         batch = Batch(self.setup, len(rngs), self._run)
-        self.warmup_alarm[rows] = _warm_up(batch, rngs)
+        self.warmup_alarm[rows] = _warm_up(batch, rngs, given=given)
         self.batch.copy_rows(rows, batch, np.arange(len(rows)))
 
     def predict(self, action: FloatArray | None) -> Epoch:
@@ -538,6 +632,26 @@ class Engine:
             self.predict(action)
             verdict = self.judge()
             self.update(verdict)
+        return verdict
+
+    def step_twin(self) -> Verdict:
+        """Run the epoch of the clean twins, with their own detector.
+
+        Returns
+        -------
+        Verdict
+            Of the twins.
+
+        Raises
+        ------
+        RuntimeError
+            When there are none.
+        """
+        if self.twin is None:
+            raise RuntimeError("this engine has no clean twins; make it with `twin=True`")
+        self.twin.advance()
+        verdict = self.twin.judge()
+        self.twin.update(verdict.weights)
         return verdict
 
     def hold(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._kernels import displace
-from .books import Books
+from .books import Books, Score, joined
 from .engine import Engine
 from .observations import ObservationTerm, Observer
-from .played import Turn, check_rules
+from .played import Turn, check_end_at_alarm
 from .rewards import RewardTerm, named_terms, reward_of
 from .setup import Setup
-from .snapshot import Snapshot
+from .snapshot import Snapshot, position_error_n
 
 FloatArray = NDArray[np.float64]
 
@@ -24,8 +24,9 @@ class Game:
     r"""Episodes of B receivers under attack.
 
     The displacement of a step is the position error of the victim along the target direction, less
-    what it was at the onset; with :math:`M_j` its largest value in steps 0 to j, the undetected
-    displacement of an episode without an alarm is :math:`M_N`, and that of an episode with its
+    what it was at the onset, or, with twins, the distance from the clean twin along it; with
+    :math:`M_j` its largest value in steps 0 to j, the undetected displacement of an episode
+    without an alarm is :math:`M_N`, and that of an episode with its
     first alarm at epoch a is :math:`M_{a-h-1}`, h being the epochs of the time to alert.  After the
     last command the offsets hold their rate for h epochs, in which an alarm still counts.
 
@@ -41,11 +42,9 @@ class Game:
         Terms of the reward.
     end_at_alarm : bool
         Whether an alarm ends the episode.  If not, it goes on without further reward.
-    target_heading_deg : float
-        Direction in which displacement counts, clockwise from north.
     threads : int, optional
         As in `Engine`.
-    prefetch : bool
+    prefetch, twin : bool
         As in `Engine`.
 
     Attributes
@@ -54,8 +53,6 @@ class Game:
         The receivers.
     books : Books
         What counts of the running episodes.
-    target_heading_deg : float
-        As it was given.
     begin_names : tuple of str
         Keys of `begin_info`.
     """
@@ -70,18 +67,17 @@ class Game:
         observation: Sequence[ObservationTerm],
         reward: Sequence[RewardTerm],
         end_at_alarm: bool = True,
-        target_heading_deg: float = 90.0,
         threads: int | None = None,
         prefetch: bool = False,
+        twin: bool = False,
     ) -> None:
-        check_rules(end_at_alarm, target_heading_deg)
+        check_end_at_alarm(end_at_alarm)
         self.set_rewards(reward)
         self.setup, self.end_at_alarm = setup, end_at_alarm
-        self.engine = Engine(receivers, setup, threads=threads, prefetch=prefetch)
+        self.engine = Engine(receivers, setup, threads=threads, prefetch=prefetch, twin=twin)
         self.observer = Observer(observation, setup)
-        self.target_heading_deg = target_heading_deg
-        heading = np.radians(target_heading_deg)
-        self._target_e = setup.onset_C_en @ np.array([np.cos(heading), np.sin(heading), 0.0])
+        self._origin = np.zeros((receivers, 2))
+        self._given = np.zeros((receivers, len(self.action_names)))
         self._rows = np.arange(receivers)
         self.books = Books(receivers, setup.steps, setup.hold)
 
@@ -99,6 +95,11 @@ class Game:
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Least and largest observation, (o,) each."""
         return self.observer.low, self.observer.high
+
+    @property
+    def target_heading_deg(self) -> float | str:
+        """Direction in which displacement counts, as it was given."""
+        return self.setup.target_heading_deg
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -132,7 +133,7 @@ class Game:
         Snapshot
             Views, valid until the next step.
         """
-        return Snapshot(self.setup, self.engine.batch, self.step_count)
+        return Snapshot(self.setup, self.engine.batch, self.step_count, self.engine.twin)
 
     def observe(self) -> NDArray[np.float32]:
         """Observe all receivers.
@@ -145,7 +146,10 @@ class Game:
         return self.observer.observe(self.snapshot())
 
     def reset(
-        self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp] | None = None
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: NDArray[np.intp] | None = None,
+        given: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin new episodes, and run their warm-up up to the onset.
 
@@ -155,19 +159,63 @@ class Game:
             One per row.
         rows : ndarray, optional
             Which receivers; all by default.
+        given : mapping, optional
+            As in `Engine.reset`.
         """
         where = self._rows if rows is None else rows
-        self.engine.reset(rngs, rows)
-        self.books.reset(where, self._projection()[where])
+        self.engine.reset(rngs, rows, given)
+        self.books.reset(where)
+        self._given[where] = 0.0
+        if self.engine.twin is None:
+            error_n = position_error_n(self.setup, self.engine.batch)
+            self._origin[where] = error_n[where, :2]
 
-    def _projection(self) -> FloatArray:
-        batch = self.engine.batch
-        error_e = batch.buffers.state.position_e - self.setup.world.position_e[batch.epochs]
-        result: FloatArray = (error_e * self._target_e).sum(axis=1)
-        return result
+    def _displacement(self) -> FloatArray:
+        """(B,) of this epoch [m]."""
+        batch, twin, world = self.engine.batch, self.engine.twin, self.setup.world
+        displacement = np.empty(self.receivers)
+        displace(
+            batch.buffers.state.position_e,
+            world.position_e if twin is None else twin.buffers.state.position_e,
+            batch.epochs if twin is None else self._rows,
+            world.C_en,
+            batch.onset,
+            batch.heading,
+            self.setup.target_heading_deg == "worst",
+            self._origin,
+            displacement,
+        )
+        return displacement
+
+    def _commands(self, action: FloatArray) -> Iterator[FloatArray]:
+        """Commands of the epochs of one decision."""
+        count = self.setup.repeat
+        for j in range(1, count + 1):
+            if j == count or self.setup.between == "hold":
+                yield action
+            else:
+                yield self._given + (j / count) * (action - self._given)
+        self._given[:] = action
+
+    def _play(self, command: FloatArray) -> tuple[FloatArray, Score]:
+        """One epoch: displacement, and what it counts."""
+        verdict = self.engine.step(command)
+        if self.engine.twin is not None:
+            self.engine.step_twin()
+        displacement = self._displacement()
+        return displacement, self.books.score(displacement, verdict.alarm, self.engine.hold)
+
+    def _decide(self, action: FloatArray) -> tuple[FloatArray, Score]:
+        """One decision: the last displacement, and what all its epochs count."""
+        commands = self._commands(action)
+        displacement, score = self._play(next(commands))
+        for command in commands:
+            displacement, later = self._play(command)
+            score = joined(score, later)
+        return displacement, score
 
     def step(self, action: FloatArray) -> Turn:
-        """One command of all receivers, and one epoch.
+        """One decision of all receivers, and the epochs until the next.
 
         Parameters
         ----------
@@ -179,18 +227,8 @@ class Game:
         Turn
             Rewards, ends and information.
         """
-        verdict = self.engine.step(action)
+        displacement, score = self._decide(action)
         engine, world, batch = self.engine, self.setup.world, self.engine.batch
-        displacement = np.empty(self.receivers)
-        displace(
-            batch.buffers.state.position_e,
-            world.position_e,
-            batch.epochs,
-            self._target_e,
-            self.books.origin,
-            displacement,
-        )
-        score = self.books.score(displacement, verdict.alarm, engine.hold)
         info: dict[str, NDArray[Any]] = {
             "time_s": world.epoch_time[batch.epochs],
             "alarm": score.alarm,
@@ -199,6 +237,7 @@ class Game:
             "coasting": batch.buffers.measured.coasting.copy(),
             "displacement_m": displacement,
             "undetected_displacement_m": self.books.credited.copy(),
+            "cost": score.outcome.detected.astype(np.float64),
         }
         reward = reward_of(self._reward_parts, score.outcome, info)
         return Turn(reward, self.books.over(score.finished, self.end_at_alarm), info)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Generic, TypeVar
 
 import gymnasium as gym
@@ -72,7 +73,8 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         seed : int, optional
             Seeds the receiver; without it the next episode of the same stream begins.
         options : dict, optional
-            Not used.
+            ``"domain"``: circumstances that are not to be drawn, such as ``{"start_s": 10.0}``; see
+            `spoofgym.envs.domain.CHOICES`.
 
         Returns
         -------
@@ -82,7 +84,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
             Whether the warm-up alarmed, and the time.
         """
         super().reset(seed=seed)
-        self.game.reset([self.np_random])
+        self.game.reset([self.np_random], given=told_domain(options))
         self._running = True
         info = _of_one(self.game.begin_info())
         if self._screen is not None:
@@ -157,6 +159,30 @@ def _screen(render_mode: str | None, recorder: Recorder | None) -> Screen | None
             f"`render_mode` must be None, there is nothing to render; got {render_mode!r}"
         )
     return Screen(render_mode, recorder)
+
+
+def told_domain(options: dict[str, Any] | None) -> Mapping[str, Any] | None:
+    """Circumstances that a reset is told.
+
+    Parameters
+    ----------
+    options : dict or None
+        Of the user.
+
+    Returns
+    -------
+    mapping or None
+        Of ``"domain"``.
+
+    Raises
+    ------
+    TypeError
+        When it is no mapping.
+    """
+    given = (options or {}).get("domain")
+    if given is not None and not isinstance(given, Mapping):
+        raise TypeError(f"the option `domain` of a reset must be a dict, got {given!r}")
+    return given
 
 
 def _of_one(info: dict[str, NDArray[Any]]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from .._registry import check_choice
-from .game_env import G
+from .game_env import G, told_domain
 from .spaces import action_space, checked_action, observation_space
 
 AUTORESET_MODES = {
@@ -126,7 +126,8 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
             Receiver i is seeded with ``seed + i``, or with its element; without it the next
             episodes of the same streams begin.
         options : dict, optional
-            Not used.
+            ``"domain"``: circumstances not to be drawn, each one value, or (B,) of them; see
+            `spoofgym.envs.domain.CHOICES`.
 
         Returns
         -------
@@ -151,7 +152,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
                 rng if s is None else np.random.default_rng(s)
                 for rng, s in zip(self._rngs, seeds, strict=True)
             ]
-        self.game.reset(self._rngs)
+        self.game.reset(self._rngs, given=told_domain(options))
         self._over[:] = False
         return self.game.observe(), self._masked(self.game.begin_info(), self._all)
 

@@ -7,6 +7,7 @@ errors).  Every value is divided by a stated scale and clipped to finite bounds.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Protocol, cast
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._registry import check_choice
-from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
+from ._kernels import local_motion, time_fractions
 from .engine import Engine
 from .setup import Setup
 from .snapshot import Snapshot, position_error_n
@@ -148,10 +149,9 @@ class Time:
         """0 and 1."""
         return 0.0, 1.0
 
-    def table(self, setup: Setup) -> FloatArray:
-        """The two fractions."""
-        since = (np.arange(setup.world.epochs) - setup.onset) / setup.steps
-        return np.column_stack([since, 1.0 - since])
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write the two fractions."""
+        time_fractions(snapshot.batch.epochs, snapshot.batch.onset, snapshot.setup.steps, out)
 
 
 @dataclass(frozen=True)
@@ -177,13 +177,39 @@ class TargetMotion:
         """-10 and 10."""
         return -10.0, 10.0
 
-    def table(self, setup: Setup) -> FloatArray:
-        """Position and velocity over their scales."""
-        world = setup.world
-        moved = world.position_e - world.position_e[setup.onset]
-        position = moved @ setup.onset_C_en / self.position_scale_m
-        velocity = world.velocity_e @ setup.onset_C_en / self.velocity_scale_mps
-        return np.hstack([position, velocity])
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write position and velocity over their scales."""
+        world, batch = snapshot.setup.world, snapshot.batch
+        local_motion(
+            world.position_e,
+            world.velocity_e,
+            world.C_en,
+            batch.epochs,
+            batch.onset,
+            1.0 / self.position_scale_m,
+            1.0 / self.velocity_scale_mps,
+            out,
+        )
+
+
+@dataclass(frozen=True)
+class TargetDirection:
+    """Direction in which displacement counts: its north and its east component."""
+
+    knowledge: ClassVar[str] = "blind"
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``target_direction_north`` and ``target_direction_east``."""
+        return ("target_direction_north", "target_direction_east")
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """-1 and 1."""
+        return -1.0, 1.0
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write cosine and sine of the heading."""
+        for i, heading in enumerate(snapshot.batch.heading.tolist()):
+            out[i, 0], out[i, 1] = math.cos(heading), math.sin(heading)
 
 
 @dataclass(frozen=True)
@@ -205,11 +231,9 @@ class SatelliteGeometry:
     def table(self, setup: Setup) -> FloatArray:
         """Unit vectors, then 1 or 0."""
         world = setup.world
-        latitude, longitude, _ = ecef_to_geodetic(world.position_e)
-        C_en = dcm_e_from_n(latitude, longitude)
         sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
         sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-        sight = np.einsum("kji,knj->kni", C_en, sight) * world.visible[:, :, None]
+        sight = np.einsum("kji,knj->kni", world.C_en, sight) * world.visible[:, :, None]
         return np.hstack([sight.reshape(world.epochs, -1), world.visible])
 
 
@@ -383,11 +407,10 @@ class Observer:
         """
         out = np.take(self._table, snapshot.batch.epochs, axis=0)
         for term, part in self._parts:
-            own = out[:, part]
-            term(snapshot, own)
-            # min and max, since np.clip costs three times as much on small arrays
-            np.maximum(own, self.low[part], out=own)
-            np.minimum(own, self.high[part], out=own)
+            term(snapshot, out[:, part])
+        # min and max, since np.clip costs three times as much on small arrays
+        np.maximum(out, self.low, out=out)
+        np.minimum(out, self.high, out=out)
         return out
 
     def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,7 +12,7 @@ from .._registry import check_choice
 from .books import Books
 from .observations import KNOWLEDGE
 from .plant import Plant
-from .played import Turn, check_rules
+from .played import Turn, check_end_at_alarm, check_heading
 from .rewards import RewardTerm, default_rewards, named_terms, reward_of
 
 FloatArray = NDArray[np.float64]
@@ -67,7 +67,8 @@ class PlantGame:
         target_heading_deg: float = 90.0,
     ) -> None:
         check_choice("knowledge", knowledge, KNOWLEDGE)
-        check_rules(end_at_alarm, target_heading_deg)
+        check_end_at_alarm(end_at_alarm)
+        check_heading(target_heading_deg)
         self.plant, self.knowledge, self.end_at_alarm = plant, knowledge, end_at_alarm
         names, low, high = plant.observation(knowledge)
         self.observation_names = names
@@ -80,6 +81,7 @@ class PlantGame:
         self._north, self._east = float(np.cos(heading)), float(np.sin(heading))
         self._rows = np.arange(plant.receivers)
         self.books = Books(plant.receivers, plant.steps, plant.hold)
+        self._origin = np.zeros(plant.receivers)
         self.warmup_alarm = np.zeros(plant.receivers, dtype=np.bool_)
 
     @property
@@ -116,7 +118,10 @@ class PlantGame:
         return out
 
     def reset(
-        self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp] | None = None
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: NDArray[np.intp] | None = None,
+        given: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin new episodes, and run their warm-up up to the onset.
 
@@ -126,7 +131,18 @@ class PlantGame:
             One per row.
         rows : ndarray, optional
             Which receivers; all by default.
+        given : mapping, optional
+            There is nothing that could be told of them.
+
+        Raises
+        ------
+        ValueError
+            When something is told nevertheless.
         """
+        if given:
+            raise ValueError(
+                f"a reset of {self.plant.kind!r} can't be told {', '.join(map(repr, given))}"
+            )
         where = self._rows if rows is None else rows
         if len(where) == self.receivers:
             self.warmup_alarm[where] = self.plant.begin(rngs)
@@ -134,7 +150,8 @@ class PlantGame:
             fresh = self.plant.spawn(len(where))
             self.warmup_alarm[where] = fresh.begin(rngs)
             self.plant.copy_rows(where, fresh, np.arange(len(where)))
-        self.books.reset(where, self._projection()[where])
+        self.books.reset(where)
+        self._origin[where] = self._projection()[where]
 
     def _projection(self) -> FloatArray:
         error = self.plant.error_ne()
@@ -167,7 +184,7 @@ class PlantGame:
             Rewards, ends and information.
         """
         alarms = self.plant.advance(action)
-        displacement = self._projection() - self.books.origin
+        displacement = self._projection() - self._origin
         score = self.books.score(displacement, alarms[:, None], self._hold)
         info: dict[str, NDArray[Any]] = {
             "time_s": self.plant.time_s().copy(),
@@ -176,6 +193,7 @@ class PlantGame:
             "warmup_alarm": self.warmup_alarm.copy(),
             "displacement_m": displacement,
             "undetected_displacement_m": self.books.credited.copy(),
+            "cost": score.outcome.detected.astype(np.float64),
         }
         reward = reward_of(self._reward_parts, score.outcome, info)
         return Turn(reward, self.books.over(score.finished, self.end_at_alarm), info)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any, NamedTuple, Protocol
 
@@ -12,23 +12,36 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 
-def check_rules(end_at_alarm: bool, target_heading_deg: float) -> None:
-    """Raise unless the rules of an episode make sense.
+def check_end_at_alarm(end_at_alarm: bool) -> None:
+    """Raise unless the end of an episode is told.
 
     Parameters
     ----------
     end_at_alarm : bool
         Whether an alarm ends the episode.
+
+    Raises
+    ------
+    ValueError
+        When it is neither True nor False.
+    """
+    if not isinstance(end_at_alarm, bool | np.bool_):
+        raise ValueError(f"`end_at_alarm` must be True or False, got {end_at_alarm!r}")
+
+
+def check_heading(target_heading_deg: float) -> None:
+    """Raise unless there is such a direction.
+
+    Parameters
+    ----------
     target_heading_deg : float
         Direction in which displacement counts.
 
     Raises
     ------
     ValueError
-        Names the rule and its value.
+        When it is not a finite number.
     """
-    if not isinstance(end_at_alarm, bool | np.bool_):
-        raise ValueError(f"`end_at_alarm` must be True or False, got {end_at_alarm!r}")
     if not isinstance(target_heading_deg, Real) or not np.isfinite(float(target_heading_deg)):
         raise ValueError(
             f"`target_heading_deg` must be a finite number, got {target_heading_deg!r}"
@@ -77,7 +90,10 @@ class Played(Protocol):
         """Least and largest observation, (o,) each."""
 
     def reset(
-        self, rngs: Sequence[np.random.Generator], rows: NDArray[np.intp] | None = None
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: NDArray[np.intp] | None = None,
+        given: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin new episodes of some receivers; of all by default."""
 

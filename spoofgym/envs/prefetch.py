@@ -222,6 +222,37 @@ class NextEpisodes:
             self._stock[rows] -= 1
             return self._alarm[slots]
 
+    def instead(
+        self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]
+    ) -> list[np.random.Generator]:
+        """Give up the next episodes of some receivers, to be begun otherwise.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Which receivers.
+        rngs : sequence of Generator
+            One per row.
+
+        Returns
+        -------
+        list of Generator
+            The same episodes not begun, where they had been asked for, or else those given.
+        """
+        link = self._here()
+        with link.change:
+            known = self.prepared(rows, rngs)
+            slots = self._slots(rows, 0).tolist()
+            instead = list(rngs)
+            for i in np.flatnonzero(known).tolist():
+                waiting = self._episodes[slots[i]]
+                if waiting is not None:
+                    instead[i] = copy_of(waiting)
+                self._asked = [slot for slot in self._asked if slot != slots[i]]
+                self._taken[rows[i]] += 1
+                self._stock[rows[i]] -= 1
+            return instead
+
     def serve(self, link: Link) -> None:
         """Do what has been asked for, as long as it is worth a piece of work.
 

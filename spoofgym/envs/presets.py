@@ -10,8 +10,9 @@ from ..attacks import Attack, make_attack
 from ..detectors import Detector, make_detector
 from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario, make_scenario
+from .domain import Domain
 from .game import Game
-from .observations import ObservationTerm, terms_of
+from .observations import ObservationTerm, TargetDirection, terms_of
 from .rewards import RewardTerm, default_rewards
 from .setup import Setup, Timeline
 
@@ -26,6 +27,10 @@ def make_setup(
     attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
     detector: str | Mapping[str, Any] | Detector | None = None,
     timeline: Mapping[str, float] | Timeline | None = None,
+    domain: Mapping[str, Any] | Domain | None = None,
+    target_heading_deg: float | str = 90.0,
+    decision_interval_s: float | None = None,
+    between: str = "hold",
 ) -> Setup:
     """Everything that the receivers of an engine share.
 
@@ -41,6 +46,10 @@ def make_setup(
         As `make_detector` takes it; `DEFAULT_DETECTOR` by default.
     timeline : mapping or Timeline, optional
         Settings of `Timeline`.
+    domain : mapping or Domain, optional
+        Settings of `Domain`.
+    target_heading_deg, decision_interval_s, between : optional
+        As in `Setup`.
 
     Returns
     -------
@@ -51,7 +60,23 @@ def make_setup(
     victim = build_record("receiver", TightlyCoupled, receiver, {"grade": world.imu})
     phases = build_record("timeline", Timeline, timeline)
     judge = make_detector(DEFAULT_DETECTOR if detector is None else detector)
-    return Setup(world, victim, make_attack(attack), judge, phases)
+    return Setup(
+        world,
+        victim,
+        make_attack(attack),
+        judge,
+        phases,
+        build_record("domain", Domain, domain),
+        target_heading_deg,
+        decision_interval_s,
+        between,
+    )
+
+
+def _terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
+    """Terms of a level, and the target direction where it differs from episode to episode."""
+    drawn = (TargetDirection(),) if setup.target_heading_deg == "random" else ()
+    return (*terms_of(knowledge), *drawn)
 
 
 def make_game(
@@ -63,9 +88,9 @@ def make_game(
     reward: Sequence[RewardTerm] | None = None,
     alarm_penalty_m: float = 10.0,
     end_at_alarm: bool = True,
-    target_heading_deg: float = 90.0,
     threads: int | None = None,
     prefetch: bool = False,
+    twin: bool = False,
 ) -> Game:
     """Game with the observation of a level of knowledge.
 
@@ -83,7 +108,7 @@ def make_game(
         Terms of the reward.
     alarm_penalty_m : float
         Price of an alarm, where `reward` does not say it.
-    end_at_alarm, target_heading_deg, threads, prefetch : optional
+    end_at_alarm, threads, prefetch, twin : optional
         As in `Game`.
 
     Returns
@@ -94,10 +119,10 @@ def make_game(
     return Game(
         receivers,
         setup,
-        observation=terms_of(knowledge) if observation is None else tuple(observation),
+        observation=_terms(setup, knowledge) if observation is None else tuple(observation),
         reward=default_rewards(alarm_penalty_m) if reward is None else tuple(reward),
         end_at_alarm=end_at_alarm,
-        target_heading_deg=target_heading_deg,
         threads=threads,
         prefetch=prefetch,
+        twin=twin,
     )

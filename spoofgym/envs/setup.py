@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
+from .._registry import check_choice
 from ..attacks import Attack
 from ..detectors import Detector
-from ..earth.attitude import euler_to_dcm
 from ..receiver import TightlyCoupled
-from ..receiver.matching import assumed_noise
 from ..sim.scenario import Scenario
 from ..sim.world import World
+from .cases import Cases, worlds_of
+from .domain import Bounds, Domain
 
 MOST_EPOCHS = 100_000
 """Longest episode."""
+FIRST_FIX = 4
+"""Satellites that a first fix takes."""
+TARGETS = ("random", "worst")
+"""Target directions that are no number."""
+BETWEEN = ("hold", "linear")
+"""What is commanded between two decisions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +130,32 @@ class Setup:
         Copied for every batch.
     timeline : Timeline
         Phases of an episode.
+    domain : Domain, optional
+        What differs from episode to episode; nothing by default.
+    target_heading_deg : float or {"random", "worst"}
+        Direction in which displacement counts, clockwise from north; drawn for every episode; or
+        that in which it is largest.
+    decision_interval_s : float, optional
+        Time between decisions, a multiple of the interval between epochs, of which the attack
+        window holds a whole number; every epoch by default.
+    between : {"hold", "linear"}
+        What is commanded at the epochs between: the decision that was taken, or the line from the
+        one before to it, which is reached when the next is due.
+
+    Attributes
+    ----------
+    world : World
+        All worlds of the domain, one after the other: an epoch of it tells world and time.
+    cases : Cases
+        Combinations of world, sensors and errors.
+    onset : int
+        Epochs from the begin of an episode to the onset of the attack.
+    bounds : Bounds
+        What an episode chooses from.
+    repeat : int
+        Epochs of a decision.
+    bias_sd, noise_variance, noise, first_C_eb, onset_C_en
+        Of the first case, for an episode that begins as early as it can.
 
     Raises
     ------
@@ -135,28 +170,132 @@ class Setup:
         attack: Attack,
         detector: Detector,
         timeline: Timeline,
+        domain: Domain | None = None,
+        target_heading_deg: float | str = 90.0,
+        decision_interval_s: float | None = None,
+        between: str = "hold",
     ) -> None:
         self.scenario, self.receiver, self.timeline = scenario, receiver, timeline
         self.attack, self.detector = attack, detector
-        self.world: World = scenario.world()
+        self.domain = Domain() if domain is None else domain
+        self.target_heading_deg = checked_target(target_heading_deg)
         interval = scenario.epoch_interval_s
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval)
         self.onset = self.quiet + self.live
-        # one epoch more, which a finished receiver may run until it is reset
-        last = self.onset + self.steps + self.hold + 1
-        if last >= self.world.epochs:
-            raise ValueError(
-                f"an episode takes {last * interval:g} s (warm-up {timeline.warmup_s:g} s, attack "
-                f"{timeline.attack_s:g} s, time to alert {timeline.time_to_alert_s:g} s), but "
-                f"{self.world.name!r} lasts {self.world.epoch_time[-1]:g} s"
-            )
-        self.bias_sd = scenario.gnss_errors.bias_sd(self.world.first_elevation)
-        self.noise_variance, self.noise = assumed_noise(
-            receiver, scenario.gnss_errors, self.bias_sd, self.world, last
+        self.decision_interval_s, self.between = decision_interval_s, between
+        check_choice("between", between, BETWEEN)
+        self.repeat = _repeat(decision_interval_s, interval, self.steps)
+        # one decision more, which a finished receiver may run until it is reset
+        length = self.onset + self.steps + self.hold + self.repeat
+        first, last = self._starts(length, worlds_of(scenario, self.domain)[0])
+        self.cases = Cases(scenario, receiver, self.domain, length, last + length)
+        self.world: World = self.cases.world
+        heading = self.target_heading_deg
+        self.bounds = Bounds(
+            self.cases.worlds,
+            self.cases.grades,
+            self.cases.errors,
+            first,
+            last,
+            None if heading == "random" else float(np.radians(_number(heading))),
         )
-        self.onset_C_en = np.ascontiguousarray(self.world.local_frame(self.onset))
-        C_en = self.world.local_frame(0)
-        error = euler_to_dcm(*(-np.radians(scenario.imu_grade.attitude_error_deg)))
-        C_ne = C_en.T
-        # the error turns the local axes: C_nb (estimated) = dC C_nb
-        self.first_C_eb = C_en @ (error.T @ (C_ne @ self.world.C_eb[0]))
+        self._check_first_fixes()
+        case = self.cases[0]
+        self.bias_sd, self.noise_variance, self.noise = (
+            case.bias_sd,
+            case.noise_variance,
+            case.noise,
+        )
+        self.onset_C_en = self.world.C_en[first + self.onset]
+        self.first_C_eb = self.cases.first_C_eb(np.zeros(1, np.int64), np.array([first]))[0]
+
+    @property
+    def epochs_each(self) -> int:
+        """Epochs of each of the worlds."""
+        return self.world.epochs // self.bounds.worlds
+
+    def _starts(self, length: int, world: World) -> tuple[int, int]:
+        """First and last epoch at which an episode of a length may begin."""
+        interval = self.scenario.epoch_interval_s
+        early, late = self.domain.start_s
+        room = world.epochs - 1 - length
+        first = math.ceil(early / interval - 1e-6)
+        last = room if late is None else math.floor(late / interval + 1e-6)
+        if first > last and late is not None:
+            raise ValueError(
+                f"`start_s` must hold an epoch, of which there is one every {interval:g} s, got "
+                f"{self.domain.start_s}"
+            )
+        if max(first, last) > room:
+            line = self.timeline
+            begun = f" from a begin at {max(first, last) * interval:g} s" if first or last else ""
+            raise ValueError(
+                f"an episode takes {length * interval:g} s{begun} (warm-up {line.warmup_s:g} s, "
+                f"attack {line.attack_s:g} s, time to alert {line.time_to_alert_s:g} s), but "
+                f"{world.name!r} lasts {world.epoch_time[-1]:g} s"
+            )
+        return first, last
+
+    def _check_first_fixes(self) -> None:
+        bounds, each = self.bounds, self.epochs_each
+        seen = self.world.visible.sum(axis=1).reshape(bounds.worlds, each)
+        few = np.argwhere(seen[:, bounds.first : bounds.last + 1] < FIRST_FIX)
+        if len(few):
+            world, epoch = few[0]
+            time = self.world.epoch_time[bounds.first + epoch]
+            raise ValueError(
+                f"a first fix needs {FIRST_FIX} satellites; world {world} of the domain has fewer "
+                f"at {time:g} s"
+            )
+
+
+def checked_target(target_heading_deg: float | str) -> float | str:
+    """Raise unless there is such a target direction.
+
+    Parameters
+    ----------
+    target_heading_deg : float or {"random", "worst"}
+        Of the user.
+
+    Returns
+    -------
+    float or str
+        The same.
+
+    Raises
+    ------
+    ValueError
+        When it is something else.
+    """
+    if isinstance(target_heading_deg, str):
+        check_choice("target_heading_deg", target_heading_deg, TARGETS)
+    elif not isinstance(target_heading_deg, Real) or not np.isfinite(float(target_heading_deg)):
+        raise ValueError(
+            f"`target_heading_deg` must be a finite number, 'random' or 'worst', got "
+            f"{target_heading_deg!r}"
+        )
+    return target_heading_deg
+
+
+def _repeat(decision_interval_s: float | None, interval_s: float, steps: int) -> int:
+    """Epochs of a decision."""
+    if decision_interval_s is None:
+        return 1
+    if not (math.isfinite(decision_interval_s) and decision_interval_s > 0.0):
+        raise ValueError(f"`decision_interval_s` must be finite and > 0, got {decision_interval_s}")
+    repeat = round(decision_interval_s / interval_s)
+    if repeat < 1 or abs(repeat * interval_s - decision_interval_s) > 1e-6 * interval_s:
+        raise ValueError(
+            f"`decision_interval_s` must be a multiple of the interval between epochs, "
+            f"{interval_s:g} s, got {decision_interval_s}"
+        )
+    if steps % repeat:
+        raise ValueError(
+            f"the attack window of {steps * interval_s:g} s must hold a whole number of decisions, "
+            f"got `decision_interval_s` {decision_interval_s}"
+        )
+    return repeat
+
+
+def _number(heading: float | str) -> float:
+    return 0.0 if isinstance(heading, str) else float(heading)

@@ -23,12 +23,15 @@ class Snapshot(NamedTuple):
     batch : Batch
         State of the receivers.
     step : ndarray
-        (B,) int64 commands given since the attack began.
+        (B,) int64 epochs since the attack began.
+    twin : Batch or None
+        Clean twins of the receivers, where there are any.
     """
 
     setup: Setup
     batch: Batch
     step: NDArray[np.int64]
+    twin: Batch | None = None
 
 
 def position_error_n(setup: Setup, batch: Batch) -> FloatArray:
@@ -48,5 +51,5 @@ def position_error_n(setup: Setup, batch: Batch) -> FloatArray:
     """
     error_e = batch.buffers.state.position_e - setup.world.position_e[batch.epochs]
     # a sum of products, since the bits of a matrix product depend on the size of the batch
-    result: FloatArray = (error_e[:, :, None] * setup.onset_C_en).sum(axis=1)
+    result: FloatArray = (error_e[:, :, None] * setup.world.C_en[batch.onset]).sum(axis=1)
     return result

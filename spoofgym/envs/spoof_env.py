@@ -9,6 +9,7 @@ from ..attacks import Attack
 from ..detectors import Detector
 from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario
+from .domain import Domain
 from .game import Game
 from .game_env import GameEnv
 from .observations import ObservationTerm
@@ -73,8 +74,18 @@ class SpoofEnv(GameEnv[Game]):
         Price of an alarm.
     end_at_alarm : bool
         Whether an alarm ends the episode.
-    target_heading_deg : float
-        Direction in which displacement counts, clockwise from north.
+    target_heading_deg : float or {"random", "worst"}
+        Direction in which displacement counts, clockwise from north; drawn for every episode, and
+        observed; or that in which it is largest.
+    domain : mapping or Domain, optional
+        What differs from episode to episode beside the noise; nothing by default.
+    decision_interval_s : float, optional
+        Time between decisions; every epoch by default.
+    between : {"hold", "linear"}
+        What is commanded between them.
+    twin : bool
+        Whether a clean twin runs beside the victim, and displacement is the distance from it
+        instead of the error less that at the onset.  It takes up to twice the time.
     render_mode : {"human", "rgb_array"}, optional
         Whether a window shows the episode, or `render` returns pictures of it.
 
@@ -110,7 +121,11 @@ class SpoofEnv(GameEnv[Game]):
         reward: Sequence[RewardTerm] | None = None,
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
-        target_heading_deg: float = 90.0,
+        target_heading_deg: float | str = 90.0,
+        domain: Mapping[str, Any] | Domain | None = None,
+        decision_interval_s: float | None = None,
+        between: str = "hold",
+        twin: bool = False,
         render_mode: str | None = None,
     ) -> None:
         setup = make_setup(
@@ -119,6 +134,10 @@ class SpoofEnv(GameEnv[Game]):
             attack=attack,
             detector=detector,
             timeline=timeline,
+            domain=domain,
+            target_heading_deg=target_heading_deg,
+            decision_interval_s=decision_interval_s,
+            between=between,
         )
         game = make_game(
             1,
@@ -128,7 +147,7 @@ class SpoofEnv(GameEnv[Game]):
             reward=reward,
             alarm_penalty_m=alarm_penalty_m,
             end_at_alarm=end_at_alarm,
-            target_heading_deg=target_heading_deg,
             threads=1,
+            twin=twin,
         )
         super().__init__(game, render_mode, GameRecorder(game))

@@ -11,6 +11,7 @@ from ..attacks import Attack
 from ..detectors import Detector
 from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario
+from .domain import Domain
 from .game import Game
 from .game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
 from .observations import ObservationTerm
@@ -37,6 +38,8 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
     scenario, detector, attack, receiver, timeline, knowledge, observation, reward
         As in `SpoofEnv`.
     alarm_penalty_m, end_at_alarm, target_heading_deg, render_mode
+        As in `SpoofEnv`.
+    domain, decision_interval_s, between, twin
         As in `SpoofEnv`.
 
     Attributes
@@ -71,7 +74,11 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
         reward: Sequence[RewardTerm] | None = None,
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
-        target_heading_deg: float = 90.0,
+        target_heading_deg: float | str = 90.0,
+        domain: Mapping[str, Any] | Domain | None = None,
+        decision_interval_s: float | None = None,
+        between: str = "hold",
+        twin: bool = False,
         render_mode: None = None,
     ) -> None:
         mode = autoreset_mode_of(autoreset_mode)
@@ -82,6 +89,10 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
             attack=attack,
             detector=detector,
             timeline=timeline,
+            domain=domain,
+            target_heading_deg=target_heading_deg,
+            decision_interval_s=decision_interval_s,
+            between=between,
         )
         game = make_game(
             num_envs,
@@ -91,8 +102,8 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
             reward=reward,
             alarm_penalty_m=alarm_penalty_m,
             end_at_alarm=end_at_alarm,
-            target_heading_deg=target_heading_deg,
             threads=threads,
             prefetch=prefetch,
+            twin=twin,
         )
         super().__init__(game, mode)

@@ -378,7 +378,7 @@ def first_fix(floats, flags, guess_e, receivers, channels, lo, hi):
     floats, flags : ndarray
         Of `ReceiverBuffers`.
     guess_e : ndarray
-        (3,) where to linearize first, ECEF [m].
+        (B, 3) where to linearize first, ECEF [m].
     receivers, channels : int
         B and n.
     lo, hi : int
@@ -389,7 +389,7 @@ def first_fix(floats, flags, guess_e, receivers, channels, lo, hi):
     for b in range(lo, hi):
         r, v, clock = state.position_e[b], state.velocity_e[b], state.clock[b]
         for i in range(3):
-            r[i], v[i] = guess_e[i], 0.0
+            r[i], v[i] = guess_e[b, i], 0.0
         clock[0], clock[1] = 0.0, 0.0
         for step in range(4):
             rates = step == 3

@@ -158,7 +158,12 @@ def _rms(values: ArrayLike) -> float:
 
 
 def assumed_noise(
-    receiver: TightlyCoupled, errors: GnssErrors, bias_sd: FloatArray, world: World, epochs: int
+    receiver: TightlyCoupled,
+    errors: GnssErrors,
+    bias_sd: FloatArray,
+    world: World,
+    epochs: int,
+    flown: int | None = None,
 ) -> tuple[FloatArray, NoiseModel]:
     r"""Measurement noise variances, clock and inertial sensors that a receiver assumes.
 
@@ -174,6 +179,8 @@ def assumed_noise(
         Where the receiver is; a matched one is told how much it manoeuvres.
     epochs : int
         Length of the episode, N in :math:`R = \sigma_w^2 + N \sigma_b^2`.
+    flown : int, optional
+        Epochs of the world whose manoeuvres it may meet; as many as `epochs` by default.
 
     Returns
     -------
@@ -191,7 +198,9 @@ def assumed_noise(
         range_rate_sd=errors.range_rate_sd_mps,
         clock_phase_psd=errors.clock.phase_psd,
         clock_frequency_psd=errors.clock.frequency_psd,
-        inertial=matched_sensors(receiver.grade, motion_of(world, epochs)),
+        inertial=matched_sensors(
+            receiver.grade, motion_of(world, epochs if flown is None else flown)
+        ),
     )
     pseudorange = model.pseudorange_sd**2 + epochs * bias_sd**2
     return np.concatenate([pseudorange, np.full(n, model.range_rate_sd**2)]), model

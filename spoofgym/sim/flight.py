@@ -151,6 +151,40 @@ def integrate_velocity(
     return position
 
 
+def turned(flight: Flight, angle: float) -> Flight:
+    r"""Flight in another direction: the whole of it turned about the vertical where it begins.
+
+    .. math::
+        v' = R v, \qquad C_{eb}' = R\, C_{eb}, \qquad R = C_{en} R_z(\psi)\, C_{en}^T
+
+    with :math:`C_{en}` at the first position.  The Earth is no sphere, so that heights come out
+    otherwise by decimetres over tens of kilometres.
+
+    Parameters
+    ----------
+    flight : Flight
+        Left as it is.
+    angle : float
+        Turn :math:`\psi`, clockwise seen from above [rad].
+
+    Returns
+    -------
+    Flight
+        From the same place.
+    """
+    latitude, longitude, _ = ecef_to_geodetic(flight.position_e[0])
+    C_en = dcm_e_from_n(latitude, longitude)
+    turn = C_en @ euler_to_dcm(0.0, 0.0, angle) @ C_en.T
+    velocity_e = flight.velocity_e @ turn.T
+    return Flight(
+        flight.name,
+        flight.time,
+        integrate_velocity(flight.position_e[0], velocity_e, flight.step),
+        velocity_e,
+        turn @ flight.C_eb,
+    )
+
+
 def check_closure(
     position_e: NDArray[np.float64], closed_e: NDArray[np.float64], step: float, tolerance: float
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
@@ -9,7 +10,7 @@ from typing import Any
 
 from .._registry import check_choice
 from .constellation import CircularConstellation, Constellation
-from .flight import Flight
+from .flight import Flight, turned
 from .gnss import ERRORS, GnssErrors
 from .imu import IMU_GRADES, ImuGrade
 from .manoeuvres import FLIGHTS
@@ -39,6 +40,8 @@ class Scenario:
         Slots for satellites.
     mask_deg : float
         Elevation mask.
+    turned_deg : float
+        Turn of the whole flight about the vertical where it begins, clockwise.
     """
 
     name: str = "custom"
@@ -49,6 +52,7 @@ class Scenario:
     epoch_interval_s: float = 0.5
     channels: int = CHANNELS
     mask_deg: float = MASK_DEG
+    turned_deg: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the names."""
@@ -57,6 +61,8 @@ class Scenario:
         if isinstance(self.errors, str):
             check_choice("errors", self.errors, ERRORS)
         check_choice("imu grade", self.imu, IMU_GRADES)
+        if not math.isfinite(self.turned_deg):
+            raise ValueError(f"`turned_deg` must be finite, got {self.turned_deg}")
 
     @property
     def gnss_errors(self) -> GnssErrors:
@@ -83,10 +89,16 @@ class Scenario:
                 self.epoch_interval_s,
                 self.channels,
                 self.mask_deg,
+                self.turned_deg,
             )
         flight = FLIGHTS[self.flight]() if isinstance(self.flight, str) else self.flight
         return _world(
-            flight, self.constellation, self.epoch_interval_s, self.channels, self.mask_deg
+            flight,
+            self.constellation,
+            self.epoch_interval_s,
+            self.channels,
+            self.mask_deg,
+            self.turned_deg,
         )
 
 
@@ -96,7 +108,10 @@ def _world(
     epoch_interval_s: float,
     channels: int,
     mask_deg: float,
+    turned_deg: float,
 ) -> World:
+    if turned_deg != 0.0:
+        flight = turned(flight, math.radians(turned_deg))
     return build_world(
         inverse_kinematics(flight),
         constellation,
@@ -113,8 +128,11 @@ def _named_world(
     epoch_interval_s: float,
     channels: int,
     mask_deg: float,
+    turned_deg: float,
 ) -> World:
-    return _world(FLIGHTS[flight](), constellation, epoch_interval_s, channels, mask_deg)
+    return _world(
+        FLIGHTS[flight](), constellation, epoch_interval_s, channels, mask_deg, turned_deg
+    )
 
 
 def _preset(name: str, errors: str, imu: str) -> Scenario:

@@ -5,6 +5,7 @@ As with the receivers, all floating-point arrays lie in one buffer that `unpack_
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -171,24 +172,35 @@ class SensorBuffers:
         self.__dict__.update(state)
         self.state = unpack_sensors(self.floats, self.receivers, self.channels)
 
-    def begin(
-        self,
-        rows: NDArray[np.intp],
-        rngs: list[np.random.Generator],
-        grade: ImuGrade,
-        errors: GnssErrors,
-        bias_sd: FloatArray,
-    ) -> None:
-        """Draw the errors of a new episode.
+    def draw_keys(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
+        """Take the keys of a new episode.
 
         Parameters
         ----------
         rows : ndarray
             Receivers that begin.
-        rngs : list of Generator
+        rngs : sequence of Generator
             One per row.  Its seed sequence spawns one child an episode, and that gives every source
             a key, so that no source depends on how much another draws, or on when the last
             episode ended.
+        """
+        for row, rng in zip(rows, rngs, strict=True):
+            episode = rng.bit_generator.seed_seq.spawn(1)[0]  # type: ignore[attr-defined]
+            self.keys[:, row] = episode.generate_state(2 * len(SOURCES), np.uint64).reshape(-1, 2)
+
+    def begin(
+        self,
+        rows: NDArray[np.intp],
+        grade: ImuGrade,
+        errors: GnssErrors,
+        bias_sd: FloatArray,
+    ) -> None:
+        """Draw the errors of a new episode, by its keys.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Receivers that begin.
         grade : ImuGrade
             Inertial sensors.
         errors : GnssErrors
@@ -210,11 +222,8 @@ class SensorBuffers:
         state.gnss_noise[rows] = errors.code_sd_m, errors.range_rate_sd_mps
         state.range_offset[rows] = 0.0
         state.rate_offset[rows] = 0.0
-        self.epoch[rows] = 0
         deviates = np.empty(padded(len(bias_sd)))
-        for row, rng in zip(rows, rngs, strict=True):
-            episode = rng.bit_generator.seed_seq.spawn(1)[0]  # type: ignore[attr-defined]
-            self.keys[:, row] = episode.generate_state(2 * len(SOURCES), np.uint64).reshape(-1, 2)
+        for row in rows:
             k0, k1 = self.keys[SOURCES.index("bias"), row]
             normals(k0, k1, 0, deviates)
             state.satellite_bias[row] = bias_sd * deviates[: len(bias_sd)]

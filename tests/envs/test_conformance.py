@@ -106,7 +106,7 @@ def test_a_bad_action_names_element_and_value(bad):
         ({"detector": {"name": "ewma", "lambda": 1}}, "no setting 'lambda'; valid: smoothing"),
         (
             {"detector": {"name": "windowed-chi2", "window": 5000}},
-            "WindowedChi2 can't alarm in its first 4999 epochs, and an episode has 440",
+            "WindowedChi2 can't alarm in its first 4999 epochs, and an episode has 60",
         ),
         (
             {"detector": {"name": "cusum", "bias_window_s": 220.0}},

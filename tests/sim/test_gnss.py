@@ -52,9 +52,8 @@ def epochs_of(errors, count, tau=0.5, bias_sd=0.0, change=None):
     """(count, N) errors of pseudoranges and range rates of one receiver, and its clocks."""
     buffers = SensorBuffers(1, N)
     generator = np.random.default_rng(3)
-    buffers.begin(
-        np.arange(1), [generator], IMU_GRADES["aviation"], errors, np.full(N, float(bias_sd))
-    )
+    buffers.draw_keys(np.arange(1), [generator])
+    buffers.begin(np.arange(1), IMU_GRADES["aviation"], errors, np.full(N, float(bias_sd)))
     if change is not None:
         change(buffers.state)
     truth = np.zeros((N, 8))

@@ -114,7 +114,8 @@ def test_a_block_of_samples_is_the_error_model_of_the_grade():
     step = 0.01
     buffers = SensorBuffers(2, n)
     generators = [np.random.default_rng(seed) for seed in (8, 9)]
-    buffers.begin(np.arange(2), generators, grade, ERRORS["white"], np.zeros(n))
+    buffers.draw_keys(np.arange(2), generators)
+    buffers.begin(np.arange(2), grade, ERRORS["white"], np.zeros(n))
     residual = np.zeros(6)
     levels = np.repeat(grade.noise[2:], 3)
     scratch = np.empty(padded(6 * samples_of_block))

@@ -19,7 +19,8 @@ def begun(seeds, rows=None, receivers=None, errors=ERRORS["groves"], grade="tact
     rows = np.arange(len(seeds)) if rows is None else np.array(rows)
     buffers = SensorBuffers(len(seeds) if receivers is None else receivers, N)
     generators = [np.random.default_rng(seed) for seed in seeds]
-    buffers.begin(rows, generators, IMU_GRADES[grade], errors, BIAS_SD)
+    buffers.draw_keys(rows, generators)
+    buffers.begin(rows, IMU_GRADES[grade], errors, BIAS_SD)
     return buffers
 
 
@@ -48,10 +49,10 @@ def test_an_episode_begins_with_the_errors_of_the_grade():
     )
     buffers = SensorBuffers(2, N)
     buffers.floats[:] = np.nan
-    buffers.epoch[:] = 9
     generators = [np.random.default_rng(seed) for seed in (1, 2)]
     grade = IMU_GRADES["consumer"]
-    buffers.begin(np.arange(2), generators, grade, errors, BIAS_SD)
+    buffers.draw_keys(np.arange(2), generators)
+    buffers.begin(np.arange(2), grade, errors, BIAS_SD)
     state = buffers.state
     assert np.isfinite(buffers.floats).all()
     for b in range(2):
@@ -63,7 +64,6 @@ def test_an_episode_begins_with_the_errors_of_the_grade():
         np.testing.assert_array_equal(state.gnss_noise[b], [0.5, 0.1])
         for zero in (state.residual, state.range_offset, state.rate_offset):
             assert not zero[b].any()
-    assert not buffers.epoch.any()
 
 
 def test_chance_depends_on_the_seed_alone():
@@ -81,7 +81,8 @@ def test_sources_receivers_and_episodes_have_keys_of_their_own():
     buffers = SensorBuffers(1, N)
     seen = []
     for _ in range(3):  # three episodes of one receiver
-        buffers.begin(np.arange(1), [generator], IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD)
+        buffers.draw_keys(np.arange(1), [generator])
+        buffers.begin(np.arange(1), IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD)
         seen += [tuple(key) for key in buffers.keys[:, 0]]
     seen += [tuple(key) for key in begun([5]).keys[:, 0]]
     assert len(set(seen)) == 4 * len(SOURCES)
@@ -93,9 +94,8 @@ def test_an_episode_depends_on_its_number_and_not_on_what_was_drawn():
     a, b = SensorBuffers(1, N), SensorBuffers(1, N)
     for _ in range(2):
         for buffers, generator in ((a, first), (b, second)):
-            buffers.begin(
-                np.arange(1), [generator], IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD
-            )
+            buffers.draw_keys(np.arange(1), [generator])
+            buffers.begin(np.arange(1), IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD)
     np.testing.assert_array_equal(a.keys, b.keys)
     np.testing.assert_array_equal(a.state.satellite_bias, b.state.satellite_bias)
 
@@ -105,7 +105,8 @@ def test_only_the_receivers_that_begin_are_touched():
     buffers.state.clock[:] = 5.0
     before = copy.deepcopy(buffers)
     generators = [np.random.default_rng(7)]
-    buffers.begin(np.array([1]), generators, IMU_GRADES["tactical"], ERRORS["groves"], BIAS_SD)
+    buffers.draw_keys(np.array([1]), generators)
+    buffers.begin(np.array([1]), IMU_GRADES["tactical"], ERRORS["groves"], BIAS_SD)
     for b in (0, 2):
         for array, old in zip(buffers.state, before.state, strict=True):
             np.testing.assert_array_equal(array[b], old[b])

@@ -47,7 +47,6 @@ def context_of(
     receivers: int = 3, knowledge: str = "blind", env: dict[str, Any] | None = None
 ) -> SpooferContext:
     kwargs = {**ENV, **(env or {})}
-    kwargs.pop("target_heading_deg", None)
     setup = make_setup(**kwargs)
     return spoofer_context(setup, receivers, Observer(terms_of(knowledge), setup))
 

@@ -84,7 +84,8 @@ class GameRecorder:
     @property
     def interval_s(self) -> float:
         """Time between two looks [s]."""
-        return self._game.setup.scenario.epoch_interval_s
+        setup = self._game.setup
+        return setup.repeat * setup.scenario.epoch_interval_s
 
     def begin(self) -> Stage:
         """Take the twin.
@@ -98,7 +99,7 @@ class GameRecorder:
         if self._twin is None:
             self._twin = Batch(setup, 1, run_serially)
         self._twin.copy_rows(FIRST, batch, FIRST)
-        self._onset = int(batch.epochs[0])
+        self._onset = int(batch.onset[0])
         interval = setup.scenario.epoch_interval_s
         route = slice(self._onset, self._onset + setup.steps + setup.hold + 1)
         return Stage(

@@ -1,0 +1,232 @@
+"""Worlds, sensors and errors that an episode may have, and what the victim assumes of each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..earth.attitude import euler_to_dcm
+from ..receiver import TightlyCoupled
+from ..receiver.matching import assumed_noise
+from ..receiver.tight import NoiseModel
+from ..sim.chain import chain_worlds
+from ..sim.constellation import CircularConstellation
+from ..sim.gnss import ERRORS, GnssErrors
+from ..sim.imu import IMU_GRADES, ImuGrade
+from ..sim.scenario import Scenario
+from ..sim.world import World
+from .domain import Domain
+
+FloatArray = NDArray[np.float64]
+
+
+class Case(NamedTuple):
+    """One combination of world, grade and errors.
+
+    Attributes
+    ----------
+    grade : ImuGrade
+        Errors of the inertial sensors.
+    errors : GnssErrors
+        Errors of GNSS and clock.
+    bias_sd : ndarray
+        (n,) standard deviation of the satellites' constant biases [m].
+    noise_variance : ndarray
+        (2n,) R that the victim assumes.
+    noise : NoiseModel
+        Clock and inertial sensors that it assumes.
+    noise_psd : ndarray
+        (17,) noise of its states.
+    covariance : ndarray
+        (17, 17) of its first state.
+    """
+
+    grade: ImuGrade
+    errors: GnssErrors
+    bias_sd: FloatArray
+    noise_variance: FloatArray
+    noise: NoiseModel
+    noise_psd: FloatArray
+    covariance: FloatArray
+
+
+def worlds_of(scenario: Scenario, domain: Domain) -> list[World]:
+    """Worlds of a domain.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Of which they are variants.
+    domain : Domain
+        Turns and times of the constellation.
+
+    Returns
+    -------
+    list of World
+        At least one; the last lists that were computed are remembered.
+
+    Raises
+    ------
+    ValueError
+        When the constellation can't be moved in time.
+    """
+    if not domain.varies and domain.worlds is None and domain.pairs() == [(0.0, 0.0)]:
+        return [scenario.world()]
+    constellation = scenario.constellation
+    if not isinstance(constellation, CircularConstellation):
+        raise ValueError(
+            "`domain` can move a CircularConstellation alone in time, got "
+            f"{type(constellation).__name__}"
+        )
+    if isinstance(scenario.flight, str):
+        # a world knows nothing of these
+        bare = replace(scenario, errors="white", imu="aviation", name="")
+        return _remembered(bare, constellation, domain)
+    return _variants(scenario, constellation, domain)
+
+
+@lru_cache(maxsize=2)
+def _remembered(scenario: Scenario, base: CircularConstellation, domain: Domain) -> list[World]:
+    return _variants(scenario, base, domain)
+
+
+def _variants(scenario: Scenario, base: CircularConstellation, domain: Domain) -> list[World]:
+    return [
+        replace(
+            scenario,
+            turned_deg=scenario.turned_deg + turn,
+            constellation=replace(base, time_offset_s=base.time_offset_s + time),
+        ).world()
+        for turn, time in domain.pairs()
+    ]
+
+
+class Cases:
+    """All combinations of world, grade and errors.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What holds where the domain says nothing.
+    receiver : TightlyCoupled
+        The victim; its grade is replaced where the domain has several.
+    domain : Domain
+        What there is to choose from.
+    epochs : int
+        Of an episode, which a matched receiver is told.
+    flown : int
+        Epochs of the flight that any episode may come to.
+
+    Attributes
+    ----------
+    world : World
+        All worlds, one after the other.
+    names : dict
+        Names of the grades, ``"imu"``, and of the errors, ``"errors"``.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        receiver: TightlyCoupled,
+        domain: Domain,
+        epochs: int,
+        flown: int,
+    ) -> None:
+        worlds = worlds_of(scenario, domain)
+        self.world, self.worlds = chain_worlds(worlds), len(worlds)
+        self.names = {"imu": domain.imu or (scenario.imu,), "errors": domain.errors or ("own",)}
+        errors = [ERRORS[name] for name in domain.errors] or [scenario.gnss_errors]
+        self._grades = [IMU_GRADES[name] for name in self.names["imu"]]
+        self.grades, self.errors = len(self._grades), len(errors)
+        self._cases = [
+            _case(world, grade, error, _victim(receiver, grade, domain), epochs, flown)
+            for world in worlds
+            for grade in self.names["imu"]
+            for error in errors
+        ]
+        self._first_C_eb = [_first_attitudes(self.world, grade) for grade in self._grades]
+
+    def index(
+        self, world: NDArray[np.int64], grade: NDArray[np.int64], error: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Index of combinations.
+
+        Parameters
+        ----------
+        world, grade, error : ndarray
+            (b,) of a `Choice`.
+
+        Returns
+        -------
+        ndarray
+            (b,) for `__getitem__`.
+        """
+        result: NDArray[np.int64] = (world * self.grades + grade) * self.errors + error
+        return result
+
+    def __getitem__(self, index: int) -> Case:
+        """Return the combination of an index."""
+        return self._cases[index]
+
+    @property
+    def largest_variance(self) -> FloatArray:
+        """(2n,) largest R of all combinations."""
+        largest: FloatArray = np.max([case.noise_variance for case in self._cases], axis=0)
+        return largest
+
+    def first_C_eb(self, grade: NDArray[np.int64], epochs: NDArray[np.int64]) -> FloatArray:
+        """Attitudes that receivers begin with.
+
+        Parameters
+        ----------
+        grade : ndarray
+            (b,) of a `Choice`.
+        epochs : ndarray
+            (b,) epochs of `world` at which they begin.
+
+        Returns
+        -------
+        ndarray
+            (b, 3, 3) to ECEF from body axes.
+        """
+        pairs = zip(grade.tolist(), epochs.tolist(), strict=True)
+        return np.array([self._first_C_eb[g][k] for g, k in pairs])
+
+
+def _victim(receiver: TightlyCoupled, grade: str, domain: Domain) -> TightlyCoupled:
+    return replace(receiver, grade=grade) if domain.imu else receiver
+
+
+def _case(
+    world: World,
+    grade: str,
+    errors: GnssErrors,
+    receiver: TightlyCoupled,
+    epochs: int,
+    flown: int,
+) -> Case:
+    bias_sd = errors.bias_sd(world.first_elevation)
+    variance, noise = assumed_noise(receiver, errors, bias_sd, world, epochs, flown)
+    return Case(
+        IMU_GRADES[grade],
+        errors,
+        bias_sd,
+        variance,
+        noise,
+        receiver.noise_psd(noise),
+        receiver.initial_covariance(noise),
+    )
+
+
+def _first_attitudes(world: World, grade: ImuGrade) -> FloatArray:
+    """(K, 3, 3) attitudes with the grade's first error, for a begin at every epoch."""
+    error = euler_to_dcm(*(-np.radians(grade.attitude_error_deg)))
+    # the error turns the local axes: C_nb (estimated) = dC C_nb
+    C_ne = np.ascontiguousarray(world.C_en.transpose(0, 2, 1))
+    first: FloatArray = world.C_en @ (error.T @ (C_ne @ world.C_eb))
+    return first
