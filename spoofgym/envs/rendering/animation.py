@@ -74,38 +74,66 @@ def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps:
     except ImportError as error:
         raise ImportError("a GIF needs Pillow: pip install spoofgym[report]") from error
 
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(gif_palette())
-    images = (
-        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
-        for frame in frames
-    )
+    palette = gif_palette()
+    nearest = nearest_colours(palette)
+
+    def images() -> Iterator[Any]:
+        """Frames in the colours of the palette."""
+        for frame in frames:
+            red, green, blue = (frame[..., k].astype(np.uint16) >> 3 for k in range(3))
+            image = Image.fromarray(nearest[(red << 10) | (green << 5) | blue])
+            image.putpalette(palette.tobytes())
+            yield image
+
+    stream = images()
     clock = max(round(1.0 / (fps * GIF_CLOCK_S)), 1)
-    next(images).save(
+    next(stream).save(
         path,
         format="GIF",
         save_all=True,
-        append_images=images,
+        append_images=stream,
         duration=round(1000.0 * clock * GIF_CLOCK_S),
         loop=0,
     )
 
 
-def gif_palette() -> bytes:
+def gif_palette() -> NDArray[np.uint8]:
     """Tints of all colours of the pictures, as smooth edges have them, and shades of grey.
 
     Returns
     -------
-    bytes
-        Red, green and blue of up to 256 colours.
+    ndarray
+        (c, 3) red, green and blue of up to 256 colours.
     """
-    named = [COLOURS[:6], (RED, GREY)]
-    full = [[int(c[k : k + 2], 16) for k in (1, 3, 5)] for group in named for c in group]
+    named = (*COLOURS[:6], RED, GREY)
+    full = np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in named])
     part = np.linspace(0.0, 1.0, TINTS, endpoint=False)[:, None, None]
-    tints = (1.0 - part) * np.array(full) + part * 255.0
+    tints = (1.0 - part) * full + part * 255.0
     greys = np.repeat(np.linspace(0.0, 255.0, 64), 3)
     levels = np.concatenate([tints.ravel(), greys])
-    return np.round(levels).astype(np.uint8).tobytes()
+    return np.round(levels).astype(np.uint8).reshape(-1, 3)
+
+
+def nearest_colours(palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Nearest colour of a palette for every colour of five bits a channel.
+
+    Parameters
+    ----------
+    palette : ndarray
+        (c, 3) uint8, c up to 256.
+
+    Returns
+    -------
+    ndarray
+        (32768,) uint8, index into the palette, by red, green and blue from the highest bits on.
+    """
+    level = np.linspace(0.0, 255.0, 32)
+    colours = np.stack(np.meshgrid(level, level, level, indexing="ij"), axis=-1).reshape(-1, 3)
+    found = [
+        ((part[:, None, :] - palette) ** 2).sum(axis=-1).argmin(axis=1)
+        for part in np.array_split(colours, 32)
+    ]
+    return np.concatenate(found).astype(np.uint8)
 
 
 def ffmpeg_program() -> str:

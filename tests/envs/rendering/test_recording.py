@@ -24,7 +24,10 @@ def plant_game(kind):
     return PlantGame(kind(1), end_at_alarm=False)
 
 
-MAKES = [tight_game, *(lambda kind=kind: plant_game(kind) for kind in PLANTS)]
+MAKES = [
+    pytest.param(tight_game, id="tight"),
+    *(pytest.param(lambda kind=kind: plant_game(kind), id=kind.kind) for kind in PLANTS),
+]
 
 
 def recorder_of(game):
