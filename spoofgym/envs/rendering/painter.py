@@ -41,7 +41,7 @@ class Painter:
         self._canvas: Any = FigureCanvasAgg(figure)
         self._figure = figure
         grid = figure.add_gridspec(
-            2, 6, left=0.055, right=0.985, bottom=0.065, top=0.832, hspace=0.42, wspace=0.9
+            2, 6, left=0.066, right=0.985, bottom=0.065, top=0.832, hspace=0.42, wspace=0.9
         )
         half = 2 if stage.has_sky else 3
         self._panels: list[Panel] = [

@@ -123,7 +123,7 @@ class FlightMap:
             for colour in (BLUE, ORANGE, "black")
         ]
         self.artists: list[Artist] = [self._twin, self._estimate, self._truth, *self._ends]
-        margin = 0.14 * self._extent / self._unit
+        margin = 1.1 * MAGNIFIED * self._extent / self._unit
         equal_limits(
             ax,
             (east.min() - margin, north.min() - margin),
@@ -131,7 +131,7 @@ class FlightMap:
         )
         ax.set_xlabel(f"east [{name}]", fontsize=SMALL, labelpad=2)
         ax.set_ylabel(f"north [{name}]", fontsize=SMALL, labelpad=2)
-        head(ax, "Flight", 4)
+        head(ax, "Track", 4)
         self._told = ax.text(
             0.02, 0.02, "", transform=ax.transAxes, fontsize=SMALL, color=GREY, zorder=5
         )
@@ -449,6 +449,7 @@ class StatisticPanel(TimePanel):
         self._top = top
         if top > MOST_LINEAR:
             self._ax.set_yscale("symlog", linthresh=1.0)
+            self._ax.yaxis.set_major_formatter("{x:g}")
             self._top = top = 10.0 ** np.ceil(np.log10(top))
         self._ax.set_ylim(0.0, top)
         return True

@@ -151,10 +151,10 @@ def test_lists_of_frames():
 
 def test_record_video_writes_a_film(tmp_path):
     pytest.importorskip("moviepy", reason="RecordVideo needs moviepy")
-    env = gym.wrappers.RecordVideo(make("spoofgym/Snapshot-v0"), str(tmp_path), fps=10)
+    env = gym.wrappers.RecordVideo(make("spoofgym/Snapshot-v0"), str(tmp_path / "films"), fps=10)
     env.reset(seed=0)
     for _ in range(3):
         env.step(np.zeros(4, dtype=np.float32))
     env.close()
-    (film,) = tmp_path.glob("*.mp4")
+    (film,) = tmp_path.rglob("*.mp4")
     assert b"ftyp" in film.read_bytes()[:16]
