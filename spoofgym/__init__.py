@@ -13,6 +13,7 @@ io         readers of recorded tracks and of navigation files
 detectors  one algorithm a file, behind one contract
 spoofers   who decides what the attack does
 envs       the engine that runs B receivers in step, and its views for Gymnasium
+duel_v0    the duel of a spoofer and a detector, for PettingZoo, and views of one side
 bench      campaigns: detectors x spoofers x paired seeds, and their scores
 testing    check_detector, check_attack, check_spoofer
 cli        spoofgym list | run | tune | bench | perf | report
@@ -47,8 +48,11 @@ the sensors.  Prefixes tell whose value it is: `true_`, `estimated_`, `counterfe
 **Environments**
 
 Importing the package registers, for `gymnasium.make` and `gymnasium.make_vec`,
-``spoofgym/TightlyCoupled-v0`` and the small environments ``spoofgym/LooselyCoupled-v0``,
-``spoofgym/Snapshot-v0`` and ``spoofgym/WheeledRobot-v0``.
+``spoofgym/TightlyCoupled-v0``, ``spoofgym/TightlyCoupled-v1``, whose attacks begin at a random
+time in a random direction, and the small environments ``spoofgym/LooselyCoupled-v0``,
+``spoofgym/Snapshot-v0`` and ``spoofgym/WheeledRobot-v0``.  The duel of a spoofer and a detector is
+`spoofgym.duel_v0`, for PettingZoo; one side of it against frozen opponents is
+``spoofgym/SpooferView-v0`` or ``spoofgym/DetectorView-v0``.
 """
 
 from gymnasium.envs.registration import register
@@ -59,6 +63,13 @@ register(
     id="spoofgym/TightlyCoupled-v0",
     entry_point="spoofgym.envs:SpoofEnv",
     vector_entry_point="spoofgym.envs:SpoofVectorEnv",
+)
+
+register(
+    id="spoofgym/TightlyCoupled-v1",
+    entry_point="spoofgym.envs:SpoofEnv",
+    vector_entry_point="spoofgym.envs:SpoofVectorEnv",
+    kwargs={"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"},
 )
 
 register(
@@ -77,4 +88,16 @@ register(
     id="spoofgym/WheeledRobot-v0",
     entry_point="spoofgym.envs:WheeledRobotEnv",
     vector_entry_point="spoofgym.envs:WheeledRobotVectorEnv",
+)
+
+register(
+    id="spoofgym/SpooferView-v0",
+    entry_point="spoofgym.duel_v0:SpooferView",
+    vector_entry_point="spoofgym.duel_v0:SpooferVectorView",
+)
+
+register(
+    id="spoofgym/DetectorView-v0",
+    entry_point="spoofgym.duel_v0:DetectorView",
+    vector_entry_point="spoofgym.duel_v0:DetectorVectorView",
 )

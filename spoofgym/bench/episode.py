@@ -15,7 +15,7 @@ from ..envs.engine import Engine
 from .entries import Entry
 from .intervals import Interval, spoofing_intervals
 from .metrics import undetected_displacement
-from .run import command, local_frames
+from .run import command, epochs_of, to_local
 from .suite import Suite, make_bound_spoofer
 
 FloatArray = NDArray[np.float64]
@@ -50,6 +50,8 @@ class Episode:
         (K, a) commanded displacement [m].
     channels : tuple of str
         (a,) what is displaced.
+    onset_epoch : int
+        Epoch of the world after which the attack begins.
     """
 
     suite: Suite
@@ -62,6 +64,7 @@ class Episode:
     error_n: FloatArray
     displacement: FloatArray
     channels: tuple[str, ...]
+    onset_epoch: int
 
     @property
     def onset(self) -> int:
@@ -143,6 +146,7 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
     alarm = np.zeros(ratio.shape, dtype=np.bool_)
     error_e = np.zeros((epochs, 2, 3))
     displacement = np.zeros((epochs, len(setup.attack.action_names(setup.world))))
+    before = given = np.zeros((2, displacement.shape[1]))
     for k in range(setup.live + epochs):
         step = k - setup.live
         if step < 0:
@@ -150,15 +154,16 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
             verdict = batch.judge()
             batch.update(verdict.weights)
         elif step < setup.steps:
-            action = command(player, observer, engine, step)
-            action[TWIN] = 0.0
-            verdict = engine.step(action)
+            if step % setup.repeat == 0:
+                before, given = given, command(player, observer, engine, step)
+                given[TWIN] = 0.0
+            verdict = engine.step(setup.command(before, given, step % setup.repeat))
         else:
             verdict = engine.step(None)
         ratio[k] = (verdict.statistic / verdict.threshold).max(axis=1)
         alarm[k] = verdict.alarm.any(axis=1)
         if step >= 0:
-            truth = setup.world.position_e[setup.onset + 1 + step]
+            truth = setup.world.position_e[batch.epochs]
             error_e[step] = batch.buffers.state.position_e - truth
             displacement[step] = batch.attack.memory["displacement"][ATTACKED]
     names = setup.attack.action_names(setup.world)
@@ -170,7 +175,8 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
         time=np.arange(1.0 - setup.live, epochs + 1) * setup.scenario.epoch_interval_s,
         ratio=ratio,
         alarm=alarm,
-        error_n=np.einsum("kri,kij->krj", error_e, local_frames(setup)),
+        error_n=to_local(error_e, setup.world.C_en[epochs_of(setup, batch.onset)]),
+        onset_epoch=int(batch.onset[ATTACKED]),
         displacement=displacement,
         channels=tuple(name.rsplit("_", 1)[0] for name in names),
     )
@@ -207,16 +213,18 @@ def draw_episode(episode: Episode, path: Path) -> None:
 def _draw_flight(ax: Any, episode: Episode) -> None:
     """True ground track; the part under attack stands out."""
     setup = episode.suite.setup(episode.detector)
-    world, onset, steps = setup.world, setup.onset, setup.steps
-    end = onset + steps + setup.hold
-    latitude, longitude, _ = ecef_to_geodetic(world.position_e)
+    world, each = setup.world, setup.epochs_each
+    flown = slice(episode.onset_epoch // each * each, (episode.onset_epoch // each + 1) * each)
+    onset = episode.onset_epoch % each
+    end, first = onset + setup.steps + setup.hold, onset - setup.onset
+    latitude, longitude, _ = ecef_to_geodetic(world.position_e[flown])
     radius = 6_371.0
     north = (latitude - latitude[onset]) * radius
     east = (longitude - longitude[onset]) * radius * np.cos(latitude[onset])
     ax.plot(east, north, color="#cccccc", lw=2, label="flight")
-    ax.plot(east[: onset + 1], north[: onset + 1], color=GREY, lw=2, label="warm-up")
+    ax.plot(east[first : onset + 1], north[first : onset + 1], color=GREY, lw=2, label="warm-up")
     ax.plot(east[onset : end + 1], north[onset : end + 1], color=ORANGE, lw=2.5, label="attack")
-    ax.plot(east[0], north[0], "o", color=GREY, ms=5)
+    ax.plot(east[first], north[first], "o", color=GREY, ms=5)
     ax.set(title="true flight", xlabel="east of the onset [km]", ylabel="north [km]")
     ax.set_aspect("equal", adjustable="datalim")
     ax.legend(fontsize=9, framealpha=0.9)

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
 from ..envs.engine import Engine
 from ..envs.observations import Observer
 from ..envs.setup import Setup
@@ -34,11 +33,14 @@ class Runs(NamedTuple):
         (K, R) bool, whether any channel alarmed.
     peak : ndarray
         (R,) largest ratio of a statistic to its threshold.
+    onset : ndarray
+        (R,) epoch of the world after which the attack began.
     """
 
     position_e: FloatArray
     alarm: NDArray[np.bool_]
     peak: FloatArray
+    onset: NDArray[np.int64]
 
     def first(self, count: int) -> Runs:
         """Some of the runs.
@@ -53,7 +55,12 @@ class Runs(NamedTuple):
         Runs
             Views.
         """
-        return Runs(self.position_e[:, :count], self.alarm[:, :count], self.peak[:count])
+        return Runs(
+            self.position_e[:, :count],
+            self.alarm[:, :count],
+            self.peak[:count],
+            self.onset[:count],
+        )
 
     def take(self, rows: NDArray[np.intp]) -> Runs:
         """Chosen runs, some of them more than once if so wanted.
@@ -68,7 +75,9 @@ class Runs(NamedTuple):
         Runs
             Copies.
         """
-        return Runs(self.position_e[:, rows], self.alarm[:, rows], self.peak[rows])
+        return Runs(
+            self.position_e[:, rows], self.alarm[:, rows], self.peak[rows], self.onset[rows]
+        )
 
     @property
     def first_alarm(self) -> NDArray[np.int64]:
@@ -204,9 +213,14 @@ def play(
     peak = np.zeros(everyone)
     rows = np.arange(everyone)
     engine = start.engine()
+    onset = engine.batch.onset.copy()
     spoofer, observer = make_bound_spoofer(spec, setup, everyone)
+    before = given = np.zeros((everyone, len(setup.attack.action_names(setup.world))))
     for k in range(epochs):
-        verdict = engine.step(command(spoofer, observer, engine, k) if k < setup.steps else None)
+        if k < setup.steps and k % setup.repeat == 0:
+            before, given = given, command(spoofer, observer, engine, k)
+        now = setup.command(before, given, k % setup.repeat) if k < setup.steps else None
+        verdict = engine.step(now)
         position_e[k, rows] = engine.batch.buffers.state.position_e
         alarm[k, rows] = verdict.alarm.any(axis=1)
         ratio = (verdict.statistic / verdict.threshold).max(axis=1)
@@ -225,7 +239,8 @@ def play(
                 fewer, _ = make_bound_spoofer(spec, setup, len(kept))
                 fewer.memory.copy_rows(np.arange(len(kept)), spoofer.memory, kept)
                 spoofer, rows = fewer, rows[kept]
-    return Runs(position_e, alarm, peak)
+                before, given = before[kept], given[kept]
+    return Runs(position_e, alarm, peak, onset)
 
 
 def command(spoofer: Spoofer, observer: Observer, engine: Engine, step: int) -> NDArray[np.float64]:
@@ -269,24 +284,23 @@ def command(spoofer: Spoofer, observer: Observer, engine: Engine, step: int) -> 
     return action
 
 
-def local_frames(setup: Setup) -> FloatArray:
-    """North-east-down axes at the true positions of the epochs after the onset.
+def epochs_of(setup: Setup, onset: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Epochs of the world at which runs are after their onset.
 
     Parameters
     ----------
     setup : Setup
-        Knows the truth.
+        Timeline.
+    onset : ndarray
+        (R,) of `Runs`.
 
     Returns
     -------
     ndarray
-        (K, 3, 3) to ECEF from local axes.
+        (K, R), from the first epoch under attack to the end of the hold.
     """
-    first = setup.onset + 1
-    latitude, longitude, _ = ecef_to_geodetic(
-        setup.world.position_e[first : first + setup.steps + setup.hold]
-    )
-    return np.asarray(dcm_e_from_n(latitude, longitude))
+    epochs: NDArray[np.int64] = onset + 1 + np.arange(setup.steps + setup.hold)[:, None]
+    return epochs
 
 
 def to_local(vector_e: FloatArray, frames: FloatArray) -> FloatArray:
@@ -297,7 +311,7 @@ def to_local(vector_e: FloatArray, frames: FloatArray) -> FloatArray:
     vector_e : ndarray
         (K, R, 3) ECEF axes.
     frames : ndarray
-        (K, 3, 3) of `local_frames`.
+        (K, R, 3, 3) to ECEF from local axes.
 
     Returns
     -------
@@ -305,7 +319,7 @@ def to_local(vector_e: FloatArray, frames: FloatArray) -> FloatArray:
         (K, R, 3) north, east, down.
     """
     # sums written out: the bits of a matrix product depend on the number of runs
-    parts = [vector_e[:, :, i, None] * frames[:, None, i, :] for i in range(3)]
+    parts = [vector_e[:, :, i, None] * frames[:, :, i, :] for i in range(3)]
     return np.asarray(parts[0] + parts[1] + parts[2])
 
 
@@ -324,7 +338,8 @@ def induced_error(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
     ndarray
         (K, R) [m].
     """
-    apart = to_local(attacked.position_e - twin.position_e, local_frames(setup))
+    frames = setup.world.C_en[epochs_of(setup, twin.onset)]
+    apart = to_local(attacked.position_e - twin.position_e, frames)
     return np.hypot(apart[..., 0], apart[..., 1])
 
 
@@ -343,9 +358,8 @@ def navigation_error(setup: Setup, runs: Runs) -> FloatArray:
     ndarray
         (K, R) [m].
     """
-    first = setup.onset + 1
-    true_e = setup.world.position_e[first : first + len(runs.position_e)]
-    apart = to_local(runs.position_e - true_e[:, None, :], local_frames(setup))
+    epochs = epochs_of(setup, runs.onset)
+    apart = to_local(runs.position_e - setup.world.position_e[epochs], setup.world.C_en[epochs])
     return np.hypot(apart[..., 0], apart[..., 1])
 
 

@@ -20,8 +20,9 @@ from .. import __version__
 from ..attacks import ATTACKS, Attack, make_attack
 from ..detectors import DETECTORS, Detector
 from ..envs.attach import spoofer_context as spoofer_context
-from ..envs.observations import Observer, terms_of
-from ..envs.presets import make_setup
+from ..envs.domain import Domain
+from ..envs.observations import Observer
+from ..envs.presets import default_terms, make_setup
 from ..envs.setup import Setup, Timeline
 from ..sim.scenario import Scenario, make_scenario
 from ..spoofers import Spoofer, SpooferContext
@@ -129,6 +130,10 @@ class Suite:
         As `make_attack` takes it.
     timeline : mapping or Timeline
         Phases of a run.
+    domain : mapping or Domain, optional
+        What differs from run to run beside the noise.
+    target_heading_deg, decision_interval_s, between : optional
+        As in `SpoofEnv`; the score counts any direction.
     detectors : sequence
         As `detector_entry` takes them.
     spoofers : sequence, optional
@@ -150,6 +155,10 @@ class Suite:
     receiver: Mapping[str, Any] = field(default_factory=dict)
     attack: str | Mapping[str, Any] | Attack = "false-position"
     timeline: Mapping[str, float] | Timeline = field(default_factory=Timeline)
+    domain: Mapping[str, Any] | Domain | None = None
+    target_heading_deg: float | str = 90.0
+    decision_interval_s: float | None = None
+    between: str = "hold"
     detectors: Sequence[str | Mapping[str, Any] | Detector] = DEFAULT_DETECTORS
     spoofers: Sequence[str | Mapping[str, Any] | Spoofer] | None = None
     runs: int = 200
@@ -197,7 +206,7 @@ class Suite:
 
     def _context(self, knowledge: str) -> SpooferContext:
         """What a spoofer with such knowledge at run time would be told."""
-        observer = Observer(terms_of(knowledge), self._setup)
+        observer = Observer(default_terms(self._setup, knowledge), self._setup)
         return spoofer_context(self._setup, 1, observer)
 
     @property
@@ -237,6 +246,10 @@ class Suite:
             ),
             detector="never",
             timeline=timeline,
+            domain=self.domain,
+            target_heading_deg=self.target_heading_deg,
+            decision_interval_s=self.decision_interval_s,
+            between=self.between,
         )
 
     def setup(self, detector: Entry) -> Setup:
@@ -285,6 +298,10 @@ class Suite:
             "receiver": describe(setup.receiver),
             "attack": spec_of("attack", ATTACKS, setup.attack),
             "timeline": describe(setup.timeline),
+            "domain": describe(setup.domain),
+            "target_heading_deg": self.target_heading_deg,
+            "decision_interval_s": self.decision_interval_s,
+            "between": self.between,
             "detectors": [dataclasses.asdict(entry) for entry in self.detector_entries],
             "spoofers": [dataclasses.asdict(entry) for entry in self.spoofer_entries],
             "runs": self.runs,
@@ -320,7 +337,7 @@ def make_bound_spoofer(spec: Any, setup: Setup, receivers: int) -> tuple[Spoofer
         All that its level of knowledge allows.
     """
     spoofer = build_spoofer(spec)
-    observer = Observer(terms_of(spoofer.knowledge), setup)
+    observer = Observer(default_terms(setup, spoofer.knowledge), setup)
     spoofer.bind(spoofer_context(setup, receivers, observer))
     spoofer.reset()
     return spoofer, observer

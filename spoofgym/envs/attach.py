@@ -66,7 +66,7 @@ def attach(
     made = make_spoofer(dict(spoofer) if isinstance(spoofer, Mapping) else spoofer)
     game = game_of(env)
     context = spoofer_context(game.setup, game.receivers, game.observer)
-    card = _card(spoofer, made)
+    card = card_behind(spoofer, made)
     if card is not None:
         found = _wrapped(env, game, card) + card.differences(context)
         if not transfer:
@@ -179,8 +179,21 @@ def setup_of_card(card: Card) -> Setup:
         raise ValueError(f"card of {card.name!r}: `env_kwargs`: {error}") from error
 
 
-def _card(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card | None:
-    """Card of a spoofer, if it has one."""
+def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card | None:
+    """Card of a spoofer, if it has one.
+
+    Parameters
+    ----------
+    spec : Spoofer, str or mapping
+        What `make_spoofer` was given.
+    made : Spoofer
+        What it made of it.
+
+    Returns
+    -------
+    Card or None
+        Of a learned or a shipped one.
+    """
     name = spec.get("name") if isinstance(spec, Mapping) else spec
     if isinstance(name, str) and name in shipped():
         return card_of(name)

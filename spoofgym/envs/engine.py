@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,13 @@ from ..receiver.state import LANES, ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.sensors import SOURCES, SensorBuffers
 from .domain import draw, told
+from .pool import PooledDetector
 from .prefetch import STOCK, NextEpisodes
 from .setup import Setup, check_settles
 from .workers import Workers
 
 FloatArray = NDArray[np.float64]
+T = TypeVar("T")
 RECEIVERS_PER_THREAD = 16
 KEPT = 8
 """Largest size of the batches that are kept for the time to alert of a few receivers."""
@@ -44,6 +46,12 @@ class Batch:
         B.
     run : callable
         ``run(f, B)`` calls ``f(lo, hi)`` over slices of the receivers, possibly in threads.
+
+    Attributes
+    ----------
+    clean : ndarray or None
+        (B,) bool, receivers whose measurements the attack leaves alone, whatever it is commanded;
+        None for none.
     """
 
     def __init__(
@@ -60,6 +68,7 @@ class Batch:
         self.weights = self.ones
         self.verdict: Verdict | None = None
         self._action: FloatArray | None = None
+        self.clean: NDArray[np.bool_] | None = None
         self.memory = Memory(receivers)
         for name in ("first", "onset", "case"):
             self.memory.declare(name, np.zeros(receivers, dtype=np.int64))
@@ -124,6 +133,8 @@ class Batch:
         spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
         self.attack.begin(rows, spoofer_keys, self.onset)
         self.detector.reset()
+        if isinstance(self.detector, PooledDetector):
+            self.detector.draw(self.sensors.keys[SOURCES.index("domain")])
         self._begin_cases()
         self._measure_first()
         first = self.memory["first"]
@@ -231,6 +242,9 @@ class Batch:
         self.attack.command(
             self._action, self.epochs, sensors.range_offset, sensors.rate_offset, lo, hi
         )
+        if self.clean is not None:
+            spared = lo + np.flatnonzero(self.clean[lo:hi])
+            sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
         self._advance(lo, hi)
 
     def advance(self) -> Epoch:
@@ -667,15 +681,30 @@ class Engine:
         ndarray
             (hold, b) bool, alarms by epoch.
         """
-        everyone = len(rows) == self.receivers
-        batch = self.batch if everyone else self._batch_of(len(rows))
-        here = np.arange(len(rows))
-        if not everyone:
-            batch.copy_rows(here, self.batch, rows)
-        alarms = batch.live_epochs(self.setup.hold, holding=True)
-        if not everyone:
-            self.batch.copy_rows(rows, batch, here)
-        return alarms
+        return self.apart(rows, lambda batch: batch.live_epochs(self.setup.hold, holding=True))
+
+    def apart(self, rows: NDArray[np.intp], work: Callable[[Batch], T]) -> T:
+        """Do something with some receivers, while the others stand still.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Which receivers.
+        work : callable
+            Called with a batch of these receivers alone.
+
+        Returns
+        -------
+        object
+            What `work` returns.
+        """
+        if len(rows) == self.receivers:
+            return work(self.batch)
+        batch, here = self._batch_of(len(rows)), np.arange(len(rows))
+        batch.copy_rows(here, self.batch, rows)
+        done = work(batch)
+        self.batch.copy_rows(rows, batch, here)
+        return done
 
     def _batch_of(self, receivers: int) -> Batch:
         """Batch whose rows are all to be overwritten; a small one is made once."""

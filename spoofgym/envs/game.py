@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -170,8 +170,8 @@ class Game:
             error_n = position_error_n(self.setup, self.engine.batch)
             self._origin[where] = error_n[where, :2]
 
-    def _displacement(self) -> FloatArray:
-        """(B,) of this epoch [m]."""
+    def displacement(self) -> FloatArray:
+        """Displacement that counts, of this epoch, (B,) [m]."""
         batch, twin, world = self.engine.batch, self.engine.twin, self.setup.world
         displacement = np.empty(self.receivers)
         displace(
@@ -187,31 +187,21 @@ class Game:
         )
         return displacement
 
-    def _commands(self, action: FloatArray) -> Iterator[FloatArray]:
-        """Commands of the epochs of one decision."""
-        count = self.setup.repeat
-        for j in range(1, count + 1):
-            if j == count or self.setup.between == "hold":
-                yield action
-            else:
-                yield self._given + (j / count) * (action - self._given)
-        self._given[:] = action
-
     def _play(self, command: FloatArray) -> tuple[FloatArray, Score]:
         """One epoch: displacement, and what it counts."""
         verdict = self.engine.step(command)
         if self.engine.twin is not None:
             self.engine.step_twin()
-        displacement = self._displacement()
+        displacement = self.displacement()
         return displacement, self.books.score(displacement, verdict.alarm, self.engine.hold)
 
     def _decide(self, action: FloatArray) -> tuple[FloatArray, Score]:
         """One decision: the last displacement, and what all its epochs count."""
-        commands = self._commands(action)
-        displacement, score = self._play(next(commands))
-        for command in commands:
-            displacement, later = self._play(command)
+        displacement, score = self._play(self.setup.command(self._given, action, 0))
+        for epoch in range(1, self.setup.repeat):
+            displacement, later = self._play(self.setup.command(self._given, action, epoch))
             score = joined(score, later)
+        self._given[:] = action
         return displacement, score
 
     def step(self, action: FloatArray) -> Turn:

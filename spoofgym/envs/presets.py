@@ -73,8 +73,21 @@ def make_setup(
     )
 
 
-def _terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
-    """Terms of a level, and the target direction where it differs from episode to episode."""
+def default_terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
+    """Terms of a level, and the target direction where it differs from episode to episode.
+
+    Parameters
+    ----------
+    setup : Setup
+        Tells the target.
+    knowledge : {"blind", "tracking", "oracle"}
+        The level.
+
+    Returns
+    -------
+    tuple
+        Terms.
+    """
     drawn = (TargetDirection(),) if setup.target_heading_deg == "random" else ()
     return (*terms_of(knowledge), *drawn)
 
@@ -119,7 +132,7 @@ def make_game(
     return Game(
         receivers,
         setup,
-        observation=_terms(setup, knowledge) if observation is None else tuple(observation),
+        observation=default_terms(setup, knowledge) if observation is None else tuple(observation),
         reward=default_rewards(alarm_penalty_m) if reward is None else tuple(reward),
         end_at_alarm=end_at_alarm,
         threads=threads,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from numbers import Real
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._registry import check_choice
 from ..attacks import Attack
@@ -17,6 +18,7 @@ from ..sim.world import World
 from .cases import Cases, worlds_of
 from .domain import Bounds, Domain
 
+FloatArray = NDArray[np.float64]
 MOST_EPOCHS = 100_000
 """Longest episode."""
 FIRST_FIX = 4
@@ -213,6 +215,25 @@ class Setup:
     def epochs_each(self) -> int:
         """Epochs of each of the worlds."""
         return self.world.epochs // self.bounds.worlds
+
+    def command(self, before: FloatArray, action: FloatArray, epoch: int) -> FloatArray:
+        """Command of one of the epochs of a decision.
+
+        Parameters
+        ----------
+        before, action : ndarray
+            (B, a) decision before, and this one.
+        epoch : int
+            Which epoch of the decision, from 0 on.
+
+        Returns
+        -------
+        ndarray
+            (B, a).
+        """
+        if self.between == "hold" or epoch + 1 == self.repeat:
+            return action
+        return before + ((epoch + 1) / self.repeat) * (action - before)
 
     def _starts(self, length: int, world: World) -> tuple[int, int]:
         """First and last epoch at which an episode of a length may begin."""

@@ -105,7 +105,8 @@ class SpoofEnv(GameEnv[Game]):
 
     Notes
     -----
-    Version history: v0, the first.
+    Version history: v0, the first.  v1: the receiver is switched on at a random time of the flight,
+    and the target direction is drawn for every episode, and observed.
     """
 
     def __init__(

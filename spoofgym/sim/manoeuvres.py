@@ -461,7 +461,41 @@ def shadmehri2025() -> Flight:
     )
 
 
+def airway() -> Flight:
+    """Flight of 40 minutes along an airway: 200 m/s, a turn or a change of level every few minutes.
+
+    No paper's flight: for attacks of half an hour.  Turns are of 20 to 40 deg at standard rate or
+    less, levels change by 1000 ft and 2000 ft.
+
+    Returns
+    -------
+    Flight
+        240,001 states at 100 Hz.
+    """
+    legs: list[Manoeuvre] = []
+    for k, (turn, climb) in enumerate(
+        [(30.0, 0.0), (-40.0, 304.8), (0.0, 609.6), (20.0, 0.0), (-30.0, -304.8), (40.0, 0.0)]
+    ):
+        legs.append(Until(400.0 * k + 120.0))
+        if turn:
+            legs.append(Turn(turn, bank_deg=20.0, ramp_s=4.0))
+        if climb:
+            legs.append(Until(400.0 * k + 260.0))
+            legs.append(Climb(climb, rate_mps=7.6, ramp_s=8.0))
+    legs.append(Until(2400.0))
+    return fly(
+        legs,
+        latitude_deg=50.425,
+        longitude_deg=-3.5958,
+        height_m=10000.0,
+        speed_mps=200.0,
+        heading_deg=90.0,
+        name="airway",
+    )
+
+
 FLIGHTS: dict[str, Callable[[], Flight]] = {
+    "airway": airway,
     "car": car,
     "ke2022": ke2022,
     "shadmehri2025": shadmehri2025,

@@ -22,6 +22,7 @@ __all__ = [
     "KNOWLEDGE",
     "PAPER_ATTACKS",
     "SPOOFERS",
+    "SUFFIX",
     "AcceleratingRamp",
     "Card",
     "Intermittent",

@@ -11,14 +11,15 @@ import pytest
 from spoofgym.bench.run import (
     WarmStart,
     displacement_of,
+    epochs_of,
     induced_error,
-    local_frames,
     play,
     to_local,
 )
 from spoofgym.bench.suite import Suite, make_bound_spoofer
 from spoofgym.detectors import Ewma
 from spoofgym.envs.engine import Engine
+from spoofgym.envs.presets import make_game
 from spoofgym.spoofers import Spoofer
 
 from .support import small_suite
@@ -121,9 +122,35 @@ def test_a_slow_ramp_carries_the_victim_along(start: WarmStart) -> None:
     assert error[start.setup.steps - 1].mean() == pytest.approx(commanded, rel=0.5)
 
 
+@pytest.mark.parametrize("between", ["hold", "linear"])
+def test_runs_of_a_domain_are_those_of_the_environment(between: str) -> None:
+    """Worlds, begins, decisions: a cell scores what `SpoofEnv` with a twin pays, run by run."""
+    settings = {
+        "domain": {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
+        "target_heading_deg": "worst",
+        "decision_interval_s": 2.0,
+        "between": between,
+    }
+    suite = small_suite(detectors=(Ewma(false_alarm=0.02),), **settings)
+    setup = suite.setup(suite.detector_entries[0])
+    start = WarmStart(setup, suite.generators("evaluation", 6), threads=1)
+    spec = {"name": "accelerating-ramp", "acceleration_mps2": 0.05}
+    attacked, clean = play(start, spec), play(start, "none")
+    scored = displacement_of(setup, attacked, clean)
+    assert len(set(attacked.onset)) > 2
+    game = make_game(6, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True)
+    game.reset(suite.generators("evaluation", 6))
+    spoofer, _ = make_bound_spoofer(spec, setup, 6)
+    for _ in range(setup.steps // setup.repeat):
+        turn = game.step(spoofer.act(game.observe()))
+    # the distance is taken in the axes at the onset there, and at every epoch here
+    np.testing.assert_allclose(turn.info["undetected_displacement_m"], scored, rtol=1e-4)
+    assert scored.max() > 0.5
+
+
 def test_local_axes_keep_lengths(start: WarmStart) -> None:
     rng = np.random.default_rng(0)
-    frames = local_frames(start.setup)
+    frames = start.setup.world.C_en[epochs_of(start.setup, np.full(3, start.setup.onset))]
     vector = rng.standard_normal((len(frames), 3, 3))
     np.testing.assert_allclose(
         np.linalg.norm(to_local(vector, frames), axis=-1), np.linalg.norm(vector, axis=-1)

@@ -41,7 +41,9 @@ class Landscape:
 
     def runs(self, count: int, alarm: float, displacement: float) -> Runs:
         alarms = np.arange(count)[None, :] < round(alarm * count)
-        return Runs(np.zeros((1, count, 3)), alarms, np.full(count, displacement))
+        return Runs(
+            np.zeros((1, count, 3)), alarms, np.full(count, displacement), np.zeros(count, int)
+        )
 
     def first(self, count: int) -> Landscape:
         part = object.__new__(Landscape)

@@ -1,0 +1,126 @@
+"""The duel as a PettingZoo AEC environment: the exact order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import AECEnv
+
+from .rules import AGENTS, DETECTOR, SPOOFER, Rules
+
+
+class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
+    """Spoofer moves, measurements arrive, detector decides on them, filter updates.
+
+    Parameters
+    ----------
+    **settings
+        As in `duel_v0.env`.
+
+    Attributes
+    ----------
+    rules : Rules
+        Duel, spaces and names.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__()
+        self.rules = Rules(0, **settings)
+        self.metadata = {
+            "name": "duel_v0",
+            "render_modes": [],
+            "is_parallelizable": False,
+            "decision_delay": 0,
+        }
+        self.render_mode = None
+        self.possible_agents: list[str] = list(AGENTS)
+        self.agents: list[str] = []
+        self.observation_spaces = self.rules.observation_spaces
+        self.action_spaces = self.rules.action_spaces
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """Space of an agent's observation; the same object at every call."""
+        return self.rules.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """Space of an agent's action; the same object at every call."""
+        return self.rules.action_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Begin an episode: warm-up, then the onset.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seeds the receiver; without it the next episode of the same stream begins.
+        options : dict, optional
+            There are none; a warning names those that were given.
+        """
+        self.rules.begin(seed, options)
+        self.agents = list(AGENTS)
+        self.agent_selection = SPOOFER
+        self._skip_agent_selection = None
+        self.rewards = dict.fromkeys(AGENTS, 0.0)
+        self._cumulative_rewards = dict.fromkeys(AGENTS, 0.0)
+        self.terminations = dict.fromkeys(AGENTS, False)
+        self.truncations = dict.fromkeys(AGENTS, False)
+        self.infos = self.rules.begin_infos()
+        self._observations = self.rules.observe()
+
+    def observe(self, agent: str) -> NDArray[np.float32]:
+        """What an agent observes: the spoofer the game before its move, the detector the epoch.
+
+        Parameters
+        ----------
+        agent : str
+            Who.
+
+        Returns
+        -------
+        ndarray
+            (o,) float32, a new array.
+        """
+        return self._observations[agent].copy()
+
+    def step(self, action: Any) -> None:
+        """Act for the agent whose turn it is.
+
+        Parameters
+        ----------
+        action : array_like or None
+            (a,) in [-1, 1]; None for an agent whose episode is over.
+        """
+        if not self.agents:
+            raise RuntimeError("the episode is over: call reset() before step()")
+        agent = self.agent_selection
+        if self.terminations[agent]:
+            self._was_dead_step(action)
+            return
+        given = self.rules.checked(agent, action)
+        self._cumulative_rewards[agent] = 0.0
+        self._clear_rewards()
+        if agent == SPOOFER:
+            self.rules.duel.arrive(given)
+            self._observations[DETECTOR] = self.rules.duel.observe_detector()[0]
+        else:
+            self._decide(given)
+        self.agent_selection = DETECTOR if agent == SPOOFER else SPOOFER
+        self._accumulate_rewards()
+
+    def _decide(self, given: NDArray[np.float64]) -> None:
+        """End an epoch by the detector's decision."""
+        turn = self.rules.duel.decide(given)
+        self.rewards = {
+            SPOOFER: float(turn.spoofer_reward[0]),
+            DETECTOR: float(turn.detector_reward[0]),
+        }
+        self.terminations = dict.fromkeys(AGENTS, bool(turn.terminated[0]))
+        self.infos = self.rules.infos(turn)
+        self._observations = self.rules.observe()
+
+    def close(self) -> None:
+        """End the threads."""
+        self.rules.duel.close()

@@ -1,0 +1,313 @@
+"""A detector that decides by actions: an agent from outside, or a policy that is asked.
+
+An action has one element for the statistic (or one for every slot), and one for the weight of every
+satellite, all in [-1, 1]; both are mapped to [0, 1] by :math:`(a + 1) / 2`.  An alarm is raised
+where the statistic exceeds the threshold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._registry import check_choice
+from ...detectors import Detector, DetectorContext, Verdict
+from ...receiver.epoch import Epoch
+from ..pool import JointMemory
+from .policy import DetectorPolicy, PolicyContext
+from .sight import ALL_SIGHTS, Sight
+from .sight_terms import ExclusionLeft, slots
+
+FloatArray = NDArray[np.float64]
+STATISTICS = ("receiver", "channel")
+DELAYS = (0, 1)
+EXCLUSION_S = 30.0
+"""Allowance of exclusion; without one the best answer to any attack is not to look at GNSS."""
+
+
+def action_names(statistic: str, weighs: bool, channels: int) -> tuple[str, ...]:
+    """Name of every element of a detector agent's action.
+
+    Parameters
+    ----------
+    statistic : {"receiver", "channel"}
+        One statistic, or one for every slot.
+    weighs : bool
+        Whether it weighs satellites.
+    channels : int
+        Slots.
+
+    Returns
+    -------
+    tuple of str
+        (a,) names.
+    """
+    first = ("statistic",) if statistic == "receiver" else slots("statistic", channels)
+    return first + (slots("weight", channels) if weighs else ())
+
+
+def check_delay(decision_delay: int) -> None:
+    """Raise unless a delay is one of the two games'.
+
+    Parameters
+    ----------
+    decision_delay : int
+        Epochs by which a decision comes late.
+
+    Raises
+    ------
+    ValueError
+        When it is not 0 or 1.
+    """
+    if isinstance(decision_delay, bool) or decision_delay not in DELAYS:
+        raise ValueError(f"`decision_delay` must be 0 or 1, got {decision_delay!r}")
+
+
+def check_exclusion(exclusion_s: float | None) -> None:
+    """Raise unless an allowance of exclusion makes sense.
+
+    Parameters
+    ----------
+    exclusion_s : float or None
+        Of an episode.
+
+    Raises
+    ------
+    ValueError
+        When it is not finite, or negative.
+    """
+    if exclusion_s is not None and not (np.isfinite(exclusion_s) and exclusion_s >= 0.0):
+        raise ValueError(f"`exclusion_s` must be finite and >= 0, or None, got {exclusion_s}")
+
+
+@dataclass
+class DetectorAgent(Detector):
+    """Takes in every epoch, and lets someone else decide; by itself it is quiet, with weights 1.
+
+    Parameters
+    ----------
+    statistic : {"receiver", "channel"}
+        One statistic, or one for every slot.
+    weighs : bool
+        Whether the agent weighs satellites; if not, it only watches.
+    exclusion_s : float or None
+        Allowance of exclusion in an episode: an epoch costs its interval times what the weights
+        of the visible satellites lack, on average, of 1.  An epoch that would exceed it is used
+        with all weights 1.  None for no limit.
+    """
+
+    statistic: str = "receiver"
+    weighs: bool = True
+    exclusion_s: float | None = EXCLUSION_S
+
+    paper: ClassVar[str] = "groves2013"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_choice("statistic", self.statistic, STATISTICS)
+        if not isinstance(self.weighs, bool | np.bool_):
+            raise ValueError(f"`weighs` must be True or False, got {self.weighs!r}")
+        check_exclusion(self.exclusion_s)
+        self.scope = self.statistic  # type: ignore[misc]  # the object's choice, not the class's
+
+    def bind(self, context: DetectorContext) -> None:
+        """Prepare what is observed.
+
+        Parameters
+        ----------
+        context : DetectorContext
+            Sizes.
+        """
+        super().bind(context)
+        n = context.channels
+        self.sight = Sight((*ALL_SIGHTS, ExclusionLeft(self.exclusion_s)), n)
+        self.action_names = action_names(self.statistic, self.weighs, n)
+        self._columns = n if self.statistic == "channel" else 1
+        self.sight.declare(self.memory)
+
+    def look(self, epoch: Epoch) -> None:
+        """Take in one epoch.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only.
+        """
+        self.sight.look(epoch, self.memory)
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Take in an epoch of the warm-up, where nobody is asked.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only.
+
+        Returns
+        -------
+        Verdict
+            (B, c) zeros, ones and no alarm; no weights.
+        """
+        self.look(epoch)
+        shape = (len(epoch.time), self._columns)
+        return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))
+
+    def verdict(
+        self,
+        action: FloatArray,
+        threshold: FloatArray,
+        visible: NDArray[np.bool_],
+        interval: FloatArray,
+    ) -> Verdict:
+        """Verdict of an action; what it excludes is taken off the allowance.
+
+        Parameters
+        ----------
+        action : ndarray
+            (B, a) in [-1, 1].
+        threshold : ndarray
+            (B,) what the statistic is compared with.
+        visible : ndarray
+            (B, n) bool; the statistic of an invisible slot is 0, its weight 1.
+        interval : ndarray
+            (B,) time since the last epoch [s].
+
+        Returns
+        -------
+        Verdict
+            (B, c), and (B, 2n) weights, the same for pseudorange and range rate of a satellite.
+        """
+        share = np.clip(0.5 * (action + 1.0), 0.0, 1.0)
+        statistic = np.ascontiguousarray(share[:, : self._columns])
+        if self.statistic == "channel":
+            statistic = np.where(visible, statistic, 0.0)
+        limit = np.ascontiguousarray(np.broadcast_to(threshold[:, None], statistic.shape))
+        weights = None
+        if self.weighs:
+            weight = np.where(visible, share[:, self._columns :], 1.0)
+            weight = self._allowed(weight, visible, interval)
+            weights = np.concatenate([weight, weight], axis=1)
+        return Verdict(statistic, limit, statistic > limit, weights)
+
+    def _allowed(
+        self, weight: FloatArray, visible: NDArray[np.bool_], interval: FloatArray
+    ) -> FloatArray:
+        """Weights of satellites within the allowance, which they use up."""
+        lacking = (1.0 - weight).sum(axis=1) / np.maximum(visible.sum(axis=1), 1)
+        used = self.memory["excluded_s"] + interval * lacking
+        limit = np.inf if self.exclusion_s is None else self.exclusion_s
+        within = used <= limit
+        self.memory["excluded_s"] = np.where(within, used, self.memory["excluded_s"])
+        return np.where(within[:, None], weight, 1.0)
+
+
+@dataclass
+class PolicyDetector(DetectorAgent):
+    """A frozen policy as a detector like any other, with its threshold.
+
+    Parameters
+    ----------
+    statistic, weighs, exclusion_s
+        As in `DetectorAgent`.
+    policy : DetectorPolicy
+        Who decides; copied.
+    threshold : float
+        What the statistic is compared with, in (0, 1]; of a calibration of this policy.
+    decision_delay : {0, 1}
+        Whether an epoch is judged by a decision on itself, or by one on the epoch before.
+    quiet_epochs : int
+        Epochs of the warm-up, in which it is not asked.
+    """
+
+    policy: DetectorPolicy | None = None
+    threshold: float = 1.0
+    decision_delay: int = 0
+    quiet_epochs: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        super().__post_init__()
+        if not isinstance(self.policy, DetectorPolicy):
+            raise TypeError(f"`policy` must be a DetectorPolicy, got {self.policy!r}")
+        check_delay(self.decision_delay)
+        if not 0.0 < self.threshold <= 1.0:
+            raise ValueError(f"`threshold` must be in (0, 1], got {self.threshold}")
+
+    def bind(self, context: DetectorContext) -> None:
+        """Prepare the policy.
+
+        Parameters
+        ----------
+        context : DetectorContext
+            Sizes.
+        """
+        super().bind(context)
+        policy = self._policy()
+        policy.bind(policy_context(self, context))
+        declared = self.memory
+        self.memory = JointMemory(context.receivers, [policy.memory])
+        for name, initial in declared.declared.items():
+            self.memory.declare(name, initial)
+        self.memory.declare("judged", np.zeros(context.receivers, dtype=np.int64))
+
+    def _policy(self) -> DetectorPolicy:
+        if self.policy is None:
+            raise TypeError("`policy` must be a DetectorPolicy, got None")
+        return self.policy
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Ask the policy, and compare.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only.
+
+        Returns
+        -------
+        Verdict
+            As in `DetectorAgent.verdict`; in the warm-up quiet, with weights 1.
+        """
+        policy = self._policy()
+        if self.decision_delay:
+            action = policy.decide(self.memory["observation"])
+            self.look(epoch)
+        else:
+            self.look(epoch)
+            action = policy.decide(self.memory["observation"])
+        quiet = self.memory["judged"] < self.quiet_epochs
+        self.memory["judged"] = self.memory["judged"] + 1
+        if quiet.any():
+            policy.reset(quiet)
+            action = np.array(action)
+            action[quiet, : self._columns], action[quiet, self._columns :] = -1.0, 1.0
+        threshold = np.full(len(quiet), float(self.threshold))
+        return self.verdict(action, threshold, epoch.visible, epoch.interval)
+
+
+def policy_context(agent: DetectorAgent, context: DetectorContext) -> PolicyContext:
+    """What a policy is told of an agent.
+
+    Parameters
+    ----------
+    agent : DetectorAgent
+        Bound.
+    context : DetectorContext
+        What it was bound to.
+
+    Returns
+    -------
+    PolicyContext
+        For `DetectorPolicy.bind`.
+    """
+    return PolicyContext(
+        receivers=context.receivers,
+        interval_s=context.epoch_interval_s,
+        observation_names=agent.sight.names,
+        observation_low=tuple(agent.sight.low.tolist()),
+        observation_high=tuple(agent.sight.high.tolist()),
+        action_names=agent.action_names,
+    )

@@ -1,0 +1,165 @@
+"""The detector's side of the duel as a game of one agent, against a pool of frozen spoofers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..played import Turn
+from .duel import DOMAIN, Duel
+from .opponents import SpooferPool, SpooferSpec
+
+FloatArray = NDArray[np.float64]
+
+
+class DetectorGame:
+    """Episodes of B receivers, in which the learner is the detector.
+
+    With ``decision_delay=0`` an observation is of the epoch that the next action judges; with 1 it
+    is of the epoch before.
+
+    Parameters
+    ----------
+    duel : Duel
+        Not begun yet.
+    pool : list
+        What `SpooferPool` takes.
+    weights : sequence of float, optional
+        Probability of every spoofer.
+
+    Attributes
+    ----------
+    duel : Duel
+        The same.
+    pool : SpooferPool
+        The opponents.
+    begin_names : tuple of str
+        Keys of `begin_info`.
+    """
+
+    begin_names: ClassVar[tuple[str, ...]] = ("time_s", "decision_delay")
+
+    def __init__(
+        self,
+        duel: Duel,
+        pool: Sequence[SpooferSpec] | SpooferSpec,
+        weights: Sequence[float] | None = None,
+    ) -> None:
+        self.duel = duel
+        self.set_pool(pool, weights)
+        self._everyone = np.arange(duel.receivers)
+
+    def set_pool(
+        self, pool: Sequence[SpooferSpec] | SpooferSpec, weights: Sequence[float] | None = None
+    ) -> None:
+        """Take other opponents; the running episodes are over.
+
+        Parameters
+        ----------
+        pool : list
+            What `SpooferPool` takes.
+        weights : sequence of float, optional
+            Probability of each.
+        """
+        self.pool = SpooferPool(pool, weights, self.duel.setup, self.duel.receivers)
+
+    def opponents(self) -> list[str]:
+        """Label of the spoofer of every receiver, in clean episodes too."""
+        return [self.pool.labels[k] for k in self.pool.opponent]
+
+    @property
+    def receivers(self) -> int:
+        """B."""
+        return self.duel.receivers
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """Name of every element of an observation."""
+        return self.duel.agent.sight.names
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Name of every element of an action."""
+        return self.duel.agent.action_names
+
+    @property
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Least and largest observation, (o,) each."""
+        return self.duel.agent.sight.low, self.duel.agent.sight.high
+
+    def reset(
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: NDArray[np.intp] | None = None,
+        given: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Begin new episodes, up to the first epoch that is to be judged.
+
+        Parameters
+        ----------
+        rngs : sequence of Generator
+            One per row.
+        rows : ndarray, optional
+            Which receivers; all by default.
+        given : mapping, optional
+            As in `Engine.reset`.
+        """
+        where = self._everyone if rows is None else rows
+        self.duel.reset(rngs, rows, given)
+        self.pool.begin(where, self.duel.game.engine.batch.sensors.keys[DOMAIN, where])
+        if self.duel.decision_delay == 0:
+            self._arrive(where)
+
+    def _arrive(self, rows: NDArray[np.intp]) -> None:
+        """Let the opponents of some receivers move."""
+        self.duel.arrive(self.pool.act(self.duel.game.snapshot(), rows), rows)
+
+    def step(self, action: FloatArray) -> Turn:
+        """Judge one epoch of all receivers.
+
+        Parameters
+        ----------
+        action : ndarray
+            (B, a) float64, in [-1, 1].
+
+        Returns
+        -------
+        Turn
+            Rewards, ends and information; what nature has drawn is told when an episode is over.
+        """
+        if self.duel.decision_delay == 0:
+            # the world may end one epoch after an episode
+            playing = np.flatnonzero(~self.duel.over)
+            turn = self.duel.decide(action)
+            if len(playing):
+                self._arrive(playing)
+        else:
+            self._arrive(self._everyone)
+            turn = self.duel.decide(action)
+        over, all_ = turn.terminated, turn.info
+        info = {
+            "time_s": all_["time_s"],
+            "alarm": all_["alarm"],
+            "statistic": all_["statistic"],
+            "threshold": all_["threshold"],
+            "decision_delay": np.full(self.receivers, self.duel.decision_delay),
+            "attacked": all_["attacked"] & over,
+            "undetected_displacement_m": np.where(over, all_["undetected_displacement_m"], 0.0),
+        }
+        return Turn(turn.detector_reward, over, info)
+
+    def observe(self) -> NDArray[np.float32]:
+        """Observe all receivers, (B, o), a new array."""
+        return self.duel.observe_detector()
+
+    def begin_info(self) -> dict[str, NDArray[Any]]:
+        """Information at the begin of an episode."""
+        delay = np.full(self.receivers, self.duel.decision_delay)
+        return {"time_s": self.duel.time_s(), "decision_delay": delay}
+
+    def close(self) -> None:
+        """End the threads."""
+        self.duel.close()

@@ -1,0 +1,157 @@
+"""The detector's side of the duel for Gymnasium, against a pool of frozen spoofers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from gymnasium.vector import AutoresetMode
+
+from ..game_env import GameEnv, refuse_rendering
+from ..game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
+from .detector_game import DetectorGame
+from .opponents import SpooferSpec
+from .rules import make_duel
+from .spoofer_view import RESET_FIRST, Weights
+
+SpooferPoolSpec = Sequence[SpooferSpec] | SpooferSpec
+
+
+class DetectorView(GameEnv[DetectorGame]):
+    """The detector's side: the learner defends, one spoofer of the pool attacks for an episode.
+
+    Half of the episodes are clean, which is not observed.  The payoff, the threshold and
+    `decision_delay` are those of the duel.
+
+    Parameters
+    ----------
+    pool : list
+        Spoofers by name, by name and settings, as objects, or paths of ``.onnx`` files with a card;
+        a single one may stand for itself.
+    weights : sequence of float, optional
+        Probability of each; all alike by default.
+    render_mode : None
+        There is nothing to render.
+    **settings
+        As in `spoofgym.duel_v0.env`, but for ``knowledge``, which each spoofer has of its own, and
+        ``decision_delay``: 0 by default, as in the AEC form, or 1, as in the parallel one.
+
+    Attributes
+    ----------
+    observation_names, action_names : tuple of str
+        Name of every element.
+    """
+
+    def __init__(
+        self,
+        pool: SpooferPoolSpec = "ramp",
+        weights: Weights = None,
+        *,
+        render_mode: None = None,
+        **settings: Any,
+    ) -> None:
+        refuse_rendering(render_mode)
+        duel = make_duel(1, **{**settings, "threads": 1})
+        super().__init__(DetectorGame(duel, pool, weights))
+
+    @property
+    def opponent(self) -> str:
+        """Label of the spoofer of the running episode, in a clean one too."""
+        return self.game.opponents()[0]
+
+    def set_pool(self, pool: SpooferPoolSpec, weights: Weights = None) -> None:
+        """Take other opponents; the running episode is over, and `reset` has to follow.
+
+        Parameters
+        ----------
+        pool, weights : list
+            As above.
+        """
+        self.game.set_pool(pool, weights)
+        self._running = False
+
+
+class DetectorVectorView(GameVectorEnv[DetectorGame]):
+    """Vector environment of `DetectorView`; receiver i is the single one seeded with ``seed + i``.
+
+    Parameters
+    ----------
+    num_envs : int
+        Receivers, each with an opponent of its own.
+    pool, weights : list
+        As in `DetectorView`.
+    autoreset_mode : {"next_step", "same_step"} or AutoresetMode
+        When a finished receiver begins its next episode.
+    threads : int, optional
+        Threads of the engine.
+    render_mode : None
+        There is nothing to render.
+    **settings
+        As in `DetectorView`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        pool: SpooferPoolSpec = "ramp",
+        weights: Weights = None,
+        *,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        render_mode: None = None,
+        **settings: Any,
+    ) -> None:
+        mode = autoreset_mode_of(autoreset_mode)
+        check_vector_settings(num_envs, render_mode)
+        duel = make_duel(num_envs, threads=threads, **settings)
+        super().__init__(DetectorGame(duel, pool, weights), mode)
+        self._changed = False
+
+    @property
+    def opponents(self) -> list[str]:
+        """Label of the spoofer of every receiver, in clean episodes too."""
+        return self.game.opponents()
+
+    def set_pool(self, pool: SpooferPoolSpec, weights: Weights = None) -> None:
+        """Take other opponents; the running episodes are over, and `reset` has to follow.
+
+        Parameters
+        ----------
+        pool, weights : list
+            As above.
+        """
+        self.game.set_pool(pool, weights)
+        self._changed = True
+
+    def reset(self, **kwargs: Any) -> Any:
+        """Begin an episode in every receiver.
+
+        Parameters
+        ----------
+        **kwargs
+            ``seed`` and ``options``, as in `GameVectorEnv`.
+
+        Returns
+        -------
+        observation, info
+            As in `GameVectorEnv`.
+        """
+        self._changed = False
+        return super().reset(**kwargs)
+
+    def step(self, actions: Any) -> Any:
+        """Judge one epoch of every receiver.
+
+        Parameters
+        ----------
+        actions : array_like
+            (B, a) in [-1, 1].
+
+        Returns
+        -------
+        observation, reward, terminated, truncated, info
+            As in `GameVectorEnv`.
+        """
+        if self._changed:
+            raise RuntimeError(RESET_FIRST)
+        return super().step(actions)

@@ -1,0 +1,280 @@
+"""The duel of B receivers: spoofer and detector agent, by the engine's two halves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...attacks import Attack
+from ...receiver import TightlyCoupled
+from ...sim.scenario import Scenario
+from ...sim.sensors import SOURCES
+from ..domain import Domain
+from ..engine import Batch
+from ..pool import NATURE, uniforms
+from ..presets import DEFAULT_ATTACK, make_game, make_setup
+from ..setup import Setup, Timeline
+from .agent import EXCLUSION_S, DetectorAgent, check_delay
+from .calibration import Calibration
+from .ledger import Ledger
+from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
+
+FloatArray = NDArray[np.float64]
+DOMAIN = SOURCES.index("domain")
+
+
+class DuelTurn(NamedTuple):
+    """What an epoch returns.
+
+    Attributes
+    ----------
+    spoofer_reward, detector_reward : ndarray
+        (B,) float64.
+    terminated : ndarray
+        (B,) bool, the same for both.
+    info : dict
+        Arrays with a leading axis of receivers; not for the detector.
+    """
+
+    spoofer_reward: FloatArray
+    detector_reward: FloatArray
+    terminated: NDArray[np.bool_]
+    info: dict[str, NDArray[Any]]
+
+
+class Duel:
+    """Episodes of a spoofer against a detector agent, for B receivers.
+
+    One epoch is `arrive`, then `decide`.  Nature draws for every episode whether it is attacked; in
+    a clean one the commands are ignored.  The episode ends at an alarm, or after the time to alert,
+    which follows the last command and in which the offsets hold their rate.
+
+    Parameters
+    ----------
+    receivers : int
+        B.
+    setup : Setup
+        Its detector is a `DetectorAgent`.
+    knowledge : {"tracking", "blind", "oracle"}
+        What the spoofer observes.
+    payoff : str or mapping
+        As `make_payoff` takes it.
+    threshold : float, Calibration or "running"
+        As `make_threshold` takes it.
+    false_alarm : float
+        Rate that a running threshold keeps.
+    decision_delay : {0, 1}
+        Whether an epoch is judged by a decision on itself, or by one on the epoch before.
+    attack_probability : float
+        In [0, 1].
+    threads : int, optional
+        As in `Engine`.
+
+    Attributes
+    ----------
+    game : Game
+        The receivers, and what the spoofer observes.
+    ledger : Ledger
+        What counts of the running episodes.
+    attacked : ndarray
+        (B,) bool, what nature has drawn.
+    over : ndarray
+        (B,) bool, whose episode has ended.
+    """
+
+    def __init__(
+        self,
+        receivers: int,
+        setup: Setup,
+        *,
+        knowledge: str = "tracking",
+        payoff: str | Mapping[str, Any] = "neyman-pearson",
+        threshold: float | str | Calibration = RUNNING,
+        false_alarm: float = 0.05,
+        decision_delay: int = 0,
+        attack_probability: float = 0.5,
+        threads: int | None = None,
+    ) -> None:
+        check_delay(decision_delay)
+        if type(setup.detector) is not DetectorAgent:
+            raise TypeError(f"the detector of `setup` must be an agent, got {setup.detector!r}")
+        if not 0.0 <= attack_probability <= 1.0:
+            raise ValueError(f"`attack_probability` must be in [0, 1], got {attack_probability}")
+        self.decision_delay, self.attack_probability = decision_delay, attack_probability
+        self.payoff = make_payoff(payoff)
+        self.threshold = make_threshold(threshold, false_alarm, receivers)
+        self.game = make_game(receivers, setup, knowledge=knowledge, reward=(), threads=threads)
+        self.setup, self.receivers = setup, receivers
+        self.ledger = Ledger(receivers, setup.steps, setup.hold)
+        self.attacked = np.zeros(receivers, dtype=np.bool_)
+        self.over = np.zeros(receivers, dtype=np.bool_)
+        self._everyone = np.arange(receivers)
+        self._sources: list[np.random.Generator | None] = [None] * receivers
+        self._command = np.zeros((receivers, len(self.game.action_names)))
+
+    @property
+    def agent(self) -> DetectorAgent:
+        """The detector agent, which remembers what it has observed."""
+        return cast("DetectorAgent", self.game.engine.batch.detector)
+
+    @property
+    def epochs(self) -> int:
+        """Epochs of an episode without an alarm."""
+        return self.setup.steps + self.setup.hold
+
+    def reset(
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: NDArray[np.intp] | None = None,
+        given: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Begin new episodes, and run their warm-up, in which the detector agent is not asked.
+
+        Parameters
+        ----------
+        rngs : sequence of Generator
+            One per row; one that a receiver has not had before restarts a running threshold.
+        rows : ndarray, optional
+            Which receivers; all by default.
+        given : mapping, optional
+            As in `Engine.reset`.
+        """
+        where = self._everyone if rows is None else rows
+        self.game.reset(rngs, rows, given)
+        self.ledger.reset(where)
+        self._command[where], self.over[where] = 0.0, False
+        for row, rng in zip(where, rngs, strict=True):
+            if self._sources[row] is not rng:
+                self._sources[row] = rng
+                self.threshold.restart(np.array([row]))
+        keys = self.game.engine.batch.sensors.keys[DOMAIN, where]
+        self.attacked[where] = uniforms(keys, NATURE) < self.attack_probability
+
+    def arrive(self, action: FloatArray, rows: NDArray[np.intp] | None = None) -> None:
+        """First half of an epoch: the spoofer moves, measurements arrive, the detector looks.
+
+        Parameters
+        ----------
+        action : ndarray
+            (B, a) in [-1, 1]; not looked at in clean episodes, and after the last command.
+        rows : ndarray, optional
+            Which receivers; all by default.
+        """
+        where = self._everyone if rows is None else rows
+        self._command[where] = command = self._commanded(action)[where]
+        self.game.engine.apart(where, lambda batch: self._arrive(batch, command, where))
+
+    def _commanded(self, action: FloatArray) -> FloatArray:
+        """Commands as the attack takes them: holding the rate where all have been given."""
+        by_rate = self.setup.attack.control == "rate"
+        held = self._command if by_rate else np.zeros_like(self._command)
+        command = np.where(self.ledger.holding[:, None], held, action)
+        return np.where(self.attacked[:, None], command, 0.0)
+
+    def _arrive(self, batch: Batch, command: FloatArray, rows: NDArray[np.intp]) -> None:
+        batch.clean = ~self.attacked[rows]
+        epoch = batch.advance_attacked(np.ascontiguousarray(command))
+        cast("DetectorAgent", batch.detector).look(epoch)
+
+    def decide(self, action: FloatArray) -> DuelTurn:
+        """Second half of an epoch: the detector decides, the filter updates, both are paid.
+
+        Parameters
+        ----------
+        action : ndarray
+            (B, a) of the detector, in [-1, 1].
+
+        Returns
+        -------
+        DuelTurn
+            Rewards, ends and information.
+        """
+        engine, batch, ledger = self.game.engine, self.game.engine.batch, self.ledger
+        limit = self.threshold.values.copy()
+        verdict = self.agent.verdict(action, limit, batch.epoch.visible, batch.epoch.interval)
+        batch.verdict = verdict
+        engine.update(verdict)
+        alarm = np.asarray(verdict.alarm.any(axis=1))
+        displacement = self.game.displacement()
+        holding = ledger.holding
+        gain, retraction, first, finished = ledger.count(displacement, alarm)
+        terminated = finished | ledger.detected
+        interval = self.setup.scenario.epoch_interval_s
+        outcome = DuelOutcome(gain, retraction, first, self.attacked, ~ledger.detected, interval)
+        won, paid = self.payoff(outcome)
+        # a receiver whose episode is over may be stepped once more before it is reset
+        self.threshold.learn(ledger.detected, terminated & ~self.attacked & ~self.over)
+        self.over |= terminated
+        info = {
+            "time_s": self.setup.world.epoch_time[batch.epochs],
+            "alarm": alarm,
+            "statistic": verdict.statistic.max(axis=1),
+            "threshold": limit,
+            "attacked": self.attacked.copy(),
+            "holding": holding,
+            "displacement_m": displacement,
+            "undetected_displacement_m": np.where(self.attacked, ledger.credited, 0.0),
+        }
+        return DuelTurn(won, paid, terminated, info)
+
+    def observe_spoofer(self) -> NDArray[np.float32]:
+        """What the spoofer observes, (B, o), a new array."""
+        return self.game.observe()
+
+    def observe_detector(self) -> NDArray[np.float32]:
+        """What the detector observes of the last epoch that has arrived, (B, o), a new array."""
+        return self.agent.memory["observation"].copy()
+
+    def time_s(self) -> FloatArray:
+        """Time of the present epoch, (B,) [s]."""
+        return self.setup.world.epoch_time[self.game.engine.batch.epochs]
+
+    def close(self) -> None:
+        """End the threads."""
+        self.game.close()
+
+
+def duel_setup(
+    *,
+    scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
+    receiver: Mapping[str, Any] | TightlyCoupled | None = None,
+    attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
+    timeline: Mapping[str, float] | Timeline | None = None,
+    statistic: str = "receiver",
+    weighs: bool = True,
+    exclusion_s: float | None = EXCLUSION_S,
+    domain: Mapping[str, Any] | Domain | None = None,
+    target_heading_deg: float | str = 90.0,
+) -> Setup:
+    """What all receivers of a duel share.
+
+    Parameters
+    ----------
+    scenario, receiver, attack, timeline : str, mapping or object
+        As in `make_setup`.
+    statistic : {"receiver", "channel"}
+        Whether the detector agent has one statistic, or one for every slot.
+    weighs : bool
+        Whether it weighs satellites.
+    exclusion_s : float or None
+        Its allowance of exclusion in an episode.
+    domain, target_heading_deg : optional
+        As in `make_setup`.
+
+    Returns
+    -------
+    Setup
+        For `Duel`.
+    """
+    return make_setup(
+        scenario=scenario,
+        receiver=receiver,
+        attack=attack,
+        detector=DetectorAgent(statistic, weighs, exclusion_s),
+        timeline=timeline,
+        domain=domain,
+        target_heading_deg=target_heading_deg,
+    )

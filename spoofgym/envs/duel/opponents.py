@@ -1,0 +1,256 @@
+"""Pools of frozen opponents for the views of one agent: detectors, and spoofers."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...detectors import Detector, make_detector
+from ...spoofers import SUFFIX, Spoofer, make_spoofer
+from ..attach import card_behind, spoofer_context
+from ..observations import Observer, terms_of
+from ..pool import PooledDetector, checked_weights, drawn
+from ..setup import Setup
+from ..snapshot import Snapshot
+from .agent import PolicyDetector
+from .onnx_detector import OnnxDetector
+
+FloatArray = NDArray[np.float64]
+DetectorSpec = str | Mapping[str, Any] | Detector
+SpooferSpec = str | Mapping[str, Any] | Spoofer
+
+
+def members_of(pool: Any, kind: type) -> list[Any]:
+    """Opponents as a list, where a single one may stand for itself.
+
+    Parameters
+    ----------
+    pool : object
+        One opponent, or a sequence of them.
+    kind : type
+        What opponents are.
+
+    Returns
+    -------
+    list
+        Of names, mappings and objects.
+
+    Raises
+    ------
+    TypeError
+        When it is neither.
+    """
+    if isinstance(pool, str | Mapping | kind):
+        return [pool]
+    if not isinstance(pool, Sequence):
+        raise TypeError(f"`pool` must be an opponent or a list of opponents, got {pool!r}")
+    return list(pool)
+
+
+def label_of(spec: Any) -> str:
+    """Short name of an opponent.
+
+    Parameters
+    ----------
+    spec : str, mapping or object
+        As it was given.
+
+    Returns
+    -------
+    str
+        For messages and results.
+    """
+    if isinstance(spec, Mapping):
+        return ", ".join(
+            str(value) if name == "name" else f"{name}={value}" for name, value in spec.items()
+        )
+    return spec if isinstance(spec, str) else type(spec).__name__
+
+
+def make_opponent(spec: DetectorSpec) -> Detector:
+    """Detector of a pool.
+
+    Parameters
+    ----------
+    spec : str, mapping or Detector
+        What `make_detector` takes, or the path of an ``.onnx`` file of a detector policy, whose
+        card has its threshold; ``{"name": path, "threshold": ...}`` for another one.
+
+    Returns
+    -------
+    Detector
+        Not bound yet.
+
+    Raises
+    ------
+    ValueError
+        When it is unknown, or has no threshold.
+    """
+    settings: dict[str, Any] = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
+    name = settings.pop("name", None)
+    if not (isinstance(name, str) and name.endswith(SUFFIX)):
+        return make_detector(dict(spec) if isinstance(spec, Mapping) else spec)
+    policy = OnnxDetector(name)
+    card = policy.card
+    threshold = settings.pop("threshold", card.threshold)
+    if settings:
+        raise ValueError(
+            f"the detector policy {name} has no setting {', '.join(map(repr, settings))}; valid: "
+            "threshold"
+        )
+    if threshold is None:
+        raise ValueError(
+            f"{name} has no threshold on its card: calibrate it by spoofgym.duel_v0.calibrate, "
+            "and give it as `threshold`"
+        )
+    return PolicyDetector(
+        statistic=card.statistic,
+        weighs=card.weighs,
+        exclusion_s=card.exclusion_s,
+        policy=policy,
+        threshold=threshold,
+        decision_delay=card.decision_delay,
+    )
+
+
+def pooled_detector(
+    pool: Sequence[DetectorSpec] | DetectorSpec, weights: Sequence[float] | None, live: int
+) -> PooledDetector:
+    """Detectors of which one is drawn for every episode.
+
+    Parameters
+    ----------
+    pool : list
+        What `make_opponent` takes.
+    weights : sequence of float, optional
+        Probability of each; all alike by default.
+    live : int
+        Epochs of the warm-up in which detectors judge; policies are not asked there.
+
+    Returns
+    -------
+    PooledDetector
+        For a `Setup`.
+    """
+    made = [make_opponent(spec) for spec in members_of(pool, Detector)]
+    members = [
+        dataclasses.replace(one, quiet_epochs=live) if isinstance(one, PolicyDetector) else one
+        for one in made
+    ]
+    return PooledDetector(tuple(members), tuple(checked_weights(len(members), weights).tolist()))
+
+
+class SpooferPool:
+    """Spoofers of which one commands a receiver for a whole episode.
+
+    Every spoofer that has a receiver at present is called once an epoch, with the observations that
+    its knowledge allows, for all receivers; each receiver takes the command of its own.
+
+    Parameters
+    ----------
+    pool : list
+        What `make_spoofer` takes.
+    weights : sequence of float, optional
+        Probability of each; all alike by default.
+    setup : Setup
+        Of the game.
+    receivers : int
+        B.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        Short names.
+    opponent : ndarray
+        (B,) index of the spoofer of every receiver.
+
+    Raises
+    ------
+    ValueError
+        When a spoofer was made for other observations, actions or limits; names it, and lists the
+        differences to this duel.
+    """
+
+    def __init__(
+        self,
+        pool: Sequence[SpooferSpec] | SpooferSpec,
+        weights: Sequence[float] | None,
+        setup: Setup,
+        receivers: int,
+    ) -> None:
+        specs = members_of(pool, Spoofer)
+        self.labels = tuple(label_of(spec) for spec in specs)
+        self._chances = checked_weights(len(specs), weights)
+        self._observers: dict[str, Observer] = {}
+        self._spoofers = [self._made(spec, setup, receivers) for spec in specs]
+        self.opponent = np.zeros(receivers, dtype=np.int64)
+
+    def _made(self, spec: SpooferSpec, setup: Setup, receivers: int) -> Spoofer:
+        made = make_spoofer(dict(spec) if isinstance(spec, Mapping) else spec)
+        observer = self._observers.setdefault(
+            made.knowledge, Observer(terms_of(made.knowledge), setup)
+        )
+        context = spoofer_context(setup, receivers, observer)
+        card = card_behind(spec, made)
+        found = [] if card is None else card.differences(context)
+        if found:
+            raise ValueError(
+                f"the spoofer {label_of(spec)!r} does not fit this duel on "
+                f"{setup.scenario.name!r}:\n  " + "\n  ".join(found)
+            )
+        made.bind(context)
+        made.reset()
+        return made
+
+    def begin(self, rows: NDArray[np.intp], keys: NDArray[np.uint64]) -> None:
+        """Draw the opponents of new episodes.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Which receivers.
+        keys : ndarray
+            (b, 2) keys of the episodes.
+        """
+        self.opponent[rows] = drawn(keys, self._chances)
+        mask = np.zeros(len(self.opponent), dtype=np.bool_)
+        mask[rows] = True
+        for spoofer in self._spoofers:
+            spoofer.reset(mask)
+
+    def act(self, snapshot: Snapshot, rows: NDArray[np.intp]) -> FloatArray:
+        """Command some receivers for the coming epoch; the spoofers of the others stand still.
+
+        Parameters
+        ----------
+        snapshot : Snapshot
+            The game.
+        rows : ndarray
+            Which receivers.
+
+        Returns
+        -------
+        ndarray
+            (B, a), 0 for the others.
+        """
+        command: FloatArray | None = None
+        seen: dict[str, NDArray[np.float32]] = {}
+        for k in np.unique(self.opponent[rows]):
+            spoofer = self._spoofers[k]
+            if spoofer.knowledge not in seen:
+                seen[spoofer.knowledge] = self._observers[spoofer.knowledge].observe(snapshot)
+            before = {name: np.array(array) for name, array in spoofer.memory.items()}
+            action = spoofer.act(seen[spoofer.knowledge])
+            for name, array in before.items():
+                array[rows] = spoofer.memory[name][rows]
+                spoofer.memory[name] = array
+            command = np.zeros_like(action) if command is None else command
+            own = rows[self.opponent[rows] == k]
+            command[own] = action[own]
+        if command is None:
+            raise ValueError("there is no receiver to command")
+        return command

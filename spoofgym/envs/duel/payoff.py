@@ -1,0 +1,258 @@
+"""What a step of the duel pays, and the threshold that the statistic is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._registry import build
+from .calibration import Calibration
+
+FloatArray = NDArray[np.float64]
+LEAST_THRESHOLD = 1e-3
+RUNNING = "running"
+
+
+class DuelOutcome(NamedTuple):
+    """What a step has brought.
+
+    Attributes
+    ----------
+    gain : ndarray
+        (B,) increase of the displacement that would count if no alarm followed [m], >= 0.
+    retraction : ndarray
+        (B,) what an alarm takes back of it [m], <= 0.
+    first : ndarray
+        (B,) bool, whether this step brought the first alarm.
+    attacked : ndarray
+        (B,) bool, what nature has drawn.
+    undetected : ndarray
+        (B,) bool, whether there has been no alarm yet, this step included.
+    interval_s : float
+        Time between epochs.
+    """
+
+    gain: FloatArray
+    retraction: FloatArray
+    first: NDArray[np.bool_]
+    attacked: NDArray[np.bool_]
+    undetected: NDArray[np.bool_]
+    interval_s: float
+
+
+class Payoff(Protocol):
+    """Rewards of both agents."""
+
+    def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
+        """Rewards of the spoofer and of the detector, (B,) each; that of the spoofer is 0 in clean
+        episodes."""  # noqa: D205, D209  (one sentence)
+
+
+@dataclass(frozen=True)
+class NeymanPearson:
+    """Undetected displacement, to the spoofer from the detector; clean episodes pay nothing.
+
+    The undiscounted returns are D_u and -D_u in attacked episodes.  False alarms have no price:
+    their rate is fixed by the threshold, which is calibrated on clean episodes.
+    """
+
+    def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
+        """Rewards of the spoofer and of the detector."""
+        won = np.where(outcome.attacked, outcome.gain + outcome.retraction, 0.0)
+        return won, 0.0 - won
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """Weighted sum of false alarms, delay and error, from the detector.
+
+    Parameters
+    ----------
+    false_alarm : float
+        Price of an alarm in a clean episode.
+    delay_per_s : float
+        Price of a second under attack without an alarm.
+    error_per_m : float
+        Price of a metre of undetected displacement; in a clean episode of any displacement, where
+        an alarm takes nothing back.
+    """
+
+    false_alarm: float = 100.0
+    delay_per_s: float = 0.1
+    error_per_m: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the prices."""
+        for name in ("false_alarm", "delay_per_s", "error_per_m"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+
+    def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
+        """Rewards of the spoofer and of the detector; they add up to 0 under attack only."""
+        moved = self.error_per_m * (outcome.gain + outcome.retraction)
+        late = self.delay_per_s * outcome.interval_s * outcome.undetected
+        strayed = self.error_per_m * outcome.gain + self.false_alarm * outcome.first
+        won = np.where(outcome.attacked, moved + late, 0.0)
+        return won, 0.0 - np.where(outcome.attacked, won, strayed)
+
+
+PAYOFFS: dict[str, type[Any]] = {"neyman-pearson": NeymanPearson, "weighted": Weighted}
+"""Payoffs by name."""
+
+
+def make_payoff(spec: str | Mapping[str, Any]) -> Payoff:
+    """Payoff by name, or by name and settings.
+
+    Parameters
+    ----------
+    spec : str or mapping
+        A name in `PAYOFFS`, or ``{"name": ..., "setting": value, ...}``.
+
+    Returns
+    -------
+    Payoff
+        Checked.
+
+    Raises
+    ------
+    ValueError
+        When the name or a setting is unknown, the valid ones are listed.
+    TypeError
+        When `spec` is something else.
+    """
+    if isinstance(spec, NeymanPearson | Weighted):
+        return spec
+    payoff: Payoff = build("payoff", PAYOFFS, Weighted, spec)
+    return payoff
+
+
+class FixedThreshold:
+    """The same threshold for ever.
+
+    Parameters
+    ----------
+    value : float
+        In (0, 1]; infinite where no alarm is wanted.
+    receivers : int
+        B.
+
+    Attributes
+    ----------
+    values : ndarray
+        (B,) of every receiver.
+    """
+
+    def __init__(self, value: float, receivers: int) -> None:
+        self.values = np.full(receivers, float(value))
+
+    def restart(self, rows: NDArray[np.intp]) -> None:
+        """Nothing has been learned."""
+
+    def learn(self, false_alarm: NDArray[np.bool_], ended: NDArray[np.bool_]) -> None:
+        """There is nothing to learn."""
+
+
+class RunningThreshold:
+    r"""Threshold that follows the false alarms of the clean episodes that have been played.
+
+    After every clean episode,
+
+    .. math:: h \leftarrow h + g\,(a - \alpha)
+
+    where a is 1 if it had an alarm.  The mean of a over n clean episodes is then below
+    :math:`\alpha + (1 + g - h_0) / (g n)`, whatever the detector does, and however it changes.
+    Every receiver has a threshold of its own, which begins anew with its seed.
+
+    Parameters
+    ----------
+    false_alarm : float
+        Alpha, rate of clean episodes with an alarm, in (0, 1).
+    receivers : int
+        B.
+
+    Attributes
+    ----------
+    values : ndarray
+        (B,) of every receiver.
+
+    Notes
+    -----
+    `gibbs2021`, eq. 2, with their bound.  The threshold stays above 0.001, where statistics below
+    that never alarm; it may exceed 1 for a while, when nothing alarms.
+    """
+
+    FIRST, GAIN = 0.5, 0.1
+
+    def __init__(self, false_alarm: float, receivers: int) -> None:
+        self.false_alarm = false_alarm
+        self.values = np.full(receivers, self.FIRST)
+
+    def restart(self, rows: NDArray[np.intp]) -> None:
+        """Forget what has been learned.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Which receivers.
+        """
+        self.values[rows] = self.FIRST
+
+    def learn(self, false_alarm: NDArray[np.bool_], ended: NDArray[np.bool_]) -> None:
+        """Follow the clean episodes that have ended.
+
+        Parameters
+        ----------
+        false_alarm : ndarray
+            (B,) bool, which had an alarm.
+        ended : ndarray
+            (B,) bool, which clean episodes have ended in this step.
+        """
+        moved = self.values + np.where(ended, self.GAIN * (false_alarm - self.false_alarm), 0.0)
+        self.values = np.maximum(moved, LEAST_THRESHOLD)
+
+
+def make_threshold(
+    threshold: float | str | Calibration, false_alarm: float, receivers: int
+) -> FixedThreshold | RunningThreshold:
+    """Threshold of the game.
+
+    Parameters
+    ----------
+    threshold : float, Calibration or "running"
+        As in `duel_v0.env`.
+    false_alarm : float
+        Rate that a running threshold keeps.
+    receivers : int
+        B.
+
+    Returns
+    -------
+    FixedThreshold or RunningThreshold
+        Of B receivers.
+
+    Raises
+    ------
+    ValueError
+        When it is something else, or outside (0, 1].
+    """
+    if not 0.0 < false_alarm < 1.0:
+        raise ValueError(f"`false_alarm` must be in (0, 1), got {false_alarm}")
+    if isinstance(threshold, Calibration):
+        threshold = threshold.threshold
+    if isinstance(threshold, str):
+        if threshold != RUNNING:
+            raise ValueError(
+                "`threshold` must be 'running', a number in (0, 1] or a calibration, got "
+                f"{threshold!r}"
+            )
+        return RunningThreshold(false_alarm, receivers)
+    if isinstance(threshold, bool) or not 0.0 < float(threshold) <= 1.0:
+        raise ValueError(
+            f"`threshold` must be 'running', a number in (0, 1] or a calibration, got {threshold!r}"
+        )
+    return FixedThreshold(float(threshold), receivers)

@@ -1,0 +1,201 @@
+"""The contract of a policy for the detector agent: an observation in, an action out."""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._describe import describe, digest_of
+from ..._memory import Memory
+
+FloatArray = NDArray[np.float64]
+
+
+class PolicyContext(NamedTuple):
+    """What a policy is told once, before the first decision.
+
+    Attributes
+    ----------
+    receivers : int
+        B.
+    interval_s : float
+        Time between decisions.
+    observation_names : tuple of str
+        (o,) name of every element of an observation.
+    observation_low, observation_high : tuple of float
+        (o,) bounds.
+    action_names : tuple of str
+        (a,) name of every element of an action.
+    """
+
+    receivers: int
+    interval_s: float
+    observation_names: tuple[str, ...]
+    observation_low: tuple[float, ...]
+    observation_high: tuple[float, ...]
+    action_names: tuple[str, ...]
+
+
+class DetectorPolicy(ABC):
+    """Decides for the detector agents of B receivers.
+
+    A subclass declares its arrays in `bind` (``self.memory.declare(name, initial)``, with a leading
+    axis of receivers) and keeps nothing else from one decision to the next.
+
+    Attributes
+    ----------
+    memory : Memory
+        What it remembers of every receiver.
+    """
+
+    memory: Memory
+
+    def bind(self, context: PolicyContext) -> None:
+        """Prepare for a batch of receivers; call ``super().bind(context)`` first.
+
+        Parameters
+        ----------
+        context : PolicyContext
+            Sizes, names and bounds.
+        """
+        self.context = context
+        self.memory = Memory(context.receivers)
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Begin a new episode in some receivers.
+
+        Parameters
+        ----------
+        mask : ndarray, optional
+            (B,) bool, which ones; all by default.
+        """
+        self.memory.reset(mask)
+
+    @abstractmethod
+    def decide(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Decide on one epoch.
+
+        Parameters
+        ----------
+        observation : ndarray
+            (B, o) of all receivers.
+
+        Returns
+        -------
+        ndarray
+            (B, a) in [-1, 1].
+        """
+
+    def digest(self) -> str | None:
+        """What tells this frozen policy from any other.
+
+        Returns
+        -------
+        str or None
+            16 hexadecimal digits, of the settings of a dataclass; None where there is no telling,
+            and a calibration can't be stored.
+        """
+        try:
+            return digest_of({"class": type(self).__qualname__, "settings": describe(self)})
+        except TypeError:
+            return None
+
+
+class FunctionPolicy(DetectorPolicy):
+    """A function of the observation alone.
+
+    Parameters
+    ----------
+    function : callable
+        (B, o) to (B, a), in [-1, 1].
+    name : str, optional
+        What tells it from other functions, for the store of calibrations.
+    """
+
+    def __init__(self, function: Callable[[Any], Any], name: str | None = None) -> None:
+        self.function, self.name = function, name
+
+    def decide(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Call the function, and check what it returns.
+
+        Parameters
+        ----------
+        observation : ndarray
+            (B, o).
+
+        Returns
+        -------
+        ndarray
+            (B, a).
+        """
+        return checked_decision(self.function(observation), self.context, repr(self.function))
+
+    def digest(self) -> str | None:
+        """Digest of the name, if it has one."""
+        if self.name is None:
+            return None
+        return hashlib.sha256(self.name.encode()).hexdigest()[:16]
+
+
+def checked_decision(action: Any, context: PolicyContext, who: str) -> FloatArray:
+    """Decision of a policy, as the game takes it.
+
+    Parameters
+    ----------
+    action : array_like
+        Of the policy.
+    context : PolicyContext
+        What it has been told.
+    who : str
+        The policy, for the message.
+
+    Returns
+    -------
+    ndarray
+        (B, a) float64, cut to [-1, 1].
+
+    Raises
+    ------
+    ValueError
+        When it has another shape, or a value is not a number.
+    """
+    array = np.array(action, dtype=np.float64, order="C")
+    shape = (context.receivers, len(context.action_names))
+    if array.shape != shape:
+        raise ValueError(f"{who} must return actions of shape {shape}, got {array.shape}")
+    if np.isnan(array).any():
+        raise ValueError(f"{who} returned NaN for receiver {np.argwhere(np.isnan(array))[0][0]}")
+    return np.clip(array, -1.0, 1.0)
+
+
+def as_policy(policy: Any) -> DetectorPolicy:
+    """Policy as an object.
+
+    Parameters
+    ----------
+    policy : DetectorPolicy or callable
+        A function takes (B, o) and returns (B, a).
+
+    Returns
+    -------
+    DetectorPolicy
+        Not bound yet, where a function was given.
+
+    Raises
+    ------
+    TypeError
+        When it is neither.
+    """
+    if isinstance(policy, DetectorPolicy):
+        return policy
+    if callable(policy):
+        return FunctionPolicy(policy)
+    raise TypeError(
+        "a detector policy is an instance of spoofgym.duel_v0.DetectorPolicy or a function of "
+        f"(B, o) observations, got {policy!r}"
+    )

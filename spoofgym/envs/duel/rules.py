@@ -1,0 +1,170 @@
+"""What both PettingZoo forms of the duel share: agents, spaces, seeds, information, bad input."""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from ..._registry import check_choice
+from ..game_env import refuse_rendering
+from ..spaces import action_space, checked_action, observation_space
+from .duel import Duel, DuelTurn, duel_setup
+
+SPOOFER, DETECTOR = "spoofer_0", "detector_0"
+AGENTS = (SPOOFER, DETECTOR)
+SETUP = (
+    "scenario",
+    "receiver",
+    "attack",
+    "timeline",
+    "statistic",
+    "weighs",
+    "exclusion_s",
+    "domain",
+    "target_heading_deg",
+)
+SETTINGS = (*SETUP, *list(inspect.signature(Duel).parameters)[2:-1])
+"""All settings of a duel."""
+OPTIONS: tuple[str, ...] = ()
+"""Options that a reset knows: none."""
+
+
+class Rules:
+    """One duel of one receiver, as both forms need it.
+
+    Parameters
+    ----------
+    decision_delay : {0, 1}
+        Which of the two games it is.
+    render_mode : None
+        There is nothing to render.
+    **settings
+        Of `duel_setup` and `Duel`.
+
+    Attributes
+    ----------
+    duel : Duel
+        Of one receiver.
+    observation_spaces, action_spaces : dict
+        A Box of every agent.
+    observation_names, action_names : dict
+        Name of every element, by agent.
+    """
+
+    def __init__(self, decision_delay: int, render_mode: None = None, **settings: Any) -> None:
+        refuse_rendering(render_mode)
+        self.duel = make_duel(1, decision_delay=decision_delay, threads=1, **settings)
+        game, agent = self.duel.game, self.duel.agent
+        self.observation_names = {SPOOFER: game.observation_names, DETECTOR: agent.sight.names}
+        self.action_names = {SPOOFER: game.action_names, DETECTOR: agent.action_names}
+        self.observation_spaces: dict[str, spaces.Space[Any]] = {
+            SPOOFER: observation_space(game),
+            DETECTOR: spaces.Box(agent.sight.low, agent.sight.high, dtype=np.float32),
+        }
+        self.action_spaces: dict[str, spaces.Space[Any]] = {
+            SPOOFER: action_space(game),
+            DETECTOR: spaces.Box(-1.0, 1.0, (len(agent.action_names),), dtype=np.float32),
+        }
+        self._rng: np.random.Generator | None = None
+
+    def begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
+        """Begin an episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seeds the receiver; without it the next episode of the same stream begins.
+        options : dict, optional
+            There are none; a warning names those that were given.
+        """
+        for name in options or {}:
+            if name not in OPTIONS:
+                warnings.warn(f"the duel has no reset option {name!r}", UserWarning, stacklevel=3)
+        if seed is not None or self._rng is None:
+            self._rng = seeding.np_random(seed)[0]
+        self.duel.reset([self._rng])
+
+    def checked(self, agent: str, action: Any) -> NDArray[np.float64]:
+        """Action of an agent, as the duel takes it.
+
+        Parameters
+        ----------
+        agent : str
+            Whose.
+        action : array_like
+            From the user.
+
+        Returns
+        -------
+        ndarray
+            (1, a).
+
+        Raises
+        ------
+        ValueError
+            Names the agent and what is wrong.
+        """
+        names = self.action_names[agent]
+        try:
+            return checked_action(action, (len(names),), names)[None]
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{agent}: {error}") from error
+
+    def observe(self) -> dict[str, NDArray[np.float32]]:
+        """What every agent observes now, new arrays."""
+        return {
+            SPOOFER: self.duel.observe_spoofer()[0],
+            DETECTOR: self.duel.observe_detector()[0],
+        }
+
+    def begin_infos(self) -> dict[str, dict[str, Any]]:
+        """Information at the begin of an episode; the detector is not told of nature's choice."""
+        told = {"time_s": self.duel.time_s()[0].item(), "decision_delay": self.duel.decision_delay}
+        return {SPOOFER: {**told, "attacked": bool(self.duel.attacked[0])}, DETECTOR: dict(told)}
+
+    def infos(self, turn: DuelTurn) -> dict[str, dict[str, Any]]:
+        """Information after an epoch; the detector is told of nothing that it can't see itself.
+
+        Parameters
+        ----------
+        turn : DuelTurn
+            Of the epoch.
+
+        Returns
+        -------
+        dict
+            Fresh ones, of plain numbers.
+        """
+        all_: dict[str, Any] = {name: array.item() for name, array in turn.info.items()}
+        all_["decision_delay"] = self.duel.decision_delay
+        own = ("time_s", "alarm", "statistic", "threshold", "decision_delay")
+        return {SPOOFER: all_, DETECTOR: {name: all_[name] for name in own}}
+
+
+def make_duel(receivers: int, *, threads: int | None = None, **settings: Any) -> Duel:
+    """Duel from settings that fit into JSON.
+
+    Parameters
+    ----------
+    receivers : int
+        B.
+    threads : int, optional
+        As in `Engine`.
+    **settings
+        Of `duel_setup` and `Duel`.
+
+    Returns
+    -------
+    Duel
+        Not reset yet.
+    """
+    for name in settings:
+        check_choice("setting of the duel", name, SETTINGS)
+    shared = {name: settings.pop(name) for name in SETUP if name in settings}
+    return Duel(receivers, duel_setup(**shared), threads=threads, **settings)

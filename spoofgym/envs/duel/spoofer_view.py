@@ -1,0 +1,248 @@
+"""The spoofer's side of the duel for Gymnasium, against a pool of frozen detectors."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+from gymnasium.vector import AutoresetMode
+
+from ...detectors import Detector
+from ..game import Game
+from ..game_env import GameEnv, refuse_rendering
+from ..game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
+from ..presets import make_game, make_setup
+from ..setup import Setup
+from .opponents import DetectorSpec, label_of, members_of, pooled_detector
+
+DetectorPool = Sequence[DetectorSpec] | DetectorSpec
+Weights = Sequence[float] | None
+WORLD = (
+    "scenario",
+    "receiver",
+    "attack",
+    "timeline",
+    "domain",
+    "target_heading_deg",
+    "decision_interval_s",
+    "between",
+)
+RESET_FIRST = "the pool has changed: call reset() before step()"
+
+
+class SpooferSide:
+    """What the single and the vector view of the spoofer share.
+
+    Parameters
+    ----------
+    receivers : int
+        B.
+    pool, weights : list
+        As in `SpooferView`.
+    settings : dict
+        Of `make_setup` and `make_game`.
+    """
+
+    def __init__(
+        self, receivers: int, pool: DetectorPool, weights: Weights, settings: dict[str, Any]
+    ) -> None:
+        rules = dict(settings)
+        world = {name: rules.pop(name) for name in WORLD if name in rules}
+        self._receivers = receivers
+        self._rules = {"alarm_penalty_m": 0.0, **rules}
+        self._setup = make_setup(detector="never", **world)
+        self.labels: tuple[str, ...] = ()
+        self.changed = False
+        self.game = self.play(pool, weights)
+
+    def play(self, pool: DetectorPool, weights: Weights) -> Game:
+        """Game against a pool.
+
+        Parameters
+        ----------
+        pool, weights : list
+            As in `SpooferView`.
+
+        Returns
+        -------
+        Game
+            Not begun yet.
+        """
+        setup: Setup = copy.copy(self._setup)
+        setup.detector = pooled_detector(pool, weights, setup.live)
+        game = make_game(self._receivers, setup, **self._rules)
+        self.labels = tuple(label_of(spec) for spec in members_of(pool, Detector))
+        return game
+
+    def change(self, pool: DetectorPool, weights: Weights) -> Game:
+        """Game against another pool, of the same spaces.
+
+        Parameters
+        ----------
+        pool, weights : list
+            As in `SpooferView`.
+
+        Returns
+        -------
+        Game
+            Not begun yet.
+
+        Raises
+        ------
+        ValueError
+            When the spoofer would observe something else; names both pools.
+        """
+        before, labels = self.game, self.labels
+        game = self.play(pool, weights)
+        if game.observation_names != before.observation_names:
+            now, self.labels = self.labels, labels
+            raise ValueError(
+                f"the pool {', '.join(now)} gives the spoofer {len(game.observation_names)} "
+                f"observations, but {', '.join(labels)} gave {len(before.observation_names)}"
+            )
+        before.close()
+        self.game, self.changed = game, True
+        return game
+
+    def opponents(self) -> list[str]:
+        """Label of the opponent of every receiver."""
+        drawn = self.game.engine.batch.detector.memory["opponent"]
+        return [self.labels[k] for k in drawn]
+
+
+class SpooferView(GameEnv[Game]):
+    """The spoofer's side: the learner attacks, one detector of the pool defends for an episode.
+
+    Every episode is attacked, since a clean one pays nothing and teaches nothing.  The undiscounted
+    return is the undetected displacement [m], minus `alarm_penalty_m` at an alarm.
+
+    Parameters
+    ----------
+    pool : list
+        Detectors by name, by name and settings, as objects (`PolicyDetector` for a policy with its
+        threshold), or paths of ``.onnx`` files with a card; a single one may stand for itself.
+    weights : sequence of float, optional
+        Probability of each; all alike by default.
+    render_mode : None
+        There is nothing to render.
+    **settings
+        As in `SpoofEnv`, but for the detector; ``alarm_penalty_m`` is 0 by default.
+
+    Attributes
+    ----------
+    observation_names, action_names : tuple of str
+        Name of every element.
+    """
+
+    def __init__(
+        self,
+        pool: DetectorPool = "ewma",
+        weights: Weights = None,
+        *,
+        render_mode: None = None,
+        **settings: Any,
+    ) -> None:
+        refuse_rendering(render_mode)
+        self._side = SpooferSide(1, pool, weights, {**settings, "threads": 1})
+        super().__init__(self._side.game)
+
+    @property
+    def opponent(self) -> str:
+        """Label of the detector of the running episode."""
+        return self._side.opponents()[0]
+
+    def set_pool(self, pool: DetectorPool, weights: Weights = None) -> None:
+        """Take other opponents; the running episode is over, and `reset` has to follow.
+
+        Parameters
+        ----------
+        pool, weights : list
+            As above.
+        """
+        self.game = self._side.change(pool, weights)
+        self._running = False
+
+
+class SpooferVectorView(GameVectorEnv[Game]):
+    """Vector environment of `SpooferView`; receiver i is the single one seeded with ``seed + i``.
+
+    Parameters
+    ----------
+    num_envs : int
+        Receivers, each with an opponent of its own.
+    pool, weights : list
+        As in `SpooferView`.
+    autoreset_mode : {"next_step", "same_step"} or AutoresetMode
+        When a finished receiver begins its next episode.
+    threads : int, optional
+        Threads of the engine.
+    render_mode : None
+        There is nothing to render.
+    **settings
+        As in `SpooferView`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        pool: DetectorPool = "ewma",
+        weights: Weights = None,
+        *,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        render_mode: None = None,
+        **settings: Any,
+    ) -> None:
+        mode = autoreset_mode_of(autoreset_mode)
+        check_vector_settings(num_envs, render_mode)
+        self._side = SpooferSide(num_envs, pool, weights, {**settings, "threads": threads})
+        super().__init__(self._side.game, mode)
+
+    @property
+    def opponents(self) -> list[str]:
+        """Label of the detector of every receiver."""
+        return self._side.opponents()
+
+    def set_pool(self, pool: DetectorPool, weights: Weights = None) -> None:
+        """Take other opponents; the running episodes are over, and `reset` has to follow.
+
+        Parameters
+        ----------
+        pool, weights : list
+            As above.
+        """
+        self.game = self._side.change(pool, weights)
+
+    def reset(self, **kwargs: Any) -> Any:
+        """Begin an episode in every receiver.
+
+        Parameters
+        ----------
+        **kwargs
+            ``seed`` and ``options``, as in `GameVectorEnv`.
+
+        Returns
+        -------
+        observation, info
+            As in `GameVectorEnv`.
+        """
+        self._side.changed = False
+        return super().reset(**kwargs)
+
+    def step(self, actions: Any) -> Any:
+        """Give one command to every receiver, and run one epoch.
+
+        Parameters
+        ----------
+        actions : array_like
+            (B, a) in [-1, 1].
+
+        Returns
+        -------
+        observation, reward, terminated, truncated, info
+            As in `GameVectorEnv`.
+        """
+        if self._side.changed:
+            raise RuntimeError(RESET_FIRST)
+        return super().step(actions)

@@ -1,0 +1,235 @@
+"""A pool of frozen opponents: one is drawn for every episode, and the batch stays one batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._memory import Memory
+from ..detectors import Detector, DetectorContext, Verdict
+from ..receiver.epoch import Epoch
+
+FloatArray = NDArray[np.float64]
+NATURE, OPPONENT = 1, 2
+"""What is drawn for an episode: whether it is attacked, and who the opponent is."""
+
+
+def uniforms(keys: NDArray[np.uint64], purpose: int) -> FloatArray:
+    """Draw one number for every episode, which depends on its key and on the purpose alone.
+
+    Parameters
+    ----------
+    keys : ndarray
+        (b, 2) keys of the episodes, of the source "domain".
+    purpose : int
+        What is drawn; purposes share no chance with each other, or with what else the key draws.
+
+    Returns
+    -------
+    ndarray
+        (b,) uniform in [0, 1).
+    """
+    words = [
+        np.random.SeedSequence([int(k0), int(k1), purpose]).generate_state(1, np.uint64)[0]
+        for k0, k1 in keys
+    ]
+    # the upper 53 bits, which a float holds exactly
+    return np.array([int(word) >> 11 for word in words], dtype=np.float64) * 2.0**-53
+
+
+def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray:
+    """Probability of every opponent.
+
+    Parameters
+    ----------
+    members : int
+        Opponents in the pool.
+    weights : sequence of float, optional
+        Not negative; all alike by default.
+
+    Returns
+    -------
+    ndarray
+        (K,) sums to 1.
+
+    Raises
+    ------
+    ValueError
+        When there is no opponent, the numbers are not as many, negative, or all 0.
+    """
+    if members < 1:
+        raise ValueError("`pool` must have at least one opponent, got none")
+    given = np.ones(members) if weights is None else np.array(weights, dtype=np.float64)
+    if given.shape != (members,):
+        raise ValueError(
+            f"`weights` must have one number for each of the {members} opponents, got {weights!r}"
+        )
+    if not (np.isfinite(given).all() and (given >= 0.0).all() and given.sum() > 0.0):
+        raise ValueError(f"`weights` must be finite, >= 0, and not all 0, got {weights!r}")
+    chances: FloatArray = given / given.sum()
+    return chances
+
+
+def drawn(keys: NDArray[np.uint64], weights: FloatArray) -> NDArray[np.int64]:
+    """Opponent of every episode.
+
+    Parameters
+    ----------
+    keys : ndarray
+        (b, 2) keys of the episodes.
+    weights : ndarray
+        (K,) of `checked_weights`.
+
+    Returns
+    -------
+    ndarray
+        (b,) index into the pool.
+    """
+    found = np.searchsorted(np.cumsum(weights), uniforms(keys, OPPONENT), side="right")
+    # rounding of the sum must not lead beyond the last one that can be drawn
+    return np.array(np.minimum(found, np.flatnonzero(weights)[-1]), dtype=np.int64)
+
+
+class JointMemory(Memory):
+    """A memory that others go along with: they are reset and moved together.
+
+    Parameters
+    ----------
+    receivers : int
+        B.
+    parts : sequence of Memory
+        Of the same receivers.
+    """
+
+    def __init__(self, receivers: int = 0, parts: Sequence[Memory] = ()) -> None:
+        super().__init__(receivers)
+        self.parts = tuple(parts)
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Restore the values of the begin, in all parts.
+
+        Parameters
+        ----------
+        mask : ndarray, optional
+            (B,) bool, which receivers; all by default.
+        """
+        super().reset(mask)
+        for part in self.parts:
+            part.reset(mask)
+
+    def copy_rows(self, to: NDArray[np.intp], other: Memory, rows: NDArray[np.intp]) -> None:
+        """Take over rows of another memory of the same names and parts.
+
+        Parameters
+        ----------
+        to : ndarray
+            Rows of this memory that are overwritten.
+        other : Memory
+            With the same names and parts.
+        rows : ndarray
+            As many rows of the other memory.
+        """
+        super().copy_rows(to, other, rows)
+        theirs: Any = other
+        for mine, part in zip(self.parts, theirs.parts, strict=True):
+            mine.copy_rows(to, part, rows)
+
+
+@dataclass
+class PooledDetector(Detector):
+    """Detectors of which one judges a receiver for a whole episode, warm-up included.
+
+    Every detector that has a receiver at present judges the epoch of all receivers in one call, and
+    each receiver takes the verdict of its own.  Where tests of channels and of whole receivers meet
+    in one pool, the statistic is the largest ratio of statistic and threshold of a receiver.
+
+    Parameters
+    ----------
+    members : tuple of Detector
+        Copied when a batch of receivers is made.
+    weights : tuple of float
+        Probability of each.
+    """
+
+    members: tuple[Detector, ...]
+    weights: tuple[float, ...]
+
+    paper: ClassVar[str] = "groves2013"
+    watches: ClassVar[str] = "any"
+
+    def __post_init__(self) -> None:
+        """Find out what the detectors have in common."""
+        self._chances = checked_weights(len(self.members), self.weights)
+        scopes = {member.scope for member in self.members}
+        self._alike = len(scopes) == 1
+        # these differ from pool to pool, so that they are the object's, not the class's
+        self.scope = scopes.pop() if self._alike else "receiver"  # type: ignore[misc]
+        self.needs = frozenset().union(*(m.needs for m in self.members))  # type: ignore[misc]
+        self.oracle = any(member.oracle for member in self.members)  # type: ignore[misc]
+
+    def bind(self, context: DetectorContext) -> None:
+        """Prepare all detectors.
+
+        Parameters
+        ----------
+        context : DetectorContext
+            Sizes.
+        """
+        super().bind(context)
+        for member in self.members:
+            member.bind(context)
+        self.silent_epochs = max(member.silent_epochs for member in self.members)
+        self.memory = JointMemory(context.receivers, [member.memory for member in self.members])
+        self.memory.declare("opponent", np.zeros(context.receivers, dtype=np.int64))
+
+    def draw(self, keys: NDArray[np.uint64]) -> None:
+        """Draw the opponent of every receiver for a new episode.
+
+        Parameters
+        ----------
+        keys : ndarray
+            (B, 2) keys of the episodes.
+        """
+        self.memory["opponent"] = drawn(keys, self._chances)
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Let every receiver be judged by its own detector.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only.
+
+        Returns
+        -------
+        Verdict
+            (B, c), and weights where any detector of the pool gives some.
+        """
+        merged: Verdict | None = None
+        opponent = self.memory["opponent"]
+        for k in np.unique(opponent):
+            verdict = self._of_pool(self.members[k].judge(epoch), epoch.innovation.shape)
+            rows = opponent == k
+            if merged is None:
+                copies: list[Any] = [None if part is None else np.array(part) for part in verdict]
+                merged = Verdict(*copies)
+                continue
+            for whole, part in zip(merged, verdict, strict=True):
+                if whole is not None and part is not None:
+                    whole[rows] = part[rows]
+        if merged is None:
+            raise ValueError("there is no receiver to judge")
+        return merged
+
+    def _of_pool(self, verdict: Verdict, shape: tuple[int, ...]) -> Verdict:
+        """Verdict in the form that all of the pool have, in arrays of its own."""
+        weights = np.ones(shape) if verdict.weights is None else verdict.weights
+        if self._alike:
+            return verdict._replace(weights=weights)
+        ratio = (verdict.statistic / verdict.threshold).max(axis=1, keepdims=True)
+        alarm = np.asarray(verdict.alarm.any(axis=1, keepdims=True))
+        return Verdict(ratio, np.ones_like(ratio), alarm, weights)

@@ -1,0 +1,139 @@
+"""Thresholds: quantiles of clean runs, and those that follow the false alarms."""
+
+import numpy as np
+import pytest
+
+from spoofgym import duel_v0
+from spoofgym.envs.duel.calibration import fewest_runs, quantile_of
+from spoofgym.envs.duel.payoff import RunningThreshold
+
+from .support import ALARM, SHORT, parallel, wary
+
+SETTINGS = {"timeline": SHORT, "runs": 60, "false_alarm": 0.1, "receivers": 30}
+
+
+def test_a_new_run_exceeds_the_quantile_with_the_stated_probability():
+    rng, alpha, n = np.random.default_rng(1), 0.1, 59
+    exceeded, covered, trials = 0, 0, 800
+    for _ in range(trials):
+        threshold, low, high = quantile_of(rng.random(n), alpha, 0.9)
+        exceeded += rng.random() > threshold
+        covered += low <= 1.0 - alpha <= high
+    assert abs(exceeded / trials - alpha) < 3.0 * np.sqrt(alpha * (1 - alpha) / trials)
+    assert covered / trials > 0.9 - 3.0 * np.sqrt(0.09 / trials)
+
+
+def test_too_few_runs_tell_no_quantile():
+    assert (fewest_runs(0.05), fewest_runs(0.3)) == (19, 3)
+    assert quantile_of(np.arange(19) / 19, 0.05, 0.95)[::2] == (18 / 19, 1.0)
+    with pytest.raises(ValueError, match="`runs` must be at least 19 for `false_alarm`"):
+        duel_v0.calibrate(wary, runs=18, timeline=SHORT)
+
+
+def test_the_threshold_does_not_depend_on_the_size_of_the_batch():
+    first = duel_v0.calibrate(wary, **SETTINGS)
+    again = duel_v0.calibrate(wary, **{**SETTINGS, "receivers": 17})
+    assert first == again
+    assert first.threshold_low < first.threshold < first.threshold_high
+    late = duel_v0.calibrate(wary, **SETTINGS, decision_delay=1)
+    assert late.settings != first.settings
+    assert late.threshold != first.threshold
+
+
+def test_fresh_clean_episodes_keep_the_rate():
+    found = duel_v0.calibrate(wary, **SETTINGS)
+    envs = duel_v0.DetectorVectorView(
+        64, "none", threshold=found, attack_probability=0.0, timeline=SHORT
+    )
+    observation, _ = envs.reset(seed=500)
+    alarmed = np.zeros(64, dtype=bool)
+    for _ in range(envs.game.duel.epochs):
+        observation, reward, over, _, info = envs.step(wary(observation))
+        alarmed |= info["alarm"] & info["_alarm"]
+        assert not reward.any()
+        if over.any():
+            break
+    # from here on receivers begin anew; the rate so far is a lower bound
+    assert alarmed.mean() < 0.1 + 3.0 * np.sqrt(0.1 * 0.9 * (1 / 64 + 1 / 60))
+
+
+def test_alarming_at_once_does_not_pay():
+    def always(observation):
+        return np.tile(ALARM, (len(observation), 1))
+
+    found = duel_v0.calibrate(always, **SETTINGS)
+    assert found.threshold == 1.0  # the quantile of what it says: it can't exceed it
+    env = parallel(threshold=found, attack_probability=1.0)
+    env.reset(seed=2)
+    total = 0.0
+    while env.agents:
+        _, rewards, *_, infos = env.step({"spoofer_0": np.array([0, 1.0]), "detector_0": ALARM})
+        assert not infos["detector_0"]["alarm"]
+        total += rewards["detector_0"]
+    assert total <= 0.0
+    assert env.rules.duel.ledger.step_count[0] == env.rules.duel.epochs
+
+
+@pytest.mark.parametrize("habit", ["always", "never", "half", "turning"])
+def test_a_running_threshold_bounds_the_false_alarms_of_any_detector(habit):
+    alpha, n = 0.05, 3000
+    rule, rng, false = RunningThreshold(alpha, 2), np.random.default_rng(0), np.zeros(2)
+    for k in range(n):
+        statistic = {
+            "always": np.ones(2),
+            "never": np.zeros(2),
+            "half": rng.random(2),
+            "turning": np.full(2, float(k % 400 < 200)),
+        }[habit]
+        alarm = statistic > rule.values
+        false += alarm
+        rule.learn(alarm, np.ones(2, dtype=bool))
+    bound = alpha + (1.0 + rule.GAIN - rule.FIRST) / (rule.GAIN * n)
+    assert (false / n <= bound).all()
+    if habit in ("always", "half"):
+        assert (false / n > alpha - 0.01).all()
+
+
+def test_a_running_threshold_follows_the_clean_episodes_that_are_played():
+    env = parallel(attack_probability=0.0)
+    thresholds = []
+    for k in range(4):
+        env.reset(seed=7 if k == 0 else None)
+        while env.agents:
+            *_, infos = env.step({"spoofer_0": np.zeros(2), "detector_0": ALARM})
+        thresholds.append(infos["detector_0"]["threshold"])
+    np.testing.assert_allclose(thresholds, 0.5 + 0.095 * np.arange(4))
+    env.reset(seed=7)  # a seed begins anew
+    *_, infos = env.step({"spoofer_0": np.zeros(2), "detector_0": ALARM})
+    assert infos["detector_0"]["threshold"] == 0.5
+
+
+def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):
+    policy = duel_v0.FunctionPolicy(wary, name="wary-1")
+    first = duel_v0.calibrate(policy, **SETTINGS, store=tmp_path)
+    (path,) = tmp_path.iterdir()
+    assert duel_v0.Calibration.load(path) == first
+    # what is there is taken as it is
+    path.write_text(path.read_text().replace(str(first.threshold), "0.123"))
+    assert duel_v0.calibrate(policy, **SETTINGS, store=tmp_path).threshold == 0.123
+    other = duel_v0.FunctionPolicy(wary, name="wary-2")
+    assert duel_v0.calibrate(other, **SETTINGS, store=tmp_path).threshold == first.threshold
+    assert len(list(tmp_path.iterdir())) == 2
+    with pytest.raises(ValueError, match="no digest to store"):
+        duel_v0.calibrate(wary, **SETTINGS, store=tmp_path)
+    path.write_text("{}")
+    with pytest.raises(ValueError, match="is no calibration"):
+        duel_v0.calibrate(policy, **SETTINGS, store=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (lambda o: np.zeros((len(o), 2)), r"must return actions of shape \(30, 13\)"),
+        (lambda o: np.full((len(o), 13), np.nan), "NaN for receiver 0"),
+        ("ewma", "a detector policy is an instance of"),
+    ],
+)
+def test_bad_policies(policy, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        duel_v0.calibrate(policy, **SETTINGS)

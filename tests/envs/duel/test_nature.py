@@ -1,0 +1,152 @@
+"""Nature's choice: fair, hidden from the detector, and clean episodes are clean and pay nothing."""
+
+import numpy as np
+import pytest
+
+from spoofgym.envs import SpoofEnv
+from spoofgym.envs.books import Books
+from spoofgym.envs.duel.ledger import Ledger
+from spoofgym.envs.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
+
+from .support import ALARM, QUIET, SHORT, aec, parallel
+
+PUSH = np.array([0.4, 1.0])
+
+
+def run(env, seed, push=PUSH, decision=QUIET):
+    observations, infos = env.reset(seed=seed)
+    trace = [(observations, dict.fromkeys(env.agents, 0.0), infos)]
+    while env.agents:
+        observations, rewards, *_, infos = env.step({"spoofer_0": push, "detector_0": decision})
+        trace.append((observations, rewards, infos))
+    return trace
+
+
+def attacked(trace):
+    return trace[0][2]["spoofer_0"]["attacked"]
+
+
+def test_half_of_the_episodes_are_attacked():
+    keys = np.random.default_rng(0).integers(0, 2**64, size=(4000, 2), dtype=np.uint64)
+    nature = uniforms(keys, NATURE)
+    assert abs((nature < 0.5).mean() - 0.5) < 3.0 * 0.5 / np.sqrt(4000)
+    # the opponent tells nothing of it
+    assert abs(np.corrcoef(nature, uniforms(keys, OPPONENT))[0, 1]) < 3.0 / np.sqrt(4000)
+    share = (drawn(keys, checked_weights(3, [1.0, 0.0, 3.0]))[:, None] == np.arange(3)).mean(axis=0)
+    np.testing.assert_allclose(share, [0.25, 0.0, 0.75], atol=0.03)
+
+
+def test_a_clean_episode_is_the_clean_run_whatever_is_commanded_and_pays_nothing():
+    env = parallel(threshold=1.0)
+    found = {seed: attacked(run(env, seed)) for seed in range(8)}
+    assert {True, False} == set(found.values())
+    seed = next(seed for seed, hit in found.items() if not hit)
+    reference = SpoofEnv(detector="never", timeline=SHORT)
+    reference.reset(seed=seed)
+    expected = [reference.step(np.zeros(2))[4]["displacement_m"] for _ in range(30)]
+    trace = run(env, seed)
+    own = [step[2]["spoofer_0"]["displacement_m"] for step in trace[1:]]
+    np.testing.assert_array_equal(own[:30], expected)
+    for _, rewards, _ in trace:
+        assert rewards == {"spoofer_0": 0.0, "detector_0": 0.0}
+    assert trace[-1][2]["spoofer_0"]["undetected_displacement_m"] == 0.0
+
+
+def test_the_detector_is_not_told():
+    """Until the measurements differ, attacked and clean episodes look alike to the detector."""
+    env, clean = parallel(attack_probability=1.0), parallel(attack_probability=0.0)
+    ours, theirs = run(env, 5, push=np.zeros(2)), run(clean, 5, push=np.zeros(2))
+    assert len(ours) == len(theirs)
+    for (mine, _, told), (other, _, also) in zip(ours, theirs, strict=True):
+        np.testing.assert_array_equal(mine["detector_0"], other["detector_0"])
+        assert told["detector_0"] == also["detector_0"]
+        assert "attacked" not in told["detector_0"]
+
+
+def test_the_detector_observes_no_truth():
+    """Its observation is the same when the sensors' true errors are deleted after a measurement."""
+    env = aec(attack_probability=1.0)
+    env.reset(seed=3)
+    env.step(PUSH)
+    duel = env.unwrapped.rules.duel
+    seen = duel.observe_detector()
+    agent, batch = duel.agent, duel.game.engine.batch
+    remembered = {name: np.array(array) for name, array in agent.memory.items()}
+    agent.reset()
+    agent.look(batch.epoch)
+    first = agent.memory["observation"].copy()
+    agent.reset()
+    batch.sensors.floats[:] = np.nan
+    agent.look(batch.epoch)
+    np.testing.assert_array_equal(agent.memory["observation"], first)
+    assert np.isfinite(seen).all()
+    assert set(remembered) == {"observation", "average", "elapsed", "excluded_s"}
+
+
+@pytest.mark.parametrize("payoff", ["neyman-pearson", "weighted"])
+def test_the_return_is_the_undetected_displacement(payoff):
+    env = parallel(attack_probability=1.0, payoff=payoff, threshold=1.0)
+    trace = run(env, 2)
+    total = {name: sum(step[1][name] for step in trace) for name in ("spoofer_0", "detector_0")}
+    assert total["spoofer_0"] == -total["detector_0"]
+    induced = trace[-1][2]["spoofer_0"]["undetected_displacement_m"]
+    assert induced > 1.0
+    late = 0.1 * 0.5 * (len(trace) - 1) if payoff == "weighted" else 0.0
+    assert total["spoofer_0"] == pytest.approx(induced + late, rel=1e-9)
+
+
+def test_the_weighted_payoff_charges_false_alarms_to_the_detector_alone():
+    env = parallel(
+        attack_probability=0.0,
+        payoff={"name": "weighted", "false_alarm": 7.0, "error_per_m": 0.0},
+        threshold=0.5,
+    )
+    trace = run(env, 2, decision=ALARM)
+    assert len(trace) == 2
+    assert trace[-1][1] == {"spoofer_0": 0.0, "detector_0": -7.0}
+
+
+def test_the_ledger_keeps_the_rules_of_the_books():
+    steps, hold, runs = 12, 4, 200
+    rng = np.random.default_rng(3)
+    books, ledger = Books(runs, steps, hold), Ledger(runs, steps, hold)
+    books.reset(np.arange(runs))
+    ledger.reset(np.arange(runs))
+    displacement = rng.normal(size=(steps + hold, runs)).cumsum(axis=0)
+    alarms = rng.random((steps + hold, runs)) < 0.06
+    for k in range(steps + hold):
+        ledger.count(displacement[k], alarms[k])
+        if k < steps:
+            books.score(displacement[k], alarms[k][:, None], lambda rows: alarms[steps:, rows])
+    np.testing.assert_allclose(ledger.credited, books.credited, atol=1e-12)
+    np.testing.assert_array_equal(ledger.detected, books.detected)
+    assert 0.2 < ledger.detected.mean() < 0.9
+
+
+def test_who_looks_away_has_an_allowance():
+    """An attack can't reach a filter that does not look; so it may do so for a limited time."""
+    found = {}
+    for allowance in (0.0, 5.0, None):
+        env = parallel(attack_probability=1.0, threshold=1.0, exclusion_s=allowance)
+        env.reset(seed=2)
+        left = []
+        while env.agents:
+            actions = {"spoofer_0": PUSH, "detector_0": -np.ones(13)}
+            observations, *_, infos = env.step(actions)
+            left.append(observations["detector_0"][-1])
+        assert env.rules.observation_names["detector_0"][-1] == "exclusion_left"
+        found[allowance] = infos["spoofer_0"]["undetected_displacement_m"]
+        agent = env.rules.duel.agent
+        if allowance == 5.0:
+            # the first decision is seen in the observation of the second epoch
+            np.testing.assert_allclose(left[:12], [*(1.0 - 0.1 * np.arange(11)), 0.0], atol=1e-6)
+            assert agent.memory["excluded_s"] == 5.0
+    trusting = run(parallel(attack_probability=1.0, threshold=1.0), 2)
+    assert found[0.0] == trusting[-1][2]["spoofer_0"]["undetected_displacement_m"]
+    assert found[None] < found[5.0] < found[0.0]
+
+
+@pytest.mark.parametrize("bad", [-1.0, np.inf, np.nan])
+def test_a_bad_allowance(bad):
+    with pytest.raises(ValueError, match="`exclusion_s` must be finite and >= 0"):
+        parallel(exclusion_s=bad)

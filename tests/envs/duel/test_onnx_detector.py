@@ -1,0 +1,109 @@
+"""Detector policies in ONNX files, with their cards."""
+
+import copy
+import json
+import pickle
+
+import numpy as np
+import pytest
+
+from spoofgym import duel_v0
+
+from ...spoofers.policies import network
+from .support import SHORT
+
+SETTINGS = {"timeline": SHORT, "runs": 19}
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Network of random weights, with a card that has its threshold."""
+    view = duel_v0.DetectorView(timeline=SHORT)
+    path = tmp_path / "guard.onnx"
+    sizes = view.observation_space.shape[0], view.action_space.shape[0]
+    path.write_bytes(network(*sizes).SerializeToString())
+    duel_v0.write_card(path, view, name="guard")
+    found = duel_v0.calibrate(duel_v0.OnnxDetector(path), **SETTINGS)
+    card = duel_v0.write_card(path, view, name="guard", calibration=found)
+    assert card.threshold == found.threshold
+    return path
+
+
+def edit(path, **fields):
+    card = json.loads(path.with_suffix(".json").read_text())
+    card.update(fields)
+    path.with_suffix(".json").write_text(json.dumps(card))
+
+
+def test_the_policy_is_the_same_in_any_batch_and_in_copies(file):
+    policy = duel_v0.OnnxDetector(file)
+    view = duel_v0.DetectorVectorView(64, timeline=SHORT)
+    view.reset(seed=1)
+    low, high = view.single_observation_space.low, view.single_observation_space.high
+    observation = np.random.default_rng(0).uniform(low, high, (64, len(low))).astype(np.float32)
+    names = {"observation_names": view.observation_names, "action_names": view.action_names}
+    context = {"interval_s": 0.5, "observation_low": tuple(low.tolist())}
+    context |= {"observation_high": tuple(high.tolist()), **names}
+    policy.bind(_context(64, context))
+    together = policy.decide(observation)
+    again = pickle.loads(pickle.dumps(copy.deepcopy(policy)))
+    again.bind(_context(1, context))
+    for i in range(64):
+        np.testing.assert_array_equal(again.decide(observation[i : i + 1])[0], together[i])
+    assert np.abs(together).max() <= 1.0
+
+
+def _context(receivers, fields):
+    from spoofgym.envs.duel.policy import PolicyContext
+
+    return PolicyContext(receivers=receivers, **fields)
+
+
+def test_a_file_stands_in_a_pool(file, tmp_path):
+    view = duel_v0.SpooferVectorView(4, [str(file), "ewma"], timeline=SHORT)
+    view.reset(seed=3)
+    for _ in range(5):
+        view.step(np.zeros((4, 2)))
+    assert set(view.opponents) <= {str(file), "ewma"}
+    other = duel_v0.SpooferView({"name": str(file), "threshold": 0.25}, timeline=SHORT)
+    (member,) = other.game.setup.detector.members
+    assert (member.threshold, member.exclusion_s) == (0.25, 30.0)
+    store = tmp_path / "store"
+    first = duel_v0.calibrate(duel_v0.OnnxDetector(file), **SETTINGS, store=store)
+    assert first.detector == duel_v0.OnnxDetector(file).card.file.sha256[:16]
+    assert len(list(store.iterdir())) == 1
+
+
+def test_what_does_not_fit_is_refused_by_name(file):
+    names = duel_v0.OnnxDetector(file).card.observation.model_dump()
+    edit(file, observation={**names, "names": ["odd", *names["names"][1:]]})
+    with pytest.raises(ValueError, match=r"the detector 'guard' \(.*guard.onnx\).*odd, range_inn"):
+        duel_v0.SpooferView(str(file), timeline=SHORT).reset(seed=0)
+    edit(file, observation={**names, "high": [11.0, *names["high"][1:]]})
+    with pytest.raises(ValueError, match=r"'guard' .* bounds of its observation differ"):
+        duel_v0.SpooferView(str(file), timeline=SHORT)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"threshold": None}, "has no threshold on its card: calibrate it"),
+        ({"threshold": 1.5}, "no card of a detector policy"),
+        ({"file": {"name": "x.onnx", "sha256": "0" * 64, "bytes": 1, "opset": 18}}, "its digest"),
+    ],
+)
+def test_damaged_cards(file, fields, message):
+    edit(file, **fields)
+    with pytest.raises(ValueError, match=message):
+        duel_v0.SpooferView(str(file), timeline=SHORT)
+
+
+def test_other_files(file, tmp_path):
+    with pytest.raises(ValueError, match="has no setting 'level'; valid: threshold"):
+        duel_v0.SpooferView({"name": str(file), "level": 0.2}, timeline=SHORT)
+    small = tmp_path / "small.onnx"
+    small.write_bytes(network(3, 2).SerializeToString())
+    with pytest.raises(ValueError, match=r"float32 \(batch, 3\); the card says"):
+        duel_v0.write_card(small, duel_v0.DetectorView(timeline=SHORT), name="small")
+    with pytest.raises(ValueError, match=r"must be the path of an \.onnx file"):
+        duel_v0.OnnxDetector("guard.pt")

@@ -1,0 +1,317 @@
+"""One side of the duel: Gymnasium's contracts, batches, and pools of opponents."""
+
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from spoofgym import duel_v0
+from spoofgym.envs import SpoofEnv
+from spoofgym.spoofers import Ramp
+
+from .support import QUIET, SHORT, aec, parallel, wary
+
+STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
+SPOOFERS = [{"name": "ramp", "rate_mps": 0.5}, "none", Ramp(rate_mps=3.0)]
+WARY = duel_v0.PolicyDetector(policy=duel_v0.FunctionPolicy(wary), threshold=0.2)
+DETECTORS = ["ewma", "snapshot-chi2", WARY]
+SPOOFER = {"pool": DETECTORS, "weights": [1.0, 1.0, 2.0], "timeline": SHORT, "attack": STRONG}
+DOMAIN = {
+    "domain": {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
+    "target_heading_deg": "random",
+}
+DETECTOR = {"pool": SPOOFERS, "timeline": SHORT, "attack": STRONG, "threshold": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("name", "kwargs"),
+    [
+        ("SpooferView", SPOOFER),
+        ("SpooferView", {"pool": "never", "knowledge": "oracle", "timeline": SHORT}),
+        ("DetectorView", DETECTOR),
+        ("DetectorView", {**DETECTOR, "decision_delay": 1, "statistic": "channel"}),
+    ],
+)
+def test_gymnasium_check_env(name, kwargs):
+    check_env(gym.make(f"spoofgym/{name}-v0", **kwargs).unwrapped)
+
+
+def test_stable_baselines3_check_env():
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(duel_v0.SpooferView(**SPOOFER), warn=True)
+    checker.check_env(duel_v0.DetectorView(**DETECTOR), warn=True)
+
+
+def spoofer_actions(k, observation):
+    return np.clip(observation[..., :2].astype(np.float64) + 0.3 + 0.01 * k, -1.0, 1.0)
+
+
+def detector_actions(k, observation):
+    return wary(np.atleast_2d(observation)).reshape(*observation.shape[:-1], 13)
+
+
+def single_runs(make, act, seed, steps):
+    """Observations, rewards and ends, the next episode begun where one ends."""
+    env, rows = make(), []
+    observation, _ = env.reset(seed=seed)
+    for k in range(steps):
+        observation, reward, over, _, _ = env.step(act(k, observation))
+        rows.append((observation, reward, over, env.opponent))
+        if over:
+            observation, _ = env.reset()
+    return rows
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step"])
+@pytest.mark.parametrize(
+    ("single", "vector", "kwargs", "act"),
+    [
+        (duel_v0.SpooferView, duel_v0.SpooferVectorView, SPOOFER, spoofer_actions),
+        (duel_v0.DetectorView, duel_v0.DetectorVectorView, DETECTOR, detector_actions),
+        (
+            duel_v0.DetectorView,
+            duel_v0.DetectorVectorView,
+            {**DETECTOR, "decision_delay": 1, "threshold": "running"},
+            detector_actions,
+        ),
+        (
+            duel_v0.SpooferView,
+            duel_v0.SpooferVectorView,
+            {**SPOOFER, **DOMAIN},
+            spoofer_actions,
+        ),
+        (
+            duel_v0.DetectorView,
+            duel_v0.DetectorVectorView,
+            {**DETECTOR, **DOMAIN},
+            detector_actions,
+        ),
+    ],
+    ids=["spoofer", "detector", "detector-late", "spoofer-domain", "detector-domain"],
+)
+def test_every_receiver_of_a_vector_view_is_the_single_view(single, vector, kwargs, act, mode):
+    receivers, steps, seed = 5, 75, 11
+    envs = vector(receivers, autoreset_mode=mode, **kwargs)
+    observation, _ = envs.reset(seed=seed)
+    expected = [
+        single_runs(lambda: single(**kwargs), act, seed + i, steps) for i in range(receivers)
+    ]
+    place, restarting, ends = np.zeros(receivers, dtype=int), np.zeros(receivers, dtype=bool), 0
+    opponents = set()
+    for _ in range(steps):
+        # an action is a function of the receiver's own count of steps and its observation
+        given = np.stack([act(place[i], observation[i]) for i in range(receivers)])
+        playing = envs.opponents
+        observation, reward, over, _, info = envs.step(given)
+        for i in range(receivers):
+            if restarting[i]:
+                continue
+            seen, paid, ended, who = expected[i][place[i]]
+            last = info["final_obs"][i] if mode == "same_step" and over[i] else observation[i]
+            np.testing.assert_array_equal(last, seen)
+            assert (reward[i], over[i], playing[i]) == (paid, ended, who)
+            opponents.add(who)
+            place[i] += 1
+        restarting = over.copy() if mode == "next_step" else restarting
+        ends += over.sum()
+    assert ends > receivers
+    assert len(opponents) == 3
+
+
+def test_the_spoofers_view_of_one_detector_is_the_env_with_it():
+    ours = duel_v0.SpooferView("ewma", timeline=SHORT, attack=STRONG, alarm_penalty_m=10.0)
+    theirs = SpoofEnv(detector="ewma", timeline=SHORT, attack=STRONG)
+    ours.reset(seed=8)
+    theirs.reset(seed=8)
+    over = False
+    while not over:
+        mine, other = ours.step(np.array([0.1, 0.5])), theirs.step(np.array([0.1, 0.5]))
+        np.testing.assert_array_equal(mine[0], other[0])
+        over = mine[2]
+        assert mine[1:] == other[1:]
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("live_s", [10.0, 0.0])
+def test_a_policy_in_a_pool_plays_as_its_agent_does_in_the_duel(delay, live_s):
+    timeline = {**SHORT, "live_s": live_s}
+    policy = duel_v0.FunctionPolicy(wary)
+    opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.4, decision_delay=delay)
+    view = duel_v0.SpooferView(opponent, timeline=timeline, attack=STRONG)
+    settings = {"timeline": timeline, "attack": STRONG, "threshold": 0.4, "attack_probability": 1.0}
+    duel = (parallel if delay else aec)(**settings)
+    for seed, push in ((3, np.array([0.0, 0.4])), (4, np.array([0.0, 0.01]))):
+        view.reset(seed=seed)
+        over, expected = False, []
+        while not over:
+            _, _, over, _, info = view.step(push)
+            expected.append(info["displacement_m"])
+        own, last = play(duel, delay, seed, push)
+        np.testing.assert_array_equal(own[: len(expected)], expected)
+        assert last["undetected_displacement_m"] == info["undetected_displacement_m"]
+
+
+def play(duel, delay, seed, push):
+    """Displacements of a duel in which the detector is wary."""
+    own, last = [], {}
+    if delay:
+        observations, _ = duel.reset(seed=seed)
+        while duel.agents:
+            decision = wary(observations["detector_0"][None])[0]
+            observations, *_, infos = duel.step({"spoofer_0": push, "detector_0": decision})
+            last = infos["spoofer_0"]
+            own.append(last["displacement_m"])
+        return own, last
+    duel.reset(seed=seed)
+    for name in duel.agent_iter():
+        observation, _, over, _, info = duel.last()
+        if name == "spoofer_0":
+            if "displacement_m" in info:
+                last = info
+                own.append(info["displacement_m"])
+            duel.step(None if over else push)
+        else:
+            duel.step(None if over else wary(observation[None])[0])
+    return own, last
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_the_detectors_view_is_the_duel_against_that_spoofer(delay):
+    kwargs = {"timeline": SHORT, "attack": STRONG, "threshold": 1.0}
+    view = duel_v0.DetectorView({"name": "ramp", "rate_mps": 0.5}, decision_delay=delay, **kwargs)
+    duel = (parallel if delay else aec)(**kwargs)
+    rewards = {}
+    for seed in range(4):
+        view.reset(seed=seed)
+        over, total = False, 0.0
+        while not over:
+            _, reward, over, _, info = view.step(QUIET)
+            total += reward
+        # a ramp of 0.5 m/s at 1 m/s^2 and epochs of 0.5 s is at its rate after one command
+        rewards[seed] = total
+        assert total == (-info["undetected_displacement_m"] if info["attacked"] else 0.0) or (
+            info["attacked"] and abs(total + info["undetected_displacement_m"]) < 1e-9
+        )
+        infos = scripted(duel, delay, seed)
+        assert infos["attacked"] == info["attacked"]
+        assert infos["undetected_displacement_m"] == info["undetected_displacement_m"]
+    assert len({total != 0.0 for total in rewards.values()}) == 2
+
+
+def scripted(duel, delay, seed):
+    """Information at the end of a duel with one push, and a detector that is quiet."""
+    commands = iter([np.array([0.0, 1.0])])
+    if delay:
+        duel.reset(seed=seed)
+        while duel.agents:
+            push = next(commands, np.zeros(2))
+            *_, infos = duel.step({"spoofer_0": push, "detector_0": QUIET})
+        return infos["spoofer_0"]
+    duel.reset(seed=seed)
+    for name in duel.agent_iter():
+        _, _, over, _, info = duel.last()
+        if over:
+            duel.step(None)
+        else:
+            duel.step(next(commands, np.zeros(2)) if name == "spoofer_0" else QUIET)
+        if over and name == "spoofer_0":
+            last = info
+    return last
+
+
+def test_a_pool_can_be_changed_between_episodes():
+    for envs, pool, action in (
+        (duel_v0.SpooferVectorView(3, **SPOOFER), "cusum", np.zeros((3, 2))),
+        (duel_v0.DetectorVectorView(3, **DETECTOR), "none", np.tile(QUIET, (3, 1))),
+    ):
+        envs.reset(seed=1)
+        envs.set_pool(pool)
+        with pytest.raises(RuntimeError, match="the pool has changed"):
+            envs.step(action)
+        envs.reset()
+        envs.step(action)
+        assert envs.opponents == [pool] * 3
+    for env, pool, action in (
+        (duel_v0.SpooferView(**SPOOFER), "cusum", np.zeros(2)),
+        (duel_v0.DetectorView(**DETECTOR), "none", QUIET),
+    ):
+        env.reset(seed=1)
+        env.set_pool([pool], [2.0])
+        with pytest.raises(RuntimeError, match="reset"):
+            env.step(action)
+        env.reset()
+        env.step(action)
+        assert env.opponent == pool
+
+
+@pytest.mark.parametrize(
+    ("make", "kwargs", "message"),
+    [
+        (duel_v0.SpooferView, {"pool": []}, "at least one opponent"),
+        (duel_v0.SpooferView, {"pool": "ewna"}, "did you mean 'ewma'"),
+        (duel_v0.SpooferView, {"pool": ["ewma"], "weights": [0.5, 0.5]}, "one number for each"),
+        (duel_v0.SpooferView, {"pool": ["ewma"], "weights": [-1.0]}, "finite, >= 0, and not all"),
+        (duel_v0.SpooferView, {"pool": 3}, "`pool` must be an opponent or a list"),
+        (duel_v0.SpooferView, {"pool": "gone.onnx"}, "there is no gone.onnx"),
+        (duel_v0.DetectorView, {"pool": "ramq"}, "did you mean 'ramp'"),
+        (duel_v0.DetectorView, {"decision_delay": 2}, "`decision_delay` must be 0 or 1, got 2"),
+        (duel_v0.DetectorView, {"pool": "ewma-blind"}, "spoofer 'ewma-blind' does not fit this"),
+        (duel_v0.DetectorView, {"attak": "x"}, "did you mean 'attack'"),
+    ],
+)
+def test_bad_settings(make, kwargs, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        make(**{"timeline": SHORT, **kwargs})
+
+
+def test_a_pool_that_changes_the_observation_is_refused_by_both_names():
+    view = duel_v0.SpooferView("ewma", timeline=SHORT, knowledge="oracle")
+    with pytest.raises(ValueError, match=r"the pool snapshot-chi2 gives .* but ewma gave"):
+        view.set_pool("snapshot-chi2")
+    view.reset(seed=1)
+    view.step(np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: duel_v0.SpooferVectorView(3, **SPOOFER),
+        lambda: duel_v0.DetectorVectorView(3, **DETECTOR),
+    ],
+)
+def test_an_unfinished_episode_survives_pickling(make):
+    envs = make()
+    envs.reset(seed=5)
+    action = np.full(envs.action_space.shape, -0.3)
+    for _ in range(4):
+        envs.step(action)
+    copy = pickle.loads(pickle.dumps(envs))
+    for _ in range(4):
+        mine, theirs = envs.step(action), copy.step(action)
+        np.testing.assert_array_equal(mine[0], theirs[0])
+        np.testing.assert_array_equal(mine[1], theirs[1])
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_an_episode_may_last_as_long_as_the_flight(delay):
+    timeline = {"warmup_s": 200.0, "live_s": 10.0, "attack_s": 207.5, "time_to_alert_s": 10.0}
+    kwargs = {"threshold": 0.5, "timeline": timeline, "decision_delay": delay}
+    envs = duel_v0.DetectorVectorView(2, "ramp", **kwargs)
+    setup = envs.game.duel.setup
+    spare = setup.world.epochs - 1 - (setup.onset + setup.steps + setup.hold)
+    envs.reset(seed=1)
+    alarm = np.tile(QUIET, (2, 1))
+    envs.step(alarm)
+    alarm[0] = 1.0
+    assert envs.step(alarm)[2].tolist() == [True, False]
+    # from here on the receivers end at different times, and one runs on while the other is reset
+    for _ in range(envs.game.duel.epochs - 2):
+        observation, _, over, _, _ = envs.step(np.tile(QUIET, (2, 1)))
+        assert np.isfinite(observation).all()
+    assert over.tolist() == [False, True]
+    envs.step(np.tile(QUIET, (2, 1)))
+    last = envs.game.duel.game.engine.batch.epochs
+    assert spare == 1
+    assert last[1] == setup.onset + (1 - delay)
