@@ -19,6 +19,25 @@ Observation = NDArray[np.float32]
 G = TypeVar("G", bound=Played)
 
 
+def refuse_rendering(render_mode: object) -> None:
+    """Raise unless nothing is to be rendered.
+
+    Parameters
+    ----------
+    render_mode : object
+        Of the user.
+
+    Raises
+    ------
+    ValueError
+        When it is not None.
+    """
+    if render_mode is not None:
+        raise ValueError(
+            f"`render_mode` must be None, there is nothing to render; got {render_mode!r}"
+        )
+
+
 class GameEnv(gym.Env[Observation, Observation], Generic[G]):
     """Environment of one receiver.
 
@@ -152,12 +171,10 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
 
 def _screen(render_mode: str | None, recorder: Recorder | None) -> Screen | None:
     """What draws, if anything is to be drawn."""
-    if render_mode is None:
-        return None
     if recorder is None:
-        raise ValueError(
-            f"`render_mode` must be None, there is nothing to render; got {render_mode!r}"
-        )
+        refuse_rendering(render_mode)
+    if render_mode is None or recorder is None:
+        return None
     return Screen(render_mode, recorder)
 
 
