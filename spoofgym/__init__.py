@@ -48,8 +48,8 @@ the sensors.  Prefixes tell whose value it is: `true_`, `estimated_`, `counterfe
 **Environments**
 
 Importing the package registers, for `gymnasium.make` and `gymnasium.make_vec`,
-``spoofgym/TightlyCoupled-v0``, ``spoofgym/TightlyCoupled-v1``, whose attacks begin at a random
-time in a random direction, and the small environments ``spoofgym/LooselyCoupled-v0``,
+``spoofgym/TightlyCoupled-v0``, ``spoofgym/RandomStart-v0``, the same with attacks that begin at a
+random time in a random direction, and the small environments ``spoofgym/LooselyCoupled-v0``,
 ``spoofgym/Snapshot-v0`` and ``spoofgym/WheeledRobot-v0``.  The duel of a spoofer and a detector is
 `spoofgym.duel_v0`, for PettingZoo; one side of it against frozen opponents is
 ``spoofgym/SpooferView-v0`` or ``spoofgym/DetectorView-v0``.
@@ -66,7 +66,7 @@ register(
 )
 
 register(
-    id="spoofgym/TightlyCoupled-v1",
+    id="spoofgym/RandomStart-v0",
     entry_point="spoofgym.envs:SpoofEnv",
     vector_entry_point="spoofgym.envs:SpoofVectorEnv",
     kwargs={"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"},

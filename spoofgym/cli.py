@@ -668,12 +668,13 @@ def perf(
     as_json: JsonOption = False,
 ) -> None:
     """Measure how fast this machine steps the environments, resets included."""
-    from .bench.perf import machine, single_speed, vector_speed
+    from .bench.perf import machine, overhead, single_speed, vector_speed
 
-    found = {
+    found: dict[str, Any] = {
         "machine": machine(),
         "single": single_speed(duration),
         "vector": vector_speed(num_envs, threads, duration),
+        "overhead": [overhead(1), overhead(max(num_envs, 2))],
     }
     if as_json:
         _print_json(found)
@@ -683,6 +684,12 @@ def perf(
         for key in found["vector"]
     ]
     _print_table("speed", ("", "single", "vector"), rows)
+    beside = found["overhead"]
+    _print_table(
+        "a step of the environment beside its engine, one thread",
+        ("", "single", "vector"),
+        [(key, *(str(each[key]) for each in beside)) for key in beside[0]],
+    )
 
 
 def _suite(

@@ -26,11 +26,11 @@ from stable_baselines3.common.vec_env import VecEnv
 from .attacks import Attack
 from .detectors import Detector
 from .envs.domain import Domain
-from .envs.observations import ObservationTerm
-from .envs.presets import DEFAULT_ATTACK, make_game, make_setup
+from .envs.presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
 from .envs.rewards import RewardTerm
 from .envs.setup import Timeline
 from .envs.spaces import action_space, checked_action, observation_space
+from .envs.terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec
 from .receiver import TightlyCoupled
 from .sim.scenario import Scenario
 
@@ -44,8 +44,8 @@ class SpoofVecEnv(VecEnv):
     first observation of that episode, and ``infos[i]["terminal_observation"]`` the last one of the
     old.  ``infos[i]`` is empty up to then, and holds in the step that ends an episode
 
-    - ``terminal_observation``, and ``TimeLimit.truncated``, which is always False, since the time
-      left is observed and an alarm is an end;
+    - ``terminal_observation``, and ``TimeLimit.truncated``, which is False unless an end term
+      truncates, since the time left is observed and an alarm is an end;
     - ``episode`` with return ``r``, length ``l`` and seconds since the environment was made ``t``,
       as `VecMonitor` would write it, which is not needed around this;
     - ``undetected_displacement_m``, ``detected``, ``warmup_alarm`` and ``coasting`` of the episode.
@@ -65,9 +65,11 @@ class SpoofVecEnv(VecEnv):
         with other threads over two processors at a seventieth of the speed of one.
     seed : int, optional
         As ``seed(seed)`` before the first reset.
-    scenario, detector, attack, receiver, timeline, knowledge, observation, reward
+    scenario, detector, attack, receiver, timeline, knowledge, observation, action, reward, end
         As in `SpoofEnv`.
-    alarm_penalty_m, end_at_alarm, target_heading_deg, domain, decision_interval_s, between, twin
+    watch, alarm_penalty_m, end_at_alarm, target_heading_deg, domain, decision_interval_s, between
+        As in `SpoofEnv`.
+    twin
         As in `SpoofEnv`.
 
     Attributes
@@ -92,8 +94,11 @@ class SpoofVecEnv(VecEnv):
         receiver: Mapping[str, Any] | TightlyCoupled | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
-        observation: Sequence[ObservationTerm] | None = None,
-        reward: Sequence[RewardTerm] | None = None,
+        observation: ObservationSpec | None = None,
+        action: ActionSpec | None = None,
+        reward: RewardSpec | None = None,
+        end: EndSpec | None = None,
+        watch: WatchSpec = (),
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float | str = 90.0,
@@ -125,7 +130,10 @@ class SpoofVecEnv(VecEnv):
             setup,
             knowledge=knowledge,
             observation=observation,
+            action=action,
             reward=reward,
+            end=end,
+            watch=watch,
             alarm_penalty_m=alarm_penalty_m,
             end_at_alarm=end_at_alarm,
             threads=threads,
@@ -133,7 +141,7 @@ class SpoofVecEnv(VecEnv):
             twin=twin,
         )
         self.observation_names = self.game.observer.names
-        self.action_names = setup.attack.action_names(setup.world)
+        self.action_names = self.game.action_names
         self.render_mode = None
         self._rngs: list[np.random.Generator] = []
         self._actions: Array | None = None
@@ -202,19 +210,20 @@ class SpoofVecEnv(VecEnv):
         self._returns += turn.reward
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         observations = self.game.observe()
-        if turn.terminated.any():
-            rows = np.flatnonzero(turn.terminated)
+        over = turn.terminated | turn.truncated
+        if over.any():
+            rows = np.flatnonzero(over)
             for row in rows.tolist():
                 infos[row] = self._at_the_end(row, observations, turn.info)
+                infos[row]["TimeLimit.truncated"] = bool(turn.truncated[row])
             self.game.reset([self._rngs[row] for row in rows], rows)
             self._returns[rows] = 0.0
             observations = self.game.observe()
-        return observations, turn.reward.astype(np.float32), turn.terminated.copy(), infos
+        return observations, turn.reward.astype(np.float32), over, infos
 
     def _at_the_end(self, row: int, observations: Array, info: dict[str, Array]) -> dict[str, Any]:
         return {
             "terminal_observation": observations[row].copy(),
-            "TimeLimit.truncated": False,
             "episode": {
                 "r": round(float(self._returns[row]), 6),
                 "l": int(self.game.step_count[row]),

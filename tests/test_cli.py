@@ -248,6 +248,8 @@ def test_perf_measures_both_environments() -> None:
     assert (found["vector"]["num_envs"], found["vector"]["threads"]) == (2, 1)
     assert found["vector"]["episodes"] >= 2  # every receiver has begun another one
     assert found["vector"]["steps"] % 2 == 0
+    assert [each["num_envs"] for each in found["overhead"]] == [1, 2]
+    assert all(0.0 < each["engine_us"] < each["env_us"] for each in found["overhead"])
 
 
 def test_run_draws_one_attack() -> None:

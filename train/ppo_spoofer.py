@@ -97,7 +97,8 @@ from spoofgym.bench.suite import Suite, Tuning, versions
 from spoofgym.bench.tune import Trial, TuningResult, tune
 from spoofgym.detectors import DETECTORS
 from spoofgym.envs.attach import spoofer_context
-from spoofgym.envs.observations import Observer, OwnCommand, terms_of
+from spoofgym.envs.observations import OwnCommand, terms_of
+from spoofgym.envs.observer import Observer
 from spoofgym.envs.rewards import AlarmPenalty, DisplacementGain, Retraction, RewardTerm
 from spoofgym.envs.setup import Setup
 from spoofgym.sb3 import SpoofVecEnv

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import platform
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,58 @@ def single_speed(duration_s: float = 5.0, **settings: Any) -> dict[str, Any]:
         "steps": steps,
         "episodes": episodes,
         "duration_s": round(passed, 3),
+    }
+
+
+def overhead(num_envs: int = 64, rounds: int = 5, **settings: Any) -> dict[str, Any]:
+    """What an environment costs beside its engine, in steps without resets.
+
+    Engine and environment run the same commands from the same seed by turns, on one thread and in
+    processor time, so that a busy machine counts little.
+
+    Parameters
+    ----------
+    num_envs : int
+        Receivers; 1 takes the single environment.
+    rounds : int
+        Turns of each; the least time counts.
+    **settings
+        Of the environment, instead of those of `SETTINGS`.
+
+    Returns
+    -------
+    dict
+        ``num_envs``, ``engine_us``, ``env_us``, ``overhead_us`` and ``overhead_percent`` of a step.
+    """
+    import gymnasium as gym
+
+    given = {**SETTINGS, **settings}
+    env: Any
+    if num_envs == 1:
+        env = gym.make(ENV, **given).unwrapped
+    else:
+        env = gym.make_vec(ENV, num_envs=num_envs, threads=1, prefetch=False, **given).unwrapped
+    engine, steps = env.game.engine, env.game.setup.steps - 1
+    action = np.zeros(env.action_space.shape, dtype=np.float32)
+    command = env.game.actor.command(np.zeros((num_envs, len(env.action_names))))
+
+    def seconds(step: Callable[[Any], Any], what: Any) -> float:
+        """Processor time of the steps of an episode."""
+        env.reset(seed=0)
+        began = time.thread_time()
+        for _ in range(steps):
+            step(what)
+        return time.thread_time() - began
+
+    pairs = [(seconds(engine.step, command), seconds(env.step, action)) for _ in range(rounds)]
+    env.close()
+    alone, whole = (min(pair[k] for pair in pairs) * 1e6 / steps for k in range(2))
+    return {
+        "num_envs": num_envs,
+        "engine_us": round(alone, 1),
+        "env_us": round(whole, 1),
+        "overhead_us": round(whole - alone, 1),
+        "overhead_percent": round(100.0 * (whole - alone) / alone, 1),
     }
 
 

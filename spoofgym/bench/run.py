@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..envs.engine import Engine
-from ..envs.observations import Observer
+from ..envs.observer import Observer
 from ..envs.setup import Setup
 from ..envs.snapshot import Snapshot
 from ..spoofers import Spoofer

@@ -21,7 +21,7 @@ from ..attacks import ATTACKS, Attack, make_attack
 from ..detectors import DETECTORS, Detector
 from ..envs.attach import spoofer_context as spoofer_context
 from ..envs.domain import Domain
-from ..envs.observations import Observer
+from ..envs.observer import Observer
 from ..envs.presets import default_terms, make_setup
 from ..envs.setup import Setup, Timeline
 from ..sim.scenario import Scenario, make_scenario

@@ -4,16 +4,19 @@ from .attach import attach
 from .engine import Batch, Engine
 from .game import Game
 from .loose_env import LooselyCoupledEnv, LooselyCoupledVectorEnv
-from .observations import Observer, terms_of
+from .observations import terms_of
+from .observer import Observer
 from .played import Turn
 from .presets import make_game, make_setup
 from .robot_env import WheeledRobotEnv, WheeledRobotVectorEnv
 from .setup import Setup, Timeline
 from .snapshot_env import SnapshotEnv, SnapshotVectorEnv
 from .spoof_env import SpoofEnv
+from .terms import TERMS, make_terms
 from .vector_env import SpoofVectorEnv
 
 __all__ = [
+    "TERMS",
     "Batch",
     "Engine",
     "Game",
@@ -32,5 +35,6 @@ __all__ = [
     "attach",
     "make_game",
     "make_setup",
+    "make_terms",
     "terms_of",
 ]

@@ -11,7 +11,7 @@ from typing import Any
 from .._describe import describe, unlike
 from ..spoofers import Card, Spoofer, SpooferContext, card_of, make_spoofer, shipped
 from .game import Game
-from .observations import Observer
+from .observer import Observer
 from .presets import make_setup
 from .setup import Setup
 from .spaces import action_space, observation_space
@@ -66,6 +66,7 @@ def attach(
     made = make_spoofer(dict(spoofer) if isinstance(spoofer, Mapping) else spoofer)
     game = game_of(env)
     context = spoofer_context(game.setup, game.receivers, game.observer)
+    context = context._replace(action_names=game.action_names)
     card = card_behind(spoofer, made)
     if card is not None:
         found = _wrapped(env, game, card) + card.differences(context)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._kernels import score as score_kernel
-from .rewards import Outcome
 
 FloatArray = NDArray[np.float64]
 Hold = Callable[[NDArray[np.intp]], NDArray[np.bool_]]
@@ -21,15 +20,19 @@ class Score(NamedTuple):
 
     Attributes
     ----------
-    outcome : Outcome
-        What rewards are made of.
+    gain, retraction : ndarray
+        (B,) displacement gained, and taken back by an alarm [m].
+    first : ndarray
+        (B,) bool, whether this step brought the first alarm.
     alarm : ndarray
         (B,) bool, an alarm now, or in the time to alert after the last command.
     finished : ndarray
-        (B,) bool, whether this was the last command.
+        (B,) bool, whether this was the last command, or the episode was ended early.
     """
 
-    outcome: Outcome
+    gain: FloatArray
+    retraction: FloatArray
+    first: NDArray[np.bool_]
     alarm: NDArray[np.bool_]
     finished: NDArray[np.bool_]
 
@@ -47,9 +50,13 @@ def joined(first: Score, then: Score) -> Score:
     Score
         Sums, and whether either had an alarm or the end.
     """
-    a, b = first.outcome, then.outcome
-    outcome = Outcome(a.gain + b.gain, a.retraction + b.retraction, a.detected | b.detected)
-    return Score(outcome, first.alarm | then.alarm, first.finished | then.finished)
+    return Score(
+        first.gain + then.gain,
+        first.retraction + then.retraction,
+        first.first | then.first,
+        first.alarm | then.alarm,
+        first.finished | then.finished,
+    )
 
 
 class Books:
@@ -70,6 +77,8 @@ class Books:
         (B,) bool, whether the attack has raised an alarm.
     credited : ndarray
         (B,) undetected displacement so far [m].
+    ended : ndarray
+        (B,) bool, whose episode is over; the game sets it.  They count nothing more.
     """
 
     def __init__(self, receivers: int, steps: int, hold: int) -> None:
@@ -77,6 +86,7 @@ class Books:
         self.step_count = np.zeros(receivers, dtype=np.int64)
         self.detected = np.zeros(receivers, dtype=np.bool_)
         self.credited = np.zeros(receivers)
+        self.ended = np.zeros(receivers, dtype=np.bool_)
         self._largest = np.zeros((receivers, steps + 1))
 
     def reset(self, rows: NDArray[np.intp]) -> None:
@@ -91,8 +101,15 @@ class Books:
         self.detected[rows] = False
         self.credited[rows] = 0.0
         self._largest[rows] = 0.0
+        self.ended[rows] = False
 
-    def score(self, displacement: FloatArray, alarms: NDArray[np.bool_], hold: Hold) -> Score:
+    def score(
+        self,
+        displacement: FloatArray,
+        alarms: NDArray[np.bool_],
+        hold: Hold,
+        early: NDArray[np.bool_] | None = None,
+    ) -> Score:
         """Count one step of every receiver.
 
         Parameters
@@ -103,6 +120,8 @@ class Books:
             (B, c) bool.
         hold : callable
             Called with the receivers that have given their last command without an alarm.
+        early : ndarray, optional
+            (B,) bool, for whom this is the last command before the end of the window.
 
         Returns
         -------
@@ -126,6 +145,13 @@ class Books:
             first,
             finished,
         )
+        if early is not None:
+            finished |= early
+        if self.ended.any():
+            # one whose episode is over may be stepped on until it is reset
+            gain[self.ended] = retraction[self.ended] = 0.0
+            for mask in (alarm, first, finished):
+                mask[self.ended] = False
         if finished.any() and self.hold:
             rows = np.flatnonzero(finished & ~(self.detected | first))
             if len(rows):
@@ -133,7 +159,7 @@ class Books:
         np.logical_or(self.detected, first, out=self.detected)
         self.credited += gain
         self.credited += retraction
-        return Score(Outcome(gain, retraction, first), alarm, finished)
+        return Score(gain, retraction, first, alarm, finished)
 
     def _score_hold(
         self,
@@ -145,9 +171,10 @@ class Books:
     ) -> None:
         """Write what alarms in the time to alert after the last command do."""
         alarmed = late.any(axis=0)
-        # index of the last epoch that counts, with the first alarm at steps + 1 + argmax
-        kept = np.maximum(self.steps + late.argmax(axis=0) - self.hold, 0)
-        before = self._largest[rows, self.steps]
+        last = np.minimum(self.step_count[rows], self.steps)
+        # index of the last epoch that counts, with the first alarm at last + 1 + argmax
+        kept = np.maximum(last + late.argmax(axis=0) - self.hold, 0)
+        before = self._largest[rows, last]
         retraction[rows] = np.where(alarmed, self._largest[rows, kept] - before, 0.0)
         first[rows] = alarmed
         alarm[rows] |= alarmed

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..attacks import AttackContext
-from ..detectors import DetectorContext, Verdict
+from ..detectors import Detector, DetectorContext, Verdict
 from ..receiver import _kernels
 from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import LANES, ReceiverBuffers
@@ -24,10 +24,12 @@ from .domain import draw, told
 from .pool import PooledDetector
 from .prefetch import STOCK, NextEpisodes
 from .setup import Setup, check_settles
+from .witness import Witness
 from .workers import Workers
 
 FloatArray = NDArray[np.float64]
 T = TypeVar("T")
+W = TypeVar("W", bound=Witness)
 RECEIVERS_PER_THREAD = 16
 KEPT = 8
 """Largest size of the batches that are kept for the time to alert of a few receivers."""
@@ -76,16 +78,58 @@ class Batch:
         self.attack = copy.deepcopy(setup.attack)
         self.attack.bind(AttackContext(receivers, world))
         self.detector = copy.deepcopy(setup.detector)
-        self.detector.bind(
+        self.bind_detector(self.detector)
+        self.witnesses = [copy.deepcopy(witness) for witness in setup.witnesses]
+        for witness in self.witnesses:
+            witness.bind(self)
+
+    def bind_detector(self, detector: Detector) -> None:
+        """Bind a detector to these receivers.
+
+        Parameters
+        ----------
+        detector : Detector
+            In the loop, or beside it.
+
+        Raises
+        ------
+        ValueError
+            When it can't alarm within an episode.
+        """
+        setup = self.setup
+        detector.bind(
             DetectorContext(
-                receivers,
-                world.channels,
+                self.receivers,
+                setup.world.channels,
                 setup.scenario.epoch_interval_s,
                 setup.cases.largest_variance,
-                world.satellite_ids,
+                setup.world.satellite_ids,
             )
         )
-        check_settles(self.detector, setup.live + setup.steps + setup.hold)
+        check_settles(detector, setup.live + setup.steps + setup.hold)
+
+    def witness(self, kind: type[W]) -> W:
+        """Witness of a kind.
+
+        Parameters
+        ----------
+        kind : type
+            Its class.
+
+        Returns
+        -------
+        Witness
+            Of this batch.
+
+        Raises
+        ------
+        LookupError
+            When the game was made without one.
+        """
+        for witness in self.witnesses:
+            if isinstance(witness, kind):
+                return witness
+        raise LookupError(f"no {kind.__name__} looks at these epochs")
 
     def __getstate__(self) -> dict[str, Any]:
         """State without the view of the epoch, which a copy makes anew of its own buffers."""
@@ -135,6 +179,8 @@ class Batch:
         self.detector.reset()
         if isinstance(self.detector, PooledDetector):
             self.detector.draw(self.sensors.keys[SOURCES.index("domain")])
+        for witness in self.witnesses:
+            witness.begin()
         self._begin_cases()
         self._measure_first()
         first = self.memory["first"]
@@ -284,6 +330,8 @@ class Batch:
             Its verdict.
         """
         self.verdict = self.detector.judge(self.epoch)
+        for witness in self.witnesses:
+            witness.see(self)
         return self.verdict
 
     def update(self, weights: FloatArray | None) -> None:
@@ -385,6 +433,8 @@ class Batch:
         self.memory.copy_rows(to, other.memory, rows)
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
         self.detector.memory.copy_rows(to, other.detector.memory, rows)
+        for mine, theirs in zip(self.witnesses, other.witnesses, strict=True):
+            mine.copy_rows(to, theirs, rows)
         weights = self.weights.copy()
         weights[to] = other.weights[rows]
         self.weights = weights
@@ -502,7 +552,7 @@ class Engine:
         self.threads = threads if threads is not None else available_threads(receivers)
         self._workers = Workers(self.threads - 1)
         self.batch = Batch(setup, receivers, self._run)
-        self.twin = Batch(setup, receivers, self._run) if twin else None
+        self.twin = Batch(setup.altered(witnesses=()), receivers, self._run) if twin else None
         self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
         self._few: dict[int, Batch] = {}

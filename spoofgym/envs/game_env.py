@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .played import Played
 from .rendering import RENDER_MODES, Recorder, Screen
+from .resets import warn_unknown
 from .spaces import action_space, checked_action, observation_space
 
 Observation = NDArray[np.float32]
@@ -47,8 +48,6 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         Of one receiver, not begun yet.
     render_mode : {"human", "rgb_array"}, optional
         Whether a window shows the episode, or `render` returns pictures of it.
-    recorder : Recorder, optional
-        Looks at the game for them; without it there is no render mode.
 
     Raises
     ------
@@ -68,19 +67,32 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         "render_fps": 2,
     }
 
-    def __init__(
-        self, game: G, render_mode: str | None = None, recorder: Recorder | None = None
-    ) -> None:
-        self.render_mode, self._screen = render_mode, _screen(render_mode, recorder)
-        if recorder is None:
-            self.metadata = {**self.metadata, "render_modes": []}
-        else:
-            self.metadata = {**self.metadata, "render_fps": 1.0 / recorder.interval_s}
+    def __init__(self, game: G, render_mode: str | None = None) -> None:
+        self.render_mode = render_mode
+        self._screen: Screen | None = None
+        self.adopt(game)
+
+    def adopt(self, game: G) -> None:
+        """Take a game that has not begun.
+
+        Parameters
+        ----------
+        game : Played
+            Instead of the present one, if there is one.
+        """
+        if self._screen is not None:
+            self._screen.close()
         self.game = game
+        self._draw_with(self._recorder())
         self.observation_names, self.action_names = game.observation_names, game.action_names
         self.observation_space = observation_space(game)
         self.action_space = action_space(game)
-        self._running = False
+        self._begun = self._running = False
+
+    @property
+    def begun(self) -> bool:
+        """Whether it has been reset."""
+        return self._begun
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -93,7 +105,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
             Seeds the receiver; without it the next episode of the same stream begins.
         options : dict, optional
             ``"domain"``: circumstances that are not to be drawn, such as ``{"start_s": 10.0}``; see
-            `spoofgym.envs.domain.CHOICES`.
+            `spoofgym.envs.domain.CHOICES`.  Others are warned of.
 
         Returns
         -------
@@ -102,9 +114,10 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         info : dict
             Whether the warm-up alarmed, and the time.
         """
+        warn_unknown(options, ("domain",))
         super().reset(seed=seed)
         self.game.reset([self.np_random], given=told_domain(options))
-        self._running = True
+        self._begun = self._running = True
         info = _of_one(self.game.begin_info())
         if self._screen is not None:
             self._screen.begin(info)
@@ -125,7 +138,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         reward : float
             Sum of ``info["reward_*"]``.
         terminated, truncated : bool
-            The second is always False.
+            The second is False, unless an end term truncates.
         info : dict
             Parts of the reward, alarm, displacement, time.
         """
@@ -133,12 +146,12 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
             raise RuntimeError("the episode is over: call reset() before step()")
         given = checked_action(action, (len(self.action_names),), self.action_names)
         turn = self.game.step(given[None])
-        terminated = bool(turn.terminated[0])
-        self._running = not terminated
+        terminated, truncated = bool(turn.terminated[0]), bool(turn.truncated[0])
+        self._running = not (terminated or truncated)
         observation, info = self.game.observe()[0], _of_one(turn.info)
         if self._screen is not None:
             self._screen.add(info)
-        return observation, float(turn.reward[0]), terminated, False, info
+        return observation, float(turn.reward[0]), terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the episode from its onset until now.
@@ -168,14 +181,20 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         if self._screen is not None:
             self._screen.close()
 
-
-def _screen(render_mode: str | None, recorder: Recorder | None) -> Screen | None:
-    """What draws, if anything is to be drawn."""
-    if recorder is None:
-        refuse_rendering(render_mode)
-    if render_mode is None or recorder is None:
+    def _recorder(self) -> Recorder | None:
+        """What looks at the game for pictures; None where there is nothing to render."""
         return None
-    return Screen(render_mode, recorder)
+
+    def _draw_with(self, recorder: Recorder | None) -> None:
+        """Say what can be rendered, and prepare it where it is asked for."""
+        kept = type(self).metadata
+        if recorder is None:
+            refuse_rendering(self.render_mode)
+            self.metadata = {**kept, "render_modes": []}
+            return
+        self.metadata = {**kept, "render_fps": 1.0 / recorder.interval_s}
+        if self.render_mode is not None:
+            self._screen = Screen(self.render_mode, recorder)
 
 
 def told_domain(options: dict[str, Any] | None) -> Mapping[str, Any] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Generic
 
 import numpy as np
@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from .._registry import check_choice
 from .game_env import G, told_domain
+from .infos import InfoSpec, chosen, info_keys, masked
+from .resets import RESET_MASK, mask_of, of_rows, seeds_of, warn_unknown
 from .spaces import action_space, checked_action, observation_space
 
 AUTORESET_MODES = {
     "next_step": AutoresetMode.NEXT_STEP,
     "same_step": AutoresetMode.SAME_STEP,
+    "disabled": AutoresetMode.DISABLED,
 }
 Array = NDArray[Any]
 
@@ -26,7 +29,7 @@ def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
 
     Parameters
     ----------
-    given : {"next_step", "same_step"} or AutoresetMode
+    given : {"next_step", "same_step", "disabled"} or AutoresetMode
         Of the user.
 
     Returns
@@ -82,7 +85,10 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
     game : Played
         Of B receivers, not begun yet.
     autoreset_mode : AutoresetMode
-        When a finished receiver begins its next episode.
+        When a finished receiver begins its next episode: at the next step, at the same, or when
+        ``reset`` is called with a mask.
+    infos : {"all", "none"} or sequence of str
+        Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
 
     Attributes
     ----------
@@ -98,19 +104,36 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
-    def __init__(self, game: G, autoreset_mode: AutoresetMode) -> None:
-        self.game = game
+    def __init__(self, game: G, autoreset_mode: AutoresetMode, infos: InfoSpec = "all") -> None:
         self.autoreset_mode = autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": autoreset_mode}
-        self.num_envs, self.render_mode = game.receivers, None
+        self.render_mode = None
+        self._infos = infos
+        self.adopt(game)
+
+    def adopt(self, game: G) -> None:
+        """Take a game that has not begun.
+
+        Parameters
+        ----------
+        game : Played
+            Instead of the present one, if there is one.
+        """
+        self.game, self.num_envs = game, game.receivers
         self.observation_names, self.action_names = game.observation_names, game.action_names
         self.single_observation_space = observation_space(game)
         self.single_action_space = action_space(game)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._keys = info_keys(self._infos, game.info_names)
         self._rngs: list[np.random.Generator] = []
         self._over = np.ones(self.num_envs, dtype=np.bool_)
         self._all = np.ones(self.num_envs, dtype=np.bool_)
+
+    @property
+    def begun(self) -> bool:
+        """Whether it has been reset."""
+        return bool(self._rngs)
 
     def reset(
         self,
@@ -118,7 +141,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode in every receiver.
+        """Begin an episode in every receiver, or in some.
 
         Parameters
         ----------
@@ -126,8 +149,9 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
             Receiver i is seeded with ``seed + i``, or with its element; without it the next
             episodes of the same streams begin.
         options : dict, optional
-            ``"domain"``: circumstances not to be drawn, each one value, or (B,) of them; see
-            `spoofgym.envs.domain.CHOICES`.
+            ``reset_mask``: (B,) bool, which receivers begin anew, with at least one of them; all by
+            default, and at the first reset.  ``"domain"``: circumstances not to be drawn, each one
+            value, or (B,) of them; see `spoofgym.envs.domain.CHOICES`.  Others are warned of.
 
         Returns
         -------
@@ -136,39 +160,44 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         info : dict
             Arrays, and masks of who has them.
         """
+        warn_unknown(options, ("domain", RESET_MASK))
+        mask = mask_of(options, self.num_envs)
+        if mask is None:
+            mask = self._all.copy()
+        elif not self._rngs and not mask.all():
+            raise ValueError("the first reset must be that of all receivers")
         super().reset(seed=seed if isinstance(seed, int) else None)
-        if seed is None:
-            seeds: list[int | None] = [None] * self.num_envs
-        elif isinstance(seed, int | np.integer):
-            seeds = [int(seed) + i for i in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"`seed` must have {self.num_envs} elements, got {len(seeds)}")
+        seeds = seeds_of(seed, self.num_envs)
         if not self._rngs:
             self._rngs = [np.random.default_rng(s) for s in seeds]
         else:
             self._rngs = [
-                rng if s is None else np.random.default_rng(s)
-                for rng, s in zip(self._rngs, seeds, strict=True)
+                rng if s is None or not begins else np.random.default_rng(s)
+                for rng, s, begins in zip(self._rngs, seeds, mask, strict=True)
             ]
-        self.game.reset(self._rngs, given=told_domain(options))
-        self._over[:] = False
-        return self.game.observe(), self._masked(self.game.begin_info(), self._all)
+        given = told_domain(options)
+        if mask.all():
+            self.game.reset(self._rngs, given=given)
+            self._over[:] = False
+        else:
+            self._restart(mask, given)
+        return self.game.observe(), self._masked(self.game.begin_info(), mask)
 
-    def _restart(self, mask: NDArray[np.bool_]) -> None:
+    def _restart(self, mask: NDArray[np.bool_], given: Mapping[str, Any] | None = None) -> None:
         rows = np.flatnonzero(mask)
-        self.game.reset([self._rngs[row] for row in rows], rows)
+        told = given and of_rows(given, rows, self.num_envs)
+        self.game.reset([self._rngs[row] for row in rows], rows, told)
         self._over[rows] = False
 
-    @staticmethod
-    def _masked(info: dict[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
-        """Arrays with the masks that tell which receivers have them."""
-        result: dict[str, Any] = dict(info)
-        masks = np.tile(mask, (len(info), 1))  # a row each, so that none is shared
-        for name, row in zip(info, masks, strict=True):
-            result[f"_{name}"] = row
-        return result
+    def _masked(self, info: dict[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
+        """Arrays that are asked for, with the masks that tell which receivers have them."""
+        return masked(chosen(info, self._keys), mask)
+
+    def _mark_begun(self, info: dict[str, Any]) -> None:
+        """Say of what every receiver has, also one that begins, that it does."""
+        for name in self.game.begin_names:
+            if name in info:
+                info[f"_{name}"] = self._all.copy()
 
     def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """Give one command to every receiver, and run one epoch.
@@ -195,67 +224,69 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         given = checked_action(actions, shape, self.action_names)
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:
             return self._next_step(given)
-        return self._same_step(given)
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            return self._same_step(given)
+        return self._plain_step(given)
+
+    def _plain_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        if self._over.any():
+            raise RuntimeError(
+                f"the episodes of receivers {', '.join(map(str, np.flatnonzero(self._over)))} are "
+                f"over: call reset(options={{'{RESET_MASK}': ...}}) before step()"
+            )
+        turn = self.game.step(given)
+        self._over = turn.terminated | turn.truncated
+        info = self._masked(turn.info, self._all)
+        return self.game.observe(), turn.reward, turn.terminated, turn.truncated, info
 
     def _next_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         restarting = self._over.copy()
         if restarting.all():
             self._restart(restarting)
-            zeros = np.zeros(self.num_envs)
             info = self._masked(self.game.begin_info(), self._all)
-            return (
-                self.game.observe(),
-                zeros,
-                np.zeros_like(restarting),
-                np.zeros_like(restarting),
-                info,
-            )
+            never = np.zeros_like(restarting)
+            return self.game.observe(), np.zeros(self.num_envs), never, never.copy(), info
         turn = self.game.step(given)
-        reward, terminated, values = turn.reward, turn.terminated, turn.info
+        reward, terminated, truncated, values = (
+            turn.reward,
+            turn.terminated,
+            turn.truncated,
+            turn.info,
+        )
         if restarting.any():
             # these receivers ran one epoch more than their episode; it is thrown away
             self._restart(restarting)
             reward[restarting] = 0.0
-            terminated[restarting] = False
+            terminated[restarting] = truncated[restarting] = False
             begin = self.game.begin_info()
             for name, array in values.items():
                 array[restarting] = begin[name][restarting] if name in begin else 0
-        self._over = terminated.copy()
+        self._over = terminated | truncated
         info = self._masked(values, ~restarting)
-        for name in self.game.begin_names:
-            info[f"_{name}"] = self._all.copy()
-        return self.game.observe(), reward, terminated, np.zeros_like(terminated), info
+        self._mark_begun(info)
+        return self.game.observe(), reward, terminated, truncated, info
 
     def _same_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         turn = self.game.step(given)
-        terminated = turn.terminated
+        over = turn.terminated | turn.truncated
         observation = self.game.observe()
-        if not terminated.any():
+        if not over.any():
             info = self._masked(turn.info, self._all)
-            return observation, turn.reward, terminated, np.zeros_like(terminated), info
+            return observation, turn.reward, turn.terminated, turn.truncated, info
         final = np.full(self.num_envs, None, dtype=object)
-        for row in np.flatnonzero(terminated):
+        for row in np.flatnonzero(over):
             final[row] = observation[row].copy()
-        last = {name: np.where(terminated, array, 0) for name, array in turn.info.items()}
-        self._restart(terminated)
+        told = chosen(turn.info, self._keys)
+        last = {name: np.where(over, array, 0) for name, array in told.items()}
+        self._restart(over)
         begin = self.game.begin_info()
-        values = {
-            name: np.where(terminated, begin.get(name, 0), array)
-            for name, array in turn.info.items()
-        }
-        info = self._masked(values, ~terminated)
-        for name in begin:
-            info[f"_{name}"] = self._all.copy()
-        info["final_obs"], info["_final_obs"] = final, terminated.copy()
-        info["final_info"] = self._masked(last, terminated)
-        info["_final_info"] = terminated.copy()
-        return (
-            self.game.observe(),
-            turn.reward,
-            terminated,
-            np.zeros_like(terminated),
-            info,
-        )
+        values = {name: np.where(over, begin.get(name, 0), array) for name, array in told.items()}
+        info = masked(values, ~over)
+        self._mark_begun(info)
+        info["final_obs"], info["_final_obs"] = final, over.copy()
+        info["final_info"] = masked(last, over)
+        info["_final_info"] = over.copy()
+        return self.game.observe(), turn.reward, turn.terminated, turn.truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads.

@@ -8,16 +8,15 @@ errors).  Every value is divided by a stated scale and clipped to finite bounds.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, cast
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import check_choice
+from .._registry import check_choice, check_plain_settings
 from ._kernels import local_motion, time_fractions
-from .engine import Engine
+from .divergence import Divergence
 from .setup import Setup
 from .snapshot import Snapshot, position_error_n
 
@@ -129,10 +128,8 @@ class OwnCommand:
         attack = snapshot.batch.attack
         axes = out.shape[1] // 2
         memory = attack.memory
-        np.multiply(memory["displacement"], 1.0 / self.scale_m, out=out[:, :axes], casting="unsafe")
-        np.multiply(
-            memory["rate"], 1.0 / attack.rate_limit_mps, out=out[:, axes:], casting="unsafe"
-        )
+        out[:, :axes] = memory["displacement"] * (1.0 / self.scale_m)
+        out[:, axes:] = memory["rate"] * (1.0 / attack.rate_limit_mps)
 
 
 @dataclass(frozen=True)
@@ -307,6 +304,53 @@ class EstimateError:
         out[:] = position_error_n(snapshot.setup, snapshot.batch) * (1.0 / self.scale_m)
 
 
+@dataclass(frozen=True)
+class DivergenceSpent:
+    """Divergence that the attack has caused so far, over a budget; see `Divergence`.
+
+    Parameters
+    ----------
+    budget_nats : float
+        Divergence that is observed as 1, above 0; that of `AtStealthBudget` if there is one.
+    """
+
+    budget_nats: float = 2.0
+    knowledge: ClassVar[str] = "oracle"
+    needs: ClassVar[tuple[type[Divergence], ...]] = (Divergence,)
+
+    def __post_init__(self) -> None:
+        """Check the budget."""
+        check_plain_settings(DivergenceSpent, {"budget_nats": self.budget_nats})
+        if not (np.isfinite(self.budget_nats) and self.budget_nats > 0.0):
+            raise ValueError(f"`budget_nats` must be finite and > 0, got {self.budget_nats}")
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``divergence_spent``."""
+        return ("divergence_spent",)
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """0 and 10."""
+        return 0.0, 10.0
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write the part of the budget that is spent."""
+        spent = snapshot.batch.witness(Divergence).memory["divergence"]
+        out[:, 0] = spent / self.budget_nats
+
+
+OBSERVATION_TERMS: dict[str, type[ObservationTerm]] = {
+    "own-command": OwnCommand,
+    "time": Time,
+    "target-motion": TargetMotion,
+    "target-direction": TargetDirection,
+    "satellite-geometry": SatelliteGeometry,
+    "statistic-ratio": StatisticRatio,
+    "gain-weight": GainWeight,
+    "estimate-error": EstimateError,
+    "divergence-spent": DivergenceSpent,
+}
+"""Terms by name; one's own may be added."""
+
 ALL_TERMS: tuple[ObservationTerm, ...] = (
     OwnCommand(),
     Time(),
@@ -316,7 +360,7 @@ ALL_TERMS: tuple[ObservationTerm, ...] = (
     GainWeight(),
     EstimateError(),
 )
-"""All terms with their default scales, from the least knowledge to the most."""
+"""Terms of the levels of knowledge with their default scales, from the least to the most."""
 
 
 def terms_of(knowledge: str) -> tuple[ObservationTerm, ...]:
@@ -340,93 +384,3 @@ def terms_of(knowledge: str) -> tuple[ObservationTerm, ...]:
     check_choice("knowledge", knowledge, KNOWLEDGE)
     level = KNOWLEDGE.index(knowledge)
     return tuple(term for term in ALL_TERMS if KNOWLEDGE.index(term.knowledge) <= level)
-
-
-class Observer:
-    """Observations of a list of terms.
-
-    Parameters
-    ----------
-    terms : sequence of ObservationTerm
-        In the order of the observation.
-    setup : Setup
-        World, attack and detector.
-
-    Attributes
-    ----------
-    names : tuple of str
-        (o,) name of every element.
-    low, high : ndarray
-        (o,) float32 bounds.
-    knowledge : str
-        The highest level that any term takes.
-    """
-
-    def __init__(self, terms: Sequence[ObservationTerm], setup: Setup) -> None:
-        if not terms:
-            raise ValueError("an observation needs at least one term")
-        self.setup = setup
-        self._parts: list[tuple[DynamicTerm, slice]] = []
-        names: list[str] = []
-        low: list[float] = []
-        high: list[float] = []
-        tables: list[FloatArray] = []
-        for term in terms:
-            own = term.names(setup)
-            part = slice(len(names), len(names) + len(own))
-            least, most = term.bounds(setup)
-            names.extend(own)
-            low.extend([least] * len(own))
-            high.extend([most] * len(own))
-            if hasattr(term, "table"):
-                tables.append(np.clip(term.table(setup), least, most))
-            else:
-                self._parts.append((cast("DynamicTerm", term), part))
-                tables.append(np.zeros((setup.world.epochs, len(own))))
-        self._table = np.hstack(tables).astype(np.float32)
-        self.names = tuple(names)
-        if len(set(names)) < len(names):
-            twice = sorted({name for name in names if names.count(name) > 1})
-            raise ValueError(f"two terms write the same observation: {', '.join(twice)}")
-        self.low = np.array(low, dtype=np.float32)
-        self.high = np.array(high, dtype=np.float32)
-        self.knowledge = KNOWLEDGE[max(KNOWLEDGE.index(term.knowledge) for term in terms)]
-
-    def observe(self, snapshot: Snapshot) -> NDArray[np.float32]:
-        """Observe the game.
-
-        Parameters
-        ----------
-        snapshot : Snapshot
-            The game.
-
-        Returns
-        -------
-        ndarray
-            (B, o) float32, a new array within the bounds.
-        """
-        out = np.take(self._table, snapshot.batch.epochs, axis=0)
-        for term, part in self._parts:
-            term(snapshot, out[:, part])
-        # min and max, since np.clip costs three times as much on small arrays
-        np.maximum(out, self.low, out=out)
-        np.minimum(out, self.high, out=out)
-        return out
-
-    def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:
-        """Observe receivers that are all at the same step.
-
-        Parameters
-        ----------
-        engine : Engine
-            The receivers.
-        step : int
-            Commands given since the attack began.
-
-        Returns
-        -------
-        ndarray
-            (B, o) float32.
-        """
-        steps = np.full(engine.receivers, step, dtype=np.int64)
-        return self.observe(Snapshot(self.setup, engine.batch, steps))

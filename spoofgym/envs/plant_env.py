@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 from gymnasium.vector import AutoresetMode
@@ -11,11 +11,12 @@ from gymnasium.vector import AutoresetMode
 from ..detectors import Detector
 from .game_env import GameEnv
 from .game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
+from .infos import InfoSpec
 from .plant import Plant
 from .plant_game import PlantGame
-from .rendering import PlantRecorder, Seen
-from .rewards import RewardTerm
+from .rendering import PlantRecorder, Recorder, Seen
 from .setup import Timeline
+from .terms import RewardSpec
 
 RECEIVERS = "receivers"
 """Argument of a plant that an environment sets by itself."""
@@ -108,8 +109,8 @@ class PlantEnv(GameEnv[PlantGame]):
         Lengths of warm-up, attack window and time to alert; the plant's own by default.
     knowledge : {"tracking", "blind", "oracle"}
         What the spoofer observes.
-    reward : sequence of RewardTerm, optional
-        Own list of terms.
+    reward : str, mapping, path, RewardTerm or sequence of them, optional
+        Own list of terms, as `make_terms` takes them.
     alarm_penalty_m : float
         Price of an alarm.
     end_at_alarm : bool
@@ -141,7 +142,7 @@ class PlantEnv(GameEnv[PlantGame]):
         detector: str | Mapping[str, Any] | Detector | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
-        reward: Sequence[RewardTerm] | None = None,
+        reward: RewardSpec | None = None,
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
@@ -157,8 +158,11 @@ class PlantEnv(GameEnv[PlantGame]):
             end_at_alarm=end_at_alarm,
             target_heading_deg=target_heading_deg,
         )
-        recorder = PlantRecorder(game) if isinstance(game.plant, Seen) else None
-        super().__init__(game, render_mode, recorder)
+        super().__init__(game, render_mode)
+
+    def _recorder(self) -> Recorder | None:
+        """What looks at the plant, if it can be seen."""
+        return PlantRecorder(self.game) if isinstance(self.game.plant, Seen) else None
 
 
 class PlantVectorEnv(GameVectorEnv[PlantGame]):
@@ -168,8 +172,11 @@ class PlantVectorEnv(GameVectorEnv[PlantGame]):
     ----------
     num_envs : int
         Receivers, at least 1.
-    autoreset_mode : {"next_step", "same_step"} or AutoresetMode
-        When a finished receiver begins its next episode.
+    autoreset_mode : {"next_step", "same_step", "disabled"} or AutoresetMode
+        When a finished receiver begins its next episode; with ``disabled``, when ``reset`` is
+        called with ``options={"reset_mask": ...}``.
+    infos : {"all", "none"} or sequence of str
+        Which information is handed out, by its keys; `final_obs` and `final_info` always are.
     detector, timeline, knowledge, reward, alarm_penalty_m, end_at_alarm
         As in `PlantEnv`.
     target_heading_deg, render_mode, **settings
@@ -194,10 +201,11 @@ class PlantVectorEnv(GameVectorEnv[PlantGame]):
         num_envs: int = 1,
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        infos: InfoSpec = "all",
         detector: str | Mapping[str, Any] | Detector | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
-        reward: Sequence[RewardTerm] | None = None,
+        reward: RewardSpec | None = None,
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
@@ -215,4 +223,4 @@ class PlantVectorEnv(GameVectorEnv[PlantGame]):
             end_at_alarm=end_at_alarm,
             target_heading_deg=target_heading_deg,
         )
-        super().__init__(game, mode)
+        super().__init__(game, mode, infos)

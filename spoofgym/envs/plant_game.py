@@ -13,9 +13,20 @@ from .books import Books
 from .observations import KNOWLEDGE
 from .plant import Plant
 from .played import Turn, check_end_at_alarm, check_heading
-from .rewards import RewardTerm, default_rewards, named_terms, reward_of
+from .rewards import Outcome, default_rewards, named_terms, reward_of
+from .terms import RewardSpec, make_terms
 
 FloatArray = NDArray[np.float64]
+STEP_NAMES = (
+    "time_s",
+    "alarm",
+    "detected",
+    "warmup_alarm",
+    "displacement_m",
+    "undetected_displacement_m",
+    "cost",
+)
+"""Keys of the information of a step, without the parts of the reward."""
 
 
 class PlantGame:
@@ -27,8 +38,8 @@ class PlantGame:
         The receivers, not begun yet.
     knowledge : {"tracking", "blind", "oracle"}
         What the spoofer observes.
-    reward : sequence of RewardTerm, optional
-        Terms of the reward.
+    reward : sequence of RewardTerm, str or mapping, optional
+        Terms of the reward, as `make_terms` takes them.
     alarm_penalty_m : float
         Price of an alarm, where `reward` does not say it.
     end_at_alarm : bool
@@ -61,7 +72,7 @@ class PlantGame:
         plant: Plant,
         *,
         knowledge: str = "tracking",
-        reward: Sequence[RewardTerm] | None = None,
+        reward: RewardSpec | None = None,
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
@@ -74,7 +85,7 @@ class PlantGame:
         self.observation_names = names
         self.bounds = low.astype(np.float32), high.astype(np.float32)
         _check_observation(plant.kind, names, *self.bounds)
-        terms = default_rewards(alarm_penalty_m) if reward is None else tuple(reward)
+        terms = default_rewards(alarm_penalty_m) if reward is None else make_terms("reward", reward)
         self._reward_parts = named_terms(terms)
         self.target_heading_deg = target_heading_deg
         heading = np.radians(target_heading_deg)
@@ -101,6 +112,11 @@ class PlantGame:
 
     def close(self) -> None:
         """Nothing runs beside; environments call this of every game."""
+
+    @property
+    def info_names(self) -> tuple[str, ...]:
+        """Keys of the information of a step."""
+        return (*STEP_NAMES, *(key for key, _ in self._reward_parts))
 
     def observe(self) -> NDArray[np.float32]:
         """Observe all receivers.
@@ -193,10 +209,20 @@ class PlantGame:
             "warmup_alarm": self.warmup_alarm.copy(),
             "displacement_m": displacement,
             "undetected_displacement_m": self.books.credited.copy(),
-            "cost": score.outcome.detected.astype(np.float64),
+            "cost": score.first.astype(np.float64),
         }
-        reward = reward_of(self._reward_parts, score.outcome, info)
-        return Turn(reward, self.books.over(score.finished, self.end_at_alarm), info)
+        over = self.books.over(score.finished, self.end_at_alarm)
+        outcome = Outcome(
+            score.gain,
+            score.retraction,
+            score.first,
+            score.alarm,
+            action,
+            self.books.credited,
+            over,
+        )
+        reward = reward_of(self._reward_parts, outcome, info)
+        return Turn(reward, over, np.zeros_like(over), info)
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
         """Information at the begin of an episode.

@@ -55,14 +55,15 @@ class Turn(NamedTuple):
     ----------
     reward : ndarray
         (B,) float64.
-    terminated : ndarray
-        (B,) bool.
+    terminated, truncated : ndarray
+        (B,) bool, never both.
     info : dict
         Arrays with a leading axis of receivers.
     """
 
     reward: FloatArray
     terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
     info: dict[str, NDArray[Any]]
 
 
@@ -84,6 +85,10 @@ class Played(Protocol):
     @property
     def begin_names(self) -> tuple[str, ...]:
         """Keys of `begin_info`."""
+
+    @property
+    def info_names(self) -> tuple[str, ...]:
+        """Keys of the information of a step."""
 
     @property
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

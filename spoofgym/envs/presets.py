@@ -13,11 +13,34 @@ from ..sim.scenario import Scenario, make_scenario
 from .domain import Domain
 from .game import Game
 from .observations import ObservationTerm, TargetDirection, terms_of
-from .rewards import RewardTerm, default_rewards
+from .rewards import default_rewards
 from .setup import Setup, Timeline
+from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
 DEFAULT_ATTACK = "false-position"
+
+
+WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any] | Detector]
+"""Detectors beside the one in the loop."""
+
+
+def make_watch(spec: WatchSpec) -> tuple[Detector, ...]:
+    """Detectors beside the one in the loop.
+
+    Parameters
+    ----------
+    spec : str, mapping, Detector or sequence of them
+        Each as `make_detector` takes it.
+
+    Returns
+    -------
+    tuple of Detector
+        New ones.
+    """
+    if isinstance(spec, str | Mapping | Detector):
+        spec = (spec,)
+    return tuple(make_detector(each) for each in spec)
 
 
 def make_setup(
@@ -97,8 +120,11 @@ def make_game(
     setup: Setup,
     *,
     knowledge: str = "tracking",
-    observation: Sequence[ObservationTerm] | None = None,
-    reward: Sequence[RewardTerm] | None = None,
+    observation: ObservationSpec | None = None,
+    action: ActionSpec | None = None,
+    reward: RewardSpec | None = None,
+    end: EndSpec | None = None,
+    watch: WatchSpec = (),
     alarm_penalty_m: float = 10.0,
     end_at_alarm: bool = True,
     threads: int | None = None,
@@ -115,13 +141,15 @@ def make_game(
         World, victim, attack, detector, timeline.
     knowledge : {"blind", "tracking", "oracle"}
         What the spoofer observes, where `observation` does not say it.
-    observation : sequence of ObservationTerm, optional
-        Terms of the observation.
-    reward : sequence of RewardTerm, optional
-        Terms of the reward.
+    observation, action, reward, end : optional
+        Terms, as `make_terms` takes them.
+    watch : sequence of str, mapping or Detector
+        Detectors beside the one in the loop, each as `make_detector` takes it.
     alarm_penalty_m : float
         Price of an alarm, where `reward` does not say it.
-    end_at_alarm, threads, prefetch, twin : optional
+    end_at_alarm : bool
+        Whether an alarm ends the episode, where `end` does not say it.
+    threads, prefetch, twin : optional
         As in `Game`.
 
     Returns
@@ -132,8 +160,17 @@ def make_game(
     return Game(
         receivers,
         setup,
-        observation=default_terms(setup, knowledge) if observation is None else tuple(observation),
-        reward=default_rewards(alarm_penalty_m) if reward is None else tuple(reward),
+        observation=(
+            default_terms(setup, knowledge)
+            if observation is None
+            else make_terms("observation", observation)
+        ),
+        action=None if action is None else make_terms("action", action),
+        reward=(
+            default_rewards(alarm_penalty_m) if reward is None else make_terms("reward", reward)
+        ),
+        end=None if end is None else make_terms("end", end),
+        watch=make_watch(watch),
         end_at_alarm=end_at_alarm,
         threads=threads,
         prefetch=prefetch,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from .._registry import check_plain_settings
 
 FloatArray = NDArray[np.float64]
 
@@ -25,11 +24,23 @@ class Outcome(NamedTuple):
         (B,) what an alarm takes back of it [m], <= 0.
     detected : ndarray
         (B,) bool, whether this step brought the first alarm.
+    alarm : ndarray
+        (B,) bool, whether there is an alarm now.
+    action : ndarray
+        (B, k) as the spoofer gave it, in [-1, 1].
+    undetected : ndarray
+        (B,) undetected displacement of the episode so far [m].
+    over : ndarray
+        (B,) bool, whether the episode has come to its end.
     """
 
     gain: FloatArray
     retraction: FloatArray
     detected: NDArray[np.bool_]
+    alarm: NDArray[np.bool_]
+    action: FloatArray
+    undetected: FloatArray
+    over: NDArray[np.bool_]
 
 
 class RewardTerm(Protocol):
@@ -56,6 +67,14 @@ class RewardTerm(Protocol):
         ndarray
             (B,) a new array.
         """
+
+
+def _check_price(name: str, value: Any) -> None:
+    """Raise unless a price is a finite number, at least 0."""
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        raise ValueError(f"`{name}` must be a number, got {value!r}")
+    if not (np.isfinite(float(value)) and float(value) >= 0.0):
+        raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
 
 
 @dataclass(frozen=True)
@@ -109,13 +128,88 @@ class AlarmPenalty:
 
     def __post_init__(self) -> None:
         """Check the price."""
-        check_plain_settings(AlarmPenalty, {"penalty_m": self.penalty_m})
-        if not (np.isfinite(self.penalty_m) and self.penalty_m >= 0.0):
-            raise ValueError(f"`penalty_m` must be finite and >= 0, got {self.penalty_m}")
+        _check_price("penalty_m", self.penalty_m)
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         """The price, where the first alarm came."""
-        return np.where(outcome.detected, -self.penalty_m, 0.0)
+        result = np.zeros(len(outcome.detected))
+        result[outcome.detected] = -self.penalty_m
+        return result
+
+
+@dataclass(frozen=True)
+class AlarmedEpochs:
+    """Price of every epoch with an alarm, for games that go on after the first.
+
+    Parameters
+    ----------
+    per_epoch_m : float
+        In metres of displacement, at least 0.
+    """
+
+    per_epoch_m: float = 1.0
+    name: ClassVar[str] = "alarmed_epochs"
+
+    def __post_init__(self) -> None:
+        """Check the price."""
+        _check_price("per_epoch_m", self.per_epoch_m)
+
+    def __call__(self, outcome: Outcome) -> FloatArray:
+        """The price, where there is an alarm."""
+        return np.where(outcome.alarm, -self.per_epoch_m, 0.0)
+
+
+@dataclass(frozen=True)
+class EffortPenalty:
+    """Price of the command: the mean square of its elements.
+
+    Parameters
+    ----------
+    at_full_m : float
+        Price of a step with all elements at their limits, in metres of displacement, at least 0.
+    """
+
+    at_full_m: float = 0.1
+    name: ClassVar[str] = "effort"
+
+    def __post_init__(self) -> None:
+        """Check the price."""
+        _check_price("at_full_m", self.at_full_m)
+
+    def __call__(self, outcome: Outcome) -> FloatArray:
+        """The price of the command."""
+        action = outcome.action
+        result: FloatArray = -self.at_full_m * (action * action).mean(axis=1)
+        return result
+
+
+@dataclass(frozen=True)
+class TerminalDisplacement:
+    """Undetected displacement of the episode, all of it at its end.
+
+    Parameters
+    ----------
+    per_m : float
+        Reward of one metre.
+    """
+
+    per_m: float = 1.0
+    name: ClassVar[str] = "terminal_displacement"
+
+    def __call__(self, outcome: Outcome) -> FloatArray:
+        """The displacement, where the episode is over."""
+        return np.where(outcome.over, self.per_m * outcome.undetected, 0.0)
+
+
+REWARD_TERMS: dict[str, type[RewardTerm]] = {
+    "displacement-gain": DisplacementGain,
+    "retraction": Retraction,
+    "alarm-penalty": AlarmPenalty,
+    "alarmed-epochs": AlarmedEpochs,
+    "effort-penalty": EffortPenalty,
+    "terminal-displacement": TerminalDisplacement,
+}
+"""Terms by name; one's own may be added."""
 
 
 def default_rewards(alarm_penalty_m: float = 10.0) -> tuple[RewardTerm, ...]:
@@ -179,6 +273,6 @@ def reward_of(
     """
     reward = np.zeros(len(outcome.gain))
     for key, term in terms:
-        info[key] = term(outcome)
-        reward += info[key]
+        part = info[key] = term(outcome)
+        reward += part
     return reward

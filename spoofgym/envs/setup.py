@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
 
@@ -17,6 +19,7 @@ from ..sim.scenario import Scenario
 from ..sim.world import World
 from .cases import Cases, worlds_of
 from .domain import Bounds, Domain
+from .witness import Witness
 
 FloatArray = NDArray[np.float64]
 MOST_EPOCHS = 100_000
@@ -159,6 +162,11 @@ class Setup:
     bias_sd, noise_variance, noise, first_C_eb, onset_C_en
         Of the first case, for an episode that begins as early as it can.
 
+    Attributes
+    ----------
+    witnesses : tuple of Witness
+        What looks at every epoch beside the detector; copied for every batch.
+
     Raises
     ------
     ValueError
@@ -181,6 +189,7 @@ class Setup:
         self.attack, self.detector = attack, detector
         self.domain = Domain() if domain is None else domain
         self.target_heading_deg = checked_target(target_heading_deg)
+        self.witnesses: tuple[Witness, ...] = ()
         interval = scenario.epoch_interval_s
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval)
         self.onset = self.quiet + self.live
@@ -234,6 +243,30 @@ class Setup:
         if self.between == "hold" or epoch + 1 == self.repeat:
             return action
         return before + ((epoch + 1) / self.repeat) * (action - before)
+
+    def altered(
+        self, *, detector: Detector | None = None, witnesses: Sequence[Witness] | None = None
+    ) -> Setup:
+        """The same world and attack, with another detector or other witnesses.
+
+        Parameters
+        ----------
+        detector : Detector, optional
+            In the loop.
+        witnesses : sequence of Witness, optional
+            Beside it.
+
+        Returns
+        -------
+        Setup
+            A new one that shares the world.
+        """
+        other = copy.copy(self)
+        if detector is not None:
+            other.detector = detector
+        if witnesses is not None:
+            other.witnesses = tuple(witnesses)
+        return other
 
     def _starts(self, length: int, world: World) -> tuple[int, int]:
         """First and last epoch at which an episode of a length may begin."""

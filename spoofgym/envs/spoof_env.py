@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from ..attacks import Attack
@@ -12,11 +12,10 @@ from ..sim.scenario import Scenario
 from .domain import Domain
 from .game import Game
 from .game_env import GameEnv
-from .observations import ObservationTerm
-from .presets import DEFAULT_ATTACK, make_game, make_setup
-from .rendering import GameRecorder
-from .rewards import RewardTerm
+from .presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
+from .rendering import GameRecorder, Recorder
 from .setup import Timeline
+from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec
 
 
 class SpoofEnv(GameEnv[Game]):
@@ -49,7 +48,7 @@ class SpoofEnv(GameEnv[Game]):
     in ``info["warmup_alarm"]``; nothing is drawn again for it.
 
     **End.** `terminated` after the last command of the attack window (300 by default), or at an
-    alarm. `truncated` never.
+    alarm. `truncated` never, unless an end term does it.
 
     Parameters
     ----------
@@ -66,14 +65,21 @@ class SpoofEnv(GameEnv[Game]):
         Lengths of warm-up, attack window and time to alert.
     knowledge : {"tracking", "blind", "oracle"}
         What the spoofer observes.
-    observation : sequence of ObservationTerm, optional
-        Own list of terms instead of `knowledge`.
-    reward : sequence of RewardTerm, optional
+    observation : str, mapping, path, ObservationTerm or sequence of them, optional
+        Own list of terms instead of `knowledge`, as `make_terms` takes them.
+    action : str, mapping, path, ActionTerm or sequence of them, optional
+        Own list of terms instead of the attack's elements.
+    reward : str, mapping, path, RewardTerm or sequence of them, optional
         Own list of terms instead of the above.
+    end : str, mapping, path, EndTerm or sequence of them, optional
+        Own list of terms instead of `end_at_alarm`.
+    watch : sequence of str, mapping or Detector
+        Detectors that judge the same epochs and change nothing; ``info["watch_NAME_alarm"]`` and
+        more tell of them.
     alarm_penalty_m : float
         Price of an alarm.
     end_at_alarm : bool
-        Whether an alarm ends the episode.
+        Whether an alarm ends the episode, where `end` does not say it.
     target_heading_deg : float or {"random", "worst"}
         Direction in which displacement counts, clockwise from north; drawn for every episode, and
         observed; or that in which it is largest.
@@ -93,6 +99,8 @@ class SpoofEnv(GameEnv[Game]):
     ----------
     observation_names, action_names : tuple of str
         Name of every element.
+    given_detector : object
+        Detector that has been set, as it was given; None for the default.
 
     Examples
     --------
@@ -105,8 +113,9 @@ class SpoofEnv(GameEnv[Game]):
 
     Notes
     -----
-    Version history: v0, the first.  v1: the receiver is switched on at a random time of the flight,
-    and the target direction is drawn for every episode, and observed.
+    Version history: v0, the first.  ``spoofgym/RandomStart-v0`` is the same class, with a receiver
+    that is switched on at a random time of the flight, and a target direction that is drawn for
+    every episode, and observed.
     """
 
     def __init__(
@@ -118,8 +127,11 @@ class SpoofEnv(GameEnv[Game]):
         receiver: Mapping[str, Any] | TightlyCoupled | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
-        observation: Sequence[ObservationTerm] | None = None,
-        reward: Sequence[RewardTerm] | None = None,
+        observation: ObservationSpec | None = None,
+        action: ActionSpec | None = None,
+        reward: RewardSpec | None = None,
+        end: EndSpec | None = None,
+        watch: WatchSpec = (),
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float | str = 90.0,
@@ -145,10 +157,18 @@ class SpoofEnv(GameEnv[Game]):
             setup,
             knowledge=knowledge,
             observation=observation,
+            action=action,
             reward=reward,
+            end=end,
+            watch=watch,
             alarm_penalty_m=alarm_penalty_m,
             end_at_alarm=end_at_alarm,
             threads=1,
             twin=twin,
         )
-        super().__init__(game, render_mode, GameRecorder(game))
+        self.given_detector: Any = detector
+        super().__init__(game, render_mode)
+
+    def _recorder(self) -> Recorder | None:
+        """What looks at the receiver."""
+        return GameRecorder(self.game)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
@@ -14,10 +14,10 @@ from ..sim.scenario import Scenario
 from .domain import Domain
 from .game import Game
 from .game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
-from .observations import ObservationTerm
-from .presets import DEFAULT_ATTACK, make_game, make_setup
-from .rewards import RewardTerm
+from .infos import InfoSpec
+from .presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
 from .setup import Timeline
+from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec
 
 
 class SpoofVectorEnv(GameVectorEnv[Game]):
@@ -27,17 +27,20 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
     ----------
     num_envs : int
         Receivers, at least 1.
-    autoreset_mode : {"next_step", "same_step"} or AutoresetMode
-        When a finished receiver begins its next episode.
+    autoreset_mode : {"next_step", "same_step", "disabled"} or AutoresetMode
+        When a finished receiver begins its next episode; with ``disabled``, when ``reset`` is
+        called with ``options={"reset_mask": ...}``.
+    infos : {"all", "none"} or sequence of str
+        Which information is handed out, by its keys; `final_obs` and `final_info` always are.
     threads : int, optional
         Threads of the engine; as many as processors by default.
     prefetch : bool
         Whether one more thread warms up every receiver's next episode while the present one runs,
         also with ``threads=1``.  The bits are the same, unless those of the detector depend on the
         size of the batch: such a one cannot be reproduced with it; see `Engine`.
-    scenario, detector, attack, receiver, timeline, knowledge, observation, reward
+    scenario, detector, attack, receiver, timeline, knowledge, observation, action, reward, end
         As in `SpoofEnv`.
-    alarm_penalty_m, end_at_alarm, target_heading_deg, render_mode
+    watch, alarm_penalty_m, end_at_alarm, target_heading_deg, render_mode
         As in `SpoofEnv`.
     domain, decision_interval_s, between, twin
         As in `SpoofEnv`.
@@ -46,6 +49,8 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
     ----------
     observation_names, action_names : tuple of str
         Name of every element.
+    given_detector : object
+        Detector that has been set, as it was given; None for the default.
 
     Examples
     --------
@@ -62,6 +67,7 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
         num_envs: int = 1,
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        infos: InfoSpec = "all",
         threads: int | None = None,
         prefetch: bool = True,
         scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
@@ -70,8 +76,11 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
         receiver: Mapping[str, Any] | TightlyCoupled | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
-        observation: Sequence[ObservationTerm] | None = None,
-        reward: Sequence[RewardTerm] | None = None,
+        observation: ObservationSpec | None = None,
+        action: ActionSpec | None = None,
+        reward: RewardSpec | None = None,
+        end: EndSpec | None = None,
+        watch: WatchSpec = (),
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float | str = 90.0,
@@ -99,11 +108,15 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
             setup,
             knowledge=knowledge,
             observation=observation,
+            action=action,
             reward=reward,
+            end=end,
+            watch=watch,
             alarm_penalty_m=alarm_penalty_m,
             end_at_alarm=end_at_alarm,
             threads=threads,
             prefetch=prefetch,
             twin=twin,
         )
-        super().__init__(game, mode)
+        self.given_detector: Any = detector
+        super().__init__(game, mode, infos)

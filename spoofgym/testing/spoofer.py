@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ..attacks import Attack
 from ..envs.attach import setup_of_card, spoofer_context
 from ..envs.engine import Engine
-from ..envs.observations import Observer, terms_of
+from ..envs.observations import terms_of
+from ..envs.observer import Observer
 from ..envs.presets import make_setup
 from ..envs.setup import Setup, Timeline
 from ..envs.snapshot import Snapshot

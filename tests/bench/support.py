@@ -13,7 +13,8 @@ from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.bench.suite import Suite, Tuning
 from spoofgym.envs.attach import spoofer_context
-from spoofgym.envs.observations import Observer, terms_of
+from spoofgym.envs.observations import terms_of
+from spoofgym.envs.observer import Observer
 from spoofgym.envs.setup import Timeline
 from spoofgym.spoofers import SpooferContext, onnx_policy, zoo
 from spoofgym.spoofers.card import Card, fields_of

@@ -13,7 +13,8 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.envs.attach import spoofer_context
-from spoofgym.envs.observations import Observer, terms_of
+from spoofgym.envs.observations import terms_of
+from spoofgym.envs.observer import Observer
 from spoofgym.envs.presets import make_setup
 from spoofgym.spoofers import SpooferContext
 from spoofgym.spoofers.card import Card, fields_of

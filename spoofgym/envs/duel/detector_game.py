@@ -36,11 +36,20 @@ class DetectorGame:
         The same.
     pool : SpooferPool
         The opponents.
-    begin_names : tuple of str
-        Keys of `begin_info`.
+    begin_names, info_names : tuple of str
+        Keys of `begin_info`, and of the information of a step.
     """
 
     begin_names: ClassVar[tuple[str, ...]] = ("time_s", "decision_delay")
+    info_names: ClassVar[tuple[str, ...]] = (
+        "time_s",
+        "alarm",
+        "statistic",
+        "threshold",
+        "decision_delay",
+        "attacked",
+        "undetected_displacement_m",
+    )
 
     def __init__(
         self,
@@ -149,7 +158,7 @@ class DetectorGame:
             "attacked": all_["attacked"] & over,
             "undetected_displacement_m": np.where(over, all_["undetected_displacement_m"], 0.0),
         }
-        return Turn(turn.detector_reward, over, info)
+        return Turn(turn.detector_reward, over, np.zeros_like(over), info)
 
     def observe(self) -> NDArray[np.float32]:
         """Observe all receivers, (B, o), a new array."""

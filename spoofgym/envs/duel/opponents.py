@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ...detectors import Detector, make_detector
 from ...spoofers import SUFFIX, Spoofer, make_spoofer
 from ..attach import card_behind, spoofer_context
-from ..observations import Observer, terms_of
+from ..observations import terms_of
+from ..observer import Observer
 from ..pool import PooledDetector, checked_weights, drawn
 from ..setup import Setup
 from ..snapshot import Snapshot

@@ -78,7 +78,8 @@ class GameRecorder:
         self._game = game
         self._twin: Batch | None = None
         self._onset = 0
-        names = [name.rsplit("_", 1)[0] for name in game.action_names]
+        commands = game.setup.attack.action_names(game.setup.world)
+        names = [name.rsplit("_", 1)[0] for name in commands]
         self._axes = names if set(names) <= set(AXES) else None
 
     @property

@@ -1,0 +1,94 @@
+"""Another detector, and more terms, for an environment that has not begun."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..detectors import Detector, make_detector
+from .ends import AtAlarm
+from .presets import WatchSpec, make_watch
+from .spoof_env import SpoofEnv
+from .terms import EndSpec, make_terms
+from .vector_env import SpoofVectorEnv
+
+
+def compose(
+    env: Any,
+    *,
+    detector: str | Mapping[str, Any] | Detector | None = None,
+    watch: WatchSpec = (),
+    end: EndSpec = (),
+) -> None:
+    """Set the detector, and add to what watches and to what ends an episode.
+
+    Parameters
+    ----------
+    env : SpoofEnv or SpoofVectorEnv
+        Wrapped or not.
+    detector : str, mapping or Detector, optional
+        In the loop, as `make_detector` takes it.
+    watch : sequence of str, mapping or Detector
+        Further detectors beside it.
+    end : str, mapping, path, EndTerm or sequence of them
+        Further end terms.
+
+    Raises
+    ------
+    ValueError
+        When a detector has been set already; names both.
+    RuntimeError
+        When the environment has been reset.
+    """
+    inner = composed(env)
+    if inner.begun:
+        raise RuntimeError("the game has begun: compose the environment before reset()")
+    changes: dict[str, Any] = {}
+    setup = inner.game.setup
+    if detector is not None:
+        if inner.given_detector is not None:
+            raise ValueError(
+                f"two detectors are set at once: {inner.given_detector!r} and {detector!r}; "
+                "one alone can be in the loop, others watch"
+            )
+        setup = setup.altered(detector=make_detector(detector))
+    if watch:
+        changes["watch"] = (*inner.game.settings["watch"], *make_watch(watch))
+    if end:
+        present = inner.game.settings["end"]
+        if present is None:
+            present = (AtAlarm(),) if inner.game.end_at_alarm else ()
+        changes["end"] = (*present, *make_terms("end", end))
+    game = inner.game.altered(setup, **changes)
+    game.listeners = inner.game.listeners
+    inner.game.close()
+    inner.adopt(game)
+    if detector is not None:
+        inner.given_detector = detector
+
+
+def composed(env: Any) -> SpoofEnv | SpoofVectorEnv:
+    """Environment inside all wrappers.
+
+    Parameters
+    ----------
+    env : SpoofEnv or SpoofVectorEnv
+        Wrapped or not.
+
+    Returns
+    -------
+    SpoofEnv or SpoofVectorEnv
+        The innermost.
+
+    Raises
+    ------
+    TypeError
+        When it is of another kind.
+    """
+    inner = getattr(env, "unwrapped", env)
+    if not isinstance(inner, SpoofEnv | SpoofVectorEnv):
+        raise TypeError(
+            "this wrapper needs a SpoofEnv or a SpoofVectorEnv, wrapped or not, got "
+            f"{inner!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
+        )
+    return inner

@@ -1,0 +1,237 @@
+"""When an episode ends: a list of small terms, beside the last command, which always ends it.
+
+An end that belongs to the game is `terminated`: the offsets then hold their rate for the time to
+alert, in which an alarm still counts, as after the last command.  A limit from outside the game is
+`truncated`; nothing is held, since the episode would go on.
+"""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .divergence import Divergence
+from .snapshot import Snapshot
+
+FloatArray = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Standing(NamedTuple):
+    """How the episodes stand after the epoch of a command.
+
+    Attributes
+    ----------
+    snapshot : Snapshot
+        The game; its `step` counts this command.
+    displacement : ndarray
+        (B,) of the victim along the target direction [m].
+    """
+
+    snapshot: Snapshot
+    displacement: FloatArray
+
+
+class EndTerm(Protocol):
+    """One reason to end an episode.
+
+    Attributes
+    ----------
+    name : str
+        ``info["end_<name>"]`` tells where it holds.
+    truncates : bool
+        Whether it is a limit from outside the game.
+    """
+
+    name: ClassVar[str]
+    truncates: ClassVar[bool]
+
+    def __call__(self, standing: Standing) -> Mask:
+        """Which episodes it ends.
+
+        Parameters
+        ----------
+        standing : Standing
+            How they stand.
+
+        Returns
+        -------
+        ndarray
+            (B,) bool, a new array.
+        """
+
+
+def _check_above_zero(name: str, value: Any) -> None:
+    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not number or not (np.isfinite(float(value)) and value > 0):
+        raise ValueError(f"`{name}` must be a finite number > 0, got {value!r}")
+
+
+@dataclass(frozen=True)
+class AtAlarm:
+    """The first alarm of the detector in the loop."""
+
+    name: ClassVar[str] = "alarm"
+    truncates: ClassVar[bool] = False
+
+    def __call__(self, standing: Standing) -> Mask:
+        """Whether any channel alarms."""
+        batch = standing.snapshot.batch
+        if batch.verdict is None:
+            return np.zeros(batch.receivers, dtype=np.bool_)
+        alarm: Mask = np.logical_or.reduce(batch.verdict.alarm, axis=1)
+        return alarm
+
+
+@dataclass(frozen=True)
+class AtWindowEnd:
+    """The last command of the attack window; ends every episode, listed or not."""
+
+    name: ClassVar[str] = "window"
+    truncates: ClassVar[bool] = False
+
+    def __call__(self, standing: Standing) -> Mask:
+        """Whether this was the last command."""
+        last: Mask = standing.snapshot.step >= standing.snapshot.setup.steps
+        return last
+
+
+@dataclass(frozen=True)
+class AtDisplacement:
+    """Displacement along the target direction, as far as the spoofer wants it.
+
+    Parameters
+    ----------
+    limit_m : float
+        Above 0.
+    """
+
+    limit_m: float
+    name: ClassVar[str] = "displacement"
+    truncates: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        """Check the limit."""
+        _check_above_zero("limit_m", self.limit_m)
+
+    def __call__(self, standing: Standing) -> Mask:
+        """Whether the victim is as far off."""
+        return standing.displacement >= self.limit_m
+
+
+@dataclass(frozen=True)
+class AtStealthBudget:
+    """Divergence that the attack may cause: half the sum of rho' S^-1 rho, by the filter's belief.
+
+    Parameters
+    ----------
+    budget_nats : float
+        Above 0; see `Divergence`.
+    """
+
+    budget_nats: float
+    name: ClassVar[str] = "stealth_budget"
+    truncates: ClassVar[bool] = False
+    needs: ClassVar[tuple[type[Divergence], ...]] = (Divergence,)
+
+    def __post_init__(self) -> None:
+        """Check the budget."""
+        _check_above_zero("budget_nats", self.budget_nats)
+
+    def __call__(self, standing: Standing) -> Mask:
+        """Whether more is spent."""
+        spent = standing.snapshot.batch.witness(Divergence).memory["divergence"]
+        return spent > self.budget_nats
+
+
+@dataclass(frozen=True)
+class AtSteps:
+    """Number of commands after which somebody outside wants no more; truncates.
+
+    Parameters
+    ----------
+    steps : int
+        At least 2.
+    """
+
+    steps: int
+    name: ClassVar[str] = "steps"
+    truncates: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Check the number."""
+        whole = isinstance(self.steps, numbers.Integral) and not isinstance(self.steps, bool)
+        if not whole or self.steps < 2:
+            raise ValueError(f"`steps` must be a whole number, at least 2, got {self.steps!r}")
+
+    def __call__(self, standing: Standing) -> Mask:
+        """Whether there were as many."""
+        over: Mask = standing.snapshot.step >= self.steps
+        return over
+
+
+END_TERMS: dict[str, type[EndTerm]] = {
+    "at-alarm": AtAlarm,
+    "at-window-end": AtWindowEnd,
+    "at-displacement": AtDisplacement,
+    "at-stealth-budget": AtStealthBudget,
+    "at-steps": AtSteps,
+}
+"""Terms by name; one's own may be added."""
+
+
+class Ends:
+    """Ends of a list of terms.
+
+    The game itself knows of the alarm and of the last command; `judge` is for all others.
+
+    Parameters
+    ----------
+    terms : sequence of EndTerm
+        Each with a name of its own.
+
+    Attributes
+    ----------
+    at_alarm : bool
+        Whether an alarm ends an episode.
+    info_names : tuple of str
+        Keys that `judge` writes.
+    """
+
+    def __init__(self, terms: Sequence[EndTerm]) -> None:
+        names = [term.name for term in terms]
+        if len(set(names)) < len(names):
+            raise ValueError(f"two end terms have the same name, got {', '.join(names)}")
+        self.at_alarm = any(isinstance(term, AtAlarm) for term in terms)
+        self._terms = [term for term in terms if not isinstance(term, AtAlarm | AtWindowEnd)]
+        self.info_names = tuple(f"end_{term.name}" for term in self._terms)
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to judge."""
+        return bool(self._terms)
+
+    def judge(self, standing: Standing, info: dict[str, NDArray[Any]]) -> tuple[Mask, Mask]:
+        """Judge the episodes.
+
+        Parameters
+        ----------
+        standing : Standing
+            How they stand.
+        info : dict
+            Gets a key per term.
+
+        Returns
+        -------
+        terminated, truncated : ndarray
+            (B,) bool, new arrays.
+        """
+        result = np.zeros((2, len(standing.displacement)), dtype=np.bool_)
+        for key, term in zip(self.info_names, self._terms, strict=True):
+            info[key] = term(standing)
+            result[int(term.truncates)] |= info[key]
+        return result[0], result[1]

@@ -1,0 +1,87 @@
+"""Which information a vector environment hands out: all, none, or some by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._registry import check_choice
+
+Array = NDArray[Any]
+InfoSpec = str | Sequence[str]
+WORDS = ("all", "none")
+
+
+def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
+    """Keys that are asked for.
+
+    Parameters
+    ----------
+    spec : {"all", "none"} or sequence of str
+        Of the user.
+    valid : sequence of str
+        Keys that there are.
+
+    Returns
+    -------
+    frozenset or None
+        None for all of them.
+
+    Raises
+    ------
+    ValueError
+        When one is unknown; the valid ones are listed.
+    """
+    if isinstance(spec, str):
+        check_choice("choice of infos", spec, WORDS)
+        return None if spec == "all" else frozenset()
+    keys = tuple(spec)
+    for key in keys:
+        check_choice("info", key, valid)
+    return frozenset(keys)
+
+
+def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> dict[str, Array]:
+    """Information that is asked for.
+
+    Parameters
+    ----------
+    info : mapping
+        By key.
+    keys : frozenset, optional
+        Of `info_keys`.
+
+    Returns
+    -------
+    dict
+        A new one.
+    """
+    if keys is None:
+        return dict(info)
+    return {name: array for name, array in info.items() if name in keys}
+
+
+def masked(info: Mapping[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Arrays with the masks that tell which receivers have them.
+
+    Parameters
+    ----------
+    info : mapping
+        (B,) arrays.
+    mask : ndarray
+        (B,) bool.
+
+    Returns
+    -------
+    dict
+        With a key ``_<name>`` beside every name.
+    """
+    result: dict[str, Any] = dict(info)
+    masks = np.empty((len(info), len(mask)), dtype=np.bool_)  # a row each, so that none is shared
+    masks[:] = mask
+    for name, row in zip(info, masks, strict=True):
+        result["_" + name] = row
+    return result

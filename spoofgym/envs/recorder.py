@@ -1,0 +1,154 @@
+"""Every epoch of a game as Parquet files, one for every episode of a receiver.
+
+A file holds the epochs of the commands: neither the warm-up, nor the time to alert after the last
+command.  It is written as a whole when its episode is over, so that a run that is broken off leaves
+whole files; a later run into the same folder counts on.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._files import write_file
+from ..detectors import Verdict
+from .ends import Standing
+
+if TYPE_CHECKING:
+    from .game import Game
+
+Array = NDArray[Any]
+PATTERN = re.compile(r"receiver-(\d+)-episode-(\d+)\.parquet")
+
+
+class EpochRecorder:
+    """Recorder of the receivers of a game; a `Listener`.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Where the files go; made where it is missing.
+    receivers : int
+        B.
+
+    Raises
+    ------
+    ImportError
+        When pyarrow is not installed.
+    """
+
+    def __init__(self, folder: str | Path, receivers: int) -> None:
+        if importlib.util.find_spec("pyarrow") is None:
+            raise ImportError("recording needs pyarrow; install it with the extra `flights`")
+        self.folder = Path(folder)
+        self._episode = np.zeros(receivers, dtype=np.int64)
+        for path in self.folder.glob("*.parquet"):
+            found = PATTERN.fullmatch(path.name)
+            if found is not None and int(found[1]) < receivers:
+                row = int(found[1])
+                self._episode[row] = max(self._episode[row], int(found[2]) + 1)
+        self._rows: list[dict[str, list[Array]]] = [{} for _ in range(receivers)]
+        self._satellites: tuple[str, ...] = ()
+
+    def __call__(self, game: Game, standing: Standing, verdict: Verdict) -> None:
+        """Take down an epoch of all receivers whose episodes are not over.
+
+        Parameters
+        ----------
+        game : Game
+            The receivers.
+        standing : Standing
+            How they stand.
+        verdict : Verdict
+            Of the epoch.
+        """
+        self._satellites = game.setup.world.satellite_ids
+        batch = standing.snapshot.batch
+        epoch, sensors = batch.epoch, batch.sensors.state
+        columns: dict[str, Array] = {
+            "time_s": epoch.time,
+            "step": standing.snapshot.step,
+            "displacement_m": standing.displacement,
+            "alarm": np.logical_or.reduce(verdict.alarm, axis=1),
+            "statistic": verdict.statistic,
+            "threshold": verdict.threshold,
+            "innovation": epoch.innovation,
+            "innovation_variance": np.diagonal(epoch.innovation_cov, axis1=1, axis2=2),
+            "visible": epoch.visible,
+            "range_offset_m": sensors.range_offset,
+            "rate_offset_mps": sensors.rate_offset,
+        }
+        for row in np.flatnonzero(~game.books.ended):
+            kept = self._rows[row]
+            for name, array in columns.items():
+                kept.setdefault(name, []).append(np.array(array[row]))
+
+    def finish(self, rows: NDArray[np.intp], *, complete: bool) -> list[Path]:
+        """Write the episodes of some receivers, and begin their next ones.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Which receivers; nothing is written of one without an epoch.
+        complete : bool
+            Whether the episodes have come to their ends.
+
+        Returns
+        -------
+        list of Path
+            The files.
+        """
+        written = []
+        for row in rows.tolist():
+            if not self._rows[row]:
+                continue
+            name = f"receiver-{row:03d}-episode-{self._episode[row]:06d}.parquet"
+            told = {
+                "receiver": row,
+                "episode": int(self._episode[row]),
+                "complete": complete,
+                "satellite_ids": list(self._satellites),
+            }
+            write_file(self.folder / name, as_parquet(self._rows[row], told))
+            written.append(self.folder / name)
+            self._rows[row] = {}
+            self._episode[row] += 1
+        return written
+
+
+def as_parquet(columns: dict[str, list[Array]], told: dict[str, Any]) -> bytes:
+    """File of one episode.
+
+    Parameters
+    ----------
+    columns : dict
+        A value or a vector of every epoch, by name.
+    told : dict
+        JSON-able; goes into the metadata under ``spoofgym``.
+
+    Returns
+    -------
+    bytes
+        Its content.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    arrays = {}
+    for name, values in columns.items():
+        stacked = np.stack(values)
+        flat = pa.array(stacked.reshape(-1))
+        if stacked.ndim > 1:
+            flat = pa.FixedSizeListArray.from_arrays(flat, stacked.shape[1])
+        arrays[name] = flat
+    table = pa.table(arrays).replace_schema_metadata({"spoofgym": json.dumps(told)})
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer)
+    return buffer.getvalue()

@@ -1,0 +1,132 @@
+"""What the caller of ``reset`` asks for, beside the seed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+RESET_MASK = "reset_mask"
+
+
+def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -> None:
+    """Warn of options that nothing is done with.
+
+    Parameters
+    ----------
+    options : mapping, optional
+        Of the user.
+    valid : sequence of str
+        Names of the options that there are.
+    """
+    for name in options or ():
+        if name not in valid:
+            warnings.warn(
+                f"reset has no option {name!r}; valid: {', '.join(valid) or 'none'}",
+                UserWarning,
+                stacklevel=3,
+            )
+
+
+def mask_of(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_] | None:
+    """Which receivers are to begin anew.
+
+    Parameters
+    ----------
+    options : mapping, optional
+        Of the user.
+    receivers : int
+        B.
+
+    Returns
+    -------
+    ndarray or None
+        (B,) bool, a copy; None for all of them.
+
+    Raises
+    ------
+    TypeError
+        When the mask is no array of bool.
+    ValueError
+        When its shape is another, or nothing in it is True.
+    """
+    if options is None or RESET_MASK not in options:
+        return None
+    mask = options[RESET_MASK]
+    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+        said = f"dtype {mask.dtype}" if isinstance(mask, np.ndarray) else repr(mask)
+        raise TypeError(f"`options['{RESET_MASK}']` must be an array of dtype bool, got {said}")
+    if mask.shape != (receivers,):
+        raise ValueError(
+            f"`options['{RESET_MASK}']` must have shape ({receivers},), got {mask.shape}"
+        )
+    if not mask.any():
+        raise ValueError(f"`options['{RESET_MASK}']` must be True for at least one receiver")
+    return mask.copy()
+
+
+def seeds_of(seed: Any, receivers: int) -> list[int | None]:
+    """Seed of every receiver.
+
+    Parameters
+    ----------
+    seed : int, sequence of int or None
+        Of the user; receiver i gets ``seed + i``, or its element.
+    receivers : int
+        B.
+
+    Returns
+    -------
+    list
+        None where the stream of the receiver goes on.
+
+    Raises
+    ------
+    ValueError
+        When there are not as many.
+    """
+    if seed is None:
+        return [None] * receivers
+    if isinstance(seed, int | np.integer):
+        return [int(seed) + i for i in range(receivers)]
+    seeds = list(seed)
+    if len(seeds) != receivers:
+        raise ValueError(f"`seed` must have {receivers} elements, got {len(seeds)}")
+    return seeds
+
+
+def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:
+    """Circumstances of some receivers, of those told of all.
+
+    Parameters
+    ----------
+    given : mapping
+        Each one value, or one for every receiver.
+    rows : ndarray
+        Which receivers.
+    count : int
+        Number of all.
+
+    Returns
+    -------
+    dict
+        Each one value, or one for every row.
+
+    Raises
+    ------
+    ValueError
+        When there are as many values of something as of neither.
+    """
+    chosen = {}
+    for name, value in given.items():
+        if isinstance(value, str) or np.ndim(value) == 0:
+            chosen[name] = value
+            continue
+        values = list(value)
+        if len(values) != count:
+            raise ValueError(f"`{name}` must be one value or {count} of them, got {len(values)}")
+        chosen[name] = [values[row] for row in rows]
+    return chosen

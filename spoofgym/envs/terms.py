@@ -1,0 +1,192 @@
+"""Terms of observation, action, reward and end, by name, as settings or as objects."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePath
+from typing import Any
+
+from .._describe import describe
+from .._registry import build, check_choice
+from .actions import ACTION_TERMS, ActionTerm
+from .ends import END_TERMS, EndTerm
+from .observations import OBSERVATION_TERMS, ObservationTerm
+from .rewards import REWARD_TERMS, RewardTerm
+
+TERMS: dict[str, dict[str, type[Any]]] = {
+    "observation": OBSERVATION_TERMS,
+    "action": ACTION_TERMS,
+    "reward": REWARD_TERMS,
+    "end": END_TERMS,
+}
+"""Terms by kind and name."""
+_MEMBERS = {
+    "observation": ("knowledge", "names", "bounds"),
+    "action": ("names", "matrix"),
+    "reward": ("name", "__call__"),
+    "end": ("name", "truncates", "__call__"),
+}
+_Name = str | Mapping[str, Any]
+ObservationSpec = _Name | PurePath | ObservationTerm | Sequence[_Name | ObservationTerm]
+ActionSpec = _Name | PurePath | ActionTerm | Sequence[_Name | ActionTerm]
+RewardSpec = _Name | PurePath | RewardTerm | Sequence[_Name | RewardTerm]
+EndSpec = _Name | PurePath | EndTerm | Sequence[_Name | EndTerm]
+SUFFIXES = (".json", ".toml")
+
+
+class _Nothing:
+    """No term is of this class, so that `build` makes all of them from names and settings."""
+
+
+def make_terms(kind: str, spec: Any) -> tuple[Any, ...]:
+    """Terms of one kind.
+
+    Parameters
+    ----------
+    kind : {"observation", "action", "reward", "end"}
+        The kind.
+    spec : str, mapping, term, path or sequence of them
+        A name in `TERMS`; ``{"name": ..., "setting": value, ...}``; an object; a list of these; or
+        the path of a JSON or TOML file, whose key `kind` holds such a list.
+
+    Returns
+    -------
+    tuple
+        Terms, in the order given.
+
+    Raises
+    ------
+    ValueError
+        When a kind, a name or a setting is unknown; the valid ones are listed.
+    TypeError
+        When something is no term of this kind.
+
+    Examples
+    --------
+    >>> make_terms("end", ["at-alarm", {"name": "at-displacement", "limit_m": 50.0}])
+    (AtAlarm(), AtDisplacement(limit_m=50.0))
+    """
+    check_choice("kind of terms", kind, TERMS)
+    if isinstance(spec, PurePath) or (isinstance(spec, str) and spec.endswith(SUFFIXES)):
+        spec = _read(kind, Path(spec))
+    if isinstance(spec, list | tuple):
+        return tuple(_make(kind, each) for each in spec)
+    return (_make(kind, spec),)
+
+
+def _make(kind: str, spec: Any) -> Any:
+    """One term."""
+    if isinstance(spec, str | Mapping):
+        return build(f"{kind} term", TERMS[kind], _Nothing, _with_tuples(spec))
+    lacking = [name for name in _MEMBERS[kind] if not hasattr(spec, name)]
+    if isinstance(spec, type) or lacking:
+        why = "it is a class" if isinstance(spec, type) else f"it has no {', '.join(lacking)}"
+        raise TypeError(
+            f"a term of kind {kind!r} is a name ({', '.join(sorted(TERMS[kind]))}), a dict with a "
+            f"`name`, or an object; got {spec!r}: {why}"
+        )
+    return spec
+
+
+def _with_tuples(spec: Any) -> Any:
+    """Settings with tuples for lists, since terms are frozen."""
+    if not isinstance(spec, Mapping):
+        return spec
+    return {key: tuple(v) if isinstance(v, list) else v for key, v in spec.items()}
+
+
+def _read(kind: str, path: Path) -> Any:
+    """List of one kind in a file."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except FileNotFoundError:
+        raise ValueError(f"there is no file {str(path)!r} with {kind} terms") from None
+    except ValueError as error:
+        raise ValueError(f"{str(path)!r} can't be read: {error}") from error
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{str(path)!r} must hold lists by kind; valid: {', '.join(TERMS)}")
+    for key in content:
+        check_choice(f"kind of terms in {str(path)!r}:", key, TERMS)
+    if kind not in content:
+        raise ValueError(
+            f"{str(path)!r} has no {kind!r}; it has: {', '.join(content) or 'nothing'}"
+        )
+    return content[kind]
+
+
+def written(kind: str, terms: Any) -> list[dict[str, Any]]:
+    """Terms as `make_terms` takes them, JSON-able.
+
+    Parameters
+    ----------
+    kind : {"observation", "action", "reward", "end"}
+        The kind.
+    terms : str, mapping, term, path or sequence of them
+        As `make_terms` takes them.
+
+    Returns
+    -------
+    list of dict
+        A name and all settings of each.
+
+    Raises
+    ------
+    TypeError
+        When a term is not in `TERMS`.
+
+    Examples
+    --------
+    >>> written("end", "at-alarm")
+    [{'name': 'at-alarm'}]
+    """
+    names = {made: name for name, made in TERMS[kind].items()} if kind in TERMS else {}
+    result = []
+    for term in make_terms(kind, terms):
+        if type(term) not in names:
+            raise TypeError(
+                f"{type(term).__qualname__} has no name among the {kind} terms; add it to "
+                f"spoofgym.envs.terms.TERMS[{kind!r}] under one"
+            )
+        settings = {f.name: describe(getattr(term, f.name)) for f in dataclasses.fields(term)}
+        result.append({"name": names[type(term)], **settings})
+    return result
+
+
+def term_table(kind: str) -> str:
+    """Markdown table of the terms of a kind.
+
+    Parameters
+    ----------
+    kind : {"observation", "action", "reward", "end"}
+        The kind.
+
+    Returns
+    -------
+    str
+        Lines, without a last line break.
+    """
+    check_choice("kind of terms", kind, TERMS)
+    seen = kind == "observation"
+    rows = [["name", "settings", *(["knowledge"] if seen else []), "what it is"]]
+    rows.append(["---"] * len(rows[0]))
+    for name, made in TERMS[kind].items():
+        rows.append(
+            [
+                f"`{name}`",
+                ", ".join(_setting(field) for field in dataclasses.fields(made)) or "none",
+                *([made.knowledge] if seen else []),
+                " ".join((made.__doc__ or "").split("\n\n")[0].split()),
+            ]
+        )
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _setting(field: dataclasses.Field[Any]) -> str:
+    """Name of a setting, with its default."""
+    if field.default is dataclasses.MISSING:
+        return f"`{field.name}`"
+    return f"`{field.name}={field.default!r}`"

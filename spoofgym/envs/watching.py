@@ -1,0 +1,105 @@
+"""What the watching detectors of a game tell in ``info``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .engine import Engine
+from .witness import Watch, Witness
+
+
+def needed(terms: Iterable[Any]) -> list[Witness]:
+    """Witnesses that terms rely on.
+
+    Parameters
+    ----------
+    terms : iterable
+        Of any kind; the attribute `needs` of one, if there is such, lists classes of witnesses.
+
+    Returns
+    -------
+    list of Witness
+        One of each class, in the order in which they are named.
+    """
+    kinds = dict.fromkeys(kind for term in terms for kind in getattr(term, "needs", ()))
+    return [kind() for kind in kinds]
+
+
+class WatchBooks:
+    """Alarms and statistics of the detectors that watch.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of the detectors, as `Watch` has them.
+    receivers : int
+        B.
+
+    Attributes
+    ----------
+    begin_names, step_names : tuple of str
+        Keys in the information at the begin of an episode, and of a step.
+    """
+
+    def __init__(self, names: tuple[str, ...], receivers: int) -> None:
+        self.begin_names = tuple(f"watch_{name}_warmup_alarm" for name in names)
+        self._alarm_names = tuple(f"watch_{name}_alarm" for name in names)
+        self._ratio_names = tuple(f"watch_{name}_ratio" for name in names)
+        self.step_names = (*self.begin_names, *self._alarm_names, *self._ratio_names)
+        self._warmup_alarm = np.zeros((receivers, len(names)), dtype=np.bool_)
+
+    def reset(self, rows: NDArray[np.intp], engine: Engine) -> None:
+        """Take down the alarms of the warm-up.
+
+        Parameters
+        ----------
+        rows : ndarray
+            Which receivers have begun anew.
+        engine : Engine
+            The receivers.
+        """
+        alarmed = engine.batch.witness(Watch).memory["alarmed"]
+        self._warmup_alarm[rows] = alarmed[rows]
+
+    @staticmethod
+    def forget(engine: Engine) -> None:
+        """Begin to count the alarms of a step.
+
+        Parameters
+        ----------
+        engine : Engine
+            The receivers.
+        """
+        engine.batch.witness(Watch).memory["alarmed"][:] = False
+
+    def begin_info(self) -> dict[str, NDArray[Any]]:
+        """Information at the begin of an episode.
+
+        Returns
+        -------
+        dict
+            (B,) bool of each detector.
+        """
+        return {name: self._warmup_alarm[:, k].copy() for k, name in enumerate(self.begin_names)}
+
+    def step_info(self, engine: Engine) -> dict[str, NDArray[Any]]:
+        """Information of a step, the time to alert included.
+
+        Parameters
+        ----------
+        engine : Engine
+            The receivers.
+
+        Returns
+        -------
+        dict
+            (B,) arrays of each detector.
+        """
+        memory = engine.batch.witness(Watch).memory
+        alarms = {name: memory["alarmed"][:, k].copy() for k, name in enumerate(self._alarm_names)}
+        ratios = {name: memory["ratio"][:, k].copy() for k, name in enumerate(self._ratio_names)}
+        return {**self.begin_info(), **alarms, **ratios}

@@ -1,0 +1,172 @@
+"""Witnesses: what looks at every epoch that is judged, and changes nothing.
+
+They live in the batches of the engine, so that they see the warm-up and the time to alert, too, and
+go with their receivers when these are moved from one batch to another.
+"""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._memory import Memory
+from ..detectors import DETECTORS, Detector
+
+if TYPE_CHECKING:
+    from .engine import Batch
+
+FloatArray = NDArray[np.float64]
+
+
+class Witness(ABC):
+    """What looks at the epochs of a batch.
+
+    Attributes
+    ----------
+    memory : Memory
+        All that it remembers of every receiver.
+    """
+
+    memory: Memory
+
+    @abstractmethod
+    def bind(self, batch: Batch) -> None:
+        """Prepare for a batch.
+
+        Parameters
+        ----------
+        batch : Batch
+            Sizes, and its setup.
+        """
+
+    @abstractmethod
+    def see(self, batch: Batch) -> None:
+        """Look at an epoch between the verdict and the update.
+
+        Parameters
+        ----------
+        batch : Batch
+            With epoch and verdict.
+        """
+
+    def begin(self) -> None:
+        """Begin new episodes in all receivers."""
+        self.memory.reset()
+
+    def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
+        """Take over receivers of another batch.
+
+        Parameters
+        ----------
+        to : ndarray
+            Rows that are overwritten.
+        other : Witness
+            Of the same kind and settings.
+        rows : ndarray
+            As many rows of the other.
+        """
+        self.memory.copy_rows(to, other.memory, rows)
+
+
+class Watch(Witness):
+    """Detectors that run on the epochs beside the one in the loop; their weights are not used.
+
+    Parameters
+    ----------
+    detectors : sequence of Detector
+        Copied for every batch.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Name of each in ``info``: that of its class in `DETECTORS`, numbered where it is not alone.
+    memory : Memory
+        ``alarmed`` (B, w) bool, whether each has alarmed since it was last set to False; ``ratio``
+        (B, w) largest statistic over threshold at the last epoch.
+    """
+
+    def __init__(self, detectors: Sequence[Detector]) -> None:
+        self.detectors = [copy.deepcopy(detector) for detector in detectors]
+        self.names = names_of(self.detectors)
+
+    def bind(self, batch: Batch) -> None:
+        """Prepare for a batch.
+
+        Parameters
+        ----------
+        batch : Batch
+            Sizes, and its setup.
+
+        Raises
+        ------
+        ValueError
+            When a detector can't alarm within an episode.
+        """
+        for detector in self.detectors:
+            batch.bind_detector(detector)
+        count = len(self.detectors)
+        self.memory = Memory(batch.receivers)
+        self.memory.declare("alarmed", np.zeros((batch.receivers, count), dtype=np.bool_))
+        self.memory.declare("ratio", np.zeros((batch.receivers, count)))
+
+    def begin(self) -> None:
+        """Begin new episodes in all receivers."""
+        super().begin()
+        for detector in self.detectors:
+            detector.reset()
+
+    def see(self, batch: Batch) -> None:
+        """Let every detector judge the epoch.
+
+        Parameters
+        ----------
+        batch : Batch
+            With the epoch.
+        """
+        alarmed, ratio = self.memory["alarmed"], self.memory["ratio"]
+        for k, detector in enumerate(self.detectors):
+            verdict = detector.judge(batch.epoch)
+            alarmed[:, k] |= verdict.alarm.any(axis=1)
+            ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
+
+    def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
+        """Take over receivers of another batch.
+
+        Parameters
+        ----------
+        to : ndarray
+            Rows that are overwritten.
+        other : Watch
+            Of the same detectors.
+        rows : ndarray
+            As many rows of the other.
+        """
+        super().copy_rows(to, other, rows)
+        for mine, theirs in zip(self.detectors, other.detectors, strict=True):
+            mine.memory.copy_rows(to, theirs.memory, rows)
+
+
+def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
+    """Names of detectors, with underscores.
+
+    Parameters
+    ----------
+    detectors : sequence of Detector
+        Some may be of the same class.
+
+    Returns
+    -------
+    tuple of str
+        Those of `DETECTORS`, or of their classes; the second of a name ends with ``_2``.
+    """
+    known = {kind: name for name, kind in DETECTORS.items()}
+    words = [known.get(type(d), type(d).__name__).replace("-", "_").lower() for d in detectors]
+    before = [words[:k].count(word) for k, word in enumerate(words)]
+    return tuple(
+        f"{word}_{count + 1}" if count else word for word, count in zip(words, before, strict=True)
+    )

@@ -1,0 +1,142 @@
+"""Wrappers of the vector environment, around what `gymnasium.make_vec` returns.
+
+`gymnasium.make_vec` takes no ``wrappers=`` where an environment has a vector form of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import VectorEnv, VectorWrapper
+from numpy.typing import NDArray
+
+from ...detectors import Detector
+from ..compose import compose, composed
+from ..ends import AtStealthBudget
+from ..presets import WatchSpec
+from ..recorder import EpochRecorder
+from ..resets import mask_of
+
+Array = NDArray[Any]
+Envs = VectorEnv[Array, Array, Array]
+
+
+class DetectorWrapper(VectorWrapper[Array, Array, Array]):
+    """Sets the detector in the loop, as the argument ``detector=`` does.
+
+    Parameters
+    ----------
+    env : VectorEnv
+        A `SpoofVectorEnv`, wrapped or not, without a detector of its own, and not reset yet.
+    detector : str, mapping or Detector
+        As `make_detector` takes it.
+    """
+
+    def __init__(self, env: Envs, detector: str | Mapping[str, Any] | Detector) -> None:
+        super().__init__(env)
+        compose(env, detector=detector)
+
+
+class WatchWrapper(VectorWrapper[Array, Array, Array]):
+    """Adds detectors that watch, as the argument ``watch=`` does.
+
+    Parameters
+    ----------
+    env : VectorEnv
+        A `SpoofVectorEnv`, wrapped or not, and not reset yet.
+    watch : sequence of str, mapping or Detector
+        Each as `make_detector` takes it.  Their weights are not used.
+    """
+
+    def __init__(self, env: Envs, watch: WatchSpec) -> None:
+        super().__init__(env)
+        compose(env, watch=watch)
+
+
+class StealthBudget(VectorWrapper[Array, Array, Array]):
+    """Ends an episode where the attack has spent its divergence; the end term `AtStealthBudget`.
+
+    Parameters
+    ----------
+    env : VectorEnv
+        A `SpoofVectorEnv`, wrapped or not, and not reset yet.
+    budget_nats : float
+        Largest divergence, by the belief of the victim's filter.
+    """
+
+    def __init__(self, env: Envs, budget_nats: float) -> None:
+        super().__init__(env)
+        compose(env, end=AtStealthBudget(budget_nats))
+
+
+class RecordEpochs(VectorWrapper[Array, Array, Array]):
+    """Writes every epoch of the commands into Parquet files, one an episode of a receiver.
+
+    Parameters
+    ----------
+    env : VectorEnv
+        A `SpoofVectorEnv`, wrapped or not.
+    folder : str or Path
+        Where the files go.
+    """
+
+    def __init__(self, env: Envs, folder: str | Path) -> None:
+        super().__init__(env)
+        self.recorder = EpochRecorder(folder, env.num_envs)
+        composed(env).game.listeners.append(self.recorder)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array, dict[str, Any]]:
+        """Begin episodes; those that are not over are written as they are.
+
+        Parameters
+        ----------
+        seed, options : optional
+            As the environment takes them.
+
+        Returns
+        -------
+        observation, info
+            Of the environment.
+        """
+        mask = mask_of(options, self.num_envs)
+        rows = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
+        self.recorder.finish(rows, complete=False)
+        return super().reset(seed=seed, options=options)  # type: ignore[arg-type]
+
+    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        """Give one command to every receiver; write the episodes that are over.
+
+        Parameters
+        ----------
+        actions : ndarray
+            As the environment takes them.
+
+        Returns
+        -------
+        observation, reward, terminated, truncated, info
+            Of the environment.
+        """
+        result = super().step(actions)
+        over = result[2] | result[3]
+        if over.any():
+            self.recorder.finish(np.flatnonzero(over), complete=True)
+        return result
+
+    def close(self, **kwargs: Any) -> None:
+        """Write episodes that are not over, and close the environment.
+
+        Parameters
+        ----------
+        **kwargs
+            As the environment takes them.
+        """
+        self.recorder.finish(np.arange(self.num_envs), complete=False)
+        super().close(**kwargs)

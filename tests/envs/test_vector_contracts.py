@@ -1,0 +1,221 @@
+"""Gymnasium's contracts of vector environments, over every id and every autoreset mode."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from .test_small_envs import SMALL, Sooner, short
+
+MAIN = "spoofgym/TightlyCoupled-v0"
+MODES = ("next_step", "same_step", "disabled")
+COUNT = 3
+
+
+def settings(name, **kwargs):
+    """Episodes of 24 commands, some of which end early, and at different times."""
+    if name == MAIN:
+        kwargs["timeline"] = {"warmup_s": 5, "live_s": 5, "attack_s": 12, "time_to_alert_s": 2}
+    else:
+        kwargs = short(name, **kwargs)
+    return {"detector": Sooner(), "knowledge": "blind", **kwargs}
+
+
+def make(name, mode="next_step", **kwargs):
+    return gym.make_vec(name, num_envs=COUNT, autoreset_mode=mode, **settings(name, **kwargs))
+
+
+@pytest.fixture(params=[MAIN, *SMALL])
+def name(request):
+    return request.param
+
+
+def actions(envs, rng):
+    return rng.uniform(-0.2, 0.2, envs.action_space.shape).astype(np.float32)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_spaces_flags_and_masks(name, mode):
+    envs = make(name, mode)
+    assert envs.metadata["autoreset_mode"] == AutoresetMode[mode.upper()]
+    observation, info = envs.reset(seed=4)
+    rng = np.random.default_rng(0)
+    ended = np.zeros(COUNT, dtype=int)
+    held = []
+    for _ in range(60):
+        held.append((observation, observation.copy()))
+        assert envs.observation_space.contains(observation)
+        assert observation.dtype == np.float32
+        for key, value in info.items():
+            if not key.startswith("_") and key != "final_info":
+                assert value.shape[0] == COUNT, key
+                assert info[f"_{key}"].dtype == bool
+                assert info[f"_{key}"].shape == (COUNT,)
+        observation, reward, terminated, truncated, info = envs.step(actions(envs, rng))
+        assert reward.shape == terminated.shape == truncated.shape == (COUNT,)
+        assert (reward.dtype, terminated.dtype, truncated.dtype) == (float, bool, bool)
+        over = terminated | truncated
+        ended += over
+        if mode == "disabled" and over.any():
+            observation, info = envs.reset(options={"reset_mask": over})
+            np.testing.assert_array_equal(info["_time_s"], over)
+    assert ended.min() >= 2
+    for given, kept in held:  # nothing that was handed out is written again
+        np.testing.assert_array_equal(given, kept)
+
+
+def test_a_seed_is_that_of_every_receiver(name):
+    envs = make(name)
+    first, _ = envs.reset(seed=11)
+    listed, _ = envs.reset(seed=[11, 12, 13])
+    np.testing.assert_array_equal(first, listed)
+    envs.reset(seed=11)
+    onwards = envs.reset()[1]
+    again = envs.reset(seed=11)[1]
+    assert set(onwards) == set(again)
+    with pytest.raises(ValueError, match="must have 3 elements, got 2"):
+        envs.reset(seed=[1, 2])
+
+
+def run(name, mode, steps=56):
+    """Transitions of receivers one by one, without those that only begin an episode."""
+    envs = make(name, mode)
+    observation, _ = envs.reset(seed=2)
+    rows = [[] for _ in range(COUNT)]
+    over = np.zeros(COUNT, dtype=bool)
+    while min(map(len, rows)) < steps:
+        # an action that depends on receiver and number of its transition alone
+        given = np.stack(
+            [np.full(envs.single_action_space.shape, 0.2 * np.sin(len(r) + i))
+             for i, r in enumerate(rows)]
+        )  # fmt: skip
+        before = over
+        observation, reward, terminated, truncated, info = envs.step(given)
+        over = terminated | truncated
+        for i in range(COUNT):
+            if mode == "next_step" and before[i]:
+                assert reward[i] == 0.0
+                assert not over[i]
+                continue
+            final = info["final_obs"][i] if mode == "same_step" and over[i] else observation[i]
+            rows[i].append((final.tobytes(), reward[i], over[i]))
+        if mode == "disabled" and over.any():
+            observation, _ = envs.reset(options={"reset_mask": over})
+            over = np.zeros(COUNT, dtype=bool)
+    return [row[:steps] for row in rows]
+
+
+def test_the_modes_play_the_same_episodes(name):
+    """Bit for bit: they differ in when an episode is begun, and in nothing else."""
+    played = {mode: run(name, mode) for mode in MODES}
+    assert any(end for row in played["disabled"] for *_, end in row)
+    assert played["next_step"] == played["same_step"] == played["disabled"]
+
+
+def test_final_observation_and_information(name):
+    envs = make(name, "same_step")
+    envs.reset(seed=2)
+    rng = np.random.default_rng(1)
+    while True:
+        *_, terminated, _, info = envs.step(actions(envs, rng))
+        assert ("final_obs" in info) == terminated.any()
+        if terminated.any():
+            break
+    np.testing.assert_array_equal(info["_final_obs"], terminated)
+    np.testing.assert_array_equal(info["_final_info"], terminated)
+    final = info["final_info"]
+    np.testing.assert_array_equal(final["_alarm"], terminated)
+    for i in range(COUNT):
+        if terminated[i]:
+            assert envs.single_observation_space.contains(info["final_obs"][i])
+            assert final["time_s"][i] > info["time_s"][i]
+        else:
+            assert info["final_obs"][i] is None
+
+
+def test_a_finished_receiver_must_be_reset(name):
+    envs = make(name, "disabled")
+    with pytest.raises(RuntimeError, match="call reset"):
+        envs.step(np.zeros(envs.action_space.shape))
+    envs.reset(seed=0)
+    terminated = np.zeros(COUNT, dtype=bool)
+    while not terminated.any():
+        *_, terminated, _, _ = envs.step(np.zeros(envs.action_space.shape))
+    which = ", ".join(map(str, np.flatnonzero(terminated)))
+    with pytest.raises(RuntimeError, match=rf"receivers {which} are over: call reset"):
+        envs.step(np.zeros(envs.action_space.shape))
+
+
+@pytest.mark.parametrize(
+    ("mask", "error", "message"),
+    [
+        ([True, False, False], TypeError, "must be an array of dtype bool"),
+        (np.array([1, 0, 0]), TypeError, "got dtype int64"),
+        (np.array([True, False]), ValueError, r"must have shape \(3,\), got \(2,\)"),
+        (np.zeros(3, dtype=bool), ValueError, "True for at least one"),
+    ],
+)
+def test_a_wrong_mask_is_refused(mask, error, message):
+    envs = make("spoofgym/Snapshot-v0", "disabled")
+    envs.reset(seed=0)
+    with pytest.raises(error, match=message):
+        envs.reset(options={"reset_mask": mask})
+
+
+def test_a_part_of_the_receivers_can_be_seeded():
+    envs = make("spoofgym/Snapshot-v0", "disabled")
+    with pytest.raises(ValueError, match="first reset must be that of all"):
+        envs.reset(options={"reset_mask": np.array([True, False, False])})
+    envs.reset(seed=5)
+    zeros = np.zeros(envs.action_space.shape)
+    envs.step(zeros)
+    first, *_ = envs.step(zeros)
+    options = {"reset_mask": np.array([False, True, False])}
+    mixed, info = envs.reset(seed=100, options=options)
+    assert "reset_mask" in options  # the user's own dictionary is left alone
+    np.testing.assert_array_equal(mixed[[0, 2]], first[[0, 2]])
+    np.testing.assert_array_equal(mixed[1], envs.reset(seed=100)[0][1])
+    assert info["_time_s"].tolist() == [False, True, False]
+
+
+def test_unknown_options_are_warned_of(name):
+    envs, env = make(name), gym.make(name, **settings(name))
+    with pytest.warns(UserWarning, match=r"no option 'speed'; valid: domain, reset_mask"):
+        envs.reset(seed=0, options={"speed": 2})
+    with pytest.warns(UserWarning, match=r"no option 'speed'; valid: domain"):
+        env.reset(seed=0, options={"speed": 2})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        envs.reset(seed=0, options={})
+        env.reset(seed=0, options=None)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_only_the_information_that_was_asked_for(name, mode):
+    every = make(name, mode)
+    every.reset(seed=3)
+    info = every.step(np.zeros(every.action_space.shape))[4]
+    assert set(every.game.info_names) == {key for key in info if not key.startswith("_")}
+    for asked, names in (("none", set()), (("alarm", "time_s"), {"alarm", "time_s"})):
+        envs = make(name, mode, infos=asked)
+        begun = envs.reset(seed=3)[1]
+        assert {key for key in begun if not key.startswith("_")} <= names
+        over = np.zeros(COUNT, dtype=bool)
+        while not over.any():
+            *_, terminated, _, info = envs.step(np.zeros(envs.action_space.shape))
+            over = terminated
+            told = {key for key in info if not key.startswith("_")}
+            assert told - {"final_obs", "final_info"} == names
+        if mode == "same_step":
+            assert {key for key in info["final_info"] if not key.startswith("_")} == names
+
+
+def test_unknown_information_is_refused(name):
+    with pytest.raises(ValueError, match=r"unknown info 'alarms'; valid: alarm.*did you mean"):
+        make(name, infos=("alarms",))
+    with pytest.raises(ValueError, match="unknown choice of infos 'some'; valid: all, none"):
+        make(name, infos="some")

@@ -1,0 +1,234 @@
+"""Wrappers, single and vector: sugar for arguments, and a recorder of epochs."""
+
+from __future__ import annotations
+
+import json
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from spoofgym.detectors import Detector, Verdict
+from spoofgym.envs import wrappers
+from spoofgym.envs.recorder import EpochRecorder
+from spoofgym.envs.wrappers import vector as vector_wrappers
+
+from .support import ID, SHORT, single, vector
+
+
+def transitions(env, steps=36, seed=4):
+    """Observations, rewards and ends under commands that are the same for all."""
+    rng = np.random.default_rng(1)
+    shape = env.unwrapped.action_space.shape
+    result = [env.reset(seed=seed)[0]]
+    infos = []
+    for _ in range(steps):
+        observation, reward, terminated, truncated, info = env.step(
+            np.broadcast_to(rng.uniform(-0.2, 0.6, shape[-1:]), shape)
+        )
+        result += [observation, reward, terminated]
+        infos.append(info)
+        if isinstance(env, gym.Env) and (terminated or truncated):
+            result.append(env.reset()[0])
+    return result, infos
+
+
+def assert_same(mine, theirs):
+    for a, b in zip(mine, theirs, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+MAKERS = [
+    pytest.param(single, wrappers, id="single"),
+    pytest.param(lambda **kwargs: vector(2, **kwargs), vector_wrappers, id="vector"),
+]
+
+
+@pytest.mark.parametrize(("make", "module"), MAKERS)
+def test_a_wrapper_is_the_same_as_its_argument(make, module):
+    detector = {"name": "cusum"}
+    budget = {"name": "at-stealth-budget", "budget_nats": 3.0}
+    wrapped = module.DetectorWrapper(make(knowledge="oracle"), detector)
+    wrapped = module.WatchWrapper(wrapped, ["snapshot-chi2"])
+    wrapped = module.StealthBudget(wrapped, 3.0)
+    given = make(
+        knowledge="oracle", detector=detector, watch="snapshot-chi2", end=["at-alarm", budget]
+    )
+    assert wrapped.unwrapped.observation_names == given.unwrapped.observation_names
+    assert wrapped.observation_space == given.observation_space
+    mine, theirs = transitions(wrapped), transitions(given)
+    assert_same(mine[0], theirs[0])
+    assert set(mine[1][0]) == set(theirs[1][0])
+
+
+@pytest.mark.parametrize(("make", "module"), MAKERS)
+def test_two_detectors_are_refused_with_both_names(make, module):
+    with pytest.raises(ValueError, match="'ewma' and 'cusum'"):
+        module.DetectorWrapper(make(detector="ewma"), "cusum")
+    once = module.DetectorWrapper(make(), "ewma")
+    with pytest.raises(ValueError, match=r"two detectors are set at once: 'ewma' and \{'name'"):
+        module.DetectorWrapper(once, {"name": "cusum"})
+
+
+@pytest.mark.parametrize(("make", "module"), MAKERS)
+def test_a_game_that_has_begun_is_left_alone(make, module):
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(RuntimeError, match="before reset"):
+        module.WatchWrapper(env, ["cusum"])
+
+
+def test_other_environments_are_refused():
+    with pytest.raises(TypeError, match="needs a SpoofEnv"):
+        wrappers.WatchWrapper(gym.make("spoofgym/Snapshot-v0"), ["cusum"])
+
+
+def test_make_vec_refuses_wrappers_where_there_is_a_vector_form():
+    """Hence the twins; the page on terms says so."""
+    with pytest.raises(gym.error.Error, match="vector_entry_point"):
+        gym.make_vec(ID, num_envs=2, timeline=SHORT, wrappers=[wrappers.StealthBudget])
+
+
+def test_the_spec_of_a_wrapped_environment_makes_it_again():
+    env = wrappers.StealthBudget(wrappers.DetectorWrapper(single(), "snapshot-chi2"), 3.0)
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert type(again.unwrapped.game.setup.detector).__name__ == "SnapshotChi2"
+    assert_same(transitions(env)[0], transitions(again)[0])
+
+
+class Nervous(Detector):
+    """Alarms at about every eightieth epoch, by the last digits of an innovation."""
+
+    paper = "groves2013"
+
+    def bind(self, context):
+        super().bind(context)
+
+    def judge(self, epoch):
+        statistic = np.abs(epoch.innovation[:, :1]) * 1e4 % 1.0
+        threshold = np.full_like(statistic, 79 / 80)
+        return Verdict(statistic, threshold, statistic > threshold)
+
+
+@pytest.mark.parametrize("prefetch", [False, True])
+def test_detectors_that_watch_change_nothing_and_see_everything(prefetch):
+    """Warm-up, commands and time to alert, over episodes that end by themselves."""
+    kwargs = {"end": ["at-window-end"], "timeline": {**SHORT, "warmup_s": 40.0, "live_s": 40.0}}
+    loud = Nervous()
+    alone = vector(3, detector=loud, prefetch=prefetch, **kwargs)
+    watched = vector(3, detector=loud, watch=[loud, "ewma", "ewma"], prefetch=prefetch, **kwargs)
+    assert [name for name in watched.game.info_names if name.endswith("_ratio")] == [
+        "watch_nervous_ratio",
+        "watch_ewma_ratio",
+        "watch_ewma_2_ratio",
+    ]
+    mine, theirs = transitions(alone, 70), transitions(watched, 70)
+    assert_same(mine[0], theirs[0])
+    warmup, alarmed = [], []
+    for info in theirs[1]:
+        watching = info["watch_nervous_warmup_alarm"]
+        np.testing.assert_array_equal(watching, info["warmup_alarm"])
+        warmup.append(info["warmup_alarm"])
+        if "alarm" not in info:  # all begin anew
+            continue
+        here = info["_alarm"]
+        seen = info["watch_nervous_alarm"][here]
+        # the time to alert is only run by those without an alarm before
+        np.testing.assert_array_equal(seen, info["alarm"][here])
+        alarmed += seen.tolist()
+    for found in (np.array(warmup), np.array(alarmed)):
+        assert found.any()
+        assert not found.all()
+
+
+def test_weights_of_a_detector_that_watches_are_not_used():
+    plain, watched = vector(2, detector="never"), vector(2, detector="never", watch="ewma")
+    assert_same(transitions(plain)[0], transitions(watched)[0])
+    ratio = [info["watch_ewma_ratio"] for info in transitions(watched, 20)[1]]
+    assert np.array(ratio).max() > 0.0
+
+
+def test_a_watching_detector_that_can_never_alarm_is_refused():
+    with pytest.raises(ValueError, match="can't alarm in its first"):
+        single(watch=[{"name": "windowed-chi2", "window": 5000}])
+
+
+def read(path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = parquet.read_table(path)
+    return table, json.loads(table.schema.metadata[b"spoofgym"])
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
+def test_every_epoch_of_every_episode_is_written(tmp_path, mode):
+    pytest.importorskip("pyarrow")
+    envs = vector_wrappers.RecordEpochs(vector(2, autoreset_mode=mode, detector="ewma"), tmp_path)
+    envs.reset(seed=3)
+    rows, lengths, over = [[], []], [[], []], np.zeros(2, dtype=bool)
+    while len(lengths[0]) < 2 or len(lengths[1]) < 2:
+        before = over
+        *_, terminated, truncated, info = envs.step([[0.0, 1.0], [0.0, 0.0]])
+        over = terminated | truncated
+        told = info
+        for i in range(2):
+            if mode == "next_step" and before[i]:
+                continue
+            if mode == "same_step" and over[i]:
+                told = info["final_info"]
+            rows[i].append(told["displacement_m"][i])
+            told = info
+            if over[i]:
+                lengths[i].append(len(rows[i]))
+        if mode == "disabled" and over.any():
+            envs.reset(options={"reset_mask": over})
+            over = np.zeros(2, dtype=bool)
+    envs.close()
+    for i in range(2):
+        found = []
+        for episode in range(2):
+            table, told = read(tmp_path / f"receiver-00{i}-episode-00000{episode}.parquet")
+            assert told["complete"]
+            assert (told["receiver"], told["episode"]) == (i, episode)
+            assert table["step"].to_pylist() == list(range(1, table.num_rows + 1))
+            found += table["displacement_m"].to_pylist()
+        assert found == rows[i][: lengths[i][1]]
+    names = set(table.column_names)
+    assert {"time_s", "innovation", "innovation_variance", "statistic", "alarm"} <= names
+    assert np.array(table["innovation"].to_pylist()).shape == (table.num_rows, 24)
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_later_run_counts_on_and_a_broken_episode_says_so(tmp_path):
+    pytest.importorskip("pyarrow")
+    for _ in range(2):
+        env = wrappers.RecordEpochs(single(), tmp_path)
+        env.reset(seed=1)
+        env.step([0.0, 0.1])
+        env.step([0.0, 0.1])
+        env.reset()
+        env.close()
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [f"receiver-000-episode-00000{k}.parquet" for k in range(2)]
+    table, told = read(tmp_path / names[1])
+    assert table.num_rows == 2
+    assert not told["complete"]
+    offsets = np.array(table["range_offset_m"].to_pylist())
+    assert offsets[1].any()
+
+
+def test_recording_without_its_package_says_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ImportError, match="extra `flights`"):
+        EpochRecorder(tmp_path, 1)
+
+
+def test_an_unfinished_wrapped_episode_survives_pickling(tmp_path):
+    pytest.importorskip("pyarrow")
+    env = wrappers.RecordEpochs(wrappers.WatchWrapper(single(), ["cusum"]), tmp_path)
+    env.reset(seed=1)
+    env.step([0.0, 0.1])
+    copy = pickle.loads(pickle.dumps(env))
+    mine, theirs = env.step([0.0, 0.2]), copy.step([0.0, 0.2])
+    np.testing.assert_array_equal(mine[0], theirs[0])
+    assert mine[1:] == theirs[1:]
