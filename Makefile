@@ -10,7 +10,7 @@ WORKERS ?= auto
 # What each target needs beside the library itself.
 extras_bench := flights,report
 extras_check := flights,report,dev
-extras_test  := flights,report,dev,train
+extras_test  := flights,report,video,dev,train
 extras_train := report,train
 
 .DEFAULT_GOAL := help

@@ -1,4 +1,4 @@
-"""The command line: ``spoofgym list | card | run | tune | bench | report | perf``.
+"""The command line: ``spoofgym list | card | run | render | tune | bench | report | perf``.
 
 Nothing that is slow to load is imported before a command needs it.
 """
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from datetime import date
 
     from .bench.campaign import Progress
+    from .bench.entries import Entry
     from .bench.real import RealInput
     from .bench.suite import Suite
     from .sim.scenario import Scenario
@@ -390,11 +391,7 @@ def run(
         spoofers=_specs([spoofer]),
         allow_oracles=allow_oracles,
     )
-    player = suite.spoofer_entries[-1]
-    if player.tuned:
-        raise ValueError(
-            f"`{player.tuned}` = tuned needs a search: take the value that `spoofgym tune` finds"
-        )
+    player = _untuned(suite)
     if not as_json:
         _print_lines(real)
     episode = play_episode(suite, suite.detector_entries[0], player, number)
@@ -407,6 +404,70 @@ def run(
         return
     rows = [(key, "-" if value is None else str(value)) for key, value in summary.items()]
     _print_table(f"{player.label} against {suite.detector_entries[0].label}", ("", ""), rows)
+
+
+@app.command()
+@clear_errors
+def render(
+    detector: Annotated[str, typer.Option(help=f"Detector. {SPEC_HELP}")] = "ewma",
+    spoofer: Annotated[
+        str, typer.Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")
+    ] = "ramp",
+    number: Annotated[
+        int, typer.Option("--run", min=0, help="Which of the benchmark's evaluation runs.")
+    ] = 0,
+    out: Annotated[
+        Path, typer.Option(help="File of the moving picture, .gif or .mp4 (needs FFmpeg).")
+    ] = Path("run.gif"),
+    fps: Annotated[
+        float, typer.Option(help="Frames a second; 2 is real time with epochs of 0.5 s.")
+    ] = 25.0,
+    every: Annotated[int, typer.Option(min=1, help="A frame for every so many epochs.")] = 1,
+    scenario: ScenarioOption = "zhong2025",
+    errors: ErrorsOption = None,
+    imu: ImuOption = None,
+    tuning: TuningOption = "paper",
+    attack: AttackOption = "false-position",
+    track: TrackOption = None,
+    ephemeris: EphemerisOption = None,
+    from_s: FromOption = None,
+    duration: DurationOption = None,
+    day: DateOption = None,
+    warmup_s: WarmupOption = 200.0,
+    live_s: LiveOption = 60.0,
+    attack_s: AttackTimeOption = 150.0,
+    time_to_alert_s: AlertOption = 10.0,
+    seed: SeedOption = 0,
+    allow_oracles: OraclesOption = False,
+) -> None:
+    """Draw one run of the benchmark as a moving picture: flight, satellites, statistic, error."""
+    from .bench.animate import frame_count, play_frames
+    from .envs.rendering import save_animation
+
+    world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
+    suite = _suite(
+        world,
+        real,
+        tuning,
+        attack,
+        (warmup_s, live_s, attack_s, time_to_alert_s),
+        seed,
+        detectors=_specs([detector]),
+        spoofers=_specs([spoofer]),
+        allow_oracles=allow_oracles,
+    )
+    judge, player = suite.detector_entries[0], _untuned(suite)
+    _print_lines(real)
+    with _progress(frame_count(suite, judge, every)) as told:
+
+        def frames() -> Iterator[Any]:
+            """Frames, counted."""
+            for frame in play_frames(suite, judge, player, number, every=every):
+                yield frame
+                told.advance(1.0, "drawing")
+
+        save_animation(frames(), out, fps)
+    typer.echo(f"written: {out}")
 
 
 @app.command()
@@ -757,6 +818,16 @@ def _suite(
         notes=() if real is None else real.lines,
         allow_oracles=allow_oracles,
     )
+
+
+def _untuned(suite: Suite) -> Entry:
+    """The suite's own spoofer, which has to know all its settings."""
+    player = suite.spoofer_entries[-1]
+    if player.tuned:
+        raise ValueError(
+            f"`{player.tuned}` = tuned needs a search: take the value that `spoofgym tune` finds"
+        )
+    return player
 
 
 def _print_lines(real: RealInput | None) -> None:

@@ -14,6 +14,8 @@ hypothesis.settings.register_profile("spoofgym", deadline=None, derandomize=True
 hypothesis.settings.load_profile("spoofgym")
 
 DATA_VARIABLE = "SPOOFGYM_DATA"
+# Before anything imports matplotlib: Gymnasium's checks open windows, and there may be no display.
+os.environ["MPLBACKEND"] = "module://tests.window"
 
 
 @pytest.fixture(scope="session")

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._pictures import BLUE, GREEN, GREY, ORANGE, figure_class, style
 from ..earth.frames import ecef_to_geodetic
 from ..envs.engine import Engine
 from .entries import Entry
 from .intervals import Interval, spoofing_intervals
 from .metrics import undetected_displacement
-from .panels import GREY
-from .picture import figure_class
 from .run import command, epochs_of, to_local
 from .suite import Suite, make_bound_spoofer
 
@@ -183,9 +182,6 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
     )
 
 
-ORANGE, BLUE, GREEN = "#D55E00", "#0072B2", "#009E73"
-
-
 def draw_episode(episode: Episode, path: Path) -> None:
     """Picture of an episode: the flight, the displacement, the statistic, the error.
 
@@ -199,9 +195,7 @@ def draw_episode(episode: Episode, path: Path) -> None:
     figure = figure_class()(figsize=(11.0, 8.2), layout="constrained")
     axes = figure.subplots(2, 2)
     for ax in axes.flat:
-        ax.spines[["top", "right"]].set_visible(False)
-        ax.grid(True, color="#dddddd", lw=0.6)
-        ax.set_axisbelow(True)
+        style(ax)
     _draw_flight(axes[0, 0], episode)
     _draw_displacement(axes[0, 1], episode)
     _draw_statistic(axes[1, 0], episode)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._pictures import COLOURS, GREY, style
 from .cells import Cell
 from .rivals import PROFILE, SCRIPTED
 from .summary import TABLE_LIMIT_M
@@ -15,19 +16,6 @@ from .tables import number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Okabe and Ito's colours, which colour-blind people tell apart, and two more
-COLOURS = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#E69F00",
-    "#56B4E9",
-    "#000000",
-    "#882255",
-    "#999933",
-)
-GREY = "#777777"
 SMALLEST_M = 0.05
 """Displacements below it lie on the edge of the picture."""
 
@@ -75,12 +63,6 @@ def looks(spoofers: list[dict[str, Any]]) -> dict[str, Look]:
     return found
 
 
-def _style(ax: Axes) -> None:
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(True, color="#dddddd", lw=0.6)
-    ax.set_axisbelow(True)
-
-
 def _log_metres(ax: Axes) -> None:
     """Vertical axis of displacements, by powers of ten in plain numbers."""
     from matplotlib.ticker import FuncFormatter, NullFormatter
@@ -103,7 +85,7 @@ def draw_means(ax: Axes, scores: dict[str, dict[str, Any]], look: dict[str, Look
     look : dict
         Of every spoofer.
     """
-    _style(ax)
+    style(ax)
     names = list(look)
     for row, name in enumerate(names):
         if name not in scores:
@@ -162,7 +144,7 @@ def draw_trade(
     look : dict
         Of every spoofer.
     """
-    _style(ax)
+    style(ax)
     clean = scores.get("none")
     if clean is not None:
         rate = clean["alarm_rate"]
@@ -221,7 +203,7 @@ def draw_exceedance(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> 
     look : dict
         Of every spoofer.
     """
-    _style(ax)
+    style(ax)
     ax.axvline(TABLE_LIMIT_M, color=GREY, lw=1, ls=":")
     ax.annotate(
         f"{TABLE_LIMIT_M:g} m",
@@ -257,7 +239,7 @@ def draw_course(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> None
     look : dict
         Of every spoofer.
     """
-    _style(ax)
+    style(ax)
     alpha = 0.15 if len(cells) <= 4 else 0.07
     for label, cell in cells.items():
         colour, dashes, width = look[label].colour, look[label].dashes, look[label].width

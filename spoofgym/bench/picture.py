@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._pictures import figure_class
 from .panels import Look, draw_course, draw_exceedance, draw_means, draw_trade, looks
 from .store import PICTURE, ResultsFolder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
 COLUMNS = 4
@@ -26,26 +26,6 @@ LABELS = (
     "distance from the clean twin [m]",
 )
 """Their vertical axes."""
-
-
-def figure_class() -> type[Figure]:
-    """Matplotlib's figure.
-
-    Returns
-    -------
-    type
-        `matplotlib.figure.Figure`.
-
-    Raises
-    ------
-    ImportError
-        When matplotlib is not installed; says how to install it.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError("pictures need matplotlib: pip install spoofgym[report]") from error
-    return Figure
 
 
 def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:

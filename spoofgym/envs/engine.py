@@ -485,7 +485,16 @@ def _warm_up(
     return alarmed
 
 
-def _serially(work: Callable[[int, int], None], receivers: int) -> None:
+def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
+    """Call ``work(lo, hi)`` once over all receivers.
+
+    Parameters
+    ----------
+    work : callable
+        What to call.
+    receivers : int
+        B.
+    """
     work(0, receivers)
 
 
@@ -493,7 +502,7 @@ def _warmed_up(
     setup: Setup, rngs: Sequence[np.random.Generator], between: Callable[[], None]
 ) -> tuple[Batch, NDArray[np.bool_]]:
     """Batch at the onset, by one thread."""
-    batch = Batch(setup, len(rngs), _serially)
+    batch = Batch(setup, len(rngs), run_serially)
     return batch, _warm_up(batch, rngs, between)
 
 
@@ -551,7 +560,7 @@ class Engine:
         self._everyone = np.arange(receivers)
         self._few: dict[int, Batch] = {}
         self._next = (
-            NextEpisodes(Batch(setup, STOCK * receivers, _serially), partial(_warmed_up, setup))
+            NextEpisodes(Batch(setup, STOCK * receivers, run_serially), partial(_warmed_up, setup))
             if prefetch
             else None
         )

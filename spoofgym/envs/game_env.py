@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .played import Played
+from .rendering import RENDER_MODES, Recorder, Screen
 from .resets import warn_unknown
 from .spaces import action_space, checked_action, observation_space
 
@@ -45,6 +46,13 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
     ----------
     game : Played
         Of one receiver, not begun yet.
+    render_mode : {"human", "rgb_array"}, optional
+        Whether a window shows the episode, or `render` returns pictures of it.
+
+    Raises
+    ------
+    ValueError
+        When there is no such render mode.
 
     Attributes
     ----------
@@ -54,10 +62,14 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         Name of every element.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 2}  # noqa: RUF012  (Gymnasium's)
+    metadata: dict[str, Any] = {  # noqa: RUF012  (Gymnasium's)
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 2,
+    }
 
-    def __init__(self, game: G) -> None:
-        self.render_mode = None
+    def __init__(self, game: G, render_mode: str | None = None) -> None:
+        self.render_mode = render_mode
+        self._screen: Screen | None = None
         self.adopt(game)
 
     def adopt(self, game: G) -> None:
@@ -68,7 +80,10 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         game : Played
             Instead of the present one, if there is one.
         """
+        if self._screen is not None:
+            self._screen.close()
         self.game = game
+        self._draw_with(self._recorder())
         self.observation_names, self.action_names = game.observation_names, game.action_names
         self.observation_space = observation_space(game)
         self.action_space = action_space(game)
@@ -103,7 +118,10 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         super().reset(seed=seed)
         self.game.reset([self.np_random], given=told_domain(options))
         self._begun = self._running = True
-        return self.game.observe()[0], _of_one(self.game.begin_info())
+        info = _of_one(self.game.begin_info())
+        if self._screen is not None:
+            self._screen.begin(info)
+        return self.game.observe()[0], info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Give one command, and run one epoch.
@@ -130,8 +148,53 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         turn = self.game.step(given[None])
         terminated, truncated = bool(turn.terminated[0]), bool(turn.truncated[0])
         self._running = not (terminated or truncated)
-        observation = self.game.observe()[0]
-        return observation, float(turn.reward[0]), terminated, truncated, _of_one(turn.info)
+        observation, info = self.game.observe()[0], _of_one(turn.info)
+        if self._screen is not None:
+            self._screen.add(info)
+        return observation, float(turn.reward[0]), terminated, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the episode from its onset until now.
+
+        Returns
+        -------
+        ndarray or None
+            (H, W, 3) uint8 in mode ``rgb_array``; None in mode ``human``, which also draws at
+            every reset and step.
+
+        Raises
+        ------
+        RuntimeError
+            Before the first reset, and in mode ``human`` without a display.
+        """
+        if self._screen is None:
+            gym.logger.warn(
+                "render() needs a render mode: make the environment with "
+                "render_mode='rgb_array' or 'human'"
+            )
+            return None
+        return self._screen.render()
+
+    def close(self) -> None:
+        """End what runs beside, and close the window."""
+        self.game.close()
+        if self._screen is not None:
+            self._screen.close()
+
+    def _recorder(self) -> Recorder | None:
+        """What looks at the game for pictures; None where there is nothing to render."""
+        return None
+
+    def _draw_with(self, recorder: Recorder | None) -> None:
+        """Say what can be rendered, and prepare it where it is asked for."""
+        kept = type(self).metadata
+        if recorder is None:
+            refuse_rendering(self.render_mode)
+            self.metadata = {**kept, "render_modes": []}
+            return
+        self.metadata = {**kept, "render_fps": 1.0 / recorder.interval_s}
+        if self.render_mode is not None:
+            self._screen = Screen(self.render_mode, recorder)
 
 
 def told_domain(options: dict[str, Any] | None) -> Mapping[str, Any] | None:

@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from .._registry import check_choice
-from .game_env import G, refuse_rendering, told_domain
+from .game_env import G, told_domain
 from .infos import InfoSpec, chosen, info_keys, masked
 from .resets import RESET_MASK, mask_of, of_rows, seeds_of, warn_unknown
 from .spaces import action_space, checked_action, observation_space
@@ -70,7 +70,11 @@ def check_vector_settings(num_envs: int, render_mode: object) -> None:
     """
     if num_envs < 1:
         raise ValueError(f"`num_envs` must be at least 1, got {num_envs}")
-    refuse_rendering(render_mode)
+    if render_mode is not None:
+        raise ValueError(
+            "`render_mode` must be None, there is nothing to render in a vector environment: the "
+            f"single one seeded with seed + i shows receiver i; got {render_mode!r}"
+        )
 
 
 class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):

@@ -23,6 +23,7 @@ from ..sim.position_error import PositionErrors
 from .observations import KNOWLEDGE
 from .plant import Plant
 from .setup import Timeline, check_settles
+from .sight import Sight
 
 FloatArray = NDArray[np.float64]
 
@@ -282,6 +283,35 @@ class LoosePlant(Plant):
                 + apart[:, 2] * C_el[:, 2, axis]
             )
         return out
+
+    def route_ne(self) -> FloatArray:
+        """True way of an episode.
+
+        Returns
+        -------
+        ndarray
+            (K, 2) from the onset to the end of the time to alert, north, east [m].
+        """
+        way = self.world.position_e[self.onset : self.onset + self.steps + self.hold + 1]
+        return np.asarray((way - way[0]) @ self.world.C_el[self.onset][:, _NORTH_EAST])
+
+    def sight(self) -> Sight:
+        """The first receiver as it stands.
+
+        Returns
+        -------
+        Sight
+            For a picture.
+        """
+        memory, world = self.memory, self.world
+        moved = world.position_e[memory["epoch"][0]] - world.position_e[self.onset]
+        return Sight(
+            position_ne=moved @ world.C_el[self.onset][:, _NORTH_EAST],
+            error_ne=self.error_ne()[0],
+            displacement_ne=memory["displacement"][0, _NORTH_EAST],
+            ratio=float(memory["ratio"][0]),
+            sky=None,
+        )
 
     def time_s(self) -> FloatArray:
         """Time of the present epoch.

@@ -9,11 +9,12 @@ from typing import Any, ClassVar
 from gymnasium.vector import AutoresetMode
 
 from ..detectors import Detector
-from .game_env import GameEnv, refuse_rendering
+from .game_env import GameEnv
 from .game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
 from .infos import InfoSpec
 from .plant import Plant
 from .plant_game import PlantGame
+from .rendering import PlantRecorder, Recorder, Seen
 from .setup import Timeline
 from .terms import RewardSpec
 
@@ -116,8 +117,8 @@ class PlantEnv(GameEnv[PlantGame]):
         Whether an alarm ends the episode.
     target_heading_deg : float
         Direction in which displacement counts, clockwise from north.
-    render_mode : None
-        There is nothing to render.
+    render_mode : {"human", "rgb_array"}, optional
+        Whether a window shows the episode, or `render` returns pictures of it.
     **settings
         Those of the plant.
 
@@ -145,10 +146,9 @@ class PlantEnv(GameEnv[PlantGame]):
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
-        render_mode: None = None,
+        render_mode: str | None = None,
         **settings: Any,
     ) -> None:
-        refuse_rendering(render_mode)
         given = {"detector": detector, "timeline": timeline, **settings}
         game = PlantGame(
             make_plant(self.plant_type, 1, given),
@@ -158,7 +158,11 @@ class PlantEnv(GameEnv[PlantGame]):
             end_at_alarm=end_at_alarm,
             target_heading_deg=target_heading_deg,
         )
-        super().__init__(game)
+        super().__init__(game, render_mode)
+
+    def _recorder(self) -> Recorder | None:
+        """What looks at the plant, if it can be seen."""
+        return PlantRecorder(self.game) if isinstance(self.game.plant, Seen) else None
 
 
 class PlantVectorEnv(GameVectorEnv[PlantGame]):

@@ -36,6 +36,7 @@ from ..sim.robot_track import RobotLoop
 from . import robot_observation
 from .plant import Plant
 from .setup import Timeline, check_settles
+from .sight import Sight
 
 FloatArray = NDArray[np.float64]
 
@@ -305,6 +306,34 @@ class RobotPlant(Plant):
         estimate = self.memory["position"][:, :AXES]
         error: FloatArray = estimate - self.true_position_ne[self.memory["epoch"]]
         return error
+
+    def route_ne(self) -> FloatArray:
+        """True way of an episode.
+
+        Returns
+        -------
+        ndarray
+            (K, 2) from the onset to the end of the time to alert, north, east [m].
+        """
+        way = self.true_position_ne[self.onset : self.onset + self.steps + self.hold + 1]
+        return np.asarray(way - way[0])
+
+    def sight(self) -> Sight:
+        """The first receiver as it stands.
+
+        Returns
+        -------
+        Sight
+            For a picture.
+        """
+        memory, truth = self.memory, self.true_position_ne
+        return Sight(
+            position_ne=truth[memory["epoch"][0]] - truth[self.onset],
+            error_ne=self.error_ne()[0],
+            displacement_ne=memory["offset"][0].copy(),
+            ratio=float(memory["ratio"][0]),
+            sky=None,
+        )
 
     def time_s(self) -> FloatArray:
         """Time since the begin of the episode.

@@ -30,6 +30,7 @@ from ..sim.sky import make_sky, measure, scratch
 from .observations import KNOWLEDGE
 from .plant import Plant
 from .setup import Timeline, check_settles
+from .sight import Sight, Sky
 
 FloatArray = NDArray[np.float64]
 
@@ -330,6 +331,44 @@ class SnapshotPlant(Plant):
         """
         error = self.memory["position_e"] - self._true_position()
         return np.asarray(np.einsum("bi,ij->bj", error, self.sky.C_en)[:, :2])
+
+    def route_ne(self) -> FloatArray:
+        """True way of an episode.
+
+        Returns
+        -------
+        ndarray
+            (K, 2) from the onset to the end of the time to alert, north, east [m].
+        """
+        way = self.sky.position_e[self.onset : self.onset + self.steps + self.hold + 1]
+        return np.asarray(((way - way[0]) @ self.sky.C_en)[:, :2])
+
+    def sight(self) -> Sight:
+        """The first receiver as it stands.
+
+        Returns
+        -------
+        Sight
+            For a picture.
+        """
+        memory, sky = self.memory, self.sky
+        epoch, n = int(memory["epoch"][0]), len(sky.satellite_ids)
+        toward = self._line_of_sight_n()[0]
+        moved = sky.position_e[epoch] - sky.position_e[self.onset]
+        return Sight(
+            position_ne=(moved @ sky.C_en)[:2],
+            error_ne=self.error_ne()[0],
+            displacement_ne=memory["displacement"][0, :2].copy(),
+            ratio=float((memory["statistic"][0] / memory["threshold"][0]).max()),
+            sky=Sky(
+                names=sky.satellite_ids,
+                azimuth=np.arctan2(toward[:, 1], toward[:, 0]),
+                elevation=np.arcsin(-toward[:, 2]),
+                visible=np.ones(n, dtype=np.bool_),
+                spoofed=memory["spoofed"][0] & memory["displacement"][0].any(),
+                weight=memory["weights"][0, :n].copy(),
+            ),
+        )
 
     def time_s(self) -> FloatArray:
         """Time of the present epoch.

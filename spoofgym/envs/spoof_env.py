@@ -11,8 +11,9 @@ from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario
 from .domain import Domain
 from .game import Game
-from .game_env import GameEnv, refuse_rendering
+from .game_env import GameEnv
 from .presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
+from .rendering import GameRecorder, Recorder
 from .setup import Timeline
 from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec
 
@@ -92,8 +93,8 @@ class SpoofEnv(GameEnv[Game]):
     twin : bool
         Whether a clean twin runs beside the victim, and displacement is the distance from it
         instead of the error less that at the onset.  It takes up to twice the time.
-    render_mode : None
-        There is nothing to render yet.
+    render_mode : {"human", "rgb_array"}, optional
+        Whether a window shows the episode, or `render` returns pictures of it.
 
     Attributes
     ----------
@@ -139,9 +140,8 @@ class SpoofEnv(GameEnv[Game]):
         decision_interval_s: float | None = None,
         between: str = "hold",
         twin: bool = False,
-        render_mode: None = None,
+        render_mode: str | None = None,
     ) -> None:
-        refuse_rendering(render_mode)
         setup = make_setup(
             scenario=scenario,
             receiver=receiver,
@@ -168,4 +168,8 @@ class SpoofEnv(GameEnv[Game]):
             twin=twin,
         )
         self.given_detector: Any = detector
-        super().__init__(game)
+        super().__init__(game, render_mode)
+
+    def _recorder(self) -> Recorder | None:
+        """What looks at the receiver."""
+        return GameRecorder(self.game)

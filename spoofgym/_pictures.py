@@ -1,0 +1,61 @@
+"""What all pictures share: matplotlib on demand, colours, the look of axes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, which colour-blind people tell apart, and two more
+COLOURS = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#E69F00",
+    "#56B4E9",
+    "#000000",
+    "#882255",
+    "#999933",
+)
+BLUE, ORANGE, GREEN = COLOURS[:3]
+"""The clean twin, what is attacked, what is commanded."""
+RED = "#B2182B"
+"""Alarms."""
+GREY = "#777777"
+GRID = "#dddddd"
+
+
+def figure_class() -> type[Figure]:
+    """Matplotlib's figure.
+
+    Returns
+    -------
+    type
+        `matplotlib.figure.Figure`.
+
+    Raises
+    ------
+    ImportError
+        When matplotlib is not installed; says how to install it.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError("pictures need matplotlib: pip install spoofgym[report]") from error
+    return Figure
+
+
+def style(ax: Axes) -> None:
+    """Leave out what frames a panel, and lay a grid beneath it.
+
+    Parameters
+    ----------
+    ax : Axes
+        The panel.
+    """
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(True, color=GRID, lw=0.6)
+    ax.set_axisbelow(True)

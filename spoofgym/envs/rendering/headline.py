@@ -1,0 +1,141 @@
+"""Title of the picture of an episode, and its present numbers.
+
+Numbers change with every frame, and matplotlib lays out a text in milliseconds: their characters
+are drawn once, and put into the frames as tiles.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._pictures import RED, figure_class
+from ..sight import Stage
+from .history import RenderHistory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NUMBERS = (
+    ("time_s", "time [s]", "{:.1f}"),
+    ("induced_m", "induced error [m]", "{:.2f}"),
+    ("undetected_m", "undetected displacement [m]", "{:.2f}"),
+    ("ratio", "statistic / threshold", "{:.3g}"),
+)
+"""Numbers of a history: name, text, format."""
+CHARACTERS = "0123456789.-+einfa "
+SIZE_PT = 10.0
+LEFT, BELOW_TOP = 0.015, 0.912
+"""Where the numbers begin, as parts of the picture."""
+WIDTH = 8
+"""Characters that are left free for a number."""
+
+
+class Tiles:
+    """Pictures of single characters.
+
+    Parameters
+    ----------
+    dpi : float
+        Resolution.
+
+    Attributes
+    ----------
+    width, height : int
+        Of a tile [pixels].
+    """
+
+    def __init__(self, dpi: float) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        em = SIZE_PT * dpi / 72.0
+        self.width, self.height = math.ceil(0.602 * em), math.ceil(1.2 * em)
+        count = len(CHARACTERS)
+        figure = figure_class()(figsize=(count * self.width / dpi, self.height / dpi), dpi=dpi)
+        canvas: Any = FigureCanvasAgg(figure)
+        for k, letter in enumerate(CHARACTERS):
+            figure.text(
+                k / count, 0.25, letter, fontsize=SIZE_PT, family="monospace", fontweight="bold"
+            )
+        canvas.draw()
+        strip = np.asarray(canvas.buffer_rgba())[..., :3]
+        self._tiles = dict(zip(CHARACTERS, np.split(strip, count, axis=1), strict=True))
+
+    def write(self, frame: NDArray[np.uint8], x: int, y: int, text: str) -> None:
+        """Put a text into a frame.
+
+        Parameters
+        ----------
+        frame : ndarray
+            (H, W, 3) uint8, written.
+        x, y : int
+            Left upper corner, from the left upper one of the frame [pixels].
+        text : str
+            Of `CHARACTERS`.
+        """
+        row = np.concatenate([self._tiles[letter] for letter in text], axis=1)
+        frame[y : y + row.shape[0], x : x + row.shape[1]] = row
+
+
+class Headline:
+    """Title, present numbers, and whether the detector has alarmed.
+
+    Parameters
+    ----------
+    figure : Figure
+        Where; it has a canvas.
+    stage : Stage
+        What stays.
+    """
+
+    def __init__(self, figure: Figure, stage: Stage) -> None:
+        figure.text(LEFT, 0.975, stage.title, fontsize=13, fontweight="bold", va="top")
+        self._alarm = figure.text(
+            0.985, 0.975, "", fontsize=11, fontweight="bold", color=RED, ha="right", va="top"
+        )
+        self._tiles = Tiles(figure.dpi)
+        self._corners = []
+        x, height, width = LEFT, figure.bbox.height, figure.bbox.width
+        for _, text, _ in NUMBERS:
+            label = figure.text(x, BELOW_TOP, text, fontsize=SIZE_PT, va="baseline")
+            box = label.get_window_extent()
+            base = round(height * (1.0 - BELOW_TOP))
+            corner = math.ceil(box.x1), base - round(0.75 * self._tiles.height)
+            self._corners.append(corner)
+            x = (corner[0] + (WIDTH + 3) * self._tiles.width) / width
+
+    def fit(self, history: RenderHistory) -> bool:
+        """Tell of the first alarm.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+
+        Returns
+        -------
+        bool
+            Whether it has just come.
+        """
+        first = history.first_alarm
+        if first is None or self._alarm.get_text():
+            return False
+        self._alarm.set_text(f"ALARM at {history.number('time_s')[first]:g} s")
+        return True
+
+    def write(self, history: RenderHistory, frame: NDArray[np.uint8]) -> None:
+        """Write the present numbers into a frame.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+        frame : ndarray
+            (H, W, 3) uint8, written.
+        """
+        for (x, y), (name, _, form) in zip(self._corners, NUMBERS, strict=True):
+            number = form.format(history.number(name)[-1]).rjust(WIDTH)
+            self._tiles.write(frame, x, y, number)

@@ -1,0 +1,122 @@
+"""What a picture shows of an episode so far: arrays, filled one step at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..sight import Sight, Sky, Stage
+
+FloatArray = NDArray[np.float64]
+
+
+class RenderHistory:
+    """An episode from its onset to now; K instants of it.
+
+    Parameters
+    ----------
+    stage : Stage
+        What does not change in it.
+
+    Attributes
+    ----------
+    stage : Stage
+        The same.
+    count : int
+        Instants so far, K.
+    sky : Sky or None
+        The present one.
+    """
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage, self.count = stage, 0
+        self.sky: Sky | None = None
+        size = stage.steps + 1
+        self._numbers = {
+            name: np.full(size, np.nan)
+            for name in ("time_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")
+        }
+        self._pairs = {
+            name: np.full((size, 2), np.nan)
+            for name in ("position_ne", "error_ne", "twin_error_ne", "displacement_ne")
+        }
+        self._alarm = np.zeros(size, dtype=np.bool_)
+
+    def add(self, attacked: Sight, twin: Sight, info: Mapping[str, Any]) -> None:
+        """Append an instant.
+
+        Parameters
+        ----------
+        attacked, twin : Sight
+            The receiver, and its clean twin at the same epoch.
+        info : mapping
+            Of the environment: ``time_s``, and after a step ``alarm`` and
+            ``undetected_displacement_m``.
+        """
+        k, self.count = self.count, self.count + 1
+        apart = attacked.error_ne - twin.error_ne
+        for name, value in {
+            "time_s": info["time_s"] - self.stage.onset_s,
+            "ratio": attacked.ratio,
+            "twin_ratio": twin.ratio,
+            "induced_m": np.hypot(apart[0], apart[1]),
+            "error_m": np.hypot(attacked.error_ne[0], attacked.error_ne[1]),
+            "undetected_m": info.get("undetected_displacement_m", 0.0),
+        }.items():
+            self._numbers[name][k] = value
+        for name, pair in {
+            "position_ne": attacked.position_ne,
+            "error_ne": attacked.error_ne,
+            "twin_error_ne": twin.error_ne,
+            "displacement_ne": attacked.displacement_ne,
+        }.items():
+            if pair is not None:
+                self._pairs[name][k] = pair
+        self._alarm[k] = info.get("alarm", False)
+        self.sky = attacked.sky
+
+    def number(self, name: str) -> FloatArray:
+        """A number at every instant.
+
+        Parameters
+        ----------
+        name : str
+            ``time_s`` since the onset, ``ratio`` and ``twin_ratio`` of the statistic to its
+            threshold, ``induced_m`` from the clean twin, ``error_m`` from the truth,
+            ``undetected_m``, the undetected displacement.
+
+        Returns
+        -------
+        ndarray
+            (K,) a view.
+        """
+        return self._numbers[name][: self.count]
+
+    def pair(self, name: str) -> FloatArray:
+        """A north and an east at every instant.
+
+        Parameters
+        ----------
+        name : str
+            ``position_ne`` of the truth from the onset; ``error_ne`` and ``twin_error_ne``,
+            estimate minus truth; ``displacement_ne``, commanded.
+
+        Returns
+        -------
+        ndarray
+            (K, 2) [m], a view.
+        """
+        return self._pairs[name][: self.count]
+
+    @property
+    def alarm(self) -> NDArray[np.bool_]:
+        """(K,) bool, a view."""
+        return self._alarm[: self.count]
+
+    @property
+    def first_alarm(self) -> int | None:
+        """Index of the first alarm."""
+        return int(self.alarm.argmax()) if self.alarm.any() else None

@@ -1,0 +1,544 @@
+"""Panels of the picture of an episode.
+
+A panel draws once what stays, keeps the artists that move, and lets them follow the history.  Its
+`fit` says whether something that stays had to change, its axes for instance.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._pictures import BLUE, GREEN, GREY, GRID, ORANGE, RED, style
+from ..sight import FloatArray, Sky, Stage
+from .history import RenderHistory
+from .scales import equal_limits, round_down, round_up
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
+    from matplotlib.text import Text
+
+SMALL = 8.5
+"""Size of the type of labels."""
+LEAST_M = 2.0
+"""Smallest range of errors that is shown."""
+NAME_DRIFT = 0.02
+"""How far a satellite goes on a sky plot of radius 1 before its name follows."""
+MAGNIFIED = 0.2
+"""Largest error on the map, as a part of the map."""
+MOST_LINEAR = 5.0
+"""Ratio of statistic and threshold from which on the axis is logarithmic."""
+
+
+class Panel(Protocol):
+    """One panel."""
+
+    artists: list[Artist]
+
+    def fit(self, history: RenderHistory) -> bool:
+        """Make room for the history; whether that changed what stays."""
+
+    def follow(self, history: RenderHistory) -> None:
+        """Let what moves follow the history."""
+
+
+def moving_line(ax: Axes, look: str, **settings: Any) -> Line2D:
+    """Line without points yet, which is drawn apart from what stays.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where.
+    look : str
+        As in ``ax.plot``.
+    **settings
+        As in ``ax.plot``.
+
+    Returns
+    -------
+    Line2D
+        The line.
+    """
+    (line,) = ax.plot([], [], look, animated=True, **settings)
+    return line
+
+
+def head(ax: Axes, title: str, columns: int = 4) -> None:
+    """Title of a panel, and its key between title and panel.
+
+    Parameters
+    ----------
+    ax : Axes
+        With labelled artists.
+    title : str
+        The title.
+    columns : int
+        Of the key.
+    """
+    ax.set_title(title, loc="left", fontsize=10, fontweight="bold", pad=20)
+    ax.legend(
+        loc="lower left",
+        bbox_to_anchor=(-0.02, 0.985),
+        ncols=columns,
+        frameon=False,
+        fontsize=SMALL,
+        handlelength=1.5,
+        columnspacing=1.0,
+        handletextpad=0.5,
+        borderaxespad=0.1,
+    )
+    ax.tick_params(labelsize=SMALL)
+    ax.locator_params(nbins=6)
+
+
+class FlightMap:
+    """The flight, with both estimates; their errors are magnified, by a factor that is told.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where.
+    stage : Stage
+        What stays.
+    """
+
+    def __init__(self, ax: Axes, stage: Stage) -> None:
+        style(ax)
+        self._ax = ax
+        extent = np.ptp(stage.route_ne, axis=0).max()
+        self._unit, name = (1000.0, "km") if extent > 2000.0 else (1.0, "m")
+        self._extent = max(float(extent), 1.0)
+        self._factor = round_down(MAGNIFIED * self._extent / LEAST_M)
+        north, east = (stage.route_ne / self._unit).T
+        ax.plot(east, north, color=GRID, lw=5, solid_capstyle="round", label="way ahead", zorder=1)
+        self._twin = moving_line(ax, "-", color=BLUE, lw=1.4, label="clean twin")
+        self._estimate = moving_line(ax, "-", color=ORANGE, lw=1.8, label="estimate")
+        self._truth = moving_line(ax, "-", color="black", lw=1.6, label="truth")
+        self._ends = [
+            moving_line(ax, "o", color=colour, ms=5.5, mec="white", mew=0.8)
+            for colour in (BLUE, ORANGE, "black")
+        ]
+        self.artists: list[Artist] = [self._twin, self._estimate, self._truth, *self._ends]
+        margin = 1.1 * MAGNIFIED * self._extent / self._unit
+        equal_limits(
+            ax,
+            (east.min() - margin, north.min() - margin),
+            (east.max() + margin, north.max() + margin),
+        )
+        ax.set_xlabel(f"east [{name}]", fontsize=SMALL, labelpad=2)
+        ax.set_ylabel(f"north [{name}]", fontsize=SMALL, labelpad=2)
+        head(ax, "Track", 4)
+        self._told = ax.text(
+            0.02, 0.02, "", transform=ax.transAxes, fontsize=SMALL, color=GREY, zorder=5
+        )
+        self._tell()
+
+    def _tell(self) -> None:
+        factor = self._factor
+        self._told.set_text(
+            f"errors drawn {factor:,.0f} times as large" if factor > 1.0 else "errors to scale"
+        )
+
+    def fit(self, history: RenderHistory) -> bool:
+        """Magnify less where errors have grown.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+
+        Returns
+        -------
+        bool
+            Whether the factor changed.
+        """
+        largest = max(float(history.number("error_m").max()), LEAST_M)
+        factor = max(round_down(MAGNIFIED * self._extent / largest), 1.0)
+        if factor >= self._factor:
+            return False
+        self._factor = factor
+        self._tell()
+        return True
+
+    def follow(self, history: RenderHistory) -> None:
+        """Draw the way so far.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+        """
+        truth = history.pair("position_ne")
+        ways = (
+            truth + self._factor * history.pair("twin_error_ne"),
+            truth + self._factor * history.pair("error_ne"),
+            truth,
+        )
+        lines = (self._twin, self._estimate, self._truth)
+        for line, end, way in zip(lines, self._ends, ways, strict=True):
+            north, east = (way / self._unit).T
+            line.set_data(east, north)
+            end.set_data(east[-1:], north[-1:])
+
+
+class ErrorPlane:
+    """Estimate minus truth, north and east, with circles of equal distance.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where.
+    stage : Stage
+        What stays.
+    """
+
+    def __init__(self, ax: Axes, stage: Stage) -> None:
+        style(ax)
+        self._ax, self._radius = ax, 0.0
+        ax.plot(0, 0, "+", color="black", ms=9, mew=1.4, ls="none", label="truth")
+        ends = [("twin_error_ne", BLUE, "-", "clean twin"), ("error_ne", ORANGE, "-", "estimate")]
+        if stage.commands_position:
+            ends.insert(0, ("displacement_ne", GREEN, "--", "commanded"))
+        self._ways: list[tuple[str, Line2D, Line2D]] = [
+            (
+                name,
+                moving_line(ax, dashes, color=colour, lw=1.5, label=label),
+                moving_line(ax, "o", color=colour, ms=5.5, mec="white", mew=0.8),
+            )
+            for name, colour, dashes, label in ends
+        ]
+        self._alarm = moving_line(ax, "X", color=RED, ms=9, mec="white", mew=0.8)
+        self.artists: list[Artist] = [artist for _, *pair in self._ways for artist in pair]
+        self.artists.append(self._alarm)
+        self._circles: list[Artist] = []
+        ax.set_xlabel("east [m]", fontsize=SMALL, labelpad=2)
+        ax.set_ylabel("north [m]", fontsize=SMALL, labelpad=2)
+        head(ax, "Estimate minus truth", 4)
+
+    def fit(self, history: RenderHistory) -> bool:
+        """Widen the plane where errors have grown.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+
+        Returns
+        -------
+        bool
+            Whether it was.
+        """
+        from matplotlib.patches import Circle
+
+        largest = max(
+            float(np.nanmax(np.abs(history.pair(name)), initial=0.0)) for name, *_ in self._ways
+        )
+        radius = round_up(max(1.1 * largest, LEAST_M))
+        if radius <= self._radius:
+            return False
+        self._radius = radius
+        equal_limits(self._ax, (-1.06 * radius, -1.06 * radius), (1.06 * radius, 1.06 * radius))
+        for circle in self._circles:
+            circle.remove()
+        self._circles = [
+            self._ax.add_patch(Circle((0, 0), part * radius, fill=False, ec="#bbbbbb", lw=0.7))
+            for part in (0.5, 1.0)
+        ]
+        return True
+
+    def follow(self, history: RenderHistory) -> None:
+        """Draw the errors so far.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+        """
+        for name, line, end in self._ways:
+            north, east = history.pair(name).T
+            line.set_data(east, north)
+            end.set_data(east[-1:], north[-1:])
+        first = history.first_alarm
+        if first is not None:
+            north, east = history.pair("error_ne")[first]
+            self._alarm.set_data([east], [north])
+
+
+class SkyPlot:
+    """Satellites by azimuth and elevation, zenith in the middle: authentic, spoofed, excluded.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where.
+    """
+
+    def __init__(self, ax: Axes) -> None:
+        from matplotlib.patches import Circle
+
+        ax.set_axis_off()
+        equal_limits(ax, (-1.16, -1.16), (1.16, 1.16))
+        ax.add_patch(Circle((0, 0), 1.0, fc="#f6f8fa", ec=GREY, lw=1.0))
+        for elevation_deg in (30.0, 60.0):
+            radius = 1.0 - elevation_deg / 90.0
+            ax.add_patch(Circle((0, 0), radius, fill=False, ec="#cccccc", lw=0.7))
+            ax.text(0.02, radius - 0.02, f"{elevation_deg:.0f}°", fontsize=7, color=GREY, va="top")
+        ax.plot([-1, 1], [0, 0], color="#cccccc", lw=0.7)
+        ax.plot([0, 0], [-1, 1], color="#cccccc", lw=0.7)
+        for letter, x, y in (("N", 0, 1.09), ("E", 1.09, 0), ("S", 0, -1.09), ("W", -1.09, 0)):
+            ax.text(x, y, letter, ha="center", va="center", fontsize=SMALL, color=GREY)
+        shape: dict[str, Any] = {"ms": 10.5, "mew": 1.2, "ls": "none"}
+        self._authentic = moving_line(ax, "o", color="white", mec=BLUE, label="authentic", **shape)
+        self._spoofed = moving_line(ax, "o", color=ORANGE, mec="white", label="spoofed", **shape)
+        self._excluded = moving_line(
+            ax, "x", color="black", ms=8, mew=1.6, ls="none", label="excluded"
+        )
+        self._ax = ax
+        self._names: list[Text] = []
+        self._named: tuple[FloatArray, NDArray[np.bool_]] | None = None
+        self.artists: list[Artist] = [self._authentic, self._spoofed, self._excluded]
+        head(ax, "Satellites", 3)
+
+    def fit(self, history: RenderHistory) -> bool:
+        """Write the names anew where satellites have moved, risen or set.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+
+        Returns
+        -------
+        bool
+            Whether they were.
+        """
+        sky = history.sky
+        if sky is None:
+            return False
+        place = _on_sky(sky)
+        if self._named is not None:
+            before, visible = self._named
+            moved = np.abs(place - before)[:, sky.visible].max(initial=0.0)
+            if moved < NAME_DRIFT and np.array_equal(visible, sky.visible):
+                return False
+        if not self._names:
+            self._names = [
+                self._ax.text(0, 0, name, fontsize=7, ha="left", va="bottom") for name in sky.names
+            ]
+        for text, seen, x, y in zip(self._names, sky.visible, *place, strict=True):
+            text.set_visible(bool(seen))
+            text.set_position((x + 0.06, y + 0.04))
+        self._named = place, sky.visible.copy()
+        return True
+
+    def follow(self, history: RenderHistory) -> None:
+        """Draw the present sky.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+        """
+        sky = history.sky
+        if sky is None:
+            return
+        x, y = _on_sky(sky)
+        for line, shown in (
+            (self._authentic, sky.visible & ~sky.spoofed),
+            (self._spoofed, sky.visible & sky.spoofed),
+            (self._excluded, sky.visible & (sky.weight <= 0.0)),
+        ):
+            line.set_data(x[shown], y[shown])
+
+
+def _on_sky(sky: Sky) -> FloatArray:
+    """(2, n) to the right and up on a sky plot of radius 1, north up and east to the right."""
+    radius = 1.0 - 2.0 * sky.elevation / np.pi
+    return np.stack([radius * np.sin(sky.azimuth), radius * np.cos(sky.azimuth)])
+
+
+class TimePanel:
+    """What panels over time share: phases, and the time of the first alarm.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where.
+    stage : Stage
+        What stays.
+    """
+
+    def __init__(self, ax: Axes, stage: Stage) -> None:
+        style(ax)
+        self._ax = ax
+        end = stage.attack_s + stage.hold_s
+        ax.set_xlim(0.0, end)
+        if stage.hold_s:
+            ax.axvspan(stage.attack_s, end, color=GREY, alpha=0.12, lw=0)
+            ax.text(
+                stage.attack_s,
+                0.03,
+                " time to alert",
+                transform=ax.get_xaxis_transform(),
+                rotation=90,
+                fontsize=7,
+                color=GREY,
+                va="bottom",
+            )
+        ax.set_xlabel("time since the onset [s]", fontsize=SMALL, labelpad=2)
+        self._first = moving_line(ax, "-", color=RED, lw=1.1)
+        self._first.set_transform(ax.get_xaxis_transform())
+        self.artists: list[Artist] = [self._first]
+
+    def follow(self, history: RenderHistory) -> None:
+        """Draw the time of the first alarm.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+        """
+        first = history.first_alarm
+        if first is not None:
+            time = history.number("time_s")[first]
+            self._first.set_data([time, time], [0.0, 1.0])
+
+
+class StatisticPanel(TimePanel):
+    """Largest statistic over its threshold, attacked and twin; logarithmic where it explodes.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where.
+    stage : Stage
+        What stays.
+    """
+
+    def __init__(self, ax: Axes, stage: Stage) -> None:
+        super().__init__(ax, stage)
+        ax.axhline(1.0, color="black", lw=1.0, ls=":", label="threshold")
+        self._twin = moving_line(ax, "-", color=BLUE, lw=1.0, label="clean twin")
+        self._attacked = moving_line(ax, "-", color=ORANGE, lw=1.6, label="attacked")
+        self._alarms = moving_line(ax, "o", color=RED, ms=3.5, ls="none", label="alarm")
+        self.artists += [self._twin, self._attacked, self._alarms]
+        self._top = 0.0
+        head(ax, "Statistic over threshold", 4)
+
+    def fit(self, history: RenderHistory) -> bool:
+        """Raise the axis where the statistic has grown.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+
+        Returns
+        -------
+        bool
+            Whether it was.
+        """
+        largest = max(_largest(history.number(name)) for name in ("ratio", "twin_ratio"))
+        top = 2.0 if largest < 1.8 else round_up(1.15 * largest)
+        if top <= self._top:
+            return False
+        self._top = top
+        if top > MOST_LINEAR:
+            self._ax.set_yscale("symlog", linthresh=1.0)
+            self._ax.yaxis.set_major_formatter("{x:g}")
+            self._top = top = 10.0 ** np.ceil(np.log10(top))
+        self._ax.set_ylim(0.0, top)
+        return True
+
+    def follow(self, history: RenderHistory) -> None:
+        """Draw the statistics so far.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+        """
+        super().follow(history)
+        time, ratio, alarm = history.number("time_s"), history.number("ratio"), history.alarm
+        self._twin.set_data(time, history.number("twin_ratio"))
+        self._attacked.set_data(time, ratio)
+        self._alarms.set_data(time[alarm], ratio[alarm])
+
+
+class ErrorPanel(TimePanel):
+    """Distance from the clean twin, what was commanded, and what of it counts as undetected.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where.
+    stage : Stage
+        What stays.
+    """
+
+    def __init__(self, ax: Axes, stage: Stage) -> None:
+        super().__init__(ax, stage)
+        self._lines: list[tuple[str, Line2D]] = [
+            ("error_m", moving_line(ax, "-", color="#aaaaaa", lw=1.0, label="from truth")),
+            ("induced_m", moving_line(ax, "-", color=ORANGE, lw=1.8, label="from clean twin")),
+            ("undetected_m", moving_line(ax, "-", color="black", lw=1.2, label="undetected")),
+        ]
+        self._commanded = None
+        if stage.commands_position:
+            self._commanded = moving_line(ax, "--", color=GREEN, lw=1.3, label="commanded")
+            self.artists.append(self._commanded)
+        self.artists += [line for _, line in self._lines]
+        self._top = 0.0
+        head(ax, "Displacement of the victim [m]", 4)
+
+    def fit(self, history: RenderHistory) -> bool:
+        """Raise the axis where errors have grown.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+
+        Returns
+        -------
+        bool
+            Whether it was.
+        """
+        sizes = [history.number(name) for name, _ in self._lines]
+        if self._commanded is not None:
+            sizes.append(_size(history.pair("displacement_ne")))
+        top = round_up(max(1.08 * max(map(_largest, sizes)), LEAST_M))
+        if top <= self._top:
+            return False
+        self._top = top
+        self._ax.set_ylim(0.0, top)
+        return True
+
+    def follow(self, history: RenderHistory) -> None:
+        """Draw the errors so far.
+
+        Parameters
+        ----------
+        history : RenderHistory
+            So far.
+        """
+        super().follow(history)
+        time = history.number("time_s")
+        for name, line in self._lines:
+            line.set_data(time, history.number(name))
+        if self._commanded is not None:
+            self._commanded.set_data(time, _size(history.pair("displacement_ne")))
+
+
+def _size(pair: FloatArray) -> FloatArray:
+    size: FloatArray = np.hypot(pair[:, 0], pair[:, 1])
+    return size
+
+
+def _largest(values: FloatArray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if len(finite) else 0.0

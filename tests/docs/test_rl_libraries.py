@@ -1,0 +1,59 @@
+"""The page on RL libraries: its code runs, with short episodes and few steps."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from .pages import blocks_of, broken_links, run
+
+PAGE = "rl_libraries.md"
+BLOCKS = blocks_of(PAGE)
+SHORT = 'timeline={"warmup_s": 20.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": 2.0}'
+SMALLER = [
+    (r'detector="', f'{SHORT}, detector="'),
+    (r"model\.learn\([\d_]+\)", "model.learn(320)"),
+    (r"n_steps=300, batch_size=600", "n_steps=10, batch_size=40"),
+    (r"learning_starts=5_000", "learning_starts=100"),
+    (r"buffer_size=200_000", "buffer_size=1_000"),
+    (r"range\(350\)", "range(60)"),
+    (
+        r"STEPS, UPDATES, EPOCHS, CLIP, LAMBDA = 16, 128, 60,",
+        r"STEPS, UPDATES, EPOCHS, CLIP, LAMBDA = 16, 30, 2,",
+    ),
+]
+"""What makes a block small; each has to be found on the page."""
+
+
+def smaller(code: str) -> str:
+    """The block with short episodes and few steps."""
+    for old, new in SMALLER:
+        code = re.sub(old, new, code)
+    return code
+
+
+@pytest.fixture(scope="module")
+def scope():
+    """Names of the first blocks, which later ones use."""
+    return {}
+
+
+@pytest.mark.parametrize("number", range(len(BLOCKS)))
+def test_a_block_runs(number, scope):
+    needs, code = BLOCKS[number]
+    if needs is not None:
+        pytest.importorskip(needs)
+    run(smaller(code), f"{PAGE} block {number}", scope)
+    if "undetected_m" in scope and number == 1:
+        assert len(scope["undetected_m"]) >= 16
+
+
+def test_whatever_is_made_smaller_stands_on_the_page():
+    code = "".join(code for _, code in BLOCKS)
+    for old, _ in SMALLER:
+        assert re.search(old, code), old
+
+
+def test_every_link_to_a_file_leads_somewhere():
+    assert broken_links(PAGE) == []

@@ -1,0 +1,73 @@
+"""Moving pictures."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from spoofgym.envs.rendering import animation, save_animation
+
+Image = pytest.importorskip("PIL.Image")
+
+
+def frames(count=3, height=20, width=30):
+    for k in range(count):
+        frame = np.full((height, width, 3), 255, dtype=np.uint8)
+        frame[5:10, 5 * k : 5 * k + 5] = (0xB2, 0x18, 0x2B)
+        yield frame
+
+
+def test_a_gif_holds_the_frames_and_their_pace(tmp_path):
+    path = save_animation(frames(), tmp_path / "deep" / "run.gif", fps=20.0)
+    with Image.open(path) as film:
+        assert (film.n_frames, film.size) == (3, (30, 20))
+        assert film.info["duration"] == 50
+        for k, frame in enumerate(frames()):
+            film.seek(k)
+            seen = np.asarray(film.convert("RGB")).astype(int)
+            assert np.abs(seen - frame).max() <= 2
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_an_mp4_is_one(tmp_path):
+    try:
+        animation.ffmpeg_program()
+    except ImportError as error:
+        pytest.skip(str(error))
+    path = save_animation(frames(height=65, width=67), tmp_path / "run.mp4")
+    assert b"ftyp" in path.read_bytes()[:16]
+
+
+def test_without_ffmpeg_it_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setattr(animation.shutil, "which", lambda name: None)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(ImportError, match=r"spoofgym\[video\], or write a .gif"):
+        save_animation(frames(), tmp_path / "run.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_failing_ffmpeg_is_told(tmp_path, monkeypatch):
+    program = tmp_path / "ffmpeg"
+    program.write_text("#!/bin/sh\necho no such codec >&2\nexit 3\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(animation, "ffmpeg_program", lambda: str(program))
+    with pytest.raises(OSError, match="code 3: no such codec"):
+        save_animation(frames(200, 200, 300), tmp_path / "run.mp4")
+    assert not (tmp_path / "run.mp4").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "kwargs", "message"),
+    [
+        ("run.avi", {}, "unknown ending of an animation '.avi'; valid: .gif, .mp4"),
+        ("run.gif", {"fps": 0.0}, "`fps` must be above 0"),
+        ("run.gif", {"fps": 1000.0}, "at most 100"),
+    ],
+)
+def test_wrong_settings_are_told(tmp_path, name, kwargs, message):
+    with pytest.raises(ValueError, match=message):
+        save_animation(frames(), tmp_path / name, **kwargs)
+    with pytest.raises(ValueError, match="at least one frame"):
+        save_animation(iter(()), tmp_path / "run.gif")

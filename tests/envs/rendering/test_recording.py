@@ -1,0 +1,120 @@
+"""What pictures show: the history of an episode beside its clean twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spoofgym.envs import make_game, make_setup
+from spoofgym.envs.loose_plant import LoosePlant
+from spoofgym.envs.plant_game import PlantGame
+from spoofgym.envs.rendering import GameRecorder, PlantRecorder, RenderHistory, Seen
+from spoofgym.envs.robot_plant import RobotPlant
+from spoofgym.envs.snapshot_plant import SnapshotPlant
+
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
+PLANTS = [SnapshotPlant, LoosePlant, RobotPlant]
+
+
+def tight_game(**kwargs):
+    return make_game(1, make_setup(timeline=SHORT, **kwargs), end_at_alarm=False, threads=1)
+
+
+def plant_game(kind):
+    return PlantGame(kind(1), end_at_alarm=False)
+
+
+MAKES = [
+    pytest.param(tight_game, id="tight"),
+    *(pytest.param(lambda kind=kind: plant_game(kind), id=kind.kind) for kind in PLANTS),
+]
+
+
+def recorder_of(game):
+    return PlantRecorder(game) if isinstance(game, PlantGame) else GameRecorder(game)
+
+
+def play(game, action, steps=8, seed=3):
+    """History of some steps."""
+    game.reset([np.random.default_rng(seed)])
+    recorder = recorder_of(game)
+    history = RenderHistory(recorder.begin())
+    history.add(*recorder.look(), {k: v[0] for k, v in game.begin_info().items()})
+    for _ in range(steps):
+        turn = game.step(np.full((1, len(game.action_names)), action))
+        history.add(*recorder.look(), {k: v[0] for k, v in turn.info.items()})
+    return history
+
+
+@pytest.mark.parametrize("make", MAKES)
+def test_the_twin_is_a_run_without_attack(make):
+    """Bit for bit: same seed, same detector in the loop, zero action."""
+    attacked, clean = play(make(), 0.7), play(make(), 0.0)
+    np.testing.assert_array_equal(attacked.pair("twin_error_ne"), clean.pair("error_ne"))
+    np.testing.assert_array_equal(attacked.number("twin_ratio"), clean.number("ratio"))
+    assert attacked.number("induced_m")[-1] > 0.01
+    np.testing.assert_array_equal(clean.number("induced_m"), 0.0)
+
+
+@pytest.mark.parametrize("make", MAKES)
+def test_time_and_way_begin_at_the_onset(make):
+    history = play(make(), 0.3)
+    stage = history.stage
+    np.testing.assert_allclose(history.number("time_s"), np.arange(9) * stage.interval_s, atol=1e-9)
+    np.testing.assert_array_equal(history.pair("position_ne")[0], 0.0)
+    np.testing.assert_allclose(history.pair("position_ne"), stage.route_ne[:9], atol=1e-9)
+    assert len(stage.route_ne) == round((stage.attack_s + stage.hold_s) / stage.interval_s) + 1
+
+
+def test_the_twin_follows_through_the_time_to_alert():
+    game = tight_game(detector="never")
+    history = play(game, 0.4, steps=game.setup.steps)
+    assert history.number("time_s")[-1] == pytest.approx(12.0)
+    assert np.isfinite(history.number("induced_m")).all()
+
+
+def test_displacement_error_and_verdict_are_those_of_the_game():
+    game = tight_game()
+    history = play(game, 1.0)
+    moved = game.engine.batch.attack.memory["displacement"][0]
+    np.testing.assert_array_equal(history.pair("displacement_ne")[-1], moved)
+    verdict = game.engine.batch.verdict
+    assert history.number("ratio")[-1] == (verdict.statistic / verdict.threshold).max()
+    east = history.pair("error_ne")[:, 1]
+    turn_m = game.books.credited[0]
+    if not history.alarm.any():
+        assert np.maximum.accumulate(east - east[0])[-1] == pytest.approx(turn_m)
+
+
+def test_the_sky_marks_what_is_spoofed():
+    world = make_setup(timeline=SHORT).world
+    chosen = tuple(name for name in world.satellite_ids if name)[:3]
+    game = tight_game(attack={"name": "false-position", "channels": chosen})
+    clean, attacked = play(game, 0.0).sky, play(game, 1.0).sky
+    assert not clean.spoofed.any()
+    for name, visible, spoofed in zip(
+        attacked.names, attacked.visible, attacked.spoofed, strict=True
+    ):
+        assert spoofed == (visible and name in chosen)
+
+
+def test_the_sky_of_a_snapshot_receiver():
+    game = plant_game(SnapshotPlant)
+    sky = play(game, 1.0).sky
+    np.testing.assert_array_equal(sky.spoofed, game.plant.memory["spoofed"][0])
+    assert (sky.elevation > 0.0).all()
+    toward = game.plant._line_of_sight_n()[0]
+    np.testing.assert_allclose(np.cos(sky.elevation) * np.cos(sky.azimuth), toward[:, 0])
+    np.testing.assert_allclose(np.cos(sky.elevation) * np.sin(sky.azimuth), toward[:, 1])
+
+
+@pytest.mark.parametrize("kind", PLANTS)
+def test_small_plants_can_be_seen(kind):
+    assert isinstance(kind(1), Seen)
+
+
+def test_an_attack_on_channels_has_no_commanded_position():
+    game = tight_game(attack={"name": "per-channel", "control": "rate"})
+    history = play(game, 0.1, steps=2)
+    assert not history.stage.commands_position
+    assert np.isnan(history.pair("displacement_ne")).all()

@@ -1,0 +1,160 @@
+"""Pictures of the environments, by Gymnasium's contract."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import pickle
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import spoofgym
+
+from ..toy_plant import ToyEnv
+
+pytest.importorskip("matplotlib")
+
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
+IDS = {
+    "spoofgym/TightlyCoupled-v0": {"timeline": SHORT},
+    "spoofgym/Snapshot-v0": {},
+    "spoofgym/LooselyCoupled-v0": {},
+    "spoofgym/WheeledRobot-v0": {},
+}
+
+
+def make(name="spoofgym/TightlyCoupled-v0", mode="rgb_array", **kwargs):
+    return gym.make(name, render_mode=mode, **IDS[name], **kwargs)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_frames_are_pixels_that_change(name):
+    env = make(name, end_at_alarm=False)
+    env.reset(seed=2)
+    frames = [env.render()]
+    action = np.full(env.action_space.shape, 0.5, dtype=np.float32)
+    for _ in range(3):
+        env.step(action)
+        frames.append(env.render())
+    height, width, _ = frames[0].shape
+    assert height % 2 == 0  # as H.264 wants it
+    assert width % 2 == 0
+    for frame, following in itertools.pairwise(frames):
+        assert frame.shape == (height, width, 3)
+        assert frame.dtype == np.uint8
+        assert (frame != following).any()
+    np.testing.assert_array_equal(env.render(), frames[-1])
+    env.close()
+    env.close()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_checks_both_modes(name):
+    env = make(name).unwrapped
+    assert env.metadata["render_modes"] == ["human", "rgb_array"]
+    check_env(env)
+
+
+@pytest.mark.parametrize(
+    ("name", "fps"), [("spoofgym/TightlyCoupled-v0", 2.0), ("spoofgym/LooselyCoupled-v0", 10.0)]
+)
+def test_frames_a_second_are_epochs_a_second(name, fps):
+    assert make(name, mode=None).unwrapped.metadata["render_fps"] == pytest.approx(fps)
+
+
+def test_a_render_mode_leaves_the_game_alone():
+    drawn, plain = make(), make(mode=None)
+    np.testing.assert_array_equal(drawn.reset(seed=4)[0], plain.reset(seed=4)[0])
+    for _ in range(5):
+        action = np.array([0.2, 1.0], dtype=np.float32)
+        mine, theirs = drawn.step(action), plain.step(action)
+        np.testing.assert_array_equal(mine[0], theirs[0])
+        assert mine[1:] == theirs[1:]
+        drawn.render()
+
+
+def test_the_window_follows_every_step():
+    from tests.window import FigureCanvas
+
+    env = make(mode="human")
+    FigureCanvas.drawn = 0
+    env.reset(seed=1)
+    assert FigureCanvas.drawn == 1
+    env.step(np.zeros(2, dtype=np.float32))
+    assert FigureCanvas.drawn == 2
+    assert env.render() is None
+    env.close()
+    env.close()
+
+
+def test_without_a_display_it_says_what_to_do():
+    code = (
+        "import gymnasium as gym, spoofgym\n"
+        "env = gym.make('spoofgym/Snapshot-v0', render_mode='human')\n"
+        "env.reset(seed=0)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "MPLBACKEND": "agg"},
+    )
+    assert done.returncode == 1
+    assert "RuntimeError: render_mode='human' needs a display" in done.stderr
+    assert "use render_mode='rgb_array', or set MPLBACKEND" in done.stderr
+
+
+def test_an_episode_goes_on_in_a_copy():
+    env = make().unwrapped
+    env.reset(seed=5)
+    action = np.array([0.0, 1.0], dtype=np.float32)
+    for _ in range(3):
+        env.step(action)
+    env.render()
+    copy = pickle.loads(pickle.dumps(env))
+    env.step(action)
+    copy.step(action)
+    mine, theirs = env._screen._history, copy._screen._history
+    for name in ("time_s", "ratio", "twin_ratio", "induced_m"):
+        np.testing.assert_array_equal(mine.number(name), theirs.number(name))
+    assert copy.render().shape == env.render().shape
+
+
+def test_wrong_uses_are_told():
+    with pytest.raises(ValueError, match=r"unknown render mode 'rgb'.*valid: human, rgb_array"):
+        spoofgym.envs.SpoofEnv(render_mode="rgb", timeline=SHORT)
+    with pytest.raises(ValueError, match="nothing to render; got 'rgb_array'"):
+        ToyEnv(render_mode="rgb_array")
+    assert ToyEnv().metadata["render_modes"] == []
+    with pytest.raises(ValueError, match=r"seeded with seed \+ i shows receiver i"):
+        spoofgym.envs.SpoofVectorEnv(2, render_mode="rgb_array", timeline=SHORT)
+    env = make().unwrapped
+    with pytest.raises(RuntimeError, match=r"call reset\(\) before render\(\)"):
+        env.render()
+    plain = make(mode=None).unwrapped
+    plain.reset(seed=0)
+    with pytest.warns(UserWarning, match="needs a render mode"):
+        assert plain.render() is None
+
+
+def test_lists_of_frames():
+    env = make("spoofgym/Snapshot-v0", mode="rgb_array_list")
+    env.reset(seed=0)
+    env.step(np.zeros(4, dtype=np.float32))
+    assert len(env.render()) == 2
+
+
+def test_record_video_writes_a_film(tmp_path):
+    pytest.importorskip("moviepy", reason="RecordVideo needs moviepy")
+    env = gym.wrappers.RecordVideo(make("spoofgym/Snapshot-v0"), str(tmp_path / "films"), fps=10)
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.zeros(4, dtype=np.float32))
+    env.close()
+    (film,) = tmp_path.rglob("*.mp4")
+    assert b"ftyp" in film.read_bytes()[:16]
