@@ -71,7 +71,7 @@ class Task:
 
 
 EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
-RANGE_RATES = {"name": "cusum", "signals": "range_rate"}
+RANGE_RATES = {"name": "sequential-chi2", "signals": "range_rate"}
 EVERYTHING = {
     "start_s": [0.0, None],
     "turned_deg": [0.0, 360.0],
