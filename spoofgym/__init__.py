@@ -13,7 +13,9 @@ io         readers of recorded tracks and of navigation files
 detectors  one algorithm a file, behind one contract
 spoofers   who decides what the attack does
 envs       the engine that runs B receivers in step, and its views for Gymnasium
-duel_v0    the duel of a spoofer and a detector, for PettingZoo, and views of one side
+duel       the game of a spoofer and a detector, its two forms and the views of one side
+duel_v0    what is public of the duel, for PettingZoo and Gymnasium
+tasks      the tasks of `spoofgym-bench-v1`, and the papers' scenarios
 bench      campaigns: detectors x spoofers x paired seeds, and their scores
 testing    check_detector, check_attack, check_spoofer
 cli        spoofgym list | run | tune | bench | perf | report
@@ -107,10 +109,10 @@ register(
 for _task in _TASKS.values():
     register(
         id=_task.env_id,
-        entry_point="spoofgym.envs.duel.spoofer_view:SpooferView"
+        entry_point="spoofgym.duel.spoofer_view:SpooferView"
         if _task.pooled
         else "spoofgym.envs:SpoofEnv",
-        vector_entry_point="spoofgym.envs.duel.spoofer_view:SpooferVectorView"
+        vector_entry_point="spoofgym.duel.spoofer_view:SpooferVectorView"
         if _task.pooled
         else "spoofgym.envs:SpoofVectorEnv",
         kwargs=_task.env_kwargs,

@@ -14,15 +14,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from .attacks import Attack
+from .duel.agent import EXCLUSION_S, PolicyDetector
+from .duel.calibrate import calibrate
+from .duel.calibration import Calibration
+from .duel.detector_view import DetectorVectorView, DetectorView
+from .duel.onnx_detector import DetectorCard, OnnxDetector, write_card
+from .duel.payoff import RUNNING, NeymanPearson, Weighted
+from .duel.policy import DetectorPolicy, FunctionPolicy
+from .duel.spoofer_view import SpooferVectorView, SpooferView
 from .envs.domain import Domain
-from .envs.duel.agent import EXCLUSION_S, PolicyDetector
-from .envs.duel.calibrate import calibrate
-from .envs.duel.calibration import Calibration
-from .envs.duel.detector_view import DetectorVectorView, DetectorView
-from .envs.duel.onnx_detector import DetectorCard, OnnxDetector, write_card
-from .envs.duel.payoff import RUNNING, NeymanPearson, Weighted
-from .envs.duel.policy import DetectorPolicy, FunctionPolicy
-from .envs.duel.spoofer_view import SpooferVectorView, SpooferView
 from .envs.setup import Timeline
 from .receiver import TightlyCoupled
 from .sim.scenario import Scenario
@@ -131,7 +131,7 @@ def raw_env(**settings: Any) -> Any:
     AECEnv
         Of its own class.
     """
-    from .envs.duel.aec import DuelAEC
+    from .duel.aec import DuelAEC
 
     return DuelAEC(**settings)
 
@@ -158,6 +158,6 @@ def parallel_env(**settings: Any) -> Any:
     (1, False)
     >>> duel.close()
     """
-    from .envs.duel.parallel import DuelParallel
+    from .duel.parallel import DuelParallel
 
     return DuelParallel(**settings)

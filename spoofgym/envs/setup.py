@@ -161,9 +161,6 @@ class Setup:
         Epochs of a decision.
     bias_sd, noise_variance, noise, first_C_eb, onset_C_en
         Of the first case, for an episode that begins as early as it can.
-
-    Attributes
-    ----------
     witnesses : tuple of Witness
         What looks at every epoch beside the detector; copied for every batch.
 

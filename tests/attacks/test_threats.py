@@ -78,7 +78,10 @@ def added_nis(errors, tracking, inertial=None):
     receiver = TightlyCoupled(tuning="matched")
     setup = Setup(Scenario(errors=errors), receiver, attack, Never(), phases)
     if inertial is not None:
-        setup.noise = setup.noise._replace(inertial=inertial)
+        noise = setup.noise._replace(inertial=inertial)
+        setup.cases._cases[0] = setup.cases[0]._replace(
+            noise_psd=receiver.noise_psd(noise), covariance=receiver.initial_covariance(noise)
+        )
     clean, attacked = (Batch(setup, RUNS, lambda work, b: work(0, b)) for _ in range(2))
     for batch in (clean, attacked):
         batch.begin([np.random.default_rng([5, run]) for run in range(RUNS)])

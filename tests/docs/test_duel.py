@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0
-from spoofgym.envs.duel.agent import EXCLUSION_S
-from spoofgym.envs.duel.payoff import RunningThreshold, Weighted
+from spoofgym.duel.agent import EXCLUSION_S
+from spoofgym.duel.payoff import RunningThreshold, Weighted
 
 from ..spoofers.policies import network
 

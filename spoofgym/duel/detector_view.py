@@ -7,8 +7,8 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from ..game_env import GameEnv, refuse_rendering
-from ..game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
+from ..envs.game_env import GameEnv, refuse_rendering
+from ..envs.game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
 from .detector_game import DetectorGame
 from .opponents import SpooferSpec
 from .rules import make_duel

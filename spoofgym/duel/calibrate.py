@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._describe import describe, digest_of
-from ...detectors import DetectorContext
+from .._describe import describe, digest_of
+from ..detectors import DetectorContext
 from .agent import policy_context
 from .calibration import Calibration, fewest_runs, quantile_of
 from .duel import Duel

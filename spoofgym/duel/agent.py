@@ -13,10 +13,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._registry import check_choice
-from ...detectors import Detector, DetectorContext, Verdict
-from ...receiver.epoch import Epoch
-from ..pool import JointMemory
+from .._registry import check_choice
+from ..detectors import Detector, DetectorContext, Verdict
+from ..envs.pool import JointMemory
+from ..receiver.epoch import Epoch
 from .policy import DetectorPolicy, PolicyContext
 from .sight import ALL_SIGHTS, Sight
 from .sight_terms import ExclusionLeft, slots

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0
-from spoofgym.envs.duel.calibration import fewest_runs, quantile_of
-from spoofgym.envs.duel.payoff import RunningThreshold
+from spoofgym.duel.calibration import fewest_runs, quantile_of
+from spoofgym.duel.payoff import RunningThreshold
 
 from .support import ALARM, SHORT, parallel, wary
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._files import write_file
+from .._files import write_file
 
 FloatArray = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ...attacks import Attack
-from ...receiver import TightlyCoupled
-from ...sim.scenario import Scenario
-from ...sim.sensors import SOURCES
-from ..domain import Domain
-from ..engine import Batch
-from ..pool import NATURE, uniforms
-from ..presets import DEFAULT_ATTACK, make_game, make_setup
-from ..setup import Setup, Timeline
+from ..attacks import Attack
+from ..envs.domain import Domain
+from ..envs.engine import Batch
+from ..envs.pool import NATURE, uniforms
+from ..envs.presets import DEFAULT_ATTACK, make_game, make_setup
+from ..envs.setup import Setup, Timeline
+from ..receiver import TightlyCoupled
+from ..sim.scenario import Scenario
+from ..sim.sensors import SOURCES
 from .agent import EXCLUSION_S, DetectorAgent, check_delay
 from .calibration import Calibration
 from .ledger import Ledger

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...detectors import Detector, make_detector
-from ...spoofers import SUFFIX, Spoofer, make_spoofer
-from ..attach import card_behind, spoofer_context
-from ..observations import terms_of
-from ..observer import Observer
-from ..pool import PooledDetector, checked_weights, drawn
-from ..setup import Setup
-from ..snapshot import Snapshot
+from ..detectors import Detector, make_detector
+from ..envs.attach import card_behind, spoofer_context
+from ..envs.observations import terms_of
+from ..envs.observer import Observer
+from ..envs.pool import PooledDetector, checked_weights, drawn
+from ..envs.setup import Setup
+from ..envs.snapshot import Snapshot
+from ..spoofers import SUFFIX, Spoofer, make_spoofer
 from .agent import PolicyDetector
 from .onnx_detector import OnnxDetector
 

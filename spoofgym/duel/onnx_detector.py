@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from ..._files import write_file
-from ...spoofers import SUFFIX
-from ...spoofers.card_parts import PolicyFile, Record, Space
-from ...spoofers.onnx_file import check_signature, opset_of, read_model
-from ...spoofers.onnx_policy import make_session
+from .._files import write_file
+from ..spoofers import SUFFIX
+from ..spoofers.card_parts import PolicyFile, Record, Space
+from ..spoofers.onnx_file import check_signature, opset_of, read_model
+from ..spoofers.onnx_policy import make_session
 from .calibration import Calibration
 from .policy import DetectorPolicy, FloatArray, PolicyContext, checked_decision
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..played import Turn
+from ..envs.played import Turn
 from .duel import DOMAIN, Duel
 from .opponents import SpooferPool, SpooferSpec
 

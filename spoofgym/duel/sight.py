@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..._memory import Memory
-from ...receiver.epoch import Epoch
+from .._memory import Memory
+from ..receiver.epoch import Epoch
 from .sight_terms import (
     AverageInnovation,
     ChiSquare,

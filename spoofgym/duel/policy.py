@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._describe import describe, digest_of
-from ..._memory import Memory
+from .._describe import describe, digest_of
+from .._memory import Memory
 
 FloatArray = NDArray[np.float64]
 

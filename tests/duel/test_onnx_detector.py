@@ -54,7 +54,7 @@ def test_the_policy_is_the_same_in_any_batch_and_in_copies(file):
 
 
 def _context(receivers, fields):
-    from spoofgym.envs.duel.policy import PolicyContext
+    from spoofgym.duel.policy import PolicyContext
 
     return PolicyContext(receivers=receivers, **fields)
 

@@ -8,12 +8,12 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from ...detectors import Detector
-from ..game import Game
-from ..game_env import GameEnv, refuse_rendering
-from ..game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
-from ..presets import make_game, make_setup
-from ..setup import Setup
+from ..detectors import Detector
+from ..envs.game import Game
+from ..envs.game_env import GameEnv, refuse_rendering
+from ..envs.game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
+from ..envs.presets import make_game, make_setup
+from ..envs.setup import Setup
 from .opponents import DetectorSpec, label_of, members_of, pooled_detector
 
 DetectorPool = Sequence[DetectorSpec] | DetectorSpec

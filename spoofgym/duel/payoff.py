@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._registry import build
+from .._registry import build
 from .calibration import Calibration
 
 FloatArray = NDArray[np.float64]

@@ -11,9 +11,9 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from ..._registry import check_choice
-from ..game_env import refuse_rendering
-from ..spaces import action_space, checked_action, observation_space
+from .._registry import check_choice
+from ..envs.game_env import refuse_rendering
+from ..envs.spaces import action_space, checked_action, observation_space
 from .duel import Duel, DuelTurn, duel_setup
 
 SPOOFER, DETECTOR = "spoofer_0", "detector_0"

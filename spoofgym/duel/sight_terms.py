@@ -12,10 +12,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._memory import Memory
-from ...earth.frames import dcm_e_from_n, ecef_to_geodetic
-from ...receiver.epoch import Epoch
-from ...receiver.nis import normalized_innovation_squared
+from .._memory import Memory
+from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
+from ..receiver.epoch import Epoch
+from ..receiver.nis import normalized_innovation_squared
 
 FloatArray = NDArray[np.float64]
 Written = NDArray[np.float32]

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from spoofgym.duel.ledger import Ledger
 from spoofgym.envs import SpoofEnv
 from spoofgym.envs.books import Books
-from spoofgym.envs.duel.ledger import Ledger
 from spoofgym.envs.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
 
 from .support import ALARM, QUIET, SHORT, aec, parallel
