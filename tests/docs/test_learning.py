@@ -25,3 +25,13 @@ def test_the_code_runs_in_its_order(capsys):
     assert printed[2] == "[0. 0. 0. 0.]"
     assert float(printed[3]) > 10.0  # full pushes alarm more often than the budget allows
     assert printed[4] == "[85. 85. 85.]"
+
+
+def test_the_code_on_tasks_runs(capsys):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "tasks.md").read_text()
+    module = types.ModuleType("tasks")
+    for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
+        exec(compile(block, "docs/tasks.md", "exec"), module.__dict__)
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("matched receiver")
+    assert len(printed) == 6

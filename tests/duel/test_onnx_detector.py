@@ -9,7 +9,7 @@ import pytest
 
 from spoofgym import duel_v0
 
-from ...spoofers.policies import network
+from ..spoofers.policies import network
 from .support import SHORT
 
 SETTINGS = {"timeline": SHORT, "runs": 19}
