@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 
+import numpy as np
 import pytest
 
 from .pages import blocks_of, broken_links, run
@@ -57,6 +58,17 @@ def test_a_block_runs(number, scope):
         run(smaller(code), f"{PAGE} block {number}", scope)
     if "undetected_m" in scope and number == 1:
         assert len(scope["undetected_m"]) >= 16
+
+
+def test_rllib_goes_on_against_the_frozen_side_that_was_found(scope):
+    if "answer" not in scope:
+        pytest.skip("ray is not installed: make test-ray")
+    found, kept = (scope[name].learner_group.get_weights() for name in ("both", "answer"))
+    sides = {
+        side: all(np.array_equal(array, kept[side][name]) for name, array in weights.items())
+        for side, weights in found.items()
+    }
+    assert sides == {"spoofer": False, "detector": True}
 
 
 def test_whatever_is_made_smaller_stands_on_the_page():
