@@ -112,7 +112,7 @@ def test_a_bad_action_names_element_and_value(bad):
             {"detector": {"name": "cusum", "bias_window_s": 220.0}},
             "Cusum can't alarm in its first 440 epochs",
         ),
-        ({"attack": "meaconer"}, "unknown attack"),
+        ({"attack": "meaconner"}, "unknown attack .*did you mean 'meaconer'"),
         ({"scenario": "mars"}, "unknown scenario"),
         ({"scenario": {"imu": "toy"}}, "unknown imu grade"),
         ({"receiver": {"tunes": "paper"}}, "no setting 'tunes'"),
