@@ -4,6 +4,9 @@ VENV   ?= .venv
 
 python := $(VENV)/bin/python
 
+# RLlib wants an older Gymnasium, the oldest that spoofgym takes: it has an environment of its own.
+VENV_RAY ?= .venv-ray
+
 # Processes that share the tests, file by file.
 WORKERS ?= auto
 
@@ -13,11 +16,14 @@ extras_check := flights,report,dev
 extras_test  := flights,report,video,dev,train
 extras_train := report,train
 
+# What is tested with RLlib and the oldest Gymnasium.
+tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py
+
 .DEFAULT_GOAL := help
-.PHONY: help venv bench test check perf train
+.PHONY: help venv bench test test-ray check perf train
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
 
 venv: $(VENV)/.installed-bench ## create the virtual environment with what the benchmark needs
 
@@ -26,6 +32,9 @@ bench: $(VENV)/.installed-bench ## play the benchmark and write its report
 
 test: $(VENV)/.installed-test ## run all tests; a part of them with ARGS="-k word"
 	$(python) -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+
+test-ray: $(VENV_RAY)/.installed ## test RLlib and the oldest Gymnasium, in an environment of its own
+	$(VENV_RAY)/bin/python -m pytest $(tests_ray) $(ARGS)
 
 check: $(VENV)/.installed-check ## format, lint, types, import directions, docstrings, spelling
 	$(python) -m ruff format --check .
@@ -46,9 +55,16 @@ $(VENV)/.installed-%: pyproject.toml constraints.txt | $(python)
 	$(python) -m pip install --quiet --prefer-binary -c constraints.txt -e '.[$(extras_$*)]'
 	@touch $@
 
-$(python):
+# A version that constraints-ray.txt names is taken from there, all others from constraints.txt.
+$(VENV_RAY)/.installed: pyproject.toml constraints.txt constraints-ray.txt | $(VENV_RAY)/bin/python
+	awk -F== '!seen[$$1]++' constraints-ray.txt constraints.txt > $(VENV_RAY)/constraints.txt
+	$(VENV_RAY)/bin/python -m pip install --quiet --prefer-binary -c $(VENV_RAY)/constraints.txt \
+	  -e '.[$(extras_test),ray]'
+	@touch $@
+
+$(VENV)/bin/python $(VENV_RAY)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || { \
 	  echo "spoofgym needs Python 3.11 to 3.13, and $(PYTHON) is:" >&2; \
 	  $(PYTHON) --version >&2; \
 	  echo "choose another one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
-	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }
+	$(PYTHON) -m venv $(@:/bin/python=) || { rm -rf $(@:/bin/python=); exit 1; }

@@ -103,6 +103,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         "render_fps": 2,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
+    closed = True  # until there is a game: older Gymnasium closes what has failed to be made
 
     def __init__(self, game: G, autoreset_mode: AutoresetMode, infos: InfoSpec = "all") -> None:
         self.autoreset_mode = autoreset_mode
@@ -110,6 +111,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         self.render_mode = None
         self._infos = infos
         self.adopt(game)
+        self.closed = False
 
     def adopt(self, game: G) -> None:
         """Take a game that has not begun.

@@ -1,8 +1,6 @@
 """The page on the duel: its code runs, and what it says of settings is so."""
 
-import re
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,18 +10,35 @@ from spoofgym.duel.agent import EXCLUSION_S
 from spoofgym.duel.payoff import RunningThreshold, Weighted
 
 from ..spoofers.policies import network
+from .pages import blocks_of, broken_links, run, text_of
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "duel.md").read_text()
-CODE = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+NAME = "duel.md"
+PAGE = text_of(NAME)
+SMALLER = [("TURNS, STEPS, RUNS = 4, 20_000, 200", "TURNS, STEPS, RUNS = 2, 64, 19"), ("512", "64")]
 
 
 @pytest.fixture(scope="module")
 def page():
     module = types.ModuleType("page")
-    for number, block in enumerate(CODE):
-        exec(compile(block, f"duel.md block {number}", "exec"), module.__dict__)
+    for number, (needs, code) in enumerate(blocks_of(NAME)):
+        if needs is not None:
+            continue
+        run(code, f"{NAME} block {number}", module.__dict__)
     return module
+
+
+@pytest.fixture(scope="module")
+def self_play(page):
+    """Names of the page after its blocks of self-play, made smaller."""
+    scope = dict(page.__dict__)
+    for needs, code in blocks_of(NAME):
+        if needs is None:
+            continue
+        pytest.importorskip(needs)
+        for old, new in SMALLER:
+            code = code.replace(old, new)
+        run(code, f"{NAME}, self-play", scope)
+    return scope
 
 
 def test_the_blocks_run_in_their_order(page):
@@ -47,6 +62,38 @@ def test_a_policy_is_saved_as_the_page_says(page, tmp_path, monkeypatch):
     page.save(file, page.guard)
     assert calls == [200]
     assert 0.0 < duel_v0.OnnxDetector(file).card.threshold <= 1.0
+
+
+def test_self_play_freezes_what_it_keeps(self_play):
+    first, second = self_play["spoofers"][2:]
+    seen = self_play["attack"].reset(seed=5)[0][None]
+    assert not np.array_equal(first.act(seen), second.act(seen))  # the learner has gone on
+    np.testing.assert_array_equal(
+        second.act(seen), self_play["attacker"].predict(seen, deterministic=True)[0]
+    )
+    thresholds = [detector.threshold for detector in self_play["detectors"][2:]]
+    assert len(set(thresholds)) == 2
+
+
+def test_self_play_pays_what_single_environments_pay(self_play):
+    spoofer, detector = self_play["s"], self_play["d"]
+    paid = self_play["undetected_m"](spoofer, detector)
+    view = duel_v0.SpooferView(pool=[detector], knowledge="tracking", timeline=self_play["short"])
+    for row in range(3):
+        seen, _ = view.reset(seed=1_000_000 + row)
+        total, over = 0.0, False
+        while not over:
+            seen, reward, over, _, _ = view.step(spoofer.act(seen[None])[0])
+            total += reward
+        assert total == pytest.approx(paid[row], abs=1e-3)  # networks round by the batch
+
+
+def test_every_link_to_a_file_leads_somewhere():
+    assert broken_links(NAME) == []
+
+
+def test_what_is_made_smaller_stands_on_the_page():
+    assert all(old in PAGE for old, _ in SMALLER)
 
 
 def test_numbers_of_the_page_are_the_defaults():

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
@@ -22,9 +22,13 @@ from ..resets import mask_of
 
 Array = NDArray[Any]
 Envs = VectorEnv[Array, Array, Array]
+if TYPE_CHECKING:
+    Wrapper = VectorWrapper[Array, Array, Array]
+else:
+    Wrapper = VectorWrapper  # not generic before Gymnasium 1.4
 
 
-class DetectorWrapper(VectorWrapper[Array, Array, Array]):
+class DetectorWrapper(Wrapper):
     """Sets the detector in the loop, as the argument ``detector=`` does.
 
     Parameters
@@ -40,7 +44,7 @@ class DetectorWrapper(VectorWrapper[Array, Array, Array]):
         compose(env, detector=detector)
 
 
-class WatchWrapper(VectorWrapper[Array, Array, Array]):
+class WatchWrapper(Wrapper):
     """Adds detectors that watch, as the argument ``watch=`` does.
 
     Parameters
@@ -56,7 +60,7 @@ class WatchWrapper(VectorWrapper[Array, Array, Array]):
         compose(env, watch=watch)
 
 
-class StealthBudget(VectorWrapper[Array, Array, Array]):
+class StealthBudget(Wrapper):
     """Ends an episode where the attack has spent its divergence; the end term `AtStealthBudget`.
 
     Parameters
@@ -72,7 +76,7 @@ class StealthBudget(VectorWrapper[Array, Array, Array]):
         compose(env, end=AtStealthBudget(budget_nats))
 
 
-class RecordEpochs(VectorWrapper[Array, Array, Array]):
+class RecordEpochs(Wrapper):
     """Writes every epoch of the commands into Parquet files, one an episode of a receiver.
 
     Parameters
