@@ -28,7 +28,8 @@ CACHE_VARIABLE = "SPOOFGYM_CACHE_DIR"
 COMPILED_LAYERS = ("earth", "sim", "attacks", "receiver", "detectors", "envs")
 """Packages with compiled code, each of which calls only those before it (import-linter's order)."""
 KEPT_DIGESTS = 16
-FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
+FASTMATH = {"contract", "arcp", "nsz"}
+"""Relaxed rules of floating point; ``reassoc`` is left out, see the notes of `njit`."""
 
 
 def layer_of(module: str) -> int:
@@ -192,7 +193,11 @@ def njit(function: F) -> F:
     Notes
     -----
     The relaxed floating-point rules leave NaN and infinity alone, since inputs are screened for
-    them.  There is no ``parallel``: after a parallel region of GNU OpenMP a forked child dies, and
+    them.  Sums are not regrouped (``reassoc``): LLVM optimizes a function once by itself and once
+    more within each caller, and would group otherwise each time.  Which of these copies runs
+    depends on what the process has loaded first, so that one that compiles, whose callees are all
+    loaded, would end in other last bits than one that finds the callers in the cache.  There is no
+    ``parallel``: after a parallel region of GNU OpenMP a forked child dies, and
     Gymnasium's ``AsyncVectorEnv`` with it.
     """
     return _compile(function, forceinline=False)

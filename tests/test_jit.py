@@ -199,3 +199,40 @@ def test_code_of_this_process_lies_in_the_folder_of_its_layer():
     folder = Path(wgs84.gravity.stats.cache_path)
     assert folder.is_relative_to(_jit.cache_folder(0))
     assert _jit.source_digest(0) in folder.as_posix()
+
+
+GAIN = """
+import hashlib, sys
+import numpy as np
+from spoofgym.receiver.kalman import _multiply, gain_solution, product, subtract
+rng = np.random.default_rng(1)
+if "callees-first" in sys.argv:
+    subtract(np.zeros(289), np.zeros(136), np.zeros(136))
+    product(np.zeros(64), np.zeros(136), np.zeros(136))
+    _multiply(*np.zeros((3, 8, 8)))
+digest = hashlib.sha256()
+for covariance_update in (0, 1, 2):
+    root = rng.normal(size=(17, 17))
+    P, sums, dx = (root @ root.T).ravel(), np.zeros((3, 8, 8)), np.zeros(17)
+    for k in (0, 4):
+        rows = rng.normal(size=(3, 4, 4))
+        sums[:, k : k + 4, k : k + 4] = rows @ rows.transpose(0, 2, 1)
+    scratch = (*np.zeros((2, 8, 8)), np.zeros(64), *np.zeros((2, 136)))
+    gain_solution(P, *sums, rng.normal(size=8), covariance_update, *scratch, dx)
+    digest.update(P.tobytes() + dx.tobytes())
+print(digest.hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_a_process_that_compiles_has_the_bits_of_one_that_loads(tmp_path):
+    """A chain of four kernels; their sums come out otherwise where LLVM may regroup them."""
+    environment = os.environ | {_jit.CACHE_VARIABLE: str(tmp_path)}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    digests_of = {}
+    for case in ("compiling", "loading", "callees-first"):
+        command = [sys.executable, "-c", GAIN, case]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        digests_of[case] = done.stdout.strip()
+    assert len(set(digests_of.values())) == 1, digests_of

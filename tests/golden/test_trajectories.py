@@ -1,0 +1,32 @@
+"""Every id does what it did when its trajectory was stored."""
+
+import numpy as np
+import pytest
+
+from . import trajectories
+
+NOISE = "3df5a44369fc0d5bf806c87edbb93246ca6df4d150d2bc92c5d4d999618b9f86"
+"""Of the first version; another digest means other noise under every id."""
+ROUNDING_M = 1e-6
+"""Errors of a few metres are differences of positions of 6e6 m, of which 1e-9 were 6 mm."""
+
+
+def test_the_files_are_small_and_every_id_has_one():
+    files = list(trajectories.FOLDER.iterdir())
+    assert {path.stem for path in files} == set(trajectories.cases())
+    assert sum(path.stat().st_size for path in files) < 400_000
+
+
+@pytest.mark.parametrize("name", trajectories.cases())
+def test_the_trajectory_is_the_stored_one(name):
+    mine, stored = trajectories.cases()[name](), trajectories.load(name)
+    assert set(mine) >= set(stored)  # more information may be told, none may go
+    for key, expected in stored.items():
+        assert mine[key].dtype == expected.dtype, key
+        single = expected.dtype == np.float32  # of which a last bit may fall to the other side
+        relative = 1.2e-7 if single else 1e-9
+        np.testing.assert_allclose(mine[key], expected, rtol=relative, atol=ROUNDING_M, err_msg=key)
+
+
+def test_the_noise_is_that_of_the_first_version():
+    assert trajectories.noise_digest() == NOISE
