@@ -239,64 +239,6 @@ def score(
 
 
 @njit
-def displace_and_score(
-    position_e,
-    reference_e,
-    rows,
-    C_en,
-    onset,
-    heading,
-    worst,
-    origin,
-    alarms,
-    early,
-    at_alarm,
-    steps,
-    hold,
-    step_count,
-    detected,
-    ended,
-    credited,
-    largest,
-    values,
-    marks,
-):
-    """Displace, and keep the books, where nothing comes between.
-
-    Parameters
-    ----------
-    position_e, reference_e, rows, C_en, onset, heading, worst, origin
-        As in `displace`.
-    alarms, early, at_alarm, steps, hold, step_count, detected, ended, credited, largest
-        As in `score`.
-    values, marks : ndarray
-        As in `score`; the displacement is written, too.
-
-    Returns
-    -------
-    bool
-        As in `score`.
-    """
-    displace(
-        position_e, reference_e, rows, C_en, onset, heading, worst, origin, values[DISPLACEMENT]
-    )
-    return score(
-        alarms,
-        early,
-        at_alarm,
-        steps,
-        hold,
-        step_count,
-        detected,
-        ended,
-        credited,
-        largest,
-        values,
-        marks,
-    )
-
-
-@njit
 def tell(
     detected,
     ended,
@@ -348,6 +290,85 @@ def tell(
     for r in range(shares.shape[0]):
         for b in range(detected.shape[0]):
             values[REWARD, b] += values[PARTS + r, b]
+
+
+@njit
+def play(
+    position_e,
+    reference_e,
+    rows,
+    C_en,
+    onset,
+    heading,
+    worst,
+    origin,
+    alarms,
+    early,
+    at_alarm,
+    steps,
+    hold,
+    step_count,
+    detected,
+    ended,
+    credited,
+    largest,
+    warmup_alarm,
+    coasting,
+    epoch_time,
+    epochs,
+    shares,
+    values,
+    marks,
+):
+    """Displace, keep the books, and tell, where nothing comes between.
+
+    Parameters
+    ----------
+    position_e, reference_e, rows, C_en, onset, heading, worst, origin
+        As in `displace`.
+    alarms, early, at_alarm, steps, hold, step_count, detected, ended, credited, largest
+        As in `score`.
+    warmup_alarm, coasting, epoch_time, epochs, shares
+        As in `tell`.
+    values, marks : ndarray
+        Of `Tally`, written.
+
+    Returns
+    -------
+    bool
+        As in `score`; nothing is told then.
+    """
+    displace(
+        position_e, reference_e, rows, C_en, onset, heading, worst, origin, values[DISPLACEMENT]
+    )
+    held = score(
+        alarms,
+        early,
+        at_alarm,
+        steps,
+        hold,
+        step_count,
+        detected,
+        ended,
+        credited,
+        largest,
+        values,
+        marks,
+    )
+    if not held:
+        tell(
+            detected,
+            ended,
+            credited,
+            warmup_alarm,
+            coasting,
+            epoch_time,
+            epochs,
+            shares,
+            values,
+            marks,
+        )
+    return held
 
 
 @njit

@@ -18,7 +18,7 @@ from ._kernels import (
     REWARD,
     TRUNCATED,
     displace,
-    displace_and_score,
+    play,
     tell,
 )
 from .actions import ActionTerm, Actor, FullCommand
@@ -299,34 +299,20 @@ class Game:
             self._origin,
         )
 
-    def _play(self, command: FloatArray) -> Tally:
-        """One epoch."""
+    def _advance(self, command: FloatArray) -> Verdict:
+        """One epoch of the receivers, and of their twins."""
         verdict = self.engine.step(command)
         if self.engine.twin is not None:
             self.engine.step_twin()
+        return verdict
+
+    def _play(self, command: FloatArray) -> Tally:
+        """One epoch, which is not told yet."""
+        verdict = self._advance(command)
         tally = Tally(self.receivers, self._value_names)
-        if self._ends or self.listeners:
-            displace(*self._apart(), tally.values[DISPLACEMENT])
-            early = self._judge_ends(tally, verdict)
-            self.books.count(tally, verdict.alarm, early, self.end_at_alarm, self.engine.hold)
-            return tally
-        books = self.books
-        if displace_and_score(
-            *self._apart(),
-            np.ascontiguousarray(verdict.alarm),
-            books.nobody,
-            self.end_at_alarm,
-            books.steps,
-            books.hold,
-            books.step_count,
-            books.detected,
-            books.ended,
-            books.credited,
-            books.largest,
-            tally.values,
-            tally.marks,
-        ):
-            books.score_hold(tally, self.engine.hold)
+        displace(*self._apart(), tally.values[DISPLACEMENT])
+        early = self._judge_ends(tally, verdict)
+        self.books.count(tally, verdict.alarm, early, self.end_at_alarm, self.engine.hold)
         return tally
 
     def _decide(self, command: FloatArray) -> Tally:
@@ -338,9 +324,54 @@ class Game:
             later = self._play(setup.command(self._given, command, epoch))
             later.add(tally)
             tally = later
-        if setup.repeat > 1:
-            self._given[:] = command
+        self._given[:] = command
+        self._tell(tally)
         return tally
+
+    def _decide_at_once(self, command: FloatArray) -> Tally:
+        """One epoch where nobody looks at it before it is told: `_decide` in one kernel."""
+        verdict = self._advance(command)
+        tally, books, engine = Tally(self.receivers, self._value_names), self.books, self.engine
+        batch = engine.batch
+        if play(
+            *self._apart(),
+            np.ascontiguousarray(verdict.alarm),
+            books.nobody,
+            self.end_at_alarm,
+            books.steps,
+            books.hold,
+            books.step_count,
+            books.detected,
+            books.ended,
+            books.credited,
+            books.largest,
+            engine.warmup_alarm,
+            batch.buffers.measured.coasting,
+            self.setup.world.epoch_time,
+            batch.epochs,
+            self._shares,
+            tally.values,
+            tally.marks,
+        ):
+            books.score_hold(tally, engine.hold)
+            self._tell(tally)
+        return tally
+
+    def _tell(self, tally: Tally) -> None:
+        """Write what is told of a step."""
+        books, engine = self.books, self.engine
+        tell(
+            books.detected,
+            books.ended,
+            books.credited,
+            engine.warmup_alarm,
+            engine.batch.buffers.measured.coasting,
+            self.setup.world.epoch_time,
+            engine.batch.epochs,
+            self._shares,
+            tally.values,
+            tally.marks,
+        )
 
     def step(self, action: FloatArray) -> Tally:
         """One decision of all receivers, and the epochs until the next.
@@ -357,26 +388,16 @@ class Game:
         """
         if self._watch is not None:
             self._watch.forget(self.engine)
-        tally = self._decide(self.actor.command(action))
-        engine, batch = self.engine, self.engine.batch
-        tell(
-            self.books.detected,
-            self.books.ended,
-            self.books.credited,
-            engine.warmup_alarm,
-            batch.buffers.measured.coasting,
-            self.setup.world.epoch_time,
-            batch.epochs,
-            self._shares,
-            tally.values,
-            tally.marks,
-        )
+        looked_at = self._ends or self.listeners or self.setup.repeat > 1
+        decide = self._decide if looked_at else self._decide_at_once
+        tally = decide(self.actor.command(action))
         if not self._compiled:
             self._reward(tally, action)
         if self.setup.attack.capture is not None:
-            tally.more["captured_channels"] = batch.attack.memory["captured"].sum(axis=1)
+            captured = self.engine.batch.attack.memory["captured"]
+            tally.more["captured_channels"] = captured.sum(axis=1)
         if self._watch is not None:
-            tally.more.update(self._watch.step_info(engine))
+            tally.more.update(self._watch.step_info(self.engine))
         return tally
 
     def _reward(self, tally: Tally, action: FloatArray) -> None:
@@ -395,6 +416,8 @@ class Game:
 
     def _judge_ends(self, tally: Tally, verdict: Verdict) -> NDArray[np.bool_]:
         """Who has given the last command before the end of the window; tell the listeners, too."""
+        if not (self._ends or self.listeners):
+            return self.books.nobody
         snapshot = self.snapshot()._replace(step=self.step_count + 1)
         standing = Standing(snapshot, tally.values[DISPLACEMENT])
         for listener in self.listeners:

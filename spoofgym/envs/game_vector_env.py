@@ -229,7 +229,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         return self._plain_step(given)
 
     def _plain_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        if self._over.any():
+        if np.count_nonzero(self._over):
             raise RuntimeError(
                 f"the episodes of receivers {', '.join(map(str, np.flatnonzero(self._over)))} are "
                 f"over: call reset(options={{'{RESET_MASK}': ...}}) before step()"
@@ -240,25 +240,26 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         return self.game.observe(), turn.reward, turn.terminated, turn.truncated, info
 
     def _next_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        if self._over.all():
+        begins = np.count_nonzero(self._over)
+        if begins == self.num_envs:
             self._restart(self._all)
             info = self._masked(self.game.begin_info(), self._all)
             never = np.zeros_like(self._over)
             return self.game.observe(), np.zeros(self.num_envs), never, never.copy(), info
         turn = self.game.step(given)
         reward, terminated, truncated = turn.reward, turn.terminated, turn.truncated
-        info = turn.info
-        if np.count_nonzero(self._over):
+        if begins:
             reward[self._over] = 0.0
             terminated[self._over] = truncated[self._over] = False
-            info = self._begin_instead(self._over.copy(), info)
+            info = self._begin_instead(self._over, turn.info)
         else:
-            info = self._masked(info, self._all)
+            info = self._masked(turn.info, self._all)
         self._over = terminated | truncated
         return self.game.observe(), reward, terminated, truncated, info
 
     def _begin_instead(self, begins: NDArray[np.bool_], info: dict[str, Array]) -> dict[str, Any]:
         """Begin the next episode of receivers that ran one epoch more than theirs."""
+        begins = begins.copy()
         self._restart(begins)
         begin = self.game.begin_info()
         for name, array in info.items():
@@ -271,7 +272,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         turn = self.game.step(given)
         over = turn.terminated | turn.truncated
         observation = self.game.observe()
-        if not over.any():
+        if not np.count_nonzero(over):
             info = self._masked(turn.info, self._all)
             return observation, turn.reward, turn.terminated, turn.truncated, info
         final = np.full(self.num_envs, None, dtype=object)
