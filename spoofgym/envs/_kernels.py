@@ -94,57 +94,281 @@ def local_motion(position_e, velocity_e, C_en, epochs, onset, per_position, per_
 
 
 @njit
+def within(values, limit):
+    """Whether all values are finite, and at most as large as a limit.
+
+    Parameters
+    ----------
+    values : ndarray
+        (k,).
+    limit : float
+        At least 0.
+
+    Returns
+    -------
+    bool
+        False if any is NaN.
+    """
+    good = True
+    for i in range(values.shape[0]):
+        good = good and abs(values[i]) <= limit
+    return good
+
+
+@njit
+def own_command(displacement, rate, per_displacement, per_rate, out):
+    """Commanded displacement and rate, scaled.
+
+    Parameters
+    ----------
+    displacement, rate : ndarray
+        (B, a) [m], [m/s].
+    per_displacement, per_rate : float
+        Factors.
+    out : ndarray
+        (B, o), whose first 2 a columns are written.
+    """
+    axes = displacement.shape[1]
+    for b in range(displacement.shape[0]):
+        for i in range(axes):
+            out[b, i] = displacement[b, i] * per_displacement
+            out[b, axes + i] = rate[b, i] * per_rate
+
+
+@njit
+def clip_columns(out, low, high, first, last):
+    """Clip some columns; NaN stays NaN.
+
+    Parameters
+    ----------
+    out : ndarray
+        (B, o), overwritten.
+    low, high : ndarray
+        (o,) bounds.
+    first, last : int
+        Which columns: those from `first` on, before `last`.
+    """
+    for b in range(out.shape[0]):
+        for i in range(first, last):
+            if out[b, i] < low[i]:
+                out[b, i] = low[i]
+            elif out[b, i] > high[i]:
+                out[b, i] = high[i]
+
+
+# rows of what a step has brought, as `tally.Tally` names them; parts of the reward come between
+TIME, DISPLACEMENT, UNDETECTED, COST = 0, 1, 2, 3
+PARTS = 4
+GAIN, RETRACTION, REWARD = -3, -2, -1
+ALARM, DETECTED, WARMUP_ALARM, COASTING, FIRST, FINISHED, TERMINATED, TRUNCATED = range(8)
+
+
+@njit
 def score(
-    displacement,
     alarms,
+    early,
+    at_alarm,
     steps,
     hold,
     step_count,
     detected,
+    ended,
+    credited,
     largest,
-    gain,
-    retraction,
-    alarm,
-    first,
-    finished,
+    values,
+    marks,
 ):
-    """Keep the books of one step of every receiver.
+    """Keep the books of one epoch of every receiver.
 
     Parameters
     ----------
-    displacement : ndarray
-        (B,) error along the target direction, less that at the onset [m].
     alarms : ndarray
         (B, c) bool, of the verdict.
+    early : ndarray
+        (B,) bool, whose last command this was, before the end of the window.
+    at_alarm : bool
+        Whether an alarm ends an episode.
     steps, hold : int
-        Commands of an episode, and epochs of the time to alert.
+        Epochs of the command phase, and of the time to alert.
     step_count : ndarray
-        (B,) commands before this one; one more after it.
+        (B,) epochs before this one; one more after it.
     detected : ndarray
-        (B,) bool, whether there was an alarm before this step.
+        (B,) bool, whether there was an alarm before this epoch; with it after.
+    ended : ndarray
+        (B,) bool, whose episode was over before this epoch; nothing counts for them.
+    credited : ndarray
+        (B,) undetected displacement before this epoch, and after it [m].
     largest : ndarray
-        (B, steps + 1) largest displacement so far after each step, this one's is written [m].
-    gain, retraction : ndarray
-        (B,), written [m].
-    alarm, first, finished : ndarray
-        (B,) bool, written: any alarm, the first alarm, the last command.
+        (B, steps + 1) largest displacement so far after each epoch, this one's is written [m].
+    values, marks : ndarray
+        Of `Tally`.  The displacement, and who is to be truncated, are read; gain, retraction,
+        alarm, first alarm, last command and ends are written.
+
+    Returns
+    -------
+    bool
+        Whether anybody has given the last command without an alarm, and has to run the time to
+        alert.
     """
+    held = False
     for b in range(step_count.shape[0]):
         # a receiver whose episode is over may be stepped once more before it is reset
         step_count[b] += 1
         j = min(step_count[b], steps)
         before = largest[b, j - 1]
-        now = max(before, displacement[b])
+        now = max(before, values[DISPLACEMENT, b])
         largest[b, j] = now
-        any_alarm = False
+        alarm = False
         for c in range(alarms.shape[1]):
-            any_alarm = any_alarm or alarms[b, c]
-        alarm[b] = any_alarm
-        first[b] = any_alarm and not detected[b]
-        quiet = not any_alarm and not detected[b]
-        gain[b] = now - before if quiet else 0.0
-        retraction[b] = largest[b, max(j - hold - 1, 0)] - before if first[b] else 0.0
-        finished[b] = step_count[b] == steps
+            alarm = alarm or alarms[b, c]
+        running = not ended[b]
+        alarm = alarm and running
+        first = alarm and not detected[b]
+        finished = running and (step_count[b] == steps or early[b])
+        values[GAIN, b] = now - before if running and not alarm and not detected[b] else 0.0
+        values[RETRACTION, b] = largest[b, max(j - hold - 1, 0)] - before if first else 0.0
+        detected[b] = detected[b] or first
+        credited[b] += values[GAIN, b]
+        credited[b] += values[RETRACTION, b]
+        over = finished or (at_alarm and detected[b])
+        marks[ALARM, b], marks[FIRST, b], marks[FINISHED, b] = alarm, first, finished
+        marks[TERMINATED, b] = over
+        marks[TRUNCATED, b] = marks[TRUNCATED, b] and running and not over
+        held = held or (finished and not detected[b])
+    return held and hold > 0
+
+
+@njit
+def tell(
+    detected,
+    ended,
+    credited,
+    warmup_alarm,
+    coasting,
+    epoch_time,
+    epochs,
+    shares,
+    values,
+    marks,
+):
+    """Write what is told of a step, and its reward.
+
+    Parameters
+    ----------
+    detected, credited : ndarray
+        As in `score`.
+    ended : ndarray
+        (B,) bool, overwritten: with those whose episode this step has ended.
+    warmup_alarm, coasting : ndarray
+        (B,) bool.
+    epoch_time : ndarray
+        (K,) [s].
+    epochs : ndarray
+        (B,) the epoch that each receiver is at.
+    shares : ndarray
+        (r, 4) of every term of the reward in gain, retraction, first alarm and alarm.
+    values, marks : ndarray
+        Of `Tally`, whose remaining rows are written.
+    """
+    for b in range(detected.shape[0]):
+        ended[b] = ended[b] or marks[TERMINATED, b] or marks[TRUNCATED, b]
+        marks[DETECTED, b] = detected[b]
+        marks[WARMUP_ALARM, b] = warmup_alarm[b]
+        marks[COASTING, b] = coasting[b]
+        values[TIME, b] = epoch_time[epochs[b]]
+        values[UNDETECTED, b] = credited[b]
+        values[COST, b] = 1.0 if marks[FIRST, b] else 0.0
+        values[REWARD, b] = 0.0
+    for r in range(shares.shape[0]):
+        for b in range(detected.shape[0]):
+            # a share of 0 leaves nothing to be rounded
+            part = shares[r, 0] * values[GAIN, b] + shares[r, 1] * values[RETRACTION, b]
+            part += shares[r, 2] if marks[FIRST, b] else 0.0
+            part += shares[r, 3] if marks[ALARM, b] else 0.0
+            values[PARTS + r, b] = part
+    # apart from the loop above, so that the sum is one of rounded parts
+    for r in range(shares.shape[0]):
+        for b in range(detected.shape[0]):
+            values[REWARD, b] += values[PARTS + r, b]
+
+
+@njit
+def play(
+    position_e,
+    reference_e,
+    rows,
+    C_en,
+    onset,
+    heading,
+    worst,
+    origin,
+    alarms,
+    early,
+    at_alarm,
+    steps,
+    hold,
+    step_count,
+    detected,
+    ended,
+    credited,
+    largest,
+    warmup_alarm,
+    coasting,
+    epoch_time,
+    epochs,
+    shares,
+    values,
+    marks,
+):
+    """Displace, keep the books, and tell, where nothing comes between.
+
+    Parameters
+    ----------
+    position_e, reference_e, rows, C_en, onset, heading, worst, origin
+        As in `displace`.
+    alarms, early, at_alarm, steps, hold, step_count, detected, ended, credited, largest
+        As in `score`.
+    warmup_alarm, coasting, epoch_time, epochs, shares
+        As in `tell`.
+    values, marks : ndarray
+        Of `Tally`, written.
+
+    Returns
+    -------
+    bool
+        As in `score`; nothing is told then.
+    """
+    displace(
+        position_e, reference_e, rows, C_en, onset, heading, worst, origin, values[DISPLACEMENT]
+    )
+    held = score(
+        alarms,
+        early,
+        at_alarm,
+        steps,
+        hold,
+        step_count,
+        detected,
+        ended,
+        credited,
+        largest,
+        values,
+        marks,
+    )
+    if not held:
+        tell(
+            detected,
+            ended,
+            credited,
+            warmup_alarm,
+            coasting,
+            epoch_time,
+            epochs,
+            shares,
+            values,
+            marks,
+        )
+    return held
 
 
 @njit

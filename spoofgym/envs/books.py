@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ._kernels import score as score_kernel
+from . import _kernels
+from .tally import VALUE_NAMES, Tally
 
 FloatArray = NDArray[np.float64]
 Hold = Callable[[NDArray[np.intp]], NDArray[np.bool_]]
@@ -37,28 +38,6 @@ class Score(NamedTuple):
     finished: NDArray[np.bool_]
 
 
-def joined(first: Score, then: Score) -> Score:
-    """Two scores in a row as one.
-
-    Parameters
-    ----------
-    first, then : Score
-        Of the same receivers.
-
-    Returns
-    -------
-    Score
-        Sums, and whether either had an alarm or the end.
-    """
-    return Score(
-        first.gain + then.gain,
-        first.retraction + then.retraction,
-        first.first | then.first,
-        first.alarm | then.alarm,
-        first.finished | then.finished,
-    )
-
-
 class Books:
     """Books of B receivers; the rules stand in `Game`.
 
@@ -79,6 +58,10 @@ class Books:
         (B,) undetected displacement so far [m].
     ended : ndarray
         (B,) bool, whose episode is over; the game sets it.  They count nothing more.
+    largest : ndarray
+        (B, steps + 1) largest displacement so far after each command [m].
+    nobody : ndarray
+        (B,) bool, False.
     """
 
     def __init__(self, receivers: int, steps: int, hold: int) -> None:
@@ -87,7 +70,8 @@ class Books:
         self.detected = np.zeros(receivers, dtype=np.bool_)
         self.credited = np.zeros(receivers)
         self.ended = np.zeros(receivers, dtype=np.bool_)
-        self._largest = np.zeros((receivers, steps + 1))
+        self.nobody = np.zeros(receivers, dtype=np.bool_)
+        self.largest = np.zeros((receivers, steps + 1))
 
     def reset(self, rows: NDArray[np.intp]) -> None:
         """Begin new episodes.
@@ -100,16 +84,10 @@ class Books:
         self.step_count[rows] = 0
         self.detected[rows] = False
         self.credited[rows] = 0.0
-        self._largest[rows] = 0.0
+        self.largest[rows] = 0.0
         self.ended[rows] = False
 
-    def score(
-        self,
-        displacement: FloatArray,
-        alarms: NDArray[np.bool_],
-        hold: Hold,
-        early: NDArray[np.bool_] | None = None,
-    ) -> Score:
+    def score(self, displacement: FloatArray, alarms: NDArray[np.bool_], hold: Hold) -> Score:
         """Count one step of every receiver.
 
         Parameters
@@ -120,64 +98,85 @@ class Books:
             (B, c) bool.
         hold : callable
             Called with the receivers that have given their last command without an alarm.
-        early : ndarray, optional
-            (B,) bool, for whom this is the last command before the end of the window.
 
         Returns
         -------
         Score
             Of the step.
         """
-        receivers = len(self.step_count)
-        gain, retraction = np.empty((2, receivers))
-        alarm, first, finished = np.empty((3, receivers), dtype=np.bool_)
-        score_kernel(
-            displacement,
+        tally = Tally(len(displacement), VALUE_NAMES)
+        tally.values[_kernels.DISPLACEMENT] = displacement
+        self.count(tally, alarms, self.nobody, False, hold)
+        values, marks = tally.values, tally.marks
+        return Score(
+            values[_kernels.GAIN],
+            values[_kernels.RETRACTION],
+            marks[_kernels.FIRST],
+            marks[_kernels.ALARM],
+            marks[_kernels.FINISHED],
+        )
+
+    def count(
+        self,
+        tally: Tally,
+        alarms: NDArray[np.bool_],
+        early: NDArray[np.bool_],
+        at_alarm: bool,
+        hold: Hold,
+    ) -> None:
+        """Count an epoch whose displacement is known.
+
+        Parameters
+        ----------
+        tally : Tally
+            With displacement, and those who are to be truncated; the score is written.
+        alarms : ndarray
+            (B, c) bool.
+        early : ndarray
+            (B,) bool, for whom this is the last command before the end of the window.
+        at_alarm : bool
+            Whether an alarm ends an episode.
+        hold : callable
+            Called with the receivers that have given their last command without an alarm.
+        """
+        if _kernels.score(
             np.ascontiguousarray(alarms),
+            early,
+            at_alarm,
             self.steps,
             self.hold,
             self.step_count,
             self.detected,
-            self._largest,
-            gain,
-            retraction,
-            alarm,
-            first,
-            finished,
-        )
-        if early is not None:
-            finished |= early
-        if self.ended.any():
-            # one whose episode is over may be stepped on until it is reset
-            gain[self.ended] = retraction[self.ended] = 0.0
-            for mask in (alarm, first, finished):
-                mask[self.ended] = False
-        if finished.any() and self.hold:
-            rows = np.flatnonzero(finished & ~(self.detected | first))
-            if len(rows):
-                self._score_hold(rows, hold(rows), retraction, first, alarm)
-        np.logical_or(self.detected, first, out=self.detected)
-        self.credited += gain
-        self.credited += retraction
-        return Score(gain, retraction, first, alarm, finished)
+            self.ended,
+            self.credited,
+            self.largest,
+            tally.values,
+            tally.marks,
+        ):
+            self.score_hold(tally, hold)
 
-    def _score_hold(
-        self,
-        rows: NDArray[np.intp],
-        late: NDArray[np.bool_],
-        retraction: FloatArray,
-        first: NDArray[np.bool_],
-        alarm: NDArray[np.bool_],
-    ) -> None:
-        """Write what alarms in the time to alert after the last command do."""
+    def score_hold(self, tally: Tally, hold: Hold) -> None:
+        """Count what alarms in the time to alert after the last command do.
+
+        Parameters
+        ----------
+        tally : Tally
+            Of the last command; retraction and alarms are written.
+        hold : callable
+            Called with the receivers that have given it without an alarm.
+        """
+        rows = np.flatnonzero(tally.marks[_kernels.FINISHED] & ~self.detected)
+        late = hold(rows)
         alarmed = late.any(axis=0)
         last = np.minimum(self.step_count[rows], self.steps)
         # index of the last epoch that counts, with the first alarm at last + 1 + argmax
         kept = np.maximum(last + late.argmax(axis=0) - self.hold, 0)
-        before = self._largest[rows, last]
-        retraction[rows] = np.where(alarmed, self._largest[rows, kept] - before, 0.0)
-        first[rows] = alarmed
-        alarm[rows] |= alarmed
+        back = np.where(alarmed, self.largest[rows, kept] - self.largest[rows, last], 0.0)
+        tally.values[_kernels.RETRACTION, rows] = back
+        tally.marks[_kernels.FIRST, rows] = alarmed
+        tally.marks[_kernels.ALARM, rows] |= alarmed
+        self.detected[rows] = alarmed
+        self.credited[rows] += back
 
     def over(self, finished: NDArray[np.bool_], end_at_alarm: bool) -> NDArray[np.bool_]:
         """Which episodes are over.

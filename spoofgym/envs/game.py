@@ -3,85 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Detector, Verdict
-from ._kernels import displace
+from ._kernels import (
+    ALARM,
+    DISPLACEMENT,
+    FIRST,
+    GAIN,
+    RETRACTION,
+    REWARD,
+    TRUNCATED,
+    displace,
+    play,
+    tell,
+)
 from .actions import ActionTerm, Actor, FullCommand
-from .books import Books, Score, joined
+from .books import Books
 from .ends import AtAlarm, Ends, EndTerm, Standing
 from .engine import Engine
 from .observations import ObservationTerm
 from .observer import Observer
-from .played import Turn, check_end_at_alarm
-from .rewards import Outcome, RewardTerm, named_terms, reward_of
+from .played import check_end_at_alarm
+from .rewards import SHARED, Outcome, RewardTerm, named_terms, reward_of, shares_of
 from .setup import Setup
 from .snapshot import Snapshot, position_error_n
+from .tally import MARK_NAMES, VALUE_NAMES, Tally
 from .watching import WatchBooks, needed
 from .witness import Watch
 
 FloatArray = NDArray[np.float64]
 Listener = Callable[["Game", Standing, Verdict], None]
 """Called after every epoch of a command, before the time to alert, if it was the last."""
+Apart = tuple[Any, Any, Any, Any, Any, Any, bool, FloatArray]
+"""The first arguments of `displace`."""
 BEGIN_NAMES = ("time_s", "warmup_alarm", "coasting")
 """Keys of the information at the begin of an episode."""
-STEP_NAMES = (
-    "time_s",
-    "alarm",
-    "detected",
-    "warmup_alarm",
-    "coasting",
-    "displacement_m",
-    "undetected_displacement_m",
-    "cost",
-)
-"""Keys of the information of a step, without the parts that terms and watching detectors add."""
-
-
-class Played(NamedTuple):
-    """What the epochs of a decision have brought.
-
-    Attributes
-    ----------
-    displacement : ndarray
-        (B,) after the last of them [m].
-    score : Score
-        Of all of them.
-    terminated, truncated : ndarray
-        (B,) bool, whose episodes are over.
-    ends : dict
-        Which end terms hold, or held at an epoch.
-    """
-
-    displacement: FloatArray
-    score: Score
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    ends: dict[str, NDArray[Any]]
-
-    def then(self, later: Played) -> Played:
-        """Join a later epoch to what has been played.
-
-        Parameters
-        ----------
-        later : Played
-            Of the same receivers.
-
-        Returns
-        -------
-        Played
-            An episode that has been truncated is not terminated later.
-        """
-        return Played(
-            later.displacement,
-            joined(self.score, later.score),
-            self.terminated | (later.terminated & ~self.truncated),
-            self.truncated | later.truncated,
-            {name: ended | later.ends[name] for name, ended in self.ends.items()},
-        )
 
 
 class Game:
@@ -223,7 +183,8 @@ class Game:
         rewards = [key for key, _ in self._reward_parts]
         watched = () if self._watch is None else self._watch.step_names
         captured = () if self.setup.attack.capture is None else ("captured_channels",)
-        return (*STEP_NAMES, *captured, *rewards, *self._ends.info_names, *watched)
+        told = (*VALUE_NAMES, *MARK_NAMES)
+        return (*told, *captured, *rewards, *self._ends.info_names, *watched)
 
     @property
     def step_count(self) -> NDArray[np.int64]:
@@ -239,6 +200,11 @@ class Game:
             Terms of the reward, each with a name of its own.
         """
         self._reward_parts = named_terms(terms)
+        shares = shares_of(terms)
+        self._compiled = shares is not None
+        self._shares = np.zeros((0, len(SHARED))) if shares is None else shares
+        parts = [key for key, _ in self._reward_parts] if self._compiled else []
+        self._value_names = (*VALUE_NAMES, *parts)
 
     def altered(self, setup: Setup | None = None, **changes: Any) -> Game:
         """A new game, not begun yet, with some settings changed.
@@ -315,9 +281,14 @@ class Game:
 
     def displacement(self) -> FloatArray:
         """Displacement that counts, of this epoch, (B,) [m]."""
-        batch, twin, world = self.engine.batch, self.engine.twin, self.setup.world
         displacement = np.empty(self.receivers)
-        displace(
+        displace(*self._apart(), displacement)
+        return displacement
+
+    def _apart(self) -> Apart:
+        """What a displacement is computed from, as `displace` takes it."""
+        batch, twin, world = self.engine.batch, self.engine.twin, self.setup.world
+        return (
             batch.buffers.state.position_e,
             world.position_e if twin is None else twin.buffers.state.position_e,
             batch.epochs if twin is None else self._rows,
@@ -326,33 +297,83 @@ class Game:
             batch.heading,
             self.setup.target_heading_deg == "worst",
             self._origin,
-            displacement,
         )
-        return displacement
 
-    def _play(self, command: FloatArray) -> Played:
-        """One epoch."""
+    def _advance(self, command: FloatArray) -> Verdict:
+        """One epoch of the receivers, and of their twins."""
         verdict = self.engine.step(command)
         if self.engine.twin is not None:
             self.engine.step_twin()
-        displacement = self.displacement()
-        early, truncated, ends = self._judge_ends(displacement, verdict)
-        truncated &= ~self.books.ended
-        score = self.books.score(displacement, verdict.alarm, self.engine.hold, early)
-        terminated = self.books.over(score.finished, self.end_at_alarm)
-        truncated &= ~terminated
-        self.books.ended |= terminated | truncated
-        return Played(displacement, score, terminated, truncated, ends)
+        return verdict
 
-    def _decide(self, command: FloatArray) -> Played:
+    def _play(self, command: FloatArray) -> Tally:
+        """One epoch, which is not told yet."""
+        verdict = self._advance(command)
+        tally = Tally(self.receivers, self._value_names)
+        displace(*self._apart(), tally.values[DISPLACEMENT])
+        early = self._judge_ends(tally, verdict)
+        self.books.count(tally, verdict.alarm, early, self.end_at_alarm, self.engine.hold)
+        return tally
+
+    def _decide(self, command: FloatArray) -> Tally:
         """All epochs of one decision."""
-        played = self._play(self.setup.command(self._given, command, 0))
-        for epoch in range(1, self.setup.repeat):
-            played = played.then(self._play(self.setup.command(self._given, command, epoch)))
+        setup = self.setup
+        tally = self._play(setup.command(self._given, command, 0))
+        for epoch in range(1, setup.repeat):
+            self.books.ended |= tally.terminated | tally.truncated
+            later = self._play(setup.command(self._given, command, epoch))
+            later.add(tally)
+            tally = later
         self._given[:] = command
-        return played
+        self._tell(tally)
+        return tally
 
-    def step(self, action: FloatArray) -> Turn:
+    def _decide_at_once(self, command: FloatArray) -> Tally:
+        """One epoch where nobody looks at it before it is told: `_decide` in one kernel."""
+        verdict = self._advance(command)
+        tally, books, engine = Tally(self.receivers, self._value_names), self.books, self.engine
+        batch = engine.batch
+        if play(
+            *self._apart(),
+            np.ascontiguousarray(verdict.alarm),
+            books.nobody,
+            self.end_at_alarm,
+            books.steps,
+            books.hold,
+            books.step_count,
+            books.detected,
+            books.ended,
+            books.credited,
+            books.largest,
+            engine.warmup_alarm,
+            batch.buffers.measured.coasting,
+            self.setup.world.epoch_time,
+            batch.epochs,
+            self._shares,
+            tally.values,
+            tally.marks,
+        ):
+            books.score_hold(tally, engine.hold)
+            self._tell(tally)
+        return tally
+
+    def _tell(self, tally: Tally) -> None:
+        """Write what is told of a step."""
+        books, engine = self.books, self.engine
+        tell(
+            books.detected,
+            books.ended,
+            books.credited,
+            engine.warmup_alarm,
+            engine.batch.buffers.measured.coasting,
+            self.setup.world.epoch_time,
+            engine.batch.epochs,
+            self._shares,
+            tally.values,
+            tally.marks,
+        )
+
+    def step(self, action: FloatArray) -> Tally:
         """One decision of all receivers, and the epochs until the next.
 
         Parameters
@@ -362,56 +383,50 @@ class Game:
 
         Returns
         -------
-        Turn
+        Tally
             Rewards, ends and information.
         """
         if self._watch is not None:
             self._watch.forget(self.engine)
-        played = self._decide(self.actor.command(action))
-        score = played.score
-        engine, world, batch = self.engine, self.setup.world, self.engine.batch
-        info: dict[str, NDArray[Any]] = {
-            "time_s": world.epoch_time[batch.epochs],
-            "alarm": score.alarm,
-            "detected": self.books.detected.copy(),
-            "warmup_alarm": engine.warmup_alarm.copy(),
-            "coasting": batch.buffers.measured.coasting.copy(),
-            "displacement_m": played.displacement,
-            "undetected_displacement_m": self.books.credited.copy(),
-            "cost": score.first.astype(np.float64),
-        }
+        looked_at = self._ends or self.listeners or self.setup.repeat > 1
+        decide = self._decide if looked_at else self._decide_at_once
+        tally = decide(self.actor.command(action))
+        if not self._compiled:
+            self._reward(tally, action)
         if self.setup.attack.capture is not None:
-            info["captured_channels"] = batch.attack.memory["captured"].sum(axis=1)
+            captured = self.engine.batch.attack.memory["captured"]
+            tally.more["captured_channels"] = captured.sum(axis=1)
+        if self._watch is not None:
+            tally.more.update(self._watch.step_info(self.engine))
+        return tally
+
+    def _reward(self, tally: Tally, action: FloatArray) -> None:
+        """Reward by the terms themselves."""
+        values, marks = tally.values, tally.marks
         outcome = Outcome(
-            score.gain,
-            score.retraction,
-            score.first,
-            score.alarm,
+            values[GAIN],
+            values[RETRACTION],
+            marks[FIRST],
+            marks[ALARM],
             action,
             self.books.credited,
-            played.terminated | played.truncated,
+            tally.terminated | tally.truncated,
         )
-        reward = reward_of(self._reward_parts, outcome, info)
-        info.update(played.ends)
-        if self._watch is not None:
-            info.update(self._watch.step_info(engine))
-        return Turn(reward, played.terminated, played.truncated, info)
+        values[REWARD] = reward_of(self._reward_parts, outcome, tally.more)
 
-    def _judge_ends(
-        self, displacement: FloatArray, verdict: Verdict
-    ) -> tuple[NDArray[np.bool_] | None, NDArray[np.bool_], dict[str, NDArray[Any]]]:
-        """Ends before that of the window, and what is told of them; tell the listeners, too."""
-        nobody = np.zeros(self.receivers, dtype=np.bool_)
+    def _judge_ends(self, tally: Tally, verdict: Verdict) -> NDArray[np.bool_]:
+        """Who has given the last command before the end of the window; tell the listeners, too."""
         if not (self._ends or self.listeners):
-            return None, nobody, {}
-        standing = Standing(self.snapshot()._replace(step=self.step_count + 1), displacement)
+            return self.books.nobody
+        snapshot = self.snapshot()._replace(step=self.step_count + 1)
+        standing = Standing(snapshot, tally.values[DISPLACEMENT])
         for listener in self.listeners:
             listener(self, standing, verdict)
         if not self._ends:
-            return None, nobody, {}
-        ends: dict[str, NDArray[Any]] = {}
-        early, truncated = self._ends.judge(standing, ends)
-        return early, truncated, ends
+            return self.books.nobody
+        early, truncated = self._ends.judge(standing, tally.more)
+        tally.marks[TRUNCATED] = truncated
+        return early
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
         """Information at the begin of an episode.

@@ -145,13 +145,12 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         if not self._running:
             raise RuntimeError("the episode is over: call reset() before step()")
         given = checked_action(action, (len(self.action_names),), self.action_names)
-        turn = self.game.step(given[None])
-        terminated, truncated = bool(turn.terminated[0]), bool(turn.truncated[0])
+        reward, terminated, truncated, info = self.game.step(given[None]).alone()
         self._running = not (terminated or truncated)
-        observation, info = self.game.observe()[0], _of_one(turn.info)
+        observation = self.game.observe()[0]
         if self._screen is not None:
             self._screen.add(info)
-        return observation, float(turn.reward[0]), terminated, truncated, info
+        return observation, reward, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the episode from its onset until now.

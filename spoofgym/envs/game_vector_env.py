@@ -231,7 +231,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         return self._plain_step(given)
 
     def _plain_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        if self._over.any():
+        if np.count_nonzero(self._over):
             raise RuntimeError(
                 f"the episodes of receivers {', '.join(map(str, np.flatnonzero(self._over)))} are "
                 f"over: call reset(options={{'{RESET_MASK}': ...}}) before step()"
@@ -242,37 +242,39 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         return self.game.observe(), turn.reward, turn.terminated, turn.truncated, info
 
     def _next_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        restarting = self._over.copy()
-        if restarting.all():
-            self._restart(restarting)
+        begins = np.count_nonzero(self._over)
+        if begins == self.num_envs:
+            self._restart(self._all)
             info = self._masked(self.game.begin_info(), self._all)
-            never = np.zeros_like(restarting)
+            never = np.zeros_like(self._over)
             return self.game.observe(), np.zeros(self.num_envs), never, never.copy(), info
         turn = self.game.step(given)
-        reward, terminated, truncated, values = (
-            turn.reward,
-            turn.terminated,
-            turn.truncated,
-            turn.info,
-        )
-        if restarting.any():
-            # these receivers ran one epoch more than their episode; it is thrown away
-            self._restart(restarting)
-            reward[restarting] = 0.0
-            terminated[restarting] = truncated[restarting] = False
-            begin = self.game.begin_info()
-            for name, array in values.items():
-                array[restarting] = begin[name][restarting] if name in begin else 0
+        reward, terminated, truncated = turn.reward, turn.terminated, turn.truncated
+        if begins:
+            reward[self._over] = 0.0
+            terminated[self._over] = truncated[self._over] = False
+            info = self._begin_instead(self._over, turn.info)
+        else:
+            info = self._masked(turn.info, self._all)
         self._over = terminated | truncated
-        info = self._masked(values, ~restarting)
-        self._mark_begun(info)
         return self.game.observe(), reward, terminated, truncated, info
+
+    def _begin_instead(self, begins: NDArray[np.bool_], info: dict[str, Array]) -> dict[str, Any]:
+        """Begin the next episode of receivers that ran one epoch more than theirs."""
+        begins = begins.copy()
+        self._restart(begins)
+        begin = self.game.begin_info()
+        for name, array in info.items():
+            array[begins] = begin[name][begins] if name in begin else 0
+        told = self._masked(info, ~begins)
+        self._mark_begun(told)
+        return told
 
     def _same_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         turn = self.game.step(given)
         over = turn.terminated | turn.truncated
         observation = self.game.observe()
-        if not over.any():
+        if not np.count_nonzero(over):
             info = self._masked(turn.info, self._all)
             return observation, turn.reward, turn.terminated, turn.truncated, info
         final = np.full(self.num_envs, None, dtype=object)

@@ -44,7 +44,7 @@ def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
     return frozenset(keys)
 
 
-def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> dict[str, Array]:
+def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> Mapping[str, Array]:
     """Information that is asked for.
 
     Parameters
@@ -56,11 +56,11 @@ def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> dict[str, 
 
     Returns
     -------
-    dict
-        A new one.
+    mapping
+        The same where all of it is.
     """
     if keys is None:
-        return dict(info)
+        return info
     return {name: array for name, array in info.items() if name in keys}
 
 
@@ -79,9 +79,8 @@ def masked(info: Mapping[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]
     dict
         With a key ``_<name>`` beside every name.
     """
-    result: dict[str, Any] = dict(info)
     masks = np.empty((len(info), len(mask)), dtype=np.bool_)  # a row each, so that none is shared
     masks[:] = mask
-    for name, row in zip(info, masks, strict=True):
-        result["_" + name] = row
+    result: dict[str, Any] = dict(info)
+    result.update(zip(["_" + name for name in info], masks, strict=True))
     return result

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._registry import check_choice, check_plain_settings
-from ._kernels import local_motion, time_fractions
+from ._kernels import local_motion, own_command, time_fractions
 from .divergence import Divergence
 from .setup import Setup
 from .snapshot import Snapshot, position_error_n
@@ -82,7 +82,7 @@ class DynamicTerm(ObservationTerm, Protocol):
 class TabledTerm(ObservationTerm, Protocol):
     """A term that only depends on the epoch, and is computed for the whole run at once."""
 
-    def table(self, setup: Setup) -> FloatArray:
+    def table(self, setup: Setup) -> NDArray[np.floating] | None:
         """Values at every epoch of the run; clipping follows.
 
         Parameters
@@ -92,8 +92,9 @@ class TabledTerm(ObservationTerm, Protocol):
 
         Returns
         -------
-        ndarray
-            (K, k).
+        ndarray or None
+            (K, k); None of a term that does so only in some setups, not in this one, and that is a
+            `DynamicTerm`, too.
         """
 
 
@@ -126,10 +127,14 @@ class OwnCommand:
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write displacement and rate over their scales."""
         attack = snapshot.batch.attack
-        axes = out.shape[1] // 2
         memory = attack.memory
-        out[:, :axes] = memory["displacement"] * (1.0 / self.scale_m)
-        out[:, axes:] = memory["rate"] * (1.0 / attack.rate_limit_mps)
+        own_command(
+            memory["displacement"],
+            memory["rate"],
+            1.0 / self.scale_m,
+            1.0 / attack.rate_limit_mps,
+            out,
+        )
 
 
 @dataclass(frozen=True)
@@ -145,6 +150,15 @@ class Time:
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """0 and 1."""
         return 0.0, 1.0
+
+    def table(self, setup: Setup) -> NDArray[np.float32] | None:
+        """The two fractions, where every epoch belongs to one onset."""
+        onsets = setup.onsets
+        if onsets is None:
+            return None
+        table = np.empty((setup.world.epochs, 2), dtype=np.float32)
+        time_fractions(np.arange(setup.world.epochs), onsets, setup.steps, table)
+        return table
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the two fractions."""
@@ -174,15 +188,34 @@ class TargetMotion:
         """-10 and 10."""
         return -10.0, 10.0
 
+    def table(self, setup: Setup) -> NDArray[np.float32] | None:
+        """Position and velocity over their scales, where every epoch belongs to one onset."""
+        onsets = setup.onsets
+        if onsets is None:
+            return None
+        table = np.empty((setup.world.epochs, 6), dtype=np.float32)
+        self._write(setup, np.arange(setup.world.epochs), onsets, table)
+        return table
+
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write position and velocity over their scales."""
-        world, batch = snapshot.setup.world, snapshot.batch
+        self._write(snapshot.setup, snapshot.batch.epochs, snapshot.batch.onset, out)
+
+    def _write(
+        self,
+        setup: Setup,
+        epochs: NDArray[np.int64],
+        onsets: NDArray[np.int64],
+        out: NDArray[np.float32],
+    ) -> None:
+        """Write what holds at some epochs, each with its onset."""
+        world = setup.world
         local_motion(
             world.position_e,
             world.velocity_e,
             world.C_en,
-            batch.epochs,
-            batch.onset,
+            epochs,
+            onsets,
             1.0 / self.position_scale_m,
             1.0 / self.velocity_scale_mps,
             out,

@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ._kernels import clip_columns
 from .engine import Engine
 from .observations import KNOWLEDGE, DynamicTerm, ObservationTerm
 from .setup import Setup
@@ -52,8 +53,9 @@ class Observer:
             names.extend(own)
             low.extend([least] * len(own))
             high.extend([most] * len(own))
-            if hasattr(term, "table"):
-                tables.append(np.clip(term.table(setup), least, most))
+            table = term.table(setup) if hasattr(term, "table") else None
+            if table is not None:
+                tables.append(np.clip(table, least, most))
             else:
                 self._parts.append((cast("DynamicTerm", term), part))
                 tables.append(np.zeros((setup.world.epochs, len(own))))
@@ -64,7 +66,11 @@ class Observer:
             raise ValueError(f"two terms write the same observation: {', '.join(twice)}")
         self.low = np.array(low, dtype=np.float32)
         self.high = np.array(high, dtype=np.float32)
-        self._bounds = np.zeros((2, 0, len(names)), dtype=np.float32)
+        own_parts = [part for _, part in self._parts]
+        self._clipped = (
+            min((part.start for part in own_parts), default=0),
+            max((part.stop for part in own_parts), default=0),
+        )
         self.knowledge = KNOWLEDGE[max(KNOWLEDGE.index(term.knowledge) for term in terms)]
 
     def observe(self, snapshot: Snapshot) -> NDArray[np.float32]:
@@ -84,12 +90,8 @@ class Observer:
         for term, part in self._parts:
             term(snapshot, out[:, part])
         if self._parts:
-            if self._bounds.shape[1] != len(out):
-                self._bounds = np.repeat(np.array([self.low, self.high])[:, None], len(out), axis=1)
-            # min and max, since np.clip costs three times as much on small arrays, and of equal
-            # shapes, since a part or a row is a short loop each; the table lies within the bounds
-            np.maximum(out, self._bounds[0], out=out)
-            np.minimum(out, self._bounds[1], out=out)
+            # the table lies within the bounds
+            clip_columns(out, self.low, self.high, *self._clipped)
         return out
 
     def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .tally import Tally
+
 FloatArray = NDArray[np.float64]
 
 
@@ -66,6 +68,21 @@ class Turn(NamedTuple):
     truncated: NDArray[np.bool_]
     info: dict[str, NDArray[Any]]
 
+    def alone(self) -> tuple[float, bool, bool, dict[str, Any]]:
+        """The same of a batch of one, as plain numbers.
+
+        Returns
+        -------
+        reward : float
+            Of the only receiver.
+        terminated, truncated : bool
+            Whether its episode is over.
+        info : dict
+            By key.
+        """
+        info = {name: array.item() for name, array in self.info.items()}
+        return self.reward.item(), self.terminated.item(), self.truncated.item(), info
+
 
 class Played(Protocol):
     """Episodes of B receivers."""
@@ -102,7 +119,7 @@ class Played(Protocol):
     ) -> None:
         """Begin new episodes of some receivers; of all by default."""
 
-    def step(self, action: FloatArray) -> Turn:
+    def step(self, action: FloatArray) -> Turn | Tally:
         """Run one epoch with (B, a) commands."""
 
     def observe(self) -> NDArray[np.float32]:

@@ -43,8 +43,16 @@ class Outcome(NamedTuple):
     over: NDArray[np.bool_]
 
 
+Share = tuple[str, float]
+SHARED = ("gain", "retraction", "detected", "alarm")
+"""Fields of `Outcome` of which a term can be a share."""
+
+
 class RewardTerm(Protocol):
     """One part of the reward.
+
+    A term that is a factor times one field may also have a property `share` that tells both; where
+    all terms have one, the reward is computed in compiled code, to the same bits.
 
     Attributes
     ----------
@@ -90,6 +98,11 @@ class DisplacementGain:
     per_m: float = 1.0
     name: ClassVar[str] = "displacement"
 
+    @property
+    def share(self) -> Share:
+        """Field and factor."""
+        return "gain", float(self.per_m)
+
     def __call__(self, outcome: Outcome) -> FloatArray:
         """Gain of the step."""
         return self.per_m * outcome.gain
@@ -107,6 +120,11 @@ class Retraction:
 
     per_m: float = 1.0
     name: ClassVar[str] = "retraction"
+
+    @property
+    def share(self) -> Share:
+        """Field and factor."""
+        return "retraction", float(self.per_m)
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         """What is taken back."""
@@ -130,11 +148,14 @@ class AlarmPenalty:
         """Check the price."""
         _check_price("penalty_m", self.penalty_m)
 
+    @property
+    def share(self) -> Share:
+        """Field and factor."""
+        return "detected", -float(self.penalty_m)
+
     def __call__(self, outcome: Outcome) -> FloatArray:
         """The price, where the first alarm came."""
-        result = np.zeros(len(outcome.detected))
-        result[outcome.detected] = -self.penalty_m
-        return result
+        return np.where(outcome.detected, -self.penalty_m, 0.0)
 
 
 @dataclass(frozen=True)
@@ -153,6 +174,11 @@ class AlarmedEpochs:
     def __post_init__(self) -> None:
         """Check the price."""
         _check_price("per_epoch_m", self.per_epoch_m)
+
+    @property
+    def share(self) -> Share:
+        """Field and factor."""
+        return "alarm", -float(self.per_epoch_m)
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         """The price, where there is an alarm."""
@@ -250,6 +276,34 @@ def named_terms(terms: Sequence[RewardTerm]) -> list[tuple[str, RewardTerm]]:
     if len(set(names)) < len(names):
         raise ValueError(f"two reward terms have the same name, got {', '.join(names)}")
     return [(f"reward_{term.name}", term) for term in terms]
+
+
+def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
+    """Terms as shares of what a step has brought, for compiled code.
+
+    Parameters
+    ----------
+    terms : sequence of RewardTerm
+        Any.
+
+    Returns
+    -------
+    ndarray or None
+        (r, 4) factor of every term on the fields of `SHARED`; None where a term has no share, or
+        one that its own `__call__` may belie.
+    """
+    shares = np.zeros((len(terms), len(SHARED)))
+    for row, term in zip(shares, terms, strict=True):
+        if not hasattr(term, "share") or _owner(term, "share") is not _owner(term, "__call__"):
+            return None
+        field, factor = term.share
+        row[SHARED.index(field)] = factor
+    return shares
+
+
+def _owner(term: RewardTerm, name: str) -> type | None:
+    """Class that defines what a term has."""
+    return next((cls for cls in type(term).__mro__ if name in vars(cls)), None)
 
 
 def reward_of(

@@ -222,6 +222,15 @@ class Setup:
         """Epochs of each of the worlds."""
         return self.world.epochs // self.bounds.worlds
 
+    @property
+    def onsets(self) -> NDArray[np.int64] | None:
+        """(K,) onset of the episodes that each epoch is part of; None where the start is drawn."""
+        if self.bounds.first != self.bounds.last:
+            return None
+        epochs = np.arange(self.world.epochs)
+        begun: NDArray[np.int64] = epochs - epochs % self.epochs_each
+        return begun + self.bounds.first + self.onset
+
     def command(self, before: FloatArray, action: FloatArray, epoch: int) -> FloatArray:
         """Command of one of the epochs of a decision.
 

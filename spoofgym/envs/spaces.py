@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from ._kernels import within
 from .played import Played
 
 TOLERANCE = 1e-6
@@ -73,8 +74,7 @@ def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) 
         raise ValueError(
             f"an action must have shape {shape} ({', '.join(names)}), got {array.shape}"
         )
-    # the comparison is false for NaN
-    if not np.maximum.reduce(np.abs(array), axis=None, initial=0.0) <= 1.0 + TOLERANCE:
+    if not within(array.ravel(), 1.0 + TOLERANCE):
         where = tuple(np.argwhere(~(np.abs(array) <= 1.0 + TOLERANCE))[0])
         whose = f" of receiver {where[0]}" if array.ndim == 2 else ""
         raise ValueError(

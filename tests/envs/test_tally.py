@@ -1,0 +1,150 @@
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from spoofgym.envs.ends import AtDisplacement, Standing
+from spoofgym.envs.game import Game
+from spoofgym.envs.observations import TargetMotion, Time, terms_of
+from spoofgym.envs.presets import make_setup
+from spoofgym.envs.rewards import (
+    AlarmedEpochs,
+    AlarmPenalty,
+    DisplacementGain,
+    Outcome,
+    Retraction,
+    RewardTerm,
+    shares_of,
+)
+
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
+TERMS = [AlarmPenalty(0.7), DisplacementGain(0.3), Retraction(1.7), AlarmedEpochs(0.1)]
+NERVOUS = {"name": "ewma", "false_alarm": 0.1}
+"""A detector that alarms within seconds of an attack at full acceleration."""
+
+
+@dataclass(frozen=True)
+class Own:
+    """A term that compiled code knows nothing of, worth another."""
+
+    term: Any
+
+    @property
+    def name(self) -> str:
+        return self.term.name
+
+    def __call__(self, outcome: Outcome) -> Any:
+        return self.term(outcome)
+
+
+@dataclass(frozen=True)
+class Nowhere(AtDisplacement):
+    """An end that nobody comes to, so that the epoch is played piece by piece."""
+
+    name = "nowhere"
+
+    def __call__(self, standing: Standing) -> Any:
+        return standing.displacement >= np.inf
+
+
+@dataclass(frozen=True)
+class Doubled(DisplacementGain):
+    """Inherits a share that is not its own."""
+
+    def __call__(self, outcome: Outcome) -> Any:
+        return 2.0 * super().__call__(outcome)
+
+
+def played(**settings: Any) -> list[dict[str, Any]]:
+    """Rewards, ends and infos of all steps of a vector environment, with alarms and resets."""
+    envs = gym.make_vec(
+        "spoofgym/TightlyCoupled-v0", num_envs=3, prefetch=False, timeline=SHORT, **settings
+    )
+    envs.reset(seed=4)
+    rng, found = np.random.default_rng(1), []
+    for _ in range(60):
+        _, reward, terminated, truncated, info = envs.step(rng.uniform(0.5, 1.0, (3, 2)))
+        if "alarm" in info:  # else all of them begin anew
+            found.append({"reward": reward, "over": terminated | truncated, **info})
+    envs.close()
+    return found
+
+
+@pytest.fixture(scope="module")
+def compiled() -> list[dict[str, Any]]:
+    steps = played(reward=TERMS, detector=NERVOUS, end_at_alarm=False)
+    for name in ("reward_alarm", "reward_displacement", "reward_retraction"):
+        assert any(step[name].any() for step in steps)
+    return steps
+
+
+def assert_same(mine: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> None:
+    for a, b in zip(mine, theirs, strict=True):
+        for name, array in a.items():
+            np.testing.assert_array_equal(array, b[name], err_msg=name, strict=True)
+
+
+def test_compiled_rewards_are_those_of_the_terms(compiled: list[dict[str, Any]]) -> None:
+    own = [Own(term) for term in TERMS]
+    assert_same(compiled, played(reward=own, detector=NERVOUS, end_at_alarm=False))
+
+
+def test_the_reward_is_the_sum_of_its_parts(compiled: list[dict[str, Any]]) -> None:
+    for step in compiled:
+        total = np.zeros(3)
+        for term in TERMS:
+            total += step[f"reward_{term.name}"]
+        np.testing.assert_array_equal(step["reward"], total)
+
+
+def test_an_epoch_in_one_kernel_is_an_epoch_piece_by_piece(compiled: list[dict[str, Any]]) -> None:
+    assert_same(compiled, played(reward=TERMS, detector=NERVOUS, end=[Nowhere(1.0)]))
+
+
+def test_a_step_hands_out_arrays_that_share_nothing() -> None:
+    envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=2, prefetch=False, timeline=SHORT)
+    envs.reset(seed=0)
+    arrays = [
+        array
+        for _ in range(2)
+        for part in (envs.step(np.zeros((2, 2))),)
+        for array in (*part[:4], *part[4].values())
+    ]
+    envs.close()
+    for i, a in enumerate(arrays):
+        assert not any(np.shares_memory(a, b) for b in arrays[:i])
+
+
+def test_only_a_share_beside_its_own_call_is_believed() -> None:
+    shares = shares_of(TERMS)
+    assert shares is not None
+    np.testing.assert_array_equal(
+        shares, [[0, 0, -0.7, 0], [0.3, 0, 0, 0], [0, 1.7, 0, 0], [0, 0, 0, -0.1]]
+    )
+    other: list[RewardTerm] = [*TERMS, Doubled()]
+    assert shares_of(other) is None
+
+
+def test_motion_and_time_are_tabled_to_the_bit() -> None:
+    setup = make_setup(timeline=SHORT, detector="never")
+    game = Game(2, setup, observation=terms_of("tracking"), reward=[], end_at_alarm=False)
+    game.reset(np.random.default_rng(0).spawn(2))
+    for _ in range(setup.steps):
+        game.step(np.zeros((2, 2)))
+        seen = game.observe()
+        for term in (Time(), TargetMotion()):
+            names = term.names(setup)
+            first = game.observation_names.index(names[0])
+            out = np.zeros((2, len(names)), dtype=np.float32)
+            term(game.snapshot(), out)
+            out = np.clip(out, *term.bounds(setup))
+            np.testing.assert_array_equal(seen[:, first : first + len(names)], out)
+
+
+def test_nothing_is_tabled_where_the_start_is_drawn() -> None:
+    setup = make_setup(timeline=SHORT, detector="never", domain={"start_s": (0.0, 10.0)})
+    assert setup.onsets is None
+    assert Time().table(setup) is None
+    assert TargetMotion().table(setup) is None
