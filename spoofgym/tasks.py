@@ -113,7 +113,7 @@ TASKS: dict[str, Task] = {
                 "decision_interval_s": 10.0,
                 "between": "linear",
             },
-            (RANGE_RATES,),
+            ({"name": "snapshot-chi2", "signals": "range_rate", "false_alarm": 1e-6},),
             556.0,
         ),
         Task(
