@@ -436,10 +436,9 @@ class Batch:
         self.memory.copy_rows(to, other.memory, rows)
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
         self.detector.memory.copy_rows(to, other.detector.memory, rows)
-        if not self.witnesses:  # nobody watches a clean twin
-            return
-        for mine, theirs in zip(self.witnesses, other.witnesses, strict=True):
-            mine.copy_rows(to, theirs, rows)
+        if self.witnesses:  # nobody watches a clean twin
+            for mine, theirs in zip(self.witnesses, other.witnesses, strict=True):
+                mine.copy_rows(to, theirs, rows)
         weights = self.weights.copy()
         weights[to] = other.weights[rows]
         self.weights = weights

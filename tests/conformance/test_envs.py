@@ -47,6 +47,7 @@ VARIANTS = {
     "twin": {"twin": True},
     "watch": {"watch": ("snapshot-chi2", {"name": "cusum"}), "end_at_alarm": False},
     "domain": {"domain": WORLDS, "target_heading_deg": "random"},
+    "oracle": {"knowledge": "oracle", "detector": {"name": "ewma", "false_alarm": 0.05}},
     "worst": {"target_heading_deg": "worst", "twin": True},
     "interval": {"decision_interval_s": 1.0, "between": "linear"},
     "tracking-1m": {"attack": "tracking-1m", "receiver": "matched", "scenario": "realistic"},
