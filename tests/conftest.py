@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
@@ -15,7 +17,17 @@ hypothesis.settings.load_profile("spoofgym")
 
 DATA_VARIABLE = "SPOOFGYM_DATA"
 # Before anything imports matplotlib: Gymnasium's checks open windows, and there may be no display.
-os.environ["MPLBACKEND"] = "module://tests.window"
+WINDOW = "module://tests.window"
+os.environ["MPLBACKEND"] = WINDOW
+
+
+@pytest.fixture(autouse=True)
+def _window_of_the_tests() -> Iterator[None]:
+    """Take back matplotlib's backend where a program under test has chosen one for its process."""
+    yield
+    matplotlib = sys.modules.get("matplotlib")
+    if matplotlib is not None and matplotlib.get_backend() != WINDOW:
+        matplotlib.use(WINDOW)
 
 
 @pytest.fixture(scope="session")

@@ -49,7 +49,7 @@ def test_the_index_of_the_docs_and_the_readme_name_every_paper(key):
 
 def test_every_other_link_of_the_index_leads_somewhere():
     targets = re.findall(r"\]\(([^)#:]+)\)", (DOCS.parent / "README.md").read_text())
-    assert len(targets) == len(KEYS) + 2
+    assert len(targets) > len(KEYS)
     for target in targets:
         assert target.startswith("papers/") or (DOCS.parent / target).exists(), target
 
