@@ -8,11 +8,12 @@ from typing import Any
 from gymnasium.vector import AutoresetMode
 
 from ..envs.game_env import GameEnv, refuse_rendering
-from ..envs.game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
+from ..envs.game_vector_env import autoreset_mode_of, check_vector_settings
 from .detector_game import DetectorGame
 from .opponents import SpooferSpec
 from .rules import make_duel
-from .spoofer_view import RESET_FIRST, Weights
+from .spoofer_view import Weights
+from .vector_view import PooledVectorView
 
 SpooferPoolSpec = Sequence[SpooferSpec] | SpooferSpec
 
@@ -71,7 +72,7 @@ class DetectorView(GameEnv[DetectorGame]):
         self._running = False
 
 
-class DetectorVectorView(GameVectorEnv[DetectorGame]):
+class DetectorVectorView(PooledVectorView[DetectorGame]):
     """Vector environment of `DetectorView`; receiver i is the single one seeded with ``seed + i``.
 
     Parameters
@@ -105,7 +106,6 @@ class DetectorVectorView(GameVectorEnv[DetectorGame]):
         check_vector_settings(num_envs, render_mode)
         duel = make_duel(num_envs, threads=threads, **settings)
         super().__init__(DetectorGame(duel, pool, weights), mode)
-        self._changed = False
 
     @property
     def opponents(self) -> list[str]:
@@ -121,37 +121,4 @@ class DetectorVectorView(GameVectorEnv[DetectorGame]):
             As above.
         """
         self.game.set_pool(pool, weights)
-        self._changed = True
-
-    def reset(self, **kwargs: Any) -> Any:
-        """Begin an episode in every receiver.
-
-        Parameters
-        ----------
-        **kwargs
-            ``seed`` and ``options``, as in `GameVectorEnv`.
-
-        Returns
-        -------
-        observation, info
-            As in `GameVectorEnv`.
-        """
-        self._changed = False
-        return super().reset(**kwargs)
-
-    def step(self, actions: Any) -> Any:
-        """Judge one epoch of every receiver.
-
-        Parameters
-        ----------
-        actions : array_like
-            (B, a) in [-1, 1].
-
-        Returns
-        -------
-        observation, reward, terminated, truncated, info
-            As in `GameVectorEnv`.
-        """
-        if self._changed:
-            raise RuntimeError(RESET_FIRST)
-        return super().step(actions)
+        self.pool_changed = True

@@ -11,10 +11,11 @@ from gymnasium.vector import AutoresetMode
 from ..detectors import Detector
 from ..envs.game import Game
 from ..envs.game_env import GameEnv, refuse_rendering
-from ..envs.game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
+from ..envs.game_vector_env import autoreset_mode_of, check_vector_settings
 from ..envs.presets import make_game, make_setup
 from ..envs.setup import Setup
 from .opponents import DetectorSpec, label_of, members_of, pooled_detector
+from .vector_view import PooledVectorView
 
 DetectorPool = Sequence[DetectorSpec] | DetectorSpec
 Weights = Sequence[float] | None
@@ -28,7 +29,6 @@ WORLD = (
     "decision_interval_s",
     "between",
 )
-RESET_FIRST = "the pool has changed: call reset() before step()"
 
 
 class SpooferSide:
@@ -53,7 +53,6 @@ class SpooferSide:
         self._rules = {"alarm_penalty_m": 0.0, **rules}
         self._setup = make_setup(detector="never", **world)
         self.labels: tuple[str, ...] = ()
-        self.changed = False
         self.game = self.play(pool, weights)
 
     def play(self, pool: DetectorPool, weights: Weights) -> Game:
@@ -102,7 +101,7 @@ class SpooferSide:
                 f"observations, but {', '.join(labels)} gave {len(before.observation_names)}"
             )
         before.close()
-        self.game, self.changed = game, True
+        self.game = game
         return game
 
     def opponents(self) -> list[str]:
@@ -164,7 +163,7 @@ class SpooferView(GameEnv[Game]):
         self._running = False
 
 
-class SpooferVectorView(GameVectorEnv[Game]):
+class SpooferVectorView(PooledVectorView[Game]):
     """Vector environment of `SpooferView`; receiver i is the single one seeded with ``seed + i``.
 
     Parameters
@@ -213,36 +212,4 @@ class SpooferVectorView(GameVectorEnv[Game]):
             As above.
         """
         self.game = self._side.change(pool, weights)
-
-    def reset(self, **kwargs: Any) -> Any:
-        """Begin an episode in every receiver.
-
-        Parameters
-        ----------
-        **kwargs
-            ``seed`` and ``options``, as in `GameVectorEnv`.
-
-        Returns
-        -------
-        observation, info
-            As in `GameVectorEnv`.
-        """
-        self._side.changed = False
-        return super().reset(**kwargs)
-
-    def step(self, actions: Any) -> Any:
-        """Give one command to every receiver, and run one epoch.
-
-        Parameters
-        ----------
-        actions : array_like
-            (B, a) in [-1, 1].
-
-        Returns
-        -------
-        observation, reward, terminated, truncated, info
-            As in `GameVectorEnv`.
-        """
-        if self._side.changed:
-            raise RuntimeError(RESET_FIRST)
-        return super().step(actions)
+        self.pool_changed = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -110,6 +111,8 @@ class Cases:
 
     Parameters
     ----------
+    worlds : sequence of World
+        Of `worlds_of`.
     scenario : Scenario
         What holds where the domain says nothing.
     receiver : TightlyCoupled
@@ -131,13 +134,13 @@ class Cases:
 
     def __init__(
         self,
+        worlds: Sequence[World],
         scenario: Scenario,
         receiver: TightlyCoupled,
         domain: Domain,
         epochs: int,
         flown: int,
     ) -> None:
-        worlds = worlds_of(scenario, domain)
         self.world, self.worlds = chain_worlds(worlds), len(worlds)
         self.names = {"imu": domain.imu or (scenario.imu,), "errors": domain.errors or ("own",)}
         errors = [ERRORS[name] for name in domain.errors] or [scenario.gnss_errors]

@@ -159,7 +159,7 @@ class Setup:
         What an episode chooses from.
     repeat : int
         Epochs of a decision.
-    bias_sd, noise_variance, noise, first_C_eb, onset_C_en
+    bias_sd, noise_variance, noise, first_C_eb
         Of the first case, for an episode that begins as early as it can.
     witnesses : tuple of Witness
         What looks at every epoch beside the detector; copied for every batch.
@@ -195,8 +195,9 @@ class Setup:
         self.repeat = _repeat(decision_interval_s, interval, self.steps)
         # one decision more, which a finished receiver may run until it is reset
         length = self.onset + self.steps + self.hold + self.repeat
-        first, last = self._starts(length, worlds_of(scenario, self.domain)[0])
-        self.cases = Cases(scenario, receiver, self.domain, length, last + length)
+        worlds = worlds_of(scenario, self.domain)
+        first, last = self._starts(length, worlds[0])
+        self.cases = Cases(worlds, scenario, receiver, self.domain, length, last + length)
         self.world: World = self.cases.world
         heading = self.target_heading_deg
         self.bounds = Bounds(
@@ -214,7 +215,6 @@ class Setup:
             case.noise_variance,
             case.noise,
         )
-        self.onset_C_en = self.world.C_en[first + self.onset]
         self.first_C_eb = self.cases.first_C_eb(np.zeros(1, np.int64), np.array([first]))[0]
 
     @property
