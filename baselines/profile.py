@@ -193,10 +193,7 @@ def _world_of_task(context: typer.Context, task: str) -> dict[str, Any]:
         source = context.get_parameter_source(str(option.name))
         if option.name in DECIDED and source is not None and source.name == "COMMANDLINE":
             raise ValueError(f"{option.opts[0]} can't be given with --task, which decides it")
-    chosen = task_of(task)
-    if chosen.pooled:
-        raise ValueError(f"task {task} hides a pool of detectors; a profile is for one of them")
-    return chosen.suite_kwargs
+    return task_of(task).suite_kwargs
 
 
 def _command(context: typer.Context) -> str:

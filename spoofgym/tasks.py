@@ -59,15 +59,26 @@ class Task:
         return len(self.detectors) > 1
 
     @property
+    def detector(self) -> dict[str, Any]:
+        """Whom the spoofer meets, as one detector, as `make_detector` takes it; a copy."""
+        whom = {"name": "pool", "members": list(self.detectors)}
+        return copy.deepcopy(whom if self.pooled else self.detectors[0])
+
+    @property
     def env_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of the environment; a copy."""
         whom = {"pool": list(self.detectors)} if self.pooled else {"detector": self.detectors[0]}
         return copy.deepcopy({**self.settings, **whom})
 
     @property
+    def world_kwargs(self) -> dict[str, Any]:
+        """All settings but whom the spoofer meets; a copy."""
+        return copy.deepcopy(self.settings)
+
+    @property
     def suite_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of a benchmark's `Suite`; a copy."""
-        return copy.deepcopy({**self.settings, "detectors": self.detectors})
+        return {**self.world_kwargs, "detectors": (self.detector,)}
 
 
 EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}

@@ -116,7 +116,7 @@ class Arguments:
     out: Path
     """Folder of the run; its last part is the name of the spoofer."""
     task: str = ""
-    """Task of spoofgym-bench-v1, T1 to T5, which decides detector, scenario, attack and times."""
+    """Task of spoofgym-bench-v1, T1 to T6, which decides detector, scenario, attack and times."""
     detector: str = "ewma"
     """Detector that it learns against: a name, with settings as name:key=value or JSON."""
     knowledge: str = "blind"
@@ -233,11 +233,7 @@ class Arguments:
             )
 
     def _check_task(self) -> None:
-        if task_of(self.task).pooled:
-            raise ValueError(
-                f"`task` must have one detector, {self.task} hides a pool of them; train on "
-                "'spoofgym/SpooferView-v0'"
-            )
+        task_of(self.task)  # or a message that lists them
         decided = ("detector", "scenario", "attack", "attack_s", "warmup_s")
         for item in fields(self):
             if item.name in decided and getattr(self, item.name) != item.default:
@@ -254,8 +250,9 @@ class Arguments:
     def env_kwargs(self) -> dict[str, Any]:
         """What `gymnasium.make` takes."""
         if self.task:
-            target = {"target_heading_deg": self.heading_deg}
-            return {**target, **task_of(self.task).env_kwargs, "knowledge": self.knowledge}
+            task = task_of(self.task)
+            whom = {"detector": task.detector, "knowledge": self.knowledge}
+            return {"target_heading_deg": self.heading_deg, **task.world_kwargs, **whom}
         return {
             "scenario": parse_spec(self.scenario),
             "detector": detector_entry(parse_spec(self.detector)).spec,

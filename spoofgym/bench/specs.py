@@ -225,6 +225,8 @@ def label_of(spec: Spec, default: Spec | None) -> str:
 def _short(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, list) and value and all(isinstance(v, dict) for v in value):
+        return "+".join(str(v.get("name", v)) for v in value)
     if isinstance(value, list) and len(value) > 3:
         return f"{len(value)} values"
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -7,6 +7,7 @@ from importlib.resources import files
 from typing import Any
 
 from ..tasks import TASKS, normalised
+from .entries import detector_entry
 
 FILE = "task_scores_v1.json"
 """Stored beside this module."""
@@ -42,37 +43,33 @@ def task_scores(key: str, report: dict[str, Any], ppo: str | None) -> dict[str, 
     Returns
     -------
     dict
-        As in `stored_scores`; means over the detectors where the task has several.
+        As in `stored_scores`.
 
     Raises
     ------
     ValueError
-        When the report is of other detectors.
+        When the report is not of the task's detector alone.
     """
     cells = report["cells"]
     judges = list(dict.fromkeys(cell["detector"] for cell in cells))
-    if len(judges) != len(TASKS[key].detectors):
-        raise ValueError(
-            f"task {key} has {len(TASKS[key].detectors)} detectors, the report {len(judges)}"
-        )
-    whom: dict[str, dict[str, str | None]] = {judge: {"none": "none"} for judge in judges}
+    expected = detector_entry(TASKS[key].detector).label
+    if judges != [expected]:
+        raise ValueError(f"task {key} has the detector {expected}, the report {', '.join(judges)}")
+    whom: dict[str, str | None] = {"none": "none"}
     for group in report["rivals"]:
-        best = whom[group["detector"]]
         for name in ("ramp", "profile"):
             found = group[f"best_{name}"]
-            best[name] = None if found is None else found["spoofer"]
-    by_label = {(cell["detector"], cell["spoofer"]): cell for cell in cells}
-    result: dict[str, Any] = {"runs": cells[0]["runs"], "spoofers": whom}
-    for judge in judges:
-        whom[judge]["ppo"] = ppo
+            whom[name] = None if found is None else found["spoofer"]
+    whom["ppo"] = ppo
+    by_label = {cell["spoofer"]: cell for cell in cells}
+    result: dict[str, Any] = {"runs": cells[0]["runs"], "spoofers": {expected: whom}}
     for measure in ("undetected_displacement_m", "alarm_excess"):
-        result[measure] = {}
-        for name in ("none", "ramp", "profile", "ppo"):
-            labels = [(judge, whom[judge].get(name)) for judge in judges]
-            known = [by_label[pair] for pair in labels if pair in by_label]
-            if len(known) == len(judges):
-                values = [cell[measure]["value"] if cell[measure] else 0.0 for cell in known]
-                result[measure][name] = round(sum(values) / len(values), 4)
+        known = {
+            name: by_label[label][measure] for name, label in whom.items() if label in by_label
+        }
+        result[measure] = {
+            name: round(cell["value"], 4) if cell else 0.0 for name, cell in known.items()
+        }
     reached = result["undetected_displacement_m"]
     if {"ramp", "profile", "ppo"} <= set(reached) and reached["profile"] > reached["ramp"]:
         result["normalised"] = round(

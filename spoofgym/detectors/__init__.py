@@ -17,6 +17,7 @@ from .innovation_rate import InnovationRate, OracleRamp, OracleStep
 from .joint_chart import JointChart
 from .lag_cusum import LagCusum
 from .never import Never
+from .pool import PooledDetector
 from .raim import Raim
 from .rio import Rio
 from .sequential_chi2 import SequentialChi2
@@ -43,6 +44,7 @@ __all__ = [
     "Never",
     "OracleRamp",
     "OracleStep",
+    "PooledDetector",
     "Raim",
     "Rio",
     "SequentialChi2",
@@ -69,6 +71,7 @@ DETECTORS: dict[str, type[Detector]] = {
     "never": Never,
     "oracle-ramp": OracleRamp,
     "oracle-step": OracleStep,
+    "pool": PooledDetector,
     "raim": Raim,
     "rio": Rio,
     "sequential-chi2": SequentialChi2,

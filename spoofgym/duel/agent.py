@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .._registry import check_choice
 from ..detectors import Detector, DetectorContext, Verdict
-from ..envs.pool import JointMemory
+from ..detectors.pool import JointMemory
 from ..receiver.epoch import Epoch
 from .policy import DetectorPolicy, PolicyContext
 from .sight import ALL_SIGHTS, Sight

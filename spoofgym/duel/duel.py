@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..attacks import Attack
+from ..detectors.pool import NATURE, uniforms
 from ..envs.domain import Domain
 from ..envs.engine import Batch
-from ..envs.pool import NATURE, uniforms
 from ..envs.presets import DEFAULT_ATTACK, make_game, make_setup
 from ..envs.setup import Setup, Timeline
 from ..receiver import TightlyCoupled

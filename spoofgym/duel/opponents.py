@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Detector, make_detector
+from ..detectors.pool import PooledDetector, checked_weights, drawn
 from ..envs.attach import card_behind, spoofer_context
 from ..envs.observations import terms_of
 from ..envs.observer import Observer
-from ..envs.pool import PooledDetector, checked_weights, drawn
 from ..envs.setup import Setup
 from ..envs.snapshot import Snapshot
 from ..spoofers import SUFFIX, Spoofer, make_spoofer
@@ -142,7 +142,7 @@ def pooled_detector(
         dataclasses.replace(one, quiet_epochs=live) if isinstance(one, PolicyDetector) else one
         for one in made
     ]
-    return PooledDetector(tuple(members), tuple(checked_weights(len(members), weights).tolist()))
+    return PooledDetector(members, weights)
 
 
 class SpooferPool:

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..attacks import AttackContext
-from ..detectors import Detector, DetectorContext, Verdict
+from ..detectors import Detector, DetectorContext, PooledDetector, Verdict
 from ..receiver import _kernels
 from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import LANES, ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.sensors import SOURCES, SensorBuffers
 from .domain import draw, told
-from .pool import PooledDetector
 from .prefetch import STOCK, NextEpisodes
 from .setup import Setup, check_settles
 from .witness import Witness

@@ -52,6 +52,7 @@ VARIANTS = [
     {"name": "windowed-chi2", "window": 1, "covariance": "estimated", "covariance_window": 30},
     {"name": "windowed-chi2", "window": 4, "false_alarm": 0.3, "covariance": "estimated"},
     {"name": "windowed-chi2", "window": 1000},
+    {"name": "pool", "members": ["cusum", "shewhart"], "weights": [0.5, 0.5]},
 ]
 
 

@@ -6,7 +6,7 @@ import pytest
 from spoofgym.duel.ledger import Ledger
 from spoofgym.envs import SpoofEnv
 from spoofgym.envs.books import Books
-from spoofgym.envs.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
+from spoofgym.detectors.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
 
 from .support import ALARM, QUIET, SHORT, aec, parallel
 

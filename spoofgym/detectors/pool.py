@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -10,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from ..detectors import Detector, DetectorContext, Verdict
 from ..receiver.epoch import Epoch
+from .base import Detector, DetectorContext, Verdict
 
 FloatArray = NDArray[np.float64]
 NATURE, OPPONENT = 1, 2
@@ -139,37 +140,77 @@ class JointMemory(Memory):
             mine.copy_rows(to, part, rows)
 
 
+def _spec_of(member: Any, detector: Detector) -> Any:
+    """Name and all settings of a detector that has a name; what was given of any other."""
+    from . import DETECTORS
+
+    for name, kind in DETECTORS.items():
+        if type(detector) is kind:
+            settings: Any = detector
+            fields = dataclasses.fields(settings)
+            return {"name": name, **{field.name: getattr(detector, field.name) for field in fields}}
+    return member
+
+
 @dataclass
 class PooledDetector(Detector):
-    """Detectors of which one judges a receiver for a whole episode, warm-up included.
+    """A hidden pool: one of its detectors, drawn for every episode, judges it from begin to end.
 
+    The draw depends on the key of the episode alone, so that paired runs have the same opponent.
     Every detector that has a receiver at present judges the epoch of all receivers in one call, and
     each receiver takes the verdict of its own.  Where tests of channels and of whole receivers meet
     in one pool, the statistic is the largest ratio of statistic and threshold of a receiver.
 
     Parameters
     ----------
-    members : tuple of Detector
-        Copied when a batch of receivers is made.
-    weights : tuple of float
-        Probability of each.
+    members : sequence
+        As `make_detector` takes them; objects are copied.
+    weights : sequence of float, optional
+        Probability of each; all alike by default.
+
+    Raises
+    ------
+    ValueError
+        When there is no detector, a name or a setting is unknown, the weights do not fit, one is
+        a pool itself, or some of the detectors watch satellites and others positions.
+    TypeError
+        When `members` is no sequence of detectors.
+
+    Notes
+    -----
+    Training against a mixture of frozen opponents is what `lanctot2017` calls an oracle's response.
     """
 
-    members: tuple[Detector, ...]
-    weights: tuple[float, ...]
+    members: Sequence[str | Mapping[str, Any] | Detector] = ("snapshot-chi2", "ewma")
+    weights: Sequence[float] | None = None
 
-    paper: ClassVar[str] = "groves2013"
+    paper: ClassVar[str] = "lanctot2017"
     watches: ClassVar[str] = "any"
 
     def __post_init__(self) -> None:
-        """Find out what the detectors have in common."""
+        """Make the detectors, and find out what they have in common."""
+        from . import make_detector
+
+        if isinstance(self.members, str | Mapping) or not isinstance(self.members, Sequence):
+            raise TypeError(f"`members` must be a list of detectors, got {self.members!r}")
         self._chances = checked_weights(len(self.members), self.weights)
-        scopes = {member.scope for member in self.members}
+        self.judges = tuple(make_detector(member) for member in self.members)
+        self.members = tuple(map(_spec_of, self.members, self.judges))
+        if any(isinstance(judge, PooledDetector) for judge in self.judges):
+            raise ValueError("a pool can't be one of the detectors of a pool; list its detectors")
+        watched = {judge.watches for judge in self.judges} - {"any"}
+        if len(watched) > 1:
+            raise ValueError(
+                "the detectors of a pool must watch the same, got "
+                + ", ".join(f"{type(judge).__name__} ({judge.watches})" for judge in self.judges)
+            )
+        scopes = {judge.scope for judge in self.judges}
         self._alike = len(scopes) == 1
         # these differ from pool to pool, so that they are the object's, not the class's
+        self.watches = watched.pop() if watched else "any"  # type: ignore[misc]
         self.scope = scopes.pop() if self._alike else "receiver"  # type: ignore[misc]
-        self.needs = frozenset().union(*(m.needs for m in self.members))  # type: ignore[misc]
-        self.oracle = any(member.oracle for member in self.members)  # type: ignore[misc]
+        self.needs = frozenset().union(*(j.needs for j in self.judges))  # type: ignore[misc]
+        self.oracle = any(judge.oracle for judge in self.judges)  # type: ignore[misc]
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare all detectors.
@@ -180,10 +221,10 @@ class PooledDetector(Detector):
             Sizes.
         """
         super().bind(context)
-        for member in self.members:
-            member.bind(context)
-        self.silent_epochs = max(member.silent_epochs for member in self.members)
-        self.memory = JointMemory(context.receivers, [member.memory for member in self.members])
+        for judge in self.judges:
+            judge.bind(context)
+        self.silent_epochs = max(judge.silent_epochs for judge in self.judges)
+        self.memory = JointMemory(context.receivers, [judge.memory for judge in self.judges])
         self.memory.declare("opponent", np.zeros(context.receivers, dtype=np.int64))
 
     def draw(self, keys: NDArray[np.uint64]) -> None:
@@ -212,7 +253,7 @@ class PooledDetector(Detector):
         merged: Verdict | None = None
         opponent = self.memory["opponent"]
         for k in np.unique(opponent):
-            verdict = self._of_pool(self.members[k].judge(epoch), epoch.innovation.shape)
+            verdict = self._of_pool(self.judges[k].judge(epoch), epoch.innovation.shape)
             rows = opponent == k
             if merged is None:
                 copies: list[Any] = [None if part is None else np.array(part) for part in verdict]

@@ -1,0 +1,107 @@
+"""A hidden pool: one of its detectors judges a whole episode, whoever else is in the batch."""
+
+import json
+
+import numpy as np
+import pytest
+
+from spoofgym.bench.entries import detector_entry
+from spoofgym.bench.run import WarmStart, play
+from spoofgym.bench.suite import Suite
+from spoofgym.detectors import PooledDetector, make_detector
+from spoofgym.duel_v0 import SpooferView
+from spoofgym.envs import SpoofEnv
+
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
+SHARP = {"name": "snapshot-chi2", "false_alarm": 0.5}
+MEMBERS = ["ewma", SHARP, "never"]
+POOL = {"name": "pool", "members": MEMBERS}
+
+
+def played(detector, runs=12, rows=None):
+    suite = Suite(detectors=[detector], timeline=SHORT, runs=2)
+    rngs = suite.generators("training", runs)
+    if rows is not None:
+        rngs = [rngs[row] for row in rows]
+    start = WarmStart(suite.setup(suite.detector_entries[0]), rngs, threads=1)
+    drawn = start.engine().batch.detector.memory
+    return play(start, {"name": "ramp", "rate_mps": 0.5}), drawn
+
+
+def test_every_run_is_judged_by_the_detector_that_was_drawn():
+    pooled, memory = played(POOL)
+    opponent = memory["opponent"]
+    assert set(opponent) == {0, 1, 2}
+    for k, member in enumerate(MEMBERS):
+        alone, _ = played(member)
+        own = opponent == k
+        np.testing.assert_array_equal(pooled.alarm[:, own], alone.alarm[:, own])
+        np.testing.assert_array_equal(pooled.position_e[:, own], alone.position_e[:, own])
+    some, few = played(POOL, rows=[7, 2])
+    np.testing.assert_array_equal(few["opponent"], opponent[[7, 2]])
+    np.testing.assert_array_equal(some.position_e, pooled.position_e[:, [7, 2]])
+
+
+def test_weights_decide_how_often():
+    _, memory = played({**POOL, "weights": [0.0, 1.0, 0.0]})
+    assert (memory["opponent"] == 1).all()
+
+
+def test_the_view_of_the_spoofer_meets_the_same_opponents():
+    view = SpooferView(pool=MEMBERS, timeline=SHORT, attack="false-position")
+    env = SpoofEnv(detector=POOL, timeline=SHORT, attack="false-position", alarm_penalty_m=0.0)
+    push = np.array([0.3, 0.1], dtype=np.float32)
+    for seed in range(3):
+        view.reset(seed=seed)
+        env.reset(seed=seed)
+        for _ in range(10):
+            ours, theirs = env.step(push), view.step(push)
+            np.testing.assert_array_equal(ours[0], theirs[0])
+            assert ours[1:4] == theirs[1:4]
+
+
+def test_its_settings_are_written_down_and_make_it_again():
+    entry = detector_entry(POOL)
+    assert entry.label == "pool(members=ewma+snapshot-chi2+never)"
+    told = json.loads(json.dumps(entry.spec))
+    assert told["members"][1] == {
+        "name": "snapshot-chi2",
+        "false_alarm": 0.5,
+        "signals": "both",
+        "bias_window_s": 0.0,
+    }
+    assert detector_entry(told) == entry
+    again = make_detector(make_detector(POOL))
+    assert again.members == make_detector(told).members
+
+
+def test_what_a_pool_has_in_common():
+    pool = make_detector(POOL)
+    assert (pool.scope, pool.watches, pool.oracle) == ("receiver", "satellites", False)
+    assert make_detector({"name": "pool", "members": ["ewma", "cusum"]}).scope == "channel"
+    assert make_detector({"name": "pool", "members": ["rio", "never"]}).watches == "position"
+    assert make_detector({"name": "pool", "members": ["oracle-step", "ewma"]}).oracle
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"members": []}, "at least one opponent, got none"),
+        ({"members": ["emwa"]}, "unknown detector 'emwa'; .* did you mean 'ewma'"),
+        ({"members": [POOL]}, "can't be one of the detectors of a pool"),
+        (
+            {"members": ["ewma", "rio"]},
+            r"watch the same, got Ewma \(satellites\), Rio \(position\)",
+        ),
+        ({"members": ["ewma"], "weights": [1.0, 2.0]}, "one number for each of the 1 opponents"),
+        ({"members": ["ewma"], "weights": [0.0]}, "not all 0"),
+    ],
+)
+def test_what_no_pool_is(settings, told):
+    with pytest.raises(ValueError, match=told):
+        make_detector({"name": "pool", **settings})
+
+
+def test_a_single_name_is_no_list():
+    with pytest.raises(TypeError, match="`members` must be a list of detectors, got 'ewma'"):
+        PooledDetector("ewma")
