@@ -167,6 +167,9 @@ class Arguments:
     """Largest factor on that price."""
     penalty_gain: float = 0.3
     """How quickly the factor adapts; 0 to keep it."""
+    choose: str = "budget"
+    """What is kept: 'budget', the farthest within the alarm budget, with an amplitude fitted to it;
+    or 'price', the farthest less `penalty` for every alarm, as it was learned."""
     evaluations: int = 8
     """How often the policy is evaluated, and a checkpoint is written."""
     tuning_runs: int = 512
@@ -189,6 +192,12 @@ class Arguments:
     def __post_init__(self) -> None:
         """Check what stable-baselines3 and the environment do not check, or only later."""
         check_choice("knowledge", self.knowledge, KNOWLEDGE)
+        check_choice("choice", self.choose, ("budget", "price"))
+        if self.choose == "price" and self.penalty_gain != 0.0:
+            raise ValueError(
+                f"`penalty_gain` must be 0 with `choose` = 'price', since a price that follows the "
+                f"budget is none to choose by, got {self.penalty_gain:g}"
+            )
         counts = ("steps", "num_envs", "batch_size", "n_epochs", "evaluations", "width")
         ones = ((name, 1) for name in (*counts, "torch_threads"))
         pairs = ((name, 2) for name in ("tuning_runs", "evaluation_runs", "final_runs"))
@@ -588,18 +597,27 @@ class Run(BaseCallback):
         self.evaluated = self.num_timesteps
         found = self._played()
         within = [item for item in found if self._keeps(item[1])]
-        amplitude, best = max(within or found[:1], key=lambda item: (item[1].mean_m, -item[0]))
+        amplitude, best = max(
+            within or found[:1], key=lambda item: (self._worth_m(item[1]), -item[0])
+        )
         if within:
             self.amplitude = amplitude
-        if within and best.mean_m > self.best_m:
-            self.best_m, self.best_step = best.mean_m, self.num_timesteps
+        if within and self._worth_m(best) > self.best_m:
+            self.best_m, self.best_step = self._worth_m(best), self.num_timesteps
             score = self.judge.score(best, self.args.budget)
             self.exporter.write(self.best_path, self.card_fields([score], amplitude), amplitude)
         self._tell(amplitude, best, bool(within))
         self.save()
 
     def _keeps(self, found: Evaluation) -> bool:
-        return found.excess.keeps(self.args.budget, self.args.margin)
+        priced = self.args.choose == "price"
+        return priced or found.excess.keeps(self.args.budget, self.args.margin)
+
+    def _worth_m(self, found: Evaluation) -> float:
+        """What a policy is chosen by: how far it gets, or that less the price of its alarms."""
+        if self.args.choose == "budget":
+            return found.mean_m
+        return found.mean_m - self.args.penalty * self.scale_m * float(found.alarm.mean())
 
     def _played(self) -> list[tuple[float, Evaluation]]:
         """The policy with some amplitudes around what the budget allows, the first one first."""
@@ -612,7 +630,7 @@ class Run(BaseCallback):
                 found.append((amplitude, self.judge.evaluate(path)))
                 return self._keeps(found[-1][1])
 
-            if self.num_timesteps:
+            if self.num_timesteps and self.args.choose == "budget":
                 largest_within(keeps, self.amplitude)
             else:
                 keeps(1.0)
@@ -793,8 +811,13 @@ def open_folder(args: Arguments, console: Console) -> dict[str, Any]:
     return dict(old)
 
 
-def train(args: Arguments, console: Console) -> tuple[Path, float]:
-    """Train; the file of the best policy, and the time that it took, interruptions not counted."""
+def train(
+    args: Arguments, console: Console, rivals: list[dict[str, Any]] | None = None
+) -> tuple[Path, float]:
+    """Train; the file of the best policy, and the time that it took, interruptions not counted.
+
+    `rivals` are the tables of ramps that have been tuned before, by the same settings.
+    """
     began = time.perf_counter()
     torch.set_num_threads(args.torch_threads)
     config = open_folder(args, console)
@@ -810,15 +833,17 @@ def train(args: Arguments, console: Console) -> tuple[Path, float]:
             check_imitable(engine, profile_of(args), env.directions[0])
         make_model(args, env)  # which refuses what does not fit, before anything is written
         if not config:
-            config = begin(args, began, console)
+            config = begin(args, began, console, rivals)
         return learn(args, env, config, console)
     finally:
         env.close()
 
 
-def begin(args: Arguments, began: float, console: Console) -> dict[str, Any]:
-    """Tune the ramps, and write the configuration of a new run."""
-    rivals = tuned_ramps(args, console)
+def begin(
+    args: Arguments, began: float, console: Console, rivals: list[dict[str, Any]] | None
+) -> dict[str, Any]:
+    """Tune the ramps, unless they are, and write the configuration of a new run."""
+    rivals = tuned_ramps(args, console) if rivals is None else rivals
     reached = best_ramp(rivals).undetected_displacement_m
     if reached < LEAST_M:
         raise SystemExit(
