@@ -48,8 +48,8 @@ class SpoofVecEnv(VecEnv):
 
     - ``terminal_observation``, and ``TimeLimit.truncated``, which is False unless an end term
       truncates, since the time left is observed and an alarm is an end;
-    - ``episode`` with return ``r``, length ``l`` in decisions, and seconds since the environment was made ``t``,
-      as `VecMonitor` would write it, which is not needed around this;
+    - ``episode`` with return ``r``, length ``l`` in decisions and seconds since the environment was
+      made ``t``, as `VecMonitor` would write it, which is not needed around this;
     - ``undetected_displacement_m``, ``detected``, ``warmup_alarm`` and ``coasting`` of the episode.
 
     Parameters

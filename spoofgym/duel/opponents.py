@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Detector, make_detector
-from ..envs.attach import card_behind, spoofer_context
+from ..envs.attach import between_decisions, card_behind, spoofer_context
 from ..envs.observations import terms_of
 from ..envs.observer import Observer
 from ..envs.pool import PooledDetector, checked_weights, drawn
 from ..envs.setup import Setup
 from ..envs.snapshot import Snapshot
-from ..spoofers import SUFFIX, Spoofer, SpooferContext, make_spoofer
+from ..spoofers import SUFFIX, Spoofer, make_spoofer
 from .agent import PolicyDetector
 from .onnx_detector import OnnxDetector
 
@@ -143,26 +143,6 @@ def pooled_detector(
         for one in made
     ]
     return PooledDetector(tuple(members), tuple(checked_weights(len(members), weights).tolist()))
-
-
-def between_decisions(context: SpooferContext, setup: Setup) -> SpooferContext:
-    """What a spoofer is told, with the decisions that it takes instead of epochs.
-
-    Parameters
-    ----------
-    context : SpooferContext
-        Of epochs, as cards have it.
-    setup : Setup
-        Knows the decisions.
-
-    Returns
-    -------
-    SpooferContext
-        A ramp that is held for several epochs gets to its rate, not to several times that.
-    """
-    return context._replace(
-        interval_s=context.interval_s * setup.repeat, steps=context.steps // setup.repeat
-    )
 
 
 class SpooferPool:
