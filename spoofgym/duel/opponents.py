@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..detectors import Detector, make_detector
 from ..detectors.pool import PooledDetector, checked_weights, drawn
-from ..envs.attach import card_behind, spoofer_context
+from ..envs.attach import between_decisions, card_behind, spoofer_context
 from ..envs.observations import terms_of
 from ..envs.observer import Observer
 from ..envs.setup import Setup
@@ -148,8 +148,8 @@ def pooled_detector(
 class SpooferPool:
     """Spoofers of which one commands a receiver for a whole episode.
 
-    Every spoofer that has a receiver at present is called once an epoch, with the observations that
-    its knowledge allows, for all receivers; each receiver takes the command of its own.
+    Every spoofer that has a receiver at present is called once a decision, with the observations
+    that its knowledge allows, for all receivers; each receiver takes the command of its own.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ class SpooferPool:
                 f"the spoofer {label_of(spec)!r} does not fit this duel on "
                 f"{setup.scenario.name!r}:\n  " + "\n  ".join(found)
             )
-        made.bind(context)
+        made.bind(between_decisions(context, setup))
         made.reset()
         return made
 
@@ -224,7 +224,7 @@ class SpooferPool:
             spoofer.reset(mask)
 
     def act(self, snapshot: Snapshot, rows: NDArray[np.intp]) -> FloatArray:
-        """Command some receivers for the coming epoch; the spoofers of the others stand still.
+        """Let the spoofers of some receivers decide; those of the others stand still.
 
         Parameters
         ----------

@@ -394,7 +394,7 @@ def shift_response(
     weights : ndarray
         (B, 2n) on the columns of the gain.
     min_satellites : int
-        With fewer visible satellites there is no update.
+        With fewer visible satellites there is no update; the innovations are there all the same.
     range_offset, rate_offset : ndarray
         (B, n) what the attack adds [m], [m/s].
     shift : ndarray
@@ -425,8 +425,6 @@ def shift_response(
             for j in range(states):
                 total += Phi[i, j] * before[j]
             e[i] = total
-        if m < 2 * min_satellites:
-            continue
         for i in range(m):
             s = used[i]
             total = range_offset[b, s] if s < n else rate_offset[b, s - n]
@@ -448,6 +446,8 @@ def shift_response(
             y[i] /= S[i, i]
             w[i] /= S[i, i]
             divergence[b] += 0.5 * y[i] * y[i]
+        if m < 2 * min_satellites:
+            continue
         for i in range(m - 1, -1, -1):
             for k in range(i + 1, m):
                 w[i] -= S[k, i] * w[k]

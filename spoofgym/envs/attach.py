@@ -120,6 +120,26 @@ def spoofer_context(
     )
 
 
+def between_decisions(context: SpooferContext, setup: Setup) -> SpooferContext:
+    """What a spoofer is told, with the decisions that it takes instead of epochs.
+
+    Parameters
+    ----------
+    context : SpooferContext
+        Of epochs, as cards have it.
+    setup : Setup
+        Knows the decisions.
+
+    Returns
+    -------
+    SpooferContext
+        A ramp that is held for several epochs gets to its rate, not to several times that.
+    """
+    return context._replace(
+        interval_s=context.interval_s * setup.repeat, steps=context.steps // setup.repeat
+    )
+
+
 def game_of(env: Any) -> Game:
     """Game behind an environment.
 
