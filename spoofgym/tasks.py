@@ -103,7 +103,7 @@ TASKS: dict[str, Task] = {
     for task in (
         Task(
             "T1",
-            "snapshot chi-square, ideal spoofer: the known optimum",
+            "snapshot chi-square, ideal spoofer",
             {"scenario": "zhong2025", "attack": "false-position-ideal"},
             ({"name": "snapshot-chi2"},),
         ),
