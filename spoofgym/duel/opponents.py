@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..detectors import Detector, make_detector
 from ..detectors.pool import PooledDetector, checked_weights, drawn
-from ..envs.attach import between_decisions, card_behind, spoofer_context
+from ..envs.attach import card_behind, spoofer_context
 from ..envs.observations import terms_of
 from ..envs.observer import Observer
 from ..envs.setup import Setup
@@ -203,7 +203,7 @@ class SpooferPool:
                 f"the spoofer {label_of(spec)!r} does not fit this duel on "
                 f"{setup.scenario.name!r}:\n  " + "\n  ".join(found)
             )
-        made.bind(between_decisions(context, setup))
+        made.bind(context)
         made.reset()
         return made
 

@@ -104,8 +104,9 @@ def spoofer_context(
     attack = setup.attack
     context = SpooferContext(
         receivers=receivers,
-        interval_s=setup.scenario.epoch_interval_s,
-        steps=setup.steps,
+        # of its decisions: a ramp that is held for n epochs must not get to n times its rate
+        interval_s=setup.scenario.epoch_interval_s * setup.repeat,
+        steps=setup.steps // setup.repeat,
         control=attack.control,
         acceleration_limit_mps2=attack.acceleration_limit_mps2,
         rate_limit_mps=attack.rate_limit_mps,
@@ -117,26 +118,6 @@ def spoofer_context(
         observation_names=observer.names,
         observation_low=tuple(observer.low.tolist()),
         observation_high=tuple(observer.high.tolist()),
-    )
-
-
-def between_decisions(context: SpooferContext, setup: Setup) -> SpooferContext:
-    """What a spoofer is told, with the decisions that it takes instead of epochs.
-
-    Parameters
-    ----------
-    context : SpooferContext
-        Of epochs, as cards have it.
-    setup : Setup
-        Knows the decisions.
-
-    Returns
-    -------
-    SpooferContext
-        A ramp that is held for several epochs gets to its rate, not to several times that.
-    """
-    return context._replace(
-        interval_s=context.interval_s * setup.repeat, steps=context.steps // setup.repeat
     )
 
 
