@@ -32,7 +32,10 @@ def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin,
     displacement : ndarray
         (B,), written [m].
     """
+    cosine, sine = 1.0, 0.0
     for b in range(displacement.shape[0]):
+        if b == 0 or heading[b] != heading[b - 1]:
+            cosine, sine = math.cos(heading[b]), math.sin(heading[b])
         north, east = -origin[b, 0], -origin[b, 1]
         axes = C_en[onset[b]]
         for i in range(3):
@@ -42,7 +45,7 @@ def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin,
         if worst:
             displacement[b] = math.sqrt(north * north + east * east)
         else:
-            displacement[b] = math.cos(heading[b]) * north + math.sin(heading[b]) * east
+            displacement[b] = cosine * north + sine * east
 
 
 @njit
@@ -100,7 +103,7 @@ def within(values, limit):
     Parameters
     ----------
     values : ndarray
-        (k,).
+        Of any shape.
     limit : float
         At least 0.
 
@@ -110,8 +113,8 @@ def within(values, limit):
         False if any is NaN.
     """
     good = True
-    for i in range(values.shape[0]):
-        good = good and abs(values[i]) <= limit
+    for value in values.flat:
+        good = good and abs(value) <= limit
     return good
 
 
@@ -199,7 +202,7 @@ def score(
     credited : ndarray
         (B,) undetected displacement before this epoch, and after it [m].
     largest : ndarray
-        (B, steps + 1) largest displacement so far after each epoch, this one's is written [m].
+        (steps + 1, B) largest displacement so far after each epoch, this one's is written [m].
     values, marks : ndarray
         Of `Tally`.  The displacement, and who is to be truncated, are read; gain, retraction,
         alarm, first alarm, last command and ends are written.
@@ -215,9 +218,9 @@ def score(
         # a receiver whose episode is over may be stepped once more before it is reset
         step_count[b] += 1
         j = min(step_count[b], steps)
-        before = largest[b, j - 1]
+        before = largest[j - 1, b]
         now = max(before, values[DISPLACEMENT, b])
-        largest[b, j] = now
+        largest[j, b] = now
         alarm = False
         for c in range(alarms.shape[1]):
             alarm = alarm or alarms[b, c]
@@ -226,7 +229,7 @@ def score(
         first = alarm and not detected[b]
         finished = running and (step_count[b] == steps or early[b])
         values[GAIN, b] = now - before if running and not alarm and not detected[b] else 0.0
-        values[RETRACTION, b] = largest[b, max(j - hold - 1, 0)] - before if first else 0.0
+        values[RETRACTION, b] = largest[max(j - hold - 1, 0), b] - before if first else 0.0
         detected[b] = detected[b] or first
         credited[b] += values[GAIN, b]
         credited[b] += values[RETRACTION, b]
@@ -293,58 +296,147 @@ def tell(
 
 
 @njit
-def play(
-    position_e,
-    reference_e,
-    rows,
-    C_en,
-    onset,
-    heading,
-    worst,
-    origin,
-    alarms,
-    early,
-    at_alarm,
-    steps,
-    hold,
-    step_count,
-    detected,
-    ended,
-    credited,
-    largest,
-    warmup_alarm,
-    coasting,
-    epoch_time,
-    epochs,
-    shares,
-    values,
-    marks,
-):
-    """Displace, keep the books, and tell, where nothing comes between.
+def look(table, epochs, displacement, rate, first, scales, out):
+    """Observe what is tabled, and one's own command.
 
     Parameters
     ----------
-    position_e, reference_e, rows, C_en, onset, heading, worst, origin
-        As in `displace`.
-    alarms, early, at_alarm, steps, hold, step_count, detected, ended, credited, largest
+    table : ndarray
+        (K, o) float32, what is observed at every epoch.
+    epochs : ndarray
+        (B,) the epoch that each receiver is at.
+    displacement, rate : ndarray
+        (B, a) commanded [m], [m/s].
+    first : int
+        First column of the command, which has 2 a of them; -1 where it is not observed.
+    scales : ndarray
+        (4,) factors on displacement and rate, and bounds of both.
+    out : ndarray
+        (B, o) float32, written.
+    """
+    for b in range(out.shape[0]):
+        row = table[epochs[b]]
+        for i in range(out.shape[1]):
+            out[b, i] = row[i]
+    if first >= 0:
+        part = out[:, first : first + 2 * displacement.shape[1]]
+        own_command(displacement, rate, scales[0], scales[1], part)
+        least, most = np.float32(scales[2]), np.float32(scales[3])
+        for b in range(part.shape[0]):
+            for i in range(part.shape[1]):
+                if part[b, i] < least:
+                    part[b, i] = least
+                elif part[b, i] > most:
+                    part[b, i] = most
+
+
+@njit
+def unpack_books(raw, receivers, steps):
+    """Name the arrays of the books: views of their bytes.
+
+    Parameters
+    ----------
+    raw : ndarray
+        (B (8 (steps + 3) + 3),) uint8.
+    receivers, steps : int
+        B, and epochs of the command phase.
+
+    Returns
+    -------
+    step_count, credited, largest, detected, ended, nobody : ndarray
+        Of `Books`.
+    """
+    b, o = receivers, 8 * receivers
+    step_count = raw[:o].view(np.int64)
+    credited = raw[o : 2 * o].view(np.float64)
+    last = (steps + 3) * o
+    largest = raw[2 * o : last].view(np.float64).reshape((steps + 1, b))
+    detected = raw[last : last + b].view(np.bool_)
+    ended = raw[last + b : last + 2 * b].view(np.bool_)
+    nobody = raw[last + 2 * b :].view(np.bool_)
+    return step_count, credited, largest, detected, ended, nobody
+
+
+@njit
+def play(
+    floats,
+    flags,
+    twin_floats,
+    epochs,
+    books,
+    rules,
+    table,
+    begun,
+    alarms,
+    displacement,
+    rate,
+    numbers,
+    flags_told,
+    seen,
+):
+    """Displace, keep the books, tell and observe, where nothing comes between.
+
+    To hand over an array costs as much as all that this does for one receiver, so most of them
+    come several in one.
+
+    Parameters
+    ----------
+    floats, flags : ndarray
+        Of `ReceiverBuffers`.
+    twin_floats : ndarray
+        The same of the clean twins; of the receivers themselves where there are none.
+    epochs : ndarray
+        (B,) the epoch that each receiver is at.
+    books : ndarray
+        Bytes of `Books`.
+    rules : ndarray
+        (11 + 4 r + 13 K,) of `rules_of`.
+    table : ndarray
+        (K, o) as in `look`.
+    begun : ndarray
+        (5 B,) onset, heading and `origin` as in `displace`, `warmup_alarm` as in `tell`.
+    alarms : ndarray
         As in `score`.
-    warmup_alarm, coasting, epoch_time, epochs, shares
-        As in `tell`.
-    values, marks : ndarray
-        Of `Tally`, written.
+    displacement, rate : ndarray
+        As in `look`.
+    numbers, flags_told, seen : ndarray
+        Of `Tally`, and `out` of `look` in one row; written.
 
     Returns
     -------
     bool
-        As in `score`; nothing is told then.
+        As in `score`; nothing is told or observed then.
     """
+    receivers, K = epochs.shape[0], table.shape[0]
+    channels, steps, hold, first = int(rules[0]), int(rules[4]), int(rules[5]), int(rules[6])
+    end = rules.shape[0] - 13 * K
+    shares, truth = rules[11:end].reshape(((end - 11) // 4, 4)), rules[end:]
+    values = numbers.reshape((numbers.shape[0] // receivers, receivers))
+    marks = flags_told.reshape((flags_told.shape[0] // receivers, receivers))
+    # the positions come first in `unpack`, which would name many more
+    position_e = floats[: 3 * receivers].reshape((receivers, 3))
+    coasting = flags[channels * receivers :]
+    step_count, credited, largest, detected, ended, nobody = unpack_books(books, receivers, steps)
+    if rules[1] != 0.0:
+        reference_e = twin_floats[: 3 * receivers].reshape((receivers, 3))
+        rows = np.arange(receivers)
+    else:
+        reference_e, rows = truth[: 3 * K].reshape((K, 3)), epochs
     displace(
-        position_e, reference_e, rows, C_en, onset, heading, worst, origin, values[DISPLACEMENT]
+        position_e,
+        reference_e,
+        rows,
+        truth[3 * K : 12 * K].reshape((K, 3, 3)),
+        begun[:receivers].astype(np.int64),
+        begun[receivers : 2 * receivers],
+        rules[2] != 0.0,
+        begun[2 * receivers : 4 * receivers].reshape((receivers, 2)),
+        values[DISPLACEMENT],
     )
     held = score(
         alarms,
-        early,
-        at_alarm,
+        nobody,
+        rules[3] != 0.0,
         steps,
         hold,
         step_count,
@@ -360,14 +452,16 @@ def play(
             detected,
             ended,
             credited,
-            warmup_alarm,
+            begun[4 * receivers :] != 0.0,
             coasting,
-            epoch_time,
+            truth[12 * K :],
             epochs,
             shares,
             values,
             marks,
         )
+        out = seen.reshape((receivers, table.shape[1]))
+        look(table, epochs, displacement, rate, first, rules[7:11], out)
     return held
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _kernels
-from .tally import VALUE_NAMES, Tally
+from .tally import Heads, Tally
 
 FloatArray = NDArray[np.float64]
 Hold = Callable[[NDArray[np.intp]], NDArray[np.bool_]]
@@ -50,28 +50,54 @@ class Books:
 
     Attributes
     ----------
+    raw : ndarray
+        (bytes,) uint8, all of the following one after the other, as `unpack_books` names them.
     step_count : ndarray
         (B,) commands given in the running episodes.
-    detected : ndarray
-        (B,) bool, whether the attack has raised an alarm.
     credited : ndarray
         (B,) undetected displacement so far [m].
+    largest : ndarray
+        (steps + 1, B) largest displacement so far after each command [m].
+    detected : ndarray
+        (B,) bool, whether the attack has raised an alarm.
     ended : ndarray
         (B,) bool, whose episode is over; the game sets it.  They count nothing more.
-    largest : ndarray
-        (B, steps + 1) largest displacement so far after each command [m].
     nobody : ndarray
         (B,) bool, False.
     """
 
+    step_count: NDArray[np.int64]
+    credited: FloatArray
+    largest: FloatArray
+    detected: NDArray[np.bool_]
+    ended: NDArray[np.bool_]
+    nobody: NDArray[np.bool_]
+
     def __init__(self, receivers: int, steps: int, hold: int) -> None:
-        self.steps, self.hold = steps, hold
-        self.step_count = np.zeros(receivers, dtype=np.int64)
-        self.detected = np.zeros(receivers, dtype=np.bool_)
-        self.credited = np.zeros(receivers)
-        self.ended = np.zeros(receivers, dtype=np.bool_)
-        self.nobody = np.zeros(receivers, dtype=np.bool_)
-        self.largest = np.zeros((receivers, steps + 1))
+        self.receivers, self.steps, self.hold = receivers, steps, hold
+        self._heads = Heads(receivers)
+        self.raw = np.zeros(receivers * (8 * (steps + 3) + 3), dtype=np.uint8)
+        self._name_arrays()
+
+    def _name_arrays(self) -> None:
+        (
+            self.step_count,
+            self.credited,
+            self.largest,
+            self.detected,
+            self.ended,
+            self.nobody,
+        ) = _kernels.unpack_books(self.raw, self.receivers, self.steps)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All without the views, which a copy makes anew of its own bytes."""
+        views = ("step_count", "credited", "largest", "detected", "ended", "nobody")
+        return {name: value for name, value in self.__dict__.items() if name not in views}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over the bytes, and name their arrays."""
+        self.__dict__.update(state)
+        self._name_arrays()
 
     def reset(self, rows: NDArray[np.intp]) -> None:
         """Begin new episodes.
@@ -84,7 +110,7 @@ class Books:
         self.step_count[rows] = 0
         self.detected[rows] = False
         self.credited[rows] = 0.0
-        self.largest[rows] = 0.0
+        self.largest[:, rows] = 0.0
         self.ended[rows] = False
 
     def score(self, displacement: FloatArray, alarms: NDArray[np.bool_], hold: Hold) -> Score:
@@ -104,7 +130,7 @@ class Books:
         Score
             Of the step.
         """
-        tally = Tally(len(displacement), VALUE_NAMES)
+        tally = Tally(self._heads)
         tally.values[_kernels.DISPLACEMENT] = displacement
         self.count(tally, alarms, self.nobody, False, hold)
         values, marks = tally.values, tally.marks
@@ -171,7 +197,7 @@ class Books:
         last = np.minimum(self.step_count[rows], self.steps)
         # index of the last epoch that counts, with the first alarm at last + 1 + argmax
         kept = np.maximum(last + late.argmax(axis=0) - self.hold, 0)
-        back = np.where(alarmed, self.largest[rows, kept] - self.largest[rows, last], 0.0)
+        back = np.where(alarmed, self.largest[kept, rows] - self.largest[last, rows], 0.0)
         tally.values[_kernels.RETRACTION, rows] = back
         tally.marks[_kernels.FIRST, rows] = alarmed
         tally.marks[_kernels.ALARM, rows] |= alarmed

@@ -19,20 +19,20 @@ from ._kernels import (
     REWARD,
     TRUNCATED,
     displace,
-    play,
     tell,
 )
 from .actions import ActionTerm, Actor, FullCommand
+from .at_once import AtOnce, rules_of
 from .books import Books
 from .ends import AtAlarm, Ends, EndTerm, Standing
 from .engine import Engine
 from .observations import ObservationTerm
 from .observer import Observer
-from .played import check_end_at_alarm
+from .played import Stepwise, Told, check_end_at_alarm
 from .rewards import SHARED, Outcome, RewardTerm, named_terms, reward_of, shares_of
 from .setup import Setup
 from .snapshot import Snapshot, position_error_n
-from .tally import MARK_NAMES, VALUE_NAMES, Tally
+from .tally import MARK_NAMES, VALUE_NAMES, Heads, Tally
 from .watching import WatchBooks, needed
 from .witness import Watch
 
@@ -45,7 +45,7 @@ BEGIN_NAMES = ("time_s", "warmup_alarm", "coasting")
 """Keys of the information at the begin of an episode."""
 
 
-class Game:
+class Game(Stepwise):
     r"""Episodes of B receivers under attack.
 
     The displacement of a step is the position error of the victim along the target direction, less
@@ -141,6 +141,9 @@ class Game:
         self.books = Books(receivers, setup.steps, setup.hold)
         self.listeners: list[Listener] = []
         self._watch = WatchBooks(self.watch.names, receivers) if self.watch is not None else None
+        self._observed = receivers * len(self.observation_names)
+        # whether something comes between the verdict of an epoch and what is told of it
+        self._in_pieces = bool(self._ends) or setup.repeat > 1
         self.set_rewards(reward)
 
     @property
@@ -205,7 +208,13 @@ class Game:
         self._compiled = shares is not None
         self._shares = np.zeros((0, len(SHARED))) if shares is None else shares
         parts = [key for key, _ in self._reward_parts] if self._compiled else []
-        self._value_names = (*VALUE_NAMES, *parts)
+        self._heads = Heads(self.receivers, parts)
+        self._scratch = Tally(self._heads)
+        rules = rules_of(self.engine, self.books, self.observer, self.end_at_alarm, self._shares)
+        self._at_once = AtOnce(self.engine, self.books, self.observer, rules)
+        self._at_once.begin(self.engine, self._origin)
+        captures = self.setup.attack.capture is not None
+        self._tells_more = captures or self._watch is not None or not self._compiled
 
     def altered(self, setup: Setup | None = None, **changes: Any) -> Game:
         """A new game, not begun yet, with some settings changed.
@@ -277,6 +286,7 @@ class Game:
         if self.engine.twin is None:
             error_n = position_error_n(self.setup, self.engine.batch)
             self._origin[where] = error_n[where, :2]
+        self._at_once.begin(self.engine, self._origin)
         if self._watch is not None:
             self._watch.reset(where, self._watched)
 
@@ -315,7 +325,7 @@ class Game:
     def _play(self, command: FloatArray) -> Tally:
         """One epoch, which is not told yet."""
         verdict = self._advance(command)
-        tally = Tally(self.receivers, self._value_names)
+        tally = Tally(self._heads)
         displace(*self._apart(), tally.values[DISPLACEMENT])
         early = self._judge_ends(tally, verdict)
         self.books.count(tally, verdict.alarm, early, self.end_at_alarm, self.engine.hold)
@@ -334,34 +344,17 @@ class Game:
         self._tell(tally)
         return tally
 
-    def _decide_at_once(self, command: FloatArray) -> Tally:
-        """One epoch where nobody looks at it before it is told: `_decide` in one kernel."""
+    def _decide_at_once(self, command: FloatArray, tally: Tally) -> NDArray[np.float32]:
+        """`_decide` and `observe` in one kernel, where nobody looks between; (B o,) observed."""
         verdict = self._advance(command)
-        tally, books, engine = Tally(self.receivers, self._value_names), self.books, self.engine
-        batch = engine.batch
-        if play(
-            *self._apart(),
-            np.ascontiguousarray(verdict.alarm),
-            books.nobody,
-            self.end_at_alarm,
-            books.steps,
-            books.hold,
-            books.step_count,
-            books.detected,
-            books.ended,
-            books.credited,
-            books.largest,
-            engine.warmup_alarm,
-            batch.buffers.measured.coasting,
-            self.setup.world.epoch_time,
-            batch.epochs,
-            self._shares,
-            tally.values,
-            tally.marks,
-        ):
-            books.score_hold(tally, engine.hold)
+        seen = np.empty(self._observed, dtype=np.float32)
+        if self._at_once(verdict, tally, seen):
+            self.books.score_hold(tally, self.engine.hold)
             self._tell(tally)
-        return tally
+            return self.observe().ravel()
+        if self.observer.dynamic:
+            self.observer.complete(self.snapshot(), seen.reshape(self.receivers, -1))
+        return seen
 
     def _tell(self, tally: Tally) -> None:
         """Write what is told of a step."""
@@ -392,11 +385,38 @@ class Game:
         Tally
             Rewards, ends and information.
         """
+        return self.turn(action)[0]
+
+    def turn(self, action: FloatArray) -> tuple[Tally, NDArray[np.float32]]:
+        """`step`, then `observe`.
+
+        Parameters
+        ----------
+        action : ndarray
+            As in `step`.
+
+        Returns
+        -------
+        tally : Tally
+            Rewards, ends and information.
+        observation : ndarray
+            (B, o) float32, new.
+        """
         if self._watch is not None:
             self._watch.forget(self._watched)
-        looked_at = self._ends or self.listeners or self.setup.repeat > 1
-        decide = self._decide if looked_at else self._decide_at_once
-        tally = decide(self.actor.command(action))
+        command = self.actor.command(action)
+        if self._in_pieces or self.listeners:
+            tally = self._decide(command)
+            observation = self.observe()
+        else:
+            tally = Tally(self._heads)
+            observation = self._decide_at_once(command, tally).reshape(self.receivers, -1)
+        if self._tells_more:
+            self._tell_more(tally, action)
+        return tally, observation
+
+    def _tell_more(self, tally: Tally, action: FloatArray) -> None:
+        """Tell of a step what compiled code does not."""
         if not self._compiled:
             self._reward(tally, action)
         if self.setup.attack.capture is not None:
@@ -404,7 +424,26 @@ class Game:
             tally.more["captured_channels"] = captured.sum(axis=1)
         if self._watch is not None:
             tally.more.update(self._watch.step_info(self._watched))
-        return tally
+
+    def alone(self, action: FloatArray) -> Told:
+        """`turn` of the only receiver, as an environment returns it.
+
+        Parameters
+        ----------
+        action : ndarray
+            (1, k) as in `step`.
+
+        Returns
+        -------
+        observation, reward, terminated, truncated, info
+            As in `Stepwise`.
+        """
+        if self._in_pieces or self.listeners or self._tells_more:
+            return super().alone(action)
+        # nobody keeps its arrays: their values are handed out as numbers
+        tally = self._scratch
+        observation = self._decide_at_once(self.actor.command(action), tally)
+        return observation, *tally.alone()
 
     def _reward(self, tally: Tally, action: FloatArray) -> None:
         """Reward by the terms themselves."""

@@ -18,10 +18,10 @@ from .ends import AtAlarm, Ends, Standing
 from .observations import KNOWLEDGE
 from .plant import Plant
 from .plant_terms import PlantSnapshot, check_aims, check_ends, setup_of
-from .played import Turn, check_end_at_alarm, check_heading
+from .played import Stepwise, Turn, check_end_at_alarm, check_heading
 from .presets import WatchSpec, make_watch
 from .rewards import Outcome, default_rewards, named_terms, reward_of
-from .tally import VALUE_NAMES, Tally
+from .tally import Heads, Tally
 from .terms import ActionSpec, EndSpec, RewardSpec, make_terms
 from .watched import WatchedDetector
 from .watching import WatchBooks
@@ -41,7 +41,7 @@ BEGIN_NAMES = ("time_s", "warmup_alarm")
 """Keys of the information at the begin of an episode, without what watches."""
 
 
-class PlantGame:
+class PlantGame(Stepwise):
     """Episodes of the B receivers of a plant; scored as in `Game`.
 
     Parameters
@@ -133,6 +133,7 @@ class PlantGame:
         self._north, self._east = float(np.cos(heading)), float(np.sin(heading))
         self._rows = np.arange(plant.receivers)
         self.books = Books(plant.receivers, plant.steps, plant.hold)
+        self._heads = Heads(plant.receivers)
         self._origin = np.zeros(plant.receivers)
         self.warmup_alarm = np.zeros(plant.receivers, dtype=np.bool_)
 
@@ -331,7 +332,7 @@ class PlantGame:
     def _count(self, displacement: FloatArray, alarms: NDArray[np.bool_]) -> Tally:
         """Keep the books of an epoch, and run the time to alert of those who are to."""
         books = self.books
-        tally = Tally(self.receivers, VALUE_NAMES)
+        tally = Tally(self._heads)
         tally.values[DISPLACEMENT] = displacement
         early = books.nobody
         if self._ends:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .compiled import told_beside_call
 
 FloatArray = NDArray[np.float64]
 
@@ -51,8 +53,8 @@ SHARED = ("gain", "retraction", "detected", "alarm")
 class RewardTerm(Protocol):
     """One part of the reward.
 
-    A term that is a factor times one field may also have a property `share` that tells both; where
-    all terms have one, the reward is computed in compiled code, to the same bits.
+    Where all terms are also a `SharedTerm`, the reward is computed in compiled code, to the same
+    bits.
 
     Attributes
     ----------
@@ -75,6 +77,14 @@ class RewardTerm(Protocol):
         ndarray
             (B,) a new array.
         """
+
+
+class SharedTerm(RewardTerm, Protocol):
+    """A term that is a factor times one field of the outcome."""
+
+    @property
+    def share(self) -> Share:
+        """Field, of `SHARED`, and factor."""
 
 
 def _check_price(name: str, value: Any) -> None:
@@ -294,16 +304,11 @@ def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
     """
     shares = np.zeros((len(terms), len(SHARED)))
     for row, term in zip(shares, terms, strict=True):
-        if not hasattr(term, "share") or _owner(term, "share") is not _owner(term, "__call__"):
+        if not told_beside_call(term, "share"):
             return None
-        field, factor = term.share
+        field, factor = cast("SharedTerm", term).share
         row[SHARED.index(field)] = factor
     return shares
-
-
-def _owner(term: RewardTerm, name: str) -> type | None:
-    """Class that defines what a term has."""
-    return next((cls for cls in type(term).__mro__ if name in vars(cls)), None)
 
 
 def reward_of(
