@@ -205,16 +205,15 @@ class SpoofVecEnv(VecEnv):
         """
         if self._actions is None:
             raise RuntimeError("call step_async() before step_wait()")
-        turn = self.game.step(self._actions)
+        turn, observations = self.game.turn(self._actions)
         self._actions = None
         self._returns += turn.reward
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        observations = self.game.observe()
         over = turn.terminated | turn.truncated
         if over.any():
-            rows = np.flatnonzero(over)
+            rows, told = np.flatnonzero(over), turn.info
             for row in rows.tolist():
-                infos[row] = self._at_the_end(row, observations, turn.info)
+                infos[row] = self._at_the_end(row, observations, told)
                 infos[row]["TimeLimit.truncated"] = bool(turn.truncated[row])
             self.game.reset([self._rngs[row] for row in rows], rows)
             self._returns[rows] = 0.0

@@ -8,14 +8,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs.played import Turn
+from ..envs.played import Stepwise, Turn
 from .duel import DOMAIN, Duel
 from .opponents import SpooferPool, SpooferSpec
 
 FloatArray = NDArray[np.float64]
 
 
-class DetectorGame:
+class DetectorGame(Stepwise):
     """Episodes of B receivers, in which the learner is the detector.
 
     With ``decision_delay=0`` an observation is of the epoch that the next action judges; with 1 it

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from .._jit import njit
+from ..receiver.state import unpack
 
 
 @njit
@@ -100,7 +101,7 @@ def within(values, limit):
     Parameters
     ----------
     values : ndarray
-        (k,).
+        Of any shape.
     limit : float
         At least 0.
 
@@ -110,8 +111,8 @@ def within(values, limit):
         False if any is NaN.
     """
     good = True
-    for i in range(values.shape[0]):
-        good = good and abs(values[i]) <= limit
+    for value in values.flat:
+        good = good and abs(value) <= limit
     return good
 
 
@@ -199,7 +200,7 @@ def score(
     credited : ndarray
         (B,) undetected displacement before this epoch, and after it [m].
     largest : ndarray
-        (B, steps + 1) largest displacement so far after each epoch, this one's is written [m].
+        (steps + 1, B) largest displacement so far after each epoch, this one's is written [m].
     values, marks : ndarray
         Of `Tally`.  The displacement, and who is to be truncated, are read; gain, retraction,
         alarm, first alarm, last command and ends are written.
@@ -215,9 +216,9 @@ def score(
         # a receiver whose episode is over may be stepped once more before it is reset
         step_count[b] += 1
         j = min(step_count[b], steps)
-        before = largest[b, j - 1]
+        before = largest[j - 1, b]
         now = max(before, values[DISPLACEMENT, b])
-        largest[b, j] = now
+        largest[j, b] = now
         alarm = False
         for c in range(alarms.shape[1]):
             alarm = alarm or alarms[b, c]
@@ -226,7 +227,7 @@ def score(
         first = alarm and not detected[b]
         finished = running and (step_count[b] == steps or early[b])
         values[GAIN, b] = now - before if running and not alarm and not detected[b] else 0.0
-        values[RETRACTION, b] = largest[b, max(j - hold - 1, 0)] - before if first else 0.0
+        values[RETRACTION, b] = largest[max(j - hold - 1, 0), b] - before if first else 0.0
         detected[b] = detected[b] or first
         credited[b] += values[GAIN, b]
         credited[b] += values[RETRACTION, b]
@@ -293,65 +294,136 @@ def tell(
 
 
 @njit
-def play(
-    position_e,
-    reference_e,
-    rows,
-    C_en,
-    onset,
-    heading,
-    worst,
-    origin,
-    alarms,
-    early,
-    at_alarm,
-    steps,
-    hold,
-    step_count,
-    detected,
-    ended,
-    credited,
-    largest,
-    warmup_alarm,
-    coasting,
-    epoch_time,
-    epochs,
-    shares,
-    values,
-    marks,
-):
-    """Displace, keep the books, and tell, where nothing comes between.
+def look(table, epochs, displacement, rate, first, scales, out):
+    """Observe what is tabled, and one's own command.
 
     Parameters
     ----------
-    position_e, reference_e, rows, C_en, onset, heading, worst, origin
+    table : ndarray
+        (K, o) float32, what is observed at every epoch.
+    epochs : ndarray
+        (B,) the epoch that each receiver is at.
+    displacement, rate : ndarray
+        (B, a) commanded [m], [m/s].
+    first : int
+        First column of the command, which has 2 a of them; -1 where it is not observed.
+    scales : ndarray
+        (4,) factors on displacement and rate, and bounds of both.
+    out : ndarray
+        (B, o) float32, written.
+    """
+    for b in range(out.shape[0]):
+        row = table[epochs[b]]
+        for i in range(out.shape[1]):
+            out[b, i] = row[i]
+    if first >= 0:
+        part = out[:, first : first + 2 * displacement.shape[1]]
+        own_command(displacement, rate, scales[0], scales[1], part)
+        least, most = np.float32(scales[2]), np.float32(scales[3])
+        for b in range(part.shape[0]):
+            for i in range(part.shape[1]):
+                if part[b, i] < least:
+                    part[b, i] = least
+                elif part[b, i] > most:
+                    part[b, i] = most
+
+
+@njit
+def play(
+    floats,
+    flags,
+    twin_floats,
+    truth,
+    origin,
+    step_count,
+    book_flags,
+    amounts,
+    rules,
+    factors,
+    table,
+    epochs,
+    onset,
+    heading,
+    warmup_alarm,
+    alarms,
+    displacement,
+    rate,
+    values,
+    marks,
+    seen,
+):
+    """Displace, keep the books, tell and observe, where nothing comes between.
+
+    Handing over an array costs as much as the work of this kernel on one receiver, so that most
+    of them come several in one.
+
+    Parameters
+    ----------
+    floats, flags : ndarray
+        Of `ReceiverBuffers`.
+    twin_floats : ndarray
+        The same of the clean twins; of the receivers themselves where there are none.
+    truth : ndarray
+        (13 K,) true positions, local axes and times of all epochs, one after the other.
+    origin : ndarray
         As in `displace`.
-    alarms, early, at_alarm, steps, hold, step_count, detected, ended, credited, largest
+    step_count : ndarray
         As in `score`.
-    warmup_alarm, coasting, epoch_time, epochs, shares
-        As in `tell`.
+    book_flags, amounts : ndarray
+        Of `Books`.
+    rules : ndarray
+        (7,) int64: slots, whether there are twins, whether the worst direction counts, whether an
+        alarm ends an episode, epochs of the command phase and of the time to alert, `first` of
+        `look`.
+    factors : ndarray
+        (4 + 4 r,) `scales` of `look`, then `shares` of `tell`.
+    table, epochs, displacement, rate
+        As in `look`.
+    onset, heading
+        As in `displace`.
+    warmup_alarm, alarms
+        As in `tell` and `score`.
     values, marks : ndarray
         Of `Tally`, written.
+    seen : ndarray
+        (B, o) float32, written.
 
     Returns
     -------
     bool
-        As in `score`; nothing is told then.
+        As in `score`; nothing is told or observed then.
     """
+    receivers, K, steps = epochs.shape[0], table.shape[0], rules[4]
+    state, measured, _ = unpack(floats, flags, receivers, rules[0])
+    if rules[1] != 0:
+        twin, _, _ = unpack(twin_floats, flags, receivers, rules[0])
+        reference_e, rows = twin.position_e, np.arange(receivers)
+    else:
+        reference_e, rows = truth[: 3 * K].reshape((K, 3)), epochs
     displace(
-        position_e, reference_e, rows, C_en, onset, heading, worst, origin, values[DISPLACEMENT]
+        state.position_e,
+        reference_e,
+        rows,
+        truth[3 * K : 12 * K].reshape((K, 3, 3)),
+        onset,
+        heading,
+        rules[2] != 0,
+        origin,
+        values[DISPLACEMENT],
     )
+    detected, ended, nobody = book_flags[0], book_flags[1], book_flags[2]
+    credited = amounts[:receivers]
     held = score(
         alarms,
-        early,
-        at_alarm,
+        nobody,
+        rules[3] != 0,
         steps,
-        hold,
+        rules[5],
         step_count,
         detected,
         ended,
         credited,
-        largest,
+        amounts[receivers:].reshape((steps + 1, receivers)),
         values,
         marks,
     )
@@ -361,13 +433,14 @@ def play(
             ended,
             credited,
             warmup_alarm,
-            coasting,
-            epoch_time,
+            measured.coasting,
+            truth[12 * K :],
             epochs,
-            shares,
+            factors[4:].reshape(((factors.shape[0] - 4) // 4, 4)),
             values,
             marks,
         )
+        look(table, epochs, displacement, rate, rules[6], factors[:4], seen)
     return held
 
 

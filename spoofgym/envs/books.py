@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _kernels
-from .tally import VALUE_NAMES, Tally
+from .tally import Heads, Tally
 
 FloatArray = NDArray[np.float64]
 Hold = Callable[[NDArray[np.intp]], NDArray[np.bool_]]
@@ -52,26 +52,46 @@ class Books:
     ----------
     step_count : ndarray
         (B,) commands given in the running episodes.
-    detected : ndarray
-        (B,) bool, whether the attack has raised an alarm.
-    credited : ndarray
-        (B,) undetected displacement so far [m].
-    ended : ndarray
-        (B,) bool, whose episode is over; the game sets it.  They count nothing more.
-    largest : ndarray
-        (B, steps + 1) largest displacement so far after each command [m].
-    nobody : ndarray
-        (B,) bool, False.
+    flags : ndarray
+        (3, B) bool: `detected`, `ended`, `nobody`.
+    amounts : ndarray
+        (B + B (steps + 1),) `credited`, then `largest`, as `play` takes them [m].
     """
 
     def __init__(self, receivers: int, steps: int, hold: int) -> None:
-        self.steps, self.hold = steps, hold
+        self.steps, self.hold, self._receivers = steps, hold, receivers
+        self._heads = Heads(receivers)
         self.step_count = np.zeros(receivers, dtype=np.int64)
-        self.detected = np.zeros(receivers, dtype=np.bool_)
-        self.credited = np.zeros(receivers)
-        self.ended = np.zeros(receivers, dtype=np.bool_)
-        self.nobody = np.zeros(receivers, dtype=np.bool_)
-        self.largest = np.zeros((receivers, steps + 1))
+        self.flags = np.zeros((3, receivers), dtype=np.bool_)
+        self.amounts = np.zeros(receivers * (steps + 2))
+
+    @property
+    def detected(self) -> NDArray[np.bool_]:
+        """(B,) bool, whether the attack has raised an alarm."""
+        row: NDArray[np.bool_] = self.flags[0]
+        return row
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """(B,) bool, whose episode is over; the game sets it.  They count nothing more."""
+        row: NDArray[np.bool_] = self.flags[1]
+        return row
+
+    @property
+    def nobody(self) -> NDArray[np.bool_]:
+        """(B,) bool, False."""
+        row: NDArray[np.bool_] = self.flags[2]
+        return row
+
+    @property
+    def credited(self) -> FloatArray:
+        """(B,) undetected displacement so far [m]."""
+        return self.amounts[: self._receivers]
+
+    @property
+    def largest(self) -> FloatArray:
+        """(steps + 1, B) largest displacement so far after each command [m]."""
+        return self.amounts[self._receivers :].reshape(self.steps + 1, self._receivers)
 
     def reset(self, rows: NDArray[np.intp]) -> None:
         """Begin new episodes.
@@ -84,7 +104,7 @@ class Books:
         self.step_count[rows] = 0
         self.detected[rows] = False
         self.credited[rows] = 0.0
-        self.largest[rows] = 0.0
+        self.largest[:, rows] = 0.0
         self.ended[rows] = False
 
     def score(self, displacement: FloatArray, alarms: NDArray[np.bool_], hold: Hold) -> Score:
@@ -104,7 +124,7 @@ class Books:
         Score
             Of the step.
         """
-        tally = Tally(len(displacement), VALUE_NAMES)
+        tally = Tally(self._heads)
         tally.values[_kernels.DISPLACEMENT] = displacement
         self.count(tally, alarms, self.nobody, False, hold)
         values, marks = tally.values, tally.marks
@@ -171,7 +191,7 @@ class Books:
         last = np.minimum(self.step_count[rows], self.steps)
         # index of the last epoch that counts, with the first alarm at last + 1 + argmax
         kept = np.maximum(last + late.argmax(axis=0) - self.hold, 0)
-        back = np.where(alarmed, self.largest[rows, kept] - self.largest[rows, last], 0.0)
+        back = np.where(alarmed, self.largest[kept, rows] - self.largest[last, rows], 0.0)
         tally.values[_kernels.RETRACTION, rows] = back
         tally.marks[_kernels.FIRST, rows] = alarmed
         tally.marks[_kernels.ALARM, rows] |= alarmed

@@ -18,20 +18,20 @@ from ._kernels import (
     REWARD,
     TRUNCATED,
     displace,
-    play,
     tell,
 )
 from .actions import ActionTerm, Actor, FullCommand
+from .at_once import AtOnce
 from .books import Books
 from .ends import AtAlarm, Ends, EndTerm, Standing
 from .engine import Engine
 from .observations import ObservationTerm
 from .observer import Observer
-from .played import check_end_at_alarm
+from .played import Stepwise, Told, check_end_at_alarm
 from .rewards import SHARED, Outcome, RewardTerm, named_terms, reward_of, shares_of
 from .setup import Setup
 from .snapshot import Snapshot, position_error_n
-from .tally import MARK_NAMES, VALUE_NAMES, Tally
+from .tally import MARK_NAMES, VALUE_NAMES, Heads, Tally
 from .watching import WatchBooks, needed
 from .witness import Watch
 
@@ -44,7 +44,7 @@ BEGIN_NAMES = ("time_s", "warmup_alarm", "coasting")
 """Keys of the information at the begin of an episode."""
 
 
-class Game:
+class Game(Stepwise):
     r"""Episodes of B receivers under attack.
 
     The displacement of a step is the position error of the victim along the target direction, less
@@ -204,7 +204,16 @@ class Game:
         self._compiled = shares is not None
         self._shares = np.zeros((0, len(SHARED))) if shares is None else shares
         parts = [key for key, _ in self._reward_parts] if self._compiled else []
-        self._value_names = (*VALUE_NAMES, *parts)
+        self._heads = Heads(self.receivers, parts)
+        self._scratch = Tally(self._heads)
+        self._at_once = AtOnce(
+            self.engine,
+            self.books,
+            self.observer,
+            self._origin,
+            self.end_at_alarm,
+            self._shares,
+        )
 
     def altered(self, setup: Setup | None = None, **changes: Any) -> Game:
         """A new game, not begun yet, with some settings changed.
@@ -309,7 +318,7 @@ class Game:
     def _play(self, command: FloatArray) -> Tally:
         """One epoch, which is not told yet."""
         verdict = self._advance(command)
-        tally = Tally(self.receivers, self._value_names)
+        tally = Tally(self._heads)
         displace(*self._apart(), tally.values[DISPLACEMENT])
         early = self._judge_ends(tally, verdict)
         self.books.count(tally, verdict.alarm, early, self.end_at_alarm, self.engine.hold)
@@ -320,7 +329,8 @@ class Game:
         setup = self.setup
         tally = self._play(setup.command(self._given, command, 0))
         for epoch in range(1, setup.repeat):
-            self.books.ended |= tally.terminated | tally.truncated
+            ended = self.books.ended
+            ended |= tally.terminated | tally.truncated
             later = self._play(setup.command(self._given, command, epoch))
             later.add(tally)
             tally = later
@@ -328,34 +338,22 @@ class Game:
         self._tell(tally)
         return tally
 
-    def _decide_at_once(self, command: FloatArray) -> Tally:
-        """One epoch where nobody looks at it before it is told: `_decide` in one kernel."""
+    def _decide_at_once(self, command: FloatArray, tally: Tally) -> NDArray[np.float32]:
+        """`_decide` and `observe` in one kernel, where nobody looks at the epoch between."""
         verdict = self._advance(command)
-        tally, books, engine = Tally(self.receivers, self._value_names), self.books, self.engine
-        batch = engine.batch
-        if play(
-            *self._apart(),
-            np.ascontiguousarray(verdict.alarm),
-            books.nobody,
-            self.end_at_alarm,
-            books.steps,
-            books.hold,
-            books.step_count,
-            books.detected,
-            books.ended,
-            books.credited,
-            books.largest,
-            engine.warmup_alarm,
-            batch.buffers.measured.coasting,
-            self.setup.world.epoch_time,
-            batch.epochs,
-            self._shares,
-            tally.values,
-            tally.marks,
-        ):
-            books.score_hold(tally, engine.hold)
+        seen = self.observer.blank(self.receivers)
+        if self._at_once(verdict, tally, seen):
+            self.books.score_hold(tally, self.engine.hold)
             self._tell(tally)
-        return tally
+            return self.observe()
+        if self.observer.has_more:
+            self.observer.complete(self.snapshot(), seen)
+        return seen
+
+    @property
+    def _looked_at(self) -> bool:
+        """Whether something comes between the verdict of an epoch and what is told of it."""
+        return bool(self.listeners or self._ends or self.setup.repeat > 1)
 
     def _tell(self, tally: Tally) -> None:
         """Write what is told of a step."""
@@ -386,11 +384,32 @@ class Game:
         Tally
             Rewards, ends and information.
         """
+        return self.turn(action)[0]
+
+    def turn(self, action: FloatArray) -> tuple[Tally, NDArray[np.float32]]:
+        """`step`, then `observe`.
+
+        Parameters
+        ----------
+        action : ndarray
+            As in `step`.
+
+        Returns
+        -------
+        tally : Tally
+            Rewards, ends and information.
+        observation : ndarray
+            (B, o) float32, new.
+        """
         if self._watch is not None:
             self._watch.forget(self.engine)
-        looked_at = self._ends or self.listeners or self.setup.repeat > 1
-        decide = self._decide if looked_at else self._decide_at_once
-        tally = decide(self.actor.command(action))
+        command = self.actor.command(action)
+        if self._looked_at:
+            tally = self._decide(command)
+            observation = self.observe()
+        else:
+            tally = Tally(self._heads)
+            observation = self._decide_at_once(command, tally)
         if not self._compiled:
             self._reward(tally, action)
         if self.setup.attack.capture is not None:
@@ -398,7 +417,32 @@ class Game:
             tally.more["captured_channels"] = captured.sum(axis=1)
         if self._watch is not None:
             tally.more.update(self._watch.step_info(self.engine))
-        return tally
+        return tally, observation
+
+    def alone(self, action: FloatArray) -> Told:
+        """`turn` of the only receiver, as an environment returns it.
+
+        Parameters
+        ----------
+        action : ndarray
+            (1, k) as in `step`.
+
+        Returns
+        -------
+        observation, reward, terminated, truncated, info
+            As in `Stepwise`.
+        """
+        if self._looked_at or self._tells_more:
+            return super().alone(action)
+        # nobody keeps the arrays of a batch of one, whose values are handed out as numbers
+        observation = self._decide_at_once(self.actor.command(action), self._scratch)
+        return observation[0], *self._scratch.alone()
+
+    @property
+    def _tells_more(self) -> bool:
+        """Whether there is more to tell of a step than compiled code does."""
+        watched = self._watch is not None
+        return watched or not self._compiled or self.setup.attack.capture is not None
 
     def _reward(self, tally: Tally, action: FloatArray) -> None:
         """Reward by the terms themselves."""

@@ -145,12 +145,12 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         if not self._running:
             raise RuntimeError("the episode is over: call reset() before step()")
         given = checked_action(action, (len(self.action_names),), self.action_names)
-        reward, terminated, truncated, info = self.game.step(given[None]).alone()
+        told = self.game.alone(given[None])
+        _, _, terminated, truncated, info = told
         self._running = not (terminated or truncated)
-        observation = self.game.observe()[0]
         if self._screen is not None:
             self._screen.add(info)
-        return observation, reward, terminated, truncated, info
+        return told
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the episode from its onset until now.

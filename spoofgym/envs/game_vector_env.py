@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from .._registry import check_choice
 from .game_env import G, told_domain
 from .infos import InfoSpec, chosen, info_keys, masked
+from .played import Turn
 from .resets import RESET_MASK, mask_of, of_rows, seeds_of, warn_unknown
 from .spaces import action_space, checked_action, observation_space
+from .tally import Tally
 
 AUTORESET_MODES = {
     "next_step": AutoresetMode.NEXT_STEP,
@@ -195,6 +197,13 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         """Arrays that are asked for, with the masks that tell which receivers have them."""
         return masked(chosen(info, self._keys), mask)
 
+    def _told(self, turn: Turn | Tally) -> tuple[Array, Array, Array, dict[str, Any]]:
+        """Rewards, ends and information of a step that every receiver has made."""
+        if self._keys is None and isinstance(turn, Tally) and not turn.more:
+            return turn.masked()
+        info = self._masked(turn.info, self._all)
+        return turn.reward, turn.terminated, turn.truncated, info
+
     def _mark_begun(self, info: dict[str, Any]) -> None:
         """Say of what every receiver has, also one that begins, that it does."""
         for name in self.game.begin_names:
@@ -236,10 +245,10 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
                 f"the episodes of receivers {', '.join(map(str, np.flatnonzero(self._over)))} are "
                 f"over: call reset(options={{'{RESET_MASK}': ...}}) before step()"
             )
-        turn = self.game.step(given)
-        self._over = turn.terminated | turn.truncated
-        info = self._masked(turn.info, self._all)
-        return self.game.observe(), turn.reward, turn.terminated, turn.truncated, info
+        turn, observation = self.game.turn(given)
+        reward, terminated, truncated, info = self._told(turn)
+        self._over = terminated | truncated
+        return observation, reward, terminated, truncated, info
 
     def _next_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         begins = np.count_nonzero(self._over)
@@ -248,16 +257,17 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
             info = self._masked(self.game.begin_info(), self._all)
             never = np.zeros_like(self._over)
             return self.game.observe(), np.zeros(self.num_envs), never, never.copy(), info
-        turn = self.game.step(given)
-        reward, terminated, truncated = turn.reward, turn.terminated, turn.truncated
+        turn, observation = self.game.turn(given)
         if begins:
+            reward, terminated, truncated = turn.reward, turn.terminated, turn.truncated
             reward[self._over] = 0.0
             terminated[self._over] = truncated[self._over] = False
             info = self._begin_instead(self._over, turn.info)
+            observation = self.game.observe()
         else:
-            info = self._masked(turn.info, self._all)
+            reward, terminated, truncated, info = self._told(turn)
         self._over = terminated | truncated
-        return self.game.observe(), reward, terminated, truncated, info
+        return observation, reward, terminated, truncated, info
 
     def _begin_instead(self, begins: NDArray[np.bool_], info: dict[str, Array]) -> dict[str, Any]:
         """Begin the next episode of receivers that ran one epoch more than theirs."""
@@ -271,12 +281,10 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         return told
 
     def _same_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        turn = self.game.step(given)
+        turn, observation = self.game.turn(given)
         over = turn.terminated | turn.truncated
-        observation = self.game.observe()
         if not np.count_nonzero(over):
-            info = self._masked(turn.info, self._all)
-            return observation, turn.reward, turn.terminated, turn.truncated, info
+            return observation, *self._told(turn)
         final = np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(over):
             final[row] = observation[row].copy()

@@ -79,6 +79,27 @@ class DynamicTerm(ObservationTerm, Protocol):
         """
 
 
+class CommandTerm(DynamicTerm, Protocol):
+    """A term of the commanded displacement and rate, each times a factor, as `own_command` does.
+
+    Compiled code then writes it, to the same bits.
+    """
+
+    def factors(self, setup: Setup) -> tuple[float, float]:
+        """Factors on displacement and rate.
+
+        Parameters
+        ----------
+        setup : Setup
+            Knows the attack.
+
+        Returns
+        -------
+        per_displacement, per_rate : float
+            In 1/m and s/m.
+        """
+
+
 class TabledTerm(ObservationTerm, Protocol):
     """A term that only depends on the epoch, and is computed for the whole run at once."""
 
@@ -124,17 +145,14 @@ class OwnCommand:
         """-10 and 10."""
         return -10.0, 10.0
 
+    def factors(self, setup: Setup) -> tuple[float, float]:
+        """Factors on displacement and rate, for compiled code that writes both."""
+        return 1.0 / self.scale_m, 1.0 / setup.attack.rate_limit_mps
+
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write displacement and rate over their scales."""
-        attack = snapshot.batch.attack
-        memory = attack.memory
-        own_command(
-            memory["displacement"],
-            memory["rate"],
-            1.0 / self.scale_m,
-            1.0 / attack.rate_limit_mps,
-            out,
-        )
+        memory = snapshot.batch.attack.memory
+        own_command(memory["displacement"], memory["rate"], *self.factors(snapshot.setup), out)
 
 
 @dataclass(frozen=True)

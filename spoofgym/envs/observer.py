@@ -8,9 +8,10 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ._kernels import clip_columns
+from ._kernels import clip_columns, look
+from .compiled import told_beside_call
 from .engine import Engine
-from .observations import KNOWLEDGE, DynamicTerm, ObservationTerm
+from .observations import KNOWLEDGE, CommandTerm, DynamicTerm, ObservationTerm
 from .setup import Setup
 from .snapshot import Snapshot
 
@@ -35,6 +36,13 @@ class Observer:
         (o,) float32 bounds.
     knowledge : str
         The highest level that any term takes.
+    table : ndarray
+        (K, o) float32, what is observed at every epoch, within the bounds; 0 where a term that
+        depends on what has happened writes later.
+    command_column : int
+        First column of what the commanded displacement and rate are observed as; -1 for none.
+    command_scales : ndarray
+        (4,) their factors and bounds, as `look` takes them.
     """
 
     def __init__(self, terms: Sequence[ObservationTerm], setup: Setup) -> None:
@@ -46,6 +54,7 @@ class Observer:
         low: list[float] = []
         high: list[float] = []
         tables: list[FloatArray] = []
+        self.command_column, self.command_scales = -1, np.zeros(4)
         for term in terms:
             own = term.names(setup)
             part = slice(len(names), len(names) + len(own))
@@ -56,10 +65,15 @@ class Observer:
             table = term.table(setup) if hasattr(term, "table") else None
             if table is not None:
                 tables.append(np.clip(table, least, most))
+                continue
+            tables.append(np.zeros((setup.world.epochs, len(own))))
+            if told_beside_call(term, "factors"):
+                factors = cast("CommandTerm", term).factors(setup)
+                self.command_column = part.start
+                self.command_scales = np.array([*factors, least, most])
             else:
                 self._parts.append((cast("DynamicTerm", term), part))
-                tables.append(np.zeros((setup.world.epochs, len(own))))
-        self._table = np.hstack(tables).astype(np.float32)
+        self.table = np.hstack(tables).astype(np.float32)
         self.names = tuple(names)
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
@@ -86,13 +100,56 @@ class Observer:
         ndarray
             (B, o) float32, a new array within the bounds.
         """
-        out = self._table.take(snapshot.batch.epochs, axis=0)
+        batch = snapshot.batch
+        memory = batch.attack.memory
+        out = self.blank(batch.receivers)
+        look(
+            self.table,
+            batch.epochs,
+            memory["displacement"],
+            memory["rate"],
+            self.command_column,
+            self.command_scales,
+            out,
+        )
+        if self.has_more:
+            self.complete(snapshot, out)
+        return out
+
+    def blank(self, receivers: int) -> NDArray[np.float32]:
+        """Room for an observation.
+
+        Parameters
+        ----------
+        receivers : int
+            B.
+
+        Returns
+        -------
+        ndarray
+            (B, o) float32, new, not written.
+        """
+        return np.empty((receivers, len(self.names)), dtype=np.float32)
+
+    @property
+    def has_more(self) -> bool:
+        """Whether there are terms that `look` does not write."""
+        return bool(self._parts)
+
+    def complete(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write the terms that `look` does not.
+
+        Parameters
+        ----------
+        snapshot : Snapshot
+            The game.
+        out : ndarray
+            (B, o), written by `look` before.
+        """
         for term, part in self._parts:
             term(snapshot, out[:, part])
-        if self._parts:
-            # the table lies within the bounds
-            clip_columns(out, self.low, self.high, *self._clipped)
-        return out
+        # all else lies within the bounds
+        clip_columns(out, self.low, self.high, *self._clipped)
 
     def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:
         """Observe receivers that are all at the same step.

@@ -12,7 +12,7 @@ from .._registry import check_choice
 from .books import Books
 from .observations import KNOWLEDGE
 from .plant import Plant
-from .played import Turn, check_end_at_alarm, check_heading
+from .played import Stepwise, Turn, check_end_at_alarm, check_heading
 from .rewards import Outcome, default_rewards, named_terms, reward_of
 from .terms import RewardSpec, make_terms
 
@@ -29,7 +29,7 @@ STEP_NAMES = (
 """Keys of the information of a step, without the parts of the reward."""
 
 
-class PlantGame:
+class PlantGame(Stepwise):
     """Episodes of the B receivers of a plant; scored as in `Game`.
 
     Parameters

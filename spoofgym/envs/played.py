@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any, NamedTuple, Protocol
@@ -84,6 +85,10 @@ class Turn(NamedTuple):
         return self.reward.item(), self.terminated.item(), self.truncated.item(), info
 
 
+Told = tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]
+"""Observation, reward, terminated, truncated, and information, of a batch of one."""
+
+
 class Played(Protocol):
     """Episodes of B receivers."""
 
@@ -125,8 +130,66 @@ class Played(Protocol):
     def observe(self) -> NDArray[np.float32]:
         """Observe all receivers, (B, o)."""
 
+    def turn(self, action: FloatArray) -> tuple[Turn | Tally, NDArray[np.float32]]:
+        """`step`, then `observe`."""
+
+    def alone(self, action: FloatArray) -> Told:
+        """`turn` of the only receiver, as an environment returns it."""
+
     def begin_info(self) -> dict[str, NDArray[Any]]:
         """Information at the begin of an episode."""
 
     def close(self) -> None:
         """End what runs beside."""
+
+
+class Stepwise(ABC):
+    """A game that is stepped, then observed; `Game` has a faster twin of both."""
+
+    @abstractmethod
+    def step(self, action: FloatArray) -> Turn | Tally:
+        """Run one epoch with (B, a) commands."""
+
+    @abstractmethod
+    def observe(self) -> NDArray[np.float32]:
+        """Observe all receivers, (B, o)."""
+
+    def turn(self, action: FloatArray) -> tuple[Turn | Tally, NDArray[np.float32]]:
+        """Step, then observe.
+
+        Parameters
+        ----------
+        action : ndarray
+            (B, a) float64, C-contiguous, in [-1, 1].
+
+        Returns
+        -------
+        turn : Turn or Tally
+            Rewards, ends and information.
+        observation : ndarray
+            (B, o) float32, new.
+        """
+        turn = self.step(action)
+        return turn, self.observe()
+
+    def alone(self, action: FloatArray) -> Told:
+        """`turn` of the only receiver.
+
+        Parameters
+        ----------
+        action : ndarray
+            (1, a) as in `turn`.
+
+        Returns
+        -------
+        observation : ndarray
+            (o,) float32.
+        reward : float
+            Of the step.
+        terminated, truncated : bool
+            Whether its episode is over.
+        info : dict
+            By key.
+        """
+        turn, observation = self.turn(action)
+        return observation[0], *turn.alone()

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .compiled import told_beside_call
 
 FloatArray = NDArray[np.float64]
 
@@ -294,16 +296,11 @@ def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
     """
     shares = np.zeros((len(terms), len(SHARED)))
     for row, term in zip(shares, terms, strict=True):
-        if not hasattr(term, "share") or _owner(term, "share") is not _owner(term, "__call__"):
+        if not told_beside_call(term, "share"):
             return None
-        field, factor = term.share
+        field, factor = cast("Share", getattr(term, "share"))  # noqa: B009  (not of every term)
         row[SHARED.index(field)] = factor
     return shares
-
-
-def _owner(term: RewardTerm, name: str) -> type | None:
-    """Class that defines what a term has."""
-    return next((cls for cls in type(term).__mro__ if name in vars(cls)), None)
 
 
 def reward_of(

@@ -74,7 +74,7 @@ def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) 
         raise ValueError(
             f"an action must have shape {shape} ({', '.join(names)}), got {array.shape}"
         )
-    if not within(array.ravel(), 1.0 + TOLERANCE):
+    if not within(array, 1.0 + TOLERANCE):
         where = tuple(np.argwhere(~(np.abs(array) <= 1.0 + TOLERANCE))[0])
         whose = f" of receiver {where[0]}" if array.ndim == 2 else ""
         raise ValueError(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,38 @@ VALUE_NAMES = ("time_s", "displacement_m", "undetected_displacement_m", "cost")
 """Numbers that are told of every step, in the order of the rows."""
 MARK_NAMES = ("alarm", "detected", "warmup_alarm", "coasting")
 """Flags that are told of every step, in the order of the rows."""
+MARKS = 8
+"""Rows of flags that the kernels know of."""
+
+
+class Heads:
+    """Keys of what is told of a step, which a `Tally` gives its rows.
+
+    Parameters
+    ----------
+    receivers : int
+        B.
+    parts : sequence of str
+        Keys of the parts of the reward that the kernels write.
+
+    Attributes
+    ----------
+    told : tuple of str
+        `VALUE_NAMES` and `parts`, then `MARK_NAMES`.
+    masked : tuple of str
+        The same, then all of them with ``_`` before it, for who has them.
+    numbers : int
+        How many of `told` are numbers.
+    blank : ndarray
+        (8 + t, B) bool, what `Tally.marks` begins with.
+    """
+
+    def __init__(self, receivers: int, parts: Sequence[str] = ()) -> None:
+        self.told = (*VALUE_NAMES, *parts, *MARK_NAMES)
+        self.masked = (*self.told, *("_" + name for name in self.told))
+        self.numbers = len(VALUE_NAMES) + len(parts)
+        self.blank: Mask = np.zeros((MARKS + len(self.told), receivers), dtype=np.bool_)
+        self.blank[MARKS:] = True
 
 
 class Tally:
@@ -27,52 +58,70 @@ class Tally:
 
     Parameters
     ----------
-    receivers : int
-        B.
-    names : sequence of str
-        `VALUE_NAMES`, and the keys of the parts of the reward that the kernels write.
+    heads : Heads
+        Keys of the rows.
 
     Attributes
     ----------
     values : ndarray
-        (k + 3, B) numbers of `names`, then gain, retraction [m] and reward.
+        (k + 3, B) the numbers of ``heads.told``, then gain, retraction [m] and reward.
     marks : ndarray
-        (8, B) bool, `MARK_NAMES`, then first alarm, last command, terminated and truncated.
+        (8 + t, B) bool, `MARK_NAMES`, then first alarm, last command, terminated and truncated;
+        then, for each key, that every receiver has it.
     more : dict
         Arrays that are told beside them, by key.
     """
 
-    def __init__(self, receivers: int, names: Sequence[str]) -> None:
-        self._names = names
-        self.values: FloatArray = np.empty((len(names) + 3, receivers))
-        self.marks: Mask = np.zeros((8, receivers), dtype=np.bool_)
+    def __init__(self, heads: Heads) -> None:
+        self._heads = heads
+        self.marks: Mask = heads.blank.copy()
+        self.values: FloatArray = np.empty((heads.numbers + 3, self.marks.shape[1]))
         self.more: dict[str, NDArray[Any]] = {}
 
-    @cached_property
+    @property
     def reward(self) -> FloatArray:
         """(B,) reward."""
         row: FloatArray = self.values[_kernels.REWARD]
         return row
 
-    @cached_property
+    @property
     def terminated(self) -> Mask:
         """(B,) bool, whose episode has come to its end."""
         row: Mask = self.marks[_kernels.TERMINATED]
         return row
 
-    @cached_property
+    @property
     def truncated(self) -> Mask:
         """(B,) bool, whose episode somebody outside has ended."""
         row: Mask = self.marks[_kernels.TRUNCATED]
         return row
 
-    @cached_property
+    @property
     def info(self) -> dict[str, NDArray[Any]]:
         """Arrays with a leading axis of receivers."""
-        told: dict[str, NDArray[Any]] = dict(zip(self._names, self.values, strict=False))
-        told.update(zip(MARK_NAMES, self.marks, strict=False))
+        rows = [*self.values[: _kernels.GAIN], *self.marks[: len(MARK_NAMES)]]
+        told: dict[str, NDArray[Any]] = dict(zip(self._heads.told, rows, strict=True))
         told.update(self.more)
         return told
+
+    def masked(self) -> tuple[FloatArray, Mask, Mask, dict[str, NDArray[Any]]]:
+        """Rewards, ends and information, and that every receiver has it; without `more`.
+
+        Returns
+        -------
+        reward, terminated, truncated : ndarray
+            (B,).
+        info : dict
+            As `masked` of `infos` makes it of `info`.
+        """
+        heads, values, marks = self._heads, list(self.values), list(self.marks)
+        rows = values[: _kernels.GAIN] + marks[: len(MARK_NAMES)] + marks[MARKS:]
+        return (
+            values[_kernels.REWARD],
+            marks[_kernels.TERMINATED],
+            marks[_kernels.TRUNCATED],
+            dict(zip(heads.masked, rows, strict=True)),
+        )
 
     def alone(self) -> tuple[float, bool, bool, dict[str, Any]]:
         """Reward, ends and information of a batch of one, as plain numbers.
@@ -86,10 +135,10 @@ class Tally:
         info : dict
             By key.
         """
-        values: list[float] = self.values.ravel().tolist()
-        marks: list[bool] = self.marks.ravel().tolist()
-        info: dict[str, Any] = dict(zip(self._names, values, strict=False))
-        info.update(zip(MARK_NAMES, marks, strict=False))
+        values: list[Any] = self.values.ravel().tolist()
+        marks: list[Any] = self.marks.ravel().tolist()
+        told = values[: _kernels.GAIN] + marks[: len(MARK_NAMES)]
+        info: dict[str, Any] = dict(zip(self._heads.told, told, strict=True))
         for name, array in self.more.items():
             info[name] = array.item()
         return (
