@@ -156,7 +156,7 @@ class AtSteps:
     Parameters
     ----------
     steps : int
-        At least 2.
+        Decisions, at least 1; each may last several epochs.
     """
 
     steps: int
@@ -166,12 +166,13 @@ class AtSteps:
     def __post_init__(self) -> None:
         """Check the number."""
         whole = isinstance(self.steps, numbers.Integral) and not isinstance(self.steps, bool)
-        if not whole or self.steps < 2:
-            raise ValueError(f"`steps` must be a whole number, at least 2, got {self.steps!r}")
+        if not whole or self.steps < 1:
+            raise ValueError(f"`steps` must be a whole number, at least 1, got {self.steps!r}")
 
     def __call__(self, standing: Standing) -> Mask:
         """Whether there were as many."""
-        over: Mask = standing.snapshot.step >= self.steps
+        snapshot = standing.snapshot
+        over: Mask = snapshot.step >= self.steps * snapshot.setup.repeat
         return over
 
 

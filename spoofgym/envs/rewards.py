@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Outcome(NamedTuple):
-    """What a step has brought.
+    """What an epoch has brought; the reward of a decision over several is the sum of theirs.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Outcome(NamedTuple):
     retraction : ndarray
         (B,) what an alarm takes back of it [m], <= 0.
     detected : ndarray
-        (B,) bool, whether this step brought the first alarm.
+        (B,) bool, whether it brought the first alarm.
     alarm : ndarray
         (B,) bool, whether there is an alarm now.
     action : ndarray
@@ -194,7 +194,7 @@ class EffortPenalty:
     Parameters
     ----------
     at_full_m : float
-        Price of a step with all elements at their limits, in metres of displacement, at least 0.
+        Price of an epoch with all elements at their limits, in metres of displacement, at least 0.
     """
 
     at_full_m: float = 0.1
@@ -324,6 +324,6 @@ def reward_of(
     """
     reward = np.zeros(len(outcome.gain))
     for key, term in terms:
-        part = info[key] = term(outcome)
+        part = info[key] = np.asarray(term(outcome), dtype=np.float64)
         reward += part
     return reward

@@ -73,7 +73,7 @@ def test_terms_of_a_file(tmp_path):
         ({"end": {"name": "at-steps", "step": 3}}, ValueError, "no setting 'step'; valid: steps"),
         ({"end": "at-displacement"}, ValueError, "needs the setting 'limit_m'"),
         ({"end": [{"name": "at-displacement", "limit_m": -1}]}, ValueError, "`limit_m` must be"),
-        ({"end": [{"name": "at-steps", "steps": 1}]}, ValueError, "`steps` must be.*got 1"),
+        ({"end": [{"name": "at-steps", "steps": 0}]}, ValueError, "`steps` must be.*got 0"),
         ({"end": [{"name": "at-stealth-budget", "budget_nats": 0.0}]}, ValueError, "> 0, got 0.0"),
         ({"end": ["at-alarm", "at-alarm"]}, ValueError, "two end terms have the same name"),
         ({"reward": [{"name": "effort-penalty", "at_full_m": -1.0}]}, ValueError, "got -1.0"),
