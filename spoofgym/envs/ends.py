@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import check_above_zero
 from .divergence import Divergence
 from .snapshot import Snapshot
 
@@ -66,12 +67,6 @@ class EndTerm(Protocol):
         """
 
 
-def _check_above_zero(name: str, value: Any) -> None:
-    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not number or not (np.isfinite(float(value)) and value > 0):
-        raise ValueError(f"`{name}` must be a finite number > 0, got {value!r}")
-
-
 @dataclass(frozen=True)
 class AtAlarm:
     """The first alarm of the detector in the loop."""
@@ -117,7 +112,7 @@ class AtDisplacement:
 
     def __post_init__(self) -> None:
         """Check the limit."""
-        _check_above_zero("limit_m", self.limit_m)
+        check_above_zero("limit_m", self.limit_m)
 
     def __call__(self, standing: Standing) -> Mask:
         """Whether the victim is as far off."""
@@ -141,7 +136,7 @@ class AtStealthBudget:
 
     def __post_init__(self) -> None:
         """Check the budget."""
-        _check_above_zero("budget_nats", self.budget_nats)
+        check_above_zero("budget_nats", self.budget_nats)
 
     def __call__(self, standing: Standing) -> Mask:
         """Whether more is spent."""

@@ -23,6 +23,7 @@ from ._kernels import (
 from .actions import ActionTerm, Actor, FullCommand
 from .at_once import AtOnce
 from .books import Books
+from .checks import check_truth
 from .ends import AtAlarm, Ends, EndTerm, Standing
 from .engine import Engine
 from .kept import Kept
@@ -113,6 +114,8 @@ class Game(Stepwise):
         twin: bool = False,
     ) -> None:
         check_end_at_alarm(end_at_alarm)
+        check_truth("twin", twin)
+        check_truth("prefetch", prefetch)
         self.settings: dict[str, Any] = {
             "observation": observation,
             "reward": reward,

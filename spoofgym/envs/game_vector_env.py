@@ -70,6 +70,8 @@ def check_vector_settings(num_envs: int, render_mode: object) -> None:
     ValueError
         Says which is wrong.
     """
+    if not isinstance(num_envs, int | np.integer) or isinstance(num_envs, bool):
+        raise ValueError(f"`num_envs` must be a whole number, got {num_envs!r}")
     if num_envs < 1:
         raise ValueError(f"`num_envs` must be at least 1, got {num_envs}")
     if render_mode is not None:

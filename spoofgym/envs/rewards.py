@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import check_finite
 from .compiled import told_beside_call
 
 FloatArray = NDArray[np.float64]
@@ -100,6 +101,10 @@ class DisplacementGain:
     per_m: float = 1.0
     name: ClassVar[str] = "displacement"
 
+    def __post_init__(self) -> None:
+        """Check the factor."""
+        check_finite("per_m", self.per_m)
+
     @property
     def share(self) -> Share:
         """Field and factor."""
@@ -122,6 +127,10 @@ class Retraction:
 
     per_m: float = 1.0
     name: ClassVar[str] = "retraction"
+
+    def __post_init__(self) -> None:
+        """Check the factor."""
+        check_finite("per_m", self.per_m)
 
     @property
     def share(self) -> Share:
@@ -223,6 +232,10 @@ class TerminalDisplacement:
 
     per_m: float = 1.0
     name: ClassVar[str] = "terminal_displacement"
+
+    def __post_init__(self) -> None:
+        """Check the factor."""
+        check_finite("per_m", self.per_m)
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         """The displacement, where the episode is over."""
