@@ -38,7 +38,18 @@ def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
         raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
 
 
-def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: Any) -> T:
+def _article(word: str) -> str:
+    return "an" if word[0] in "aeiou" else "a"
+
+
+def build(
+    word: str,
+    kinds: Mapping[str, type[T]],
+    base: Callable[..., T],
+    spec: Any,
+    *,
+    more: Iterable[str] = (),
+) -> T:
     """Object by name, by name and settings, or a copy of an object.
 
     Parameters
@@ -51,6 +62,8 @@ def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec:
         Their base class.
     spec : str, dict or object
         A name; ``{"name": ..., "setting": value, ...}``; or an object, which is copied.
+    more : iterable of str
+        Further names that the caller knows of, for messages.
 
     Returns
     -------
@@ -70,8 +83,10 @@ def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec:
     if isinstance(spec, str):
         spec = {"name": spec}
     if not isinstance(spec, Mapping) or not isinstance(spec.get("name"), str):
+        names = {*kinds, *more}
         raise TypeError(
-            f"a {word} is a name ({', '.join(sorted(kinds))}), a dict with a `name`, or an "
+            f"{_article(word)} {word} is a name ({', '.join(sorted(names))}), a dict with a "
+            f"`name`, or an "
             f"instance of {kind.__module__}.{kind.__qualname__}, got {spec!r}"
         )
     settings = dict(spec)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +27,23 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from .attacks import Attack
 from .detectors import Detector
 from .envs.domain import Domain
+from .envs.game_env import told_domain
+from .envs.game_vector_env import check_vector_settings
+from .envs.infos import InfoSpec, chosen, info_keys
+from .envs.played import Turn
 from .envs.presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
 from .envs.recorder import EpochRecorder
-from .envs.rewards import RewardTerm
+from .envs.resets import warn_unknown
 from .envs.setup import Timeline
 from .envs.spaces import action_space, checked_action, observation_space
-from .envs.terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec
+from .envs.tally import Tally
+from .envs.terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 from .receiver import TightlyCoupled
 from .sim.scenario import Scenario
 
 Array = NDArray[Any]
+AT_THE_END = ("undetected_displacement_m", "detected", "warmup_alarm", "coasting", "cost")
+"""What is told of every episode, beside the detectors that watch."""
 
 
 class SpoofVecEnv(VecEnv):
@@ -44,13 +51,14 @@ class SpoofVecEnv(VecEnv):
 
     A finished receiver begins its next episode within the same step: what `step` returns is the
     first observation of that episode, and ``infos[i]["terminal_observation"]`` the last one of the
-    old.  ``infos[i]`` is empty up to then, and holds in the step that ends an episode
+    old.  ``infos[i]`` holds what `infos` asks for, and in the step that ends an episode also
 
     - ``terminal_observation``, and ``TimeLimit.truncated``, which is False unless an end term
       truncates, since the time left is observed and an alarm is an end;
     - ``episode`` with return ``r``, length ``l`` in decisions and seconds since the environment was
       made ``t``, as `VecMonitor` would write it, which is not needed around this;
-    - ``undetected_displacement_m``, ``detected``, ``warmup_alarm`` and ``coasting`` of the episode.
+    - ``undetected_displacement_m``, ``detected``, ``warmup_alarm`` and ``coasting`` of the episode,
+      ``cost`` of the step, and ``watch_*`` of the detectors that watch.
 
     Parameters
     ----------
@@ -67,6 +75,8 @@ class SpoofVecEnv(VecEnv):
         with other threads over two processors at a seventieth of the speed of one.
     seed : int, optional
         As ``seed(seed)`` before the first reset.
+    infos : {"none", "all"} or sequence of str
+        Which information of every step is handed out, by its keys, such as ``["cost"]``.
     scenario, detector, attack, receiver, timeline, knowledge, observation, action, reward, end
         As in `SpoofEnv`.
     watch, alarm_penalty_m, end_at_alarm, target_heading_deg, domain, decision_interval_s, between
@@ -90,6 +100,7 @@ class SpoofVecEnv(VecEnv):
         prefetch: bool = True,
         torch_threads: int | None = 1,
         seed: int | None = None,
+        infos: InfoSpec = "none",
         scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
         detector: str | Mapping[str, Any] | Detector | None = None,
         attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
@@ -109,8 +120,7 @@ class SpoofVecEnv(VecEnv):
         between: str = "hold",
         twin: bool = False,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"`num_envs` must be at least 1, got {num_envs}")
+        check_vector_settings(num_envs, None)
         if torch_threads is not None:
             if torch_threads < 1:
                 raise ValueError(f"`torch_threads` must be at least 1, got {torch_threads}")
@@ -144,6 +154,7 @@ class SpoofVecEnv(VecEnv):
         )
         self.observation_names = self.game.observer.names
         self.action_names = self.game.action_names
+        self._keys = info_keys(infos, self.game.info_names)
         self.render_mode = None
         self._rngs: list[np.random.Generator] = []
         self._actions: Array | None = None
@@ -171,9 +182,10 @@ class SpoofVecEnv(VecEnv):
                 rng if seed is None else np.random.default_rng(seed)
                 for rng, seed in zip(self._rngs, self._seeds, strict=True)
             ]
+        given = self._told()
         self._reset_seeds()
         self._reset_options()
-        self.game.reset(self._rngs)
+        self.game.reset(self._rngs, given=given)
         self._returns[:] = 0.0
         self._actions = None
         return self.game.observe()
@@ -210,12 +222,12 @@ class SpoofVecEnv(VecEnv):
         turn, observations = self.game.turn(self._actions)
         self._actions = None
         self._returns += turn.reward
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos = self._each(turn)
         over = turn.terminated | turn.truncated
         if over.any():
             rows, told = np.flatnonzero(over), turn.info
             for row in rows.tolist():
-                infos[row] = self._at_the_end(row, observations, told)
+                infos[row] |= self._at_the_end(row, observations, told)
                 infos[row]["TimeLimit.truncated"] = bool(turn.truncated[row])
             self.game.reset([self._rngs[row] for row in rows], rows)
             self._returns[rows] = 0.0
@@ -227,24 +239,41 @@ class SpoofVecEnv(VecEnv):
             "terminal_observation": observations[row].copy(),
             "episode": {
                 "r": round(float(self._returns[row]), 6),
-                "l": int(self.game.step_count[row]) // self.game.setup.repeat,
+                "l": -(-int(self.game.step_count[row]) // self.game.setup.repeat),
                 "t": round(time.perf_counter() - self._began, 6),
             },
-            "undetected_displacement_m": float(info["undetected_displacement_m"][row]),
-            "detected": bool(info["detected"][row]),
-            "warmup_alarm": bool(info["warmup_alarm"][row]),
-            "coasting": bool(info["coasting"][row]),
+            **{name: info[name][row].item() for name in info if _is_of_the_end(name)},
         }
 
-    def set_rewards(self, terms: Sequence[RewardTerm]) -> None:
+    def _each(self, turn: Turn | Tally) -> list[dict[str, Any]]:
+        """Information of every receiver that is asked for."""
+        if self._keys is not None and not self._keys:
+            return [{} for _ in range(self.num_envs)]
+        told = {name: array.tolist() for name, array in chosen(turn.info, self._keys).items()}
+        return [{name: told[name][row] for name in told} for row in range(self.num_envs)]
+
+    def _told(self) -> dict[str, list[Any]] | None:
+        """Circumstances that `set_options` tells of every receiver."""
+        for options in self._options:
+            warn_unknown(options, ("domain",))
+        told = [told_domain(options) or {} for options in self._options]
+        names = set(told[0])
+        if any(set(each) != names for each in told):
+            raise ValueError(
+                "the option `domain` must tell the same circumstances of every receiver, got "
+                f"{told}"
+            )
+        return {name: [each[name] for each in told] for name in told[0]} or None
+
+    def set_rewards(self, terms: RewardSpec) -> None:
         """Reward otherwise from the next step on, such as with another alarm penalty.
 
         Parameters
         ----------
-        terms : sequence of RewardTerm
-            As in `SpoofEnv`.
+        terms : str, mapping, path, RewardTerm or sequence of them
+            As ``reward=`` of `SpoofEnv`.
         """
-        self.game.set_rewards(terms)
+        self.game.set_rewards(make_terms("reward", terms))
 
     def close(self) -> None:
         """End the threads."""
@@ -383,3 +412,7 @@ class RecordEpochs(VecEnvWrapper):
         """Write episodes that are not over, and close the environment."""
         self.recorder.finish(np.arange(self.num_envs), complete=False)
         super().close()
+
+
+def _is_of_the_end(name: str) -> bool:
+    return name in AT_THE_END or name.startswith("watch_")

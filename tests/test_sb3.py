@@ -303,3 +303,53 @@ def test_a_recorder_needs_the_environment_of_this_package(tmp_path):
     others = DummyVecEnv([lambda: gym.make("spoofgym/Snapshot-v0")])
     with pytest.raises(TypeError, match=r"needs a SpoofVecEnv, wrapped or not, got <.*Dummy"):
         RecordEpochs(others, tmp_path)
+
+
+def test_information_of_every_step_is_handed_out_where_it_is_asked_for():
+    plain, told = make(watch="snapshot-chi2"), make(watch="snapshot-chi2", infos=["cost"])
+    plain.reset()
+    told.reset()
+    ends, costs = 0, 0.0
+    for command in actions(30):
+        *_, over, infos = plain.step(command)
+        more = told.step(command)[3]
+        for row in range(ENVS):
+            assert set(infos[row]) >= {"cost", "watch_snapshot_chi2_alarm"} or not over[row]
+            assert infos[row].keys() | {"cost"} == more[row].keys()
+            costs += more[row]["cost"]
+        ends += over.sum()
+    assert costs > 0.0
+    assert ends > ENVS
+    with pytest.raises(ValueError, match=r"unknown info 'costs'.*did you mean 'cost'"):
+        make(infos=["costs"])
+
+
+def test_the_length_of_an_episode_is_that_of_its_decisions():
+    envs = make(detector="never", decision_interval_s=2.5)
+    envs.reset()
+    envs.step(np.zeros((ENVS, 2)))
+    infos = envs.step(np.zeros((ENVS, 2)))[3]
+    assert [info["episode"]["l"] for info in infos] == [2] * ENVS
+
+
+def test_a_reset_may_be_told_the_circumstances():
+    envs = make(domain={"start_s": (0.0, 10.0)})
+    envs.set_options([{"domain": {"start_s": float(row)}} for row in range(ENVS)])
+    envs.reset()
+    begun = envs.game.engine.batch.memory["first"]
+    np.testing.assert_array_equal(begun, 2 * np.arange(ENVS))
+    envs.set_options([{"domain": {"start_s": 1.0}}] + [{}] * (ENVS - 1))
+    with pytest.raises(ValueError, match="the same circumstances of every receiver"):
+        envs.reset()
+    envs.set_options({"start": 1.0})
+    with pytest.warns(UserWarning, match="reset has no option 'start'; valid: domain"):
+        envs.reset()
+
+
+def test_rewards_are_set_by_name():
+    envs = make()
+    envs.reset()
+    envs.set_rewards(["alarm-penalty"])
+    assert envs.step(actions(1)[0])[1].max() <= 0.0
+    with pytest.raises(ValueError, match="did you mean 'alarm-penalty'"):
+        envs.set_rewards("alarm-penality")

@@ -120,6 +120,8 @@ class Attack(ABC):
             self.channels = tuple(self.channels)
             if not self.channels:
                 raise ValueError("`channels` must name at least one satellite")
+            if len(set(self.channels)) < len(self.channels):
+                raise ValueError(f"`channels` must name each satellite once, got {self.channels}")
         self._check_options()
 
     def _check_options(self) -> None:

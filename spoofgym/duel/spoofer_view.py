@@ -50,7 +50,9 @@ class SpooferSide:
         rules = dict(settings)
         world = {name: rules.pop(name) for name in WORLD if name in rules}
         self._receivers = receivers
-        self._rules = {"alarm_penalty_m": 0.0, **rules}
+        # with a reward of one's own there is no default one to be without a price
+        free = {} if rules.get("reward") is not None else {"alarm_penalty_m": 0.0}
+        self._rules = {**free, **rules}
         self._setup = make_setup(detector="never", **world)
         self.labels: tuple[str, ...] = ()
         self.game = self.play(pool, weights)

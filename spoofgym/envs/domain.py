@@ -17,6 +17,8 @@ from ..sim.imu import IMU_GRADES
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 MOST_WORLDS = 256
+MOST_TIME_S = 1e8
+"""Three years; beyond them a float's rounding of the time shows in positions of satellites."""
 CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")
 """What a reset may be told of every receiver."""
 
@@ -35,10 +37,11 @@ class Domain:
     turned_deg : tuple of float
         Range of the turn of the whole flight about the vertical where it begins, clockwise.
     constellation_time_s : tuple of float
-        Range of what is added to the time of the constellation.
+        Range of what is added to the time of the constellation, within 1e8 s.
     worlds : int, optional
         Number of worlds, pairs of a turn and a time of the constellation, that are computed once
-        and drawn from, 1 to 256; by default 16 where one of these has a range, else 1.
+        and drawn from, 1 to 256, and 1 where none of these has a range; by default 16 where one
+        has.
     world_seed : int
         Seed of these pairs, at least 0.
     imu : tuple of str
@@ -64,12 +67,25 @@ class Domain:
             raise ValueError(f"`start_s` must not begin before 0 s, got {self.start_s[0]}")
         for name, valid in (("imu", IMU_GRADES), ("errors", ERRORS)):
             given = getattr(self, name)
-            given = (given,) if isinstance(given, str) else tuple(given)
+            given = (given,) if isinstance(given, str) else given
+            if not isinstance(given, Sequence):
+                raise ValueError(f"`{name}` must be a name or a list of names, got {given!r}")
+            given = tuple(given)
             for each in given:
                 check_choice("imu grade" if name == "imu" else name, each, valid)
             object.__setattr__(self, name, given)
         if self.worlds is not None and not 1 <= self.worlds <= MOST_WORLDS:
             raise ValueError(f"`worlds` must be 1 to {MOST_WORLDS}, got {self.worlds}")
+        if self.worlds is not None and self.worlds > 1 and not self.varies:
+            raise ValueError(
+                f"`worlds` {self.worlds} would all be the same: give `turned_deg` or "
+                "`constellation_time_s` a range"
+            )
+        if max(map(abs, self.constellation_time_s)) > MOST_TIME_S:
+            raise ValueError(
+                f"`constellation_time_s` must be -{MOST_TIME_S:g} to {MOST_TIME_S:g}, got "
+                f"{self.constellation_time_s}"
+            )
         if self.world_seed < 0:
             raise ValueError(f"`world_seed` must be at least 0, got {self.world_seed}")
 
@@ -229,6 +245,11 @@ def told(
                 f"`start_s` must be {span[0]:g} to {span[1]:g}, got {given['start_s']}"
             )
         start = np.array([round(x) for x in epochs], dtype=np.int64)
+        if any(abs(x - k) > 1e-6 for x, k in zip(epochs, start.tolist(), strict=True)):
+            raise ValueError(
+                f"`start_s` must be a multiple of the interval between epochs, {interval_s:g} s, "
+                f"got {given['start_s']}"
+            )
     if "imu" in values:
         grade = _index("imu", values["imu"], names["imu"])
     if "errors" in values:

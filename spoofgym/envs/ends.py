@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import check_above_zero
 from .divergence import Divergence
 from .snapshot import Snapshot
 
@@ -66,12 +67,6 @@ class EndTerm(Protocol):
         """
 
 
-def _check_above_zero(name: str, value: Any) -> None:
-    number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not number or not (np.isfinite(float(value)) and value > 0):
-        raise ValueError(f"`{name}` must be a finite number > 0, got {value!r}")
-
-
 @dataclass(frozen=True)
 class AtAlarm:
     """The first alarm of the detector in the loop."""
@@ -117,7 +112,7 @@ class AtDisplacement:
 
     def __post_init__(self) -> None:
         """Check the limit."""
-        _check_above_zero("limit_m", self.limit_m)
+        check_above_zero("limit_m", self.limit_m)
 
     def __call__(self, standing: Standing) -> Mask:
         """Whether the victim is as far off."""
@@ -141,7 +136,7 @@ class AtStealthBudget:
 
     def __post_init__(self) -> None:
         """Check the budget."""
-        _check_above_zero("budget_nats", self.budget_nats)
+        check_above_zero("budget_nats", self.budget_nats)
 
     def __call__(self, standing: Standing) -> Mask:
         """Whether more is spent."""
@@ -156,7 +151,7 @@ class AtSteps:
     Parameters
     ----------
     steps : int
-        At least 2.
+        Decisions, at least 1; each may last several epochs.
     """
 
     steps: int
@@ -166,12 +161,13 @@ class AtSteps:
     def __post_init__(self) -> None:
         """Check the number."""
         whole = isinstance(self.steps, numbers.Integral) and not isinstance(self.steps, bool)
-        if not whole or self.steps < 2:
-            raise ValueError(f"`steps` must be a whole number, at least 2, got {self.steps!r}")
+        if not whole or self.steps < 1:
+            raise ValueError(f"`steps` must be a whole number, at least 1, got {self.steps!r}")
 
     def __call__(self, standing: Standing) -> Mask:
         """Whether there were as many."""
-        over: Mask = standing.snapshot.step >= self.steps
+        snapshot = standing.snapshot
+        over: Mask = snapshot.step >= self.steps * snapshot.setup.repeat
         return over
 
 

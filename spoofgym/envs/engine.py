@@ -558,7 +558,7 @@ class Engine:
         self.twin = Batch(setup.altered(witnesses=()), receivers, self._run) if twin else None
         self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
-        self._few: dict[int, Batch] = {}
+        self._few: dict[tuple[bool, int], Batch] = {}
         self._next = (
             NextEpisodes(Batch(setup, STOCK * receivers, run_serially), partial(_warmed_up, setup))
             if prefetch
@@ -722,7 +722,7 @@ class Engine:
         return verdict
 
     def hold(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Let some receivers run the time to alert after the command phase.
+        """Let some receivers, and their twins, run the time to alert after the command phase.
 
         Parameters
         ----------
@@ -734,7 +734,10 @@ class Engine:
         ndarray
             (hold, b) bool, alarms by epoch.
         """
-        return self.apart(rows, lambda batch: batch.live_epochs(self.setup.hold, holding=True))
+        count = self.setup.hold
+        if self.twin is not None:
+            self._apart(self.twin, rows, lambda batch: batch.live_epochs(count))
+        return self.apart(rows, lambda batch: batch.live_epochs(count, holding=True))
 
     def apart(self, rows: NDArray[np.intp], work: Callable[[Batch], T]) -> T:
         """Do something with some receivers, while the others stand still.
@@ -751,22 +754,27 @@ class Engine:
         object
             What `work` returns.
         """
+        return self._apart(self.batch, rows, work)
+
+    def _apart(self, whole: Batch, rows: NDArray[np.intp], work: Callable[[Batch], T]) -> T:
+        """`apart` of the receivers, or of their twins."""
         if len(rows) == self.receivers:
-            return work(self.batch)
-        batch, here = self._batch_of(len(rows)), np.arange(len(rows))
-        batch.copy_rows(here, self.batch, rows)
+            return work(whole)
+        batch, here = self._batch_of(whole, len(rows)), np.arange(len(rows))
+        batch.copy_rows(here, whole, rows)
         done = work(batch)
-        self.batch.copy_rows(rows, batch, here)
+        whole.copy_rows(rows, batch, here)
         return done
 
-    def _batch_of(self, receivers: int) -> Batch:
+    def _batch_of(self, whole: Batch, receivers: int) -> Batch:
         """Batch whose rows are all to be overwritten; a small one is made once."""
-        if receivers not in self._few:
-            batch = Batch(self.setup, receivers, self._run)
+        key = (whole is self.twin, receivers)
+        if key not in self._few:
+            batch = Batch(whole.setup, receivers, self._run)
             if receivers > KEPT:
                 return batch
-            self._few[receivers] = batch
-        return self._few[receivers]
+            self._few[key] = batch
+        return self._few[key]
 
 
 def available_threads(receivers: int) -> int:

@@ -24,8 +24,10 @@ from ._kernels import (
 from .actions import ActionTerm, Actor, FullCommand
 from .at_once import AtOnce, rules_of
 from .books import Books
+from .checks import check_truth
 from .ends import AtAlarm, Ends, EndTerm, Standing
 from .engine import Engine
+from .kept import Kept
 from .observations import ObservationTerm
 from .observer import Observer
 from .played import Stepwise, Told, check_end_at_alarm
@@ -54,6 +56,9 @@ class Game(Stepwise):
     without an alarm is :math:`M_N`, and that of an episode with its
     first alarm at epoch a is :math:`M_{a-h-1}`, h being the epochs of the time to alert.  After the
     last command the offsets hold their rate for h epochs, in which an alarm still counts.
+
+    A decision may last several epochs.  Its reward is the sum of theirs.  A receiver whose episode
+    ends at one of them is observed and told as it stands there.
 
     Parameters
     ----------
@@ -110,6 +115,8 @@ class Game(Stepwise):
         twin: bool = False,
     ) -> None:
         check_end_at_alarm(end_at_alarm)
+        check_truth("twin", twin)
+        check_truth("prefetch", prefetch)
         self.settings: dict[str, Any] = {
             "observation": observation,
             "reward": reward,
@@ -132,6 +139,7 @@ class Game(Stepwise):
             setup = setup.altered(witnesses=witnesses)
         self.setup = setup
         self.engine = Engine(receivers, setup, threads=threads, prefetch=prefetch, twin=twin)
+        self._kept = Kept(self.engine)
         self.observer = Observer(observation, setup)
         self._origin = np.zeros((receivers, 2))
         self._given = np.zeros((receivers, len(setup.attack.action_names(setup.world))))
@@ -331,17 +339,31 @@ class Game(Stepwise):
         self.books.count(tally, verdict.alarm, early, self.end_at_alarm, self.engine.hold)
         return tally
 
-    def _decide(self, command: FloatArray) -> Tally:
-        """All epochs of one decision."""
-        setup = self.setup
-        tally = self._play(setup.command(self._given, command, 0))
-        for epoch in range(1, setup.repeat):
-            self.books.ended |= tally.terminated | tally.truncated
-            later = self._play(setup.command(self._given, command, epoch))
-            later.add(tally)
+    def _decide(self, command: FloatArray, action: FloatArray) -> Tally:
+        """All epochs of one decision; a receiver whose episode ends at one stands still then."""
+        books, repeat = self.books, self.setup.repeat
+        before = books.ended.copy()
+        tally = self._play_and_tell(command, action, 0)
+        for epoch in range(1, repeat):
+            over, counts = books.ended.copy(), books.step_count.copy()
+            if np.logical_and.reduce(over):
+                break
+            self._kept.put_aside(np.flatnonzero(over & ~before))
+            before = over
+            later = self._play_and_tell(command, action, epoch)
+            later.add(tally, over)
+            books.step_count[over] = counts[over]
             tally = later
+        self._kept.put_back()
         self._given[:] = command
+        return tally
+
+    def _play_and_tell(self, command: FloatArray, action: FloatArray, epoch: int) -> Tally:
+        """One epoch of a decision, as if it were the only one."""
+        tally = self._play(self.setup.command(self._given, command, epoch))
         self._tell(tally)
+        if not self._compiled:
+            self._reward(tally, action)
         return tally
 
     def _decide_at_once(self, command: FloatArray, tally: Tally) -> NDArray[np.float32]:
@@ -406,19 +428,19 @@ class Game(Stepwise):
             self._watch.forget(self._watched)
         command = self.actor.command(action)
         if self._in_pieces or self.listeners:
-            tally = self._decide(command)
+            tally = self._decide(command, action)
             observation = self.observe()
         else:
             tally = Tally(self._heads)
             observation = self._decide_at_once(command, tally).reshape(self.receivers, -1)
+            if not self._compiled:
+                self._reward(tally, action)
         if self._tells_more:
-            self._tell_more(tally, action)
+            self._tell_more(tally)
         return tally, observation
 
-    def _tell_more(self, tally: Tally, action: FloatArray) -> None:
+    def _tell_more(self, tally: Tally) -> None:
         """Tell of a step what compiled code does not."""
-        if not self._compiled:
-            self._reward(tally, action)
         if self.setup.attack.capture is not None:
             captured = self.engine.batch.attack.memory["captured"]
             tally.more["captured_channels"] = captured.sum(axis=1)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .played import Played
 from .rendering import RENDER_MODES, Recorder, Screen
-from .resets import warn_unknown
+from .resets import check_seed, warn_unknown
 from .spaces import action_space, checked_action, observation_space
 
 Observation = NDArray[np.float32]
@@ -116,6 +116,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
             Whether the warm-up alarmed, and the time.
         """
         warn_unknown(options, ("domain",))
+        check_seed(seed)
         super().reset(seed=seed)
         self.game.reset([self.np_random], given=told_domain(options))
         self._begun = self._running = True
@@ -144,7 +145,8 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
             Parts of the reward, alarm, displacement, time.
         """
         if not self._running:
-            raise RuntimeError("the episode is over: call reset() before step()")
+            why = "the episode is over" if self._begun else "no episode has begun"
+            raise RuntimeError(f"{why}: call reset() before step()")
         given = checked_action(action, self._action_shape, self.action_names)
         told = self.game.alone(given[None])
         _, _, terminated, truncated, info = told

@@ -71,6 +71,8 @@ def check_vector_settings(num_envs: int, render_mode: object) -> None:
     ValueError
         Says which is wrong.
     """
+    if not isinstance(num_envs, int | np.integer) or isinstance(num_envs, bool):
+        raise ValueError(f"`num_envs` must be a whole number, got {num_envs!r}")
     if num_envs < 1:
         raise ValueError(f"`num_envs` must be at least 1, got {num_envs}")
     if render_mode is not None:
@@ -289,10 +291,12 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         for row in np.flatnonzero(over):
             final[row] = observation[row].copy()
         told = chosen(turn.info, self._keys)
-        last = {name: np.where(over, array, 0) for name, array in told.items()}
+        last = {name: _where(over, array) for name, array in told.items()}
         self._restart(over)
         begin = self.game.begin_info()
-        values = {name: np.where(over, begin.get(name, 0), array) for name, array in told.items()}
+        if np.logical_and.reduce(over):  # nobody is left who would have the others
+            told = {name: array for name, array in told.items() if name in begin}
+        values = {name: _where(~over, array, begin.get(name)) for name, array in told.items()}
         info = masked(values, ~over)
         self._mark_begun(info)
         info["final_obs"], info["_final_obs"] = final, over.copy()
@@ -309,3 +313,9 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
             Not used.
         """
         self.game.close()
+
+
+def _where(mask: NDArray[np.bool_], array: Array, other: Array | None = None) -> Array:
+    """Elements of an array, and those of another, or zeros, elsewhere; of the same type."""
+    nothing = np.zeros((), array.dtype)  # a plain 0 would make numbers of truth values
+    return np.where(mask, array, nothing if other is None else other)

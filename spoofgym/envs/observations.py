@@ -14,8 +14,9 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import check_choice, check_plain_settings
+from .._registry import check_choice
 from ._kernels import local_motion, own_command, time_fractions
+from .checks import check_above_zero
 from .divergence import Divergence
 from .setup import Setup
 from .snapshot import Snapshot, position_error_n
@@ -130,11 +131,15 @@ class OwnCommand:
     Parameters
     ----------
     scale_m : float
-        Displacement that is observed as 1; the rate's scale is its limit.
+        Displacement that is observed as 1, above 0; the rate's scale is its limit.
     """
 
     scale_m: float = 100.0
     knowledge: ClassVar[str] = "blind"
+
+    def __post_init__(self) -> None:
+        """Check the scale."""
+        check_above_zero("scale_m", self.scale_m)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``own_displacement_*`` and ``own_rate_*`` for every element of the action."""
@@ -190,12 +195,17 @@ class TargetMotion:
     Parameters
     ----------
     position_scale_m, velocity_scale_mps : float
-        What is observed as 1.
+        What is observed as 1, above 0.
     """
 
     position_scale_m: float = 10_000.0
     velocity_scale_mps: float = 100.0
     knowledge: ClassVar[str] = "tracking"
+
+    def __post_init__(self) -> None:
+        """Check the scales."""
+        check_above_zero("position_scale_m", self.position_scale_m)
+        check_above_zero("velocity_scale_mps", self.velocity_scale_mps)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``target_position_*`` and ``target_velocity_*``."""
@@ -336,11 +346,15 @@ class EstimateError:
     Parameters
     ----------
     scale_m : float
-        What is observed as 1.
+        What is observed as 1, above 0.
     """
 
     scale_m: float = 100.0
     knowledge: ClassVar[str] = "oracle"
+
+    def __post_init__(self) -> None:
+        """Check the scale."""
+        check_above_zero("scale_m", self.scale_m)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``estimate_error_north``, ``_east`` and ``_down``."""
@@ -371,9 +385,7 @@ class DivergenceSpent:
 
     def __post_init__(self) -> None:
         """Check the budget."""
-        check_plain_settings(DivergenceSpent, {"budget_nats": self.budget_nats})
-        if not (np.isfinite(self.budget_nats) and self.budget_nats > 0.0):
-            raise ValueError(f"`budget_nats` must be finite and > 0, got {self.budget_nats}")
+        check_above_zero("budget_nats", self.budget_nats)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``divergence_spent``."""

@@ -11,14 +11,17 @@ from ..detectors import Detector, make_detector
 from ..receiver import TightlyCoupled
 from ..sim.scenario import Scenario, make_scenario
 from .domain import Domain
+from .ends import AtAlarm, EndTerm
 from .game import Game
-from .observations import ObservationTerm, TargetDirection, terms_of
+from .observations import KNOWLEDGE, ObservationTerm, TargetDirection, terms_of
+from .played import check_end_at_alarm
 from .rewards import default_rewards
 from .setup import Setup, Timeline
 from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
 
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
 DEFAULT_ATTACK = "false-position"
+DEFAULT_PENALTY_M = 10.0
 RECEIVERS: dict[str, dict[str, Any]] = {
     "paper": {"tuning": "paper"},
     "matched": {"tuning": "matched"},
@@ -45,6 +48,8 @@ def make_watch(spec: WatchSpec) -> tuple[Detector, ...]:
     """
     if isinstance(spec, str | Mapping | Detector):
         spec = (spec,)
+    if not isinstance(spec, Sequence):
+        raise TypeError(f"`watch` must be a detector or a list of detectors, got {spec!r}")
     return tuple(make_detector(each) for each in spec)
 
 
@@ -89,7 +94,10 @@ def make_setup(
     if isinstance(receiver, str):
         check_choice("receiver", receiver, RECEIVERS)
         receiver = RECEIVERS[receiver]
+    circumstances = build_record("domain", Domain, domain)
     victim = build_record("receiver", TightlyCoupled, receiver, {"grade": world.imu})
+    if isinstance(receiver, Mapping) and "grade" in receiver:
+        _check_grade(victim.grade, circumstances.imu)
     phases = build_record("timeline", Timeline, timeline)
     judge = make_detector(DEFAULT_DETECTOR if detector is None else detector)
     return Setup(
@@ -98,11 +106,20 @@ def make_setup(
         make_attack(attack),
         judge,
         phases,
-        build_record("domain", Domain, domain),
+        circumstances,
         target_heading_deg,
         decision_interval_s,
         between,
     )
+
+
+def _check_grade(grade: str, grades: Sequence[str]) -> None:
+    """Raise where a receiver is told another grade than those that its sensors are drawn from."""
+    if any(other != grade for other in grades):
+        raise ValueError(
+            f"`receiver` has the grade {grade!r}, but is tuned for the grade that it draws from "
+            f"the domain's `imu` {', '.join(grades)}: leave out one"
+        )
 
 
 def default_terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
@@ -165,7 +182,16 @@ def make_game(
     -------
     Game
         Not reset yet.
+
+    Raises
+    ------
+    ValueError
+        When a setting is unknown, or two of them contradict each other.
     """
+    check_choice("knowledge", knowledge, KNOWLEDGE)
+    check_end_at_alarm(end_at_alarm)
+    terms = None if end is None else make_terms("end", end)
+    _check_beside(alarm_penalty_m, reward, end_at_alarm, terms)
     return Game(
         receivers,
         setup,
@@ -178,10 +204,26 @@ def make_game(
         reward=(
             default_rewards(alarm_penalty_m) if reward is None else make_terms("reward", reward)
         ),
-        end=None if end is None else make_terms("end", end),
+        end=terms,
         watch=make_watch(watch),
         end_at_alarm=end_at_alarm,
         threads=threads,
         prefetch=prefetch,
         twin=twin,
     )
+
+
+def _check_beside(
+    alarm_penalty_m: float,
+    reward: RewardSpec | None,
+    end_at_alarm: bool,
+    end: Sequence[EndTerm] | None,
+) -> None:
+    """Raise where lists of terms leave a setting without an effect."""
+    if reward is not None and alarm_penalty_m != DEFAULT_PENALTY_M:
+        raise ValueError(
+            f"`alarm_penalty_m` is part of the default reward, and `reward` is given: list "
+            f"{{'name': 'alarm-penalty', 'penalty_m': {alarm_penalty_m!r}}} there"
+        )
+    if end is not None and not end_at_alarm and any(isinstance(term, AtAlarm) for term in end):
+        raise ValueError("`end` lists 'at-alarm', but `end_at_alarm` is False: leave out one")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib.util
 import io
 import json
+import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,12 +43,20 @@ class EpochRecorder:
     ------
     ImportError
         When pyarrow is not installed.
+    ValueError
+        When there is no such folder, and none can be made, or nothing can be written into it.
     """
 
     def __init__(self, folder: str | Path, receivers: int) -> None:
         if importlib.util.find_spec("pyarrow") is None:
             raise ImportError("recording needs pyarrow; install it with the extra `flights`")
         self.folder = Path(folder)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ValueError(f"`folder` {str(folder)!r} can't be made: {error}") from error
+        if not os.access(self.folder, os.W_OK | os.X_OK):
+            raise ValueError(f"nothing can be written into the `folder` {str(folder)!r}")
         self._episode = np.zeros(receivers, dtype=np.int64)
         for path in self.folder.glob("*.parquet"):
             found = PATTERN.fullmatch(path.name)

@@ -21,7 +21,14 @@ def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -
         Of the user.
     valid : sequence of str
         Names of the options that there are.
+
+    Raises
+    ------
+    TypeError
+        When `options` is no mapping.
     """
+    if options is not None and not isinstance(options, Mapping):
+        raise TypeError(f"`options` of a reset must be a dict, got {options!r}")
     for name in options or ():
         if name not in valid:
             warnings.warn(
@@ -86,16 +93,39 @@ def seeds_of(seed: Any, receivers: int) -> list[int | None]:
     Raises
     ------
     ValueError
-        When there are not as many.
+        When there are not as many, or one is no seed.
     """
     if seed is None:
         return [None] * receivers
     if isinstance(seed, int | np.integer):
+        check_seed(seed)
         return [int(seed) + i for i in range(receivers)]
+    if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
+        check_seed(seed)
     seeds = list(seed)
     if len(seeds) != receivers:
         raise ValueError(f"`seed` must have {receivers} elements, got {len(seeds)}")
+    for each in seeds:
+        check_seed(each)
     return seeds
+
+
+def check_seed(seed: Any) -> None:
+    """Raise unless there is such a seed.
+
+    Parameters
+    ----------
+    seed : int or None
+        Of the user.
+
+    Raises
+    ------
+    ValueError
+        When it is neither None nor a whole number, at least 0.
+    """
+    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
+    if seed is not None and not (whole and seed >= 0):
+        raise ValueError(f"a seed must be a whole number, at least 0, got {seed!r}")
 
 
 def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:

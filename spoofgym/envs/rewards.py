@@ -10,13 +10,14 @@ from typing import Any, ClassVar, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import check_finite
 from .compiled import told_beside_call
 
 FloatArray = NDArray[np.float64]
 
 
 class Outcome(NamedTuple):
-    """What a step has brought.
+    """What an epoch has brought; the reward of a decision over several is the sum of theirs.
 
     Attributes
     ----------
@@ -25,7 +26,7 @@ class Outcome(NamedTuple):
     retraction : ndarray
         (B,) what an alarm takes back of it [m], <= 0.
     detected : ndarray
-        (B,) bool, whether this step brought the first alarm.
+        (B,) bool, whether it brought the first alarm.
     alarm : ndarray
         (B,) bool, whether there is an alarm now.
     action : ndarray
@@ -108,6 +109,10 @@ class DisplacementGain:
     per_m: float = 1.0
     name: ClassVar[str] = "displacement"
 
+    def __post_init__(self) -> None:
+        """Check the factor."""
+        check_finite("per_m", self.per_m)
+
     @property
     def share(self) -> Share:
         """Field and factor."""
@@ -130,6 +135,10 @@ class Retraction:
 
     per_m: float = 1.0
     name: ClassVar[str] = "retraction"
+
+    def __post_init__(self) -> None:
+        """Check the factor."""
+        check_finite("per_m", self.per_m)
 
     @property
     def share(self) -> Share:
@@ -202,7 +211,7 @@ class EffortPenalty:
     Parameters
     ----------
     at_full_m : float
-        Price of a step with all elements at their limits, in metres of displacement, at least 0.
+        Price of an epoch with all elements at their limits, in metres of displacement, at least 0.
     """
 
     at_full_m: float = 0.1
@@ -231,6 +240,10 @@ class TerminalDisplacement:
 
     per_m: float = 1.0
     name: ClassVar[str] = "terminal_displacement"
+
+    def __post_init__(self) -> None:
+        """Check the factor."""
+        check_finite("per_m", self.per_m)
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         """The displacement, where the episode is over."""
@@ -332,6 +345,6 @@ def reward_of(
     """
     reward = np.zeros(len(outcome.gain))
     for key, term in terms:
-        part = info[key] = term(outcome)
+        part = info[key] = np.asarray(term(outcome), dtype=np.float64)
         reward += part
     return reward

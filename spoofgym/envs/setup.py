@@ -192,6 +192,11 @@ class Setup:
         self.onset = self.quiet + self.live
         self.decision_interval_s, self.between = decision_interval_s, between
         check_choice("between", between, BETWEEN)
+        if between != "hold" and decision_interval_s is None:
+            raise ValueError(
+                f"`between` {between!r} needs a `decision_interval_s`: without one there is no "
+                "epoch between two decisions"
+            )
         self.repeat = _repeat(decision_interval_s, interval, self.steps)
         # one decision more, which a finished receiver may run until it is reset
         length = self.onset + self.steps + self.hold + self.repeat
@@ -296,7 +301,8 @@ class Setup:
             begun = f" from a begin at {max(first, last) * interval:g} s" if first or last else ""
             raise ValueError(
                 f"an episode takes {length * interval:g} s{begun} (warm-up {line.warmup_s:g} s, "
-                f"attack {line.attack_s:g} s, time to alert {line.time_to_alert_s:g} s), but "
+                f"attack {line.attack_s:g} s, time to alert {line.time_to_alert_s:g} s, and one "
+                f"decision of {self.repeat * interval:g} s in reserve), but "
                 f"{world.name!r} lasts {world.epoch_time[-1]:g} s"
             )
         return first, last

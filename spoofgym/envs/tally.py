@@ -16,6 +16,8 @@ VALUE_NAMES = ("time_s", "displacement_m", "undetected_displacement_m", "cost")
 """Numbers that are told of every step, in the order of the rows."""
 MARK_NAMES = ("alarm", "detected", "warmup_alarm", "coasting")
 """Flags that are told of every step, in the order of the rows."""
+REWARD_KEY = "reward_"
+"""What the keys of the parts of the reward begin with."""
 MARKS = 8
 """Rows of flags that the kernels know of."""
 
@@ -159,24 +161,33 @@ class Tally:
             info,
         )
 
-    def add(self, earlier: Tally) -> None:
-        """Count an earlier epoch of the same decision.
+    def add(self, earlier: Tally, over: Mask) -> None:
+        """Count the earlier epochs of the same decision; both are told.
 
         Parameters
         ----------
         earlier : Tally
-            An episode that was truncated then is not terminated now.
+            Of these epochs.
+        over : ndarray
+            (B,) bool, whose episode was over before this epoch, so that `earlier` is all of it.
         """
-        for row in (_kernels.GAIN, _kernels.RETRACTION):
+        parts = slice(len(VALUE_NAMES), self._heads.numbers)
+        for row in (_kernels.GAIN, _kernels.RETRACTION, _kernels.COST, parts):
             self.values[row] = earlier.values[row] + self.values[row]
-        self.marks[_kernels.TERMINATED] &= ~earlier.marks[_kernels.TRUNCATED]
-        for row in (
-            _kernels.ALARM,
-            _kernels.FIRST,
-            _kernels.FINISHED,
-            _kernels.TERMINATED,
-            _kernels.TRUNCATED,
-        ):
+        for row in (_kernels.ALARM, _kernels.FIRST, _kernels.FINISHED):
             self.marks[row] |= earlier.marks[row]
         for name, array in self.more.items():
-            array |= earlier.more[name]
+            before = earlier.more[name]
+            both = array | before if array.dtype == np.bool_ else before + array
+            self.more[name] = np.where(over, before, both)
+        self.values[_kernels.REWARD] = self._sum_of_parts(parts)
+        self.values[:, over] = earlier.values[:, over]
+        self.marks[:, over] = earlier.marks[:, over]
+
+    def _sum_of_parts(self, parts: slice) -> FloatArray:
+        """(B,) parts of the reward, added in the order in which they are told."""
+        own = [part for name, part in self.more.items() if name.startswith(REWARD_KEY)]
+        reward = np.zeros(self.marks.shape[1])
+        for part in (*self.values[parts], *own):
+            reward += part
+        return reward

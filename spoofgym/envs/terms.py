@@ -35,6 +35,7 @@ ActionSpec = _Name | PurePath | ActionTerm | Sequence[_Name | ActionTerm]
 RewardSpec = _Name | PurePath | RewardTerm | Sequence[_Name | RewardTerm]
 EndSpec = _Name | PurePath | EndTerm | Sequence[_Name | EndTerm]
 SUFFIXES = (".json", ".toml")
+WRITTEN = "`spoofgym.envs.terms.written` tells the settings of an object with its name"
 
 
 class _Nothing:
@@ -79,11 +80,12 @@ def make_terms(kind: str, spec: Any) -> tuple[Any, ...]:
 
 def _make(kind: str, spec: Any) -> Any:
     """One term."""
-    if isinstance(spec, str | Mapping):
+    if isinstance(spec, str) or (isinstance(spec, Mapping) and isinstance(spec.get("name"), str)):
         return build(f"{kind} term", TERMS[kind], _Nothing, _with_tuples(spec))
     lacking = [name for name in _MEMBERS[kind] if not hasattr(spec, name)]
-    if isinstance(spec, type) or lacking:
+    if isinstance(spec, type | Mapping) or lacking:
         why = "it is a class" if isinstance(spec, type) else f"it has no {', '.join(lacking)}"
+        why = f"it has no `name`; {WRITTEN}" if isinstance(spec, Mapping) else why
         raise TypeError(
             f"a term of kind {kind!r} is a name ({', '.join(sorted(TERMS[kind]))}), a dict with a "
             f"`name`, or an object; got {spec!r}: {why}"
@@ -103,7 +105,9 @@ def _read(kind: str, path: Path) -> Any:
     try:
         text = path.read_text(encoding="utf-8")
         content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except FileNotFoundError:
+    except OSError as error:
+        if not isinstance(error, FileNotFoundError):
+            raise ValueError(f"{str(path)!r} can't be read: {error}") from error
         raise ValueError(f"there is no file {str(path)!r} with {kind} terms") from None
     except ValueError as error:
         raise ValueError(f"{str(path)!r} can't be read: {error}") from error

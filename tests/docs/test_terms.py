@@ -8,6 +8,7 @@ import sys
 import types
 from pathlib import Path
 
+import gymnasium as gym
 import pytest
 
 from spoofgym.envs.terms import TERMS, term_table
@@ -41,6 +42,35 @@ def test_the_table_is_that_of_the_registry(kind):
     text = (DOCS / "terms.md").read_text()
     (table,) = re.findall(rf"<!-- {kind} -->\n(.*?)\n<!-- -->", text, flags=re.DOTALL)
     assert table == term_table(kind)
+
+
+def test_the_keys_of_the_information_are_those_of_the_table():
+    text = (DOCS / "terms.md").read_text()
+    (table,) = re.findall(r"<!-- info -->\n(.*?)\n<!-- -->", text, flags=re.DOTALL)
+    rows = [line.split("|")[1:4] for line in table.splitlines()[2:]]
+    patterns = {
+        key.strip(" `"): (re.sub("<.*?>", r"\\w+", key.strip(" `")), unit.strip(), when)
+        for key, unit, when in rows
+    }
+    env = gym.make(
+        "spoofgym/TightlyCoupled-v0",
+        timeline={"warmup_s": 6, "live_s": 2, "attack_s": 5, "time_to_alert_s": 1},
+        attack={"name": "false-position", "capture": {}},
+        end={"name": "at-displacement", "limit_m": 5.0},
+        watch="cusum",
+    )
+    _, begun = env.reset(seed=0)
+    info = env.step([0.0, 0.0])[4]
+    for told, word in ((begun, "reset"), (info, "step")):
+        listed = {key: row for key, row in patterns.items() if word in row[2]}
+        found = {
+            name: [key for key, row in listed.items() if re.fullmatch(row[0], name)]
+            for name in told
+        }
+        assert all(len(keys) == 1 for keys in found.values()), found
+        assert {keys[0] for keys in found.values()} == listed.keys()
+        for name, (key,) in found.items():
+            assert isinstance(told[name], bool) == (listed[key][1] == "bool"), name
 
 
 def test_the_pages_are_listed():

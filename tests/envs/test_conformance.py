@@ -118,6 +118,11 @@ def test_a_bad_action_names_element_and_value(bad):
         ({"receiver": {"tunes": "paper"}}, "no setting 'tunes'"),
         ({"knowledge": "omniscient"}, "unknown knowledge"),
         ({"timeline": {"warmup_s": 500.0}}, "lasts 418 s"),
+        (
+            {"timeline": {"warmup_s": 400.0}, "decision_interval_s": 5.0},
+            r"takes 425 s .warm-up 400 s, .* 5 s, and one decision of 5 s in reserve.",
+        ),
+        ({"attack": {"name": "per-channel", "channels": ["S05", "S05"]}}, "each satellite once"),
         ({"timeline": {"attack_s": -1.0}}, "`attack_s` must be"),
         ({"alarm_penalty_m": -1.0}, "`penalty_m` must be"),
         ({"target_heading_deg": np.nan}, "`target_heading_deg` must be a finite number"),
@@ -135,3 +140,21 @@ def test_a_finished_episode_must_be_reset():
     env = single().unwrapped
     with pytest.raises(RuntimeError, match="call reset"):
         env.step(np.zeros(2))
+
+
+def test_what_a_reset_does_not_take_is_told_by_its_name():
+    env, envs = single(), vector(2)
+    with pytest.raises(RuntimeError, match="no episode has begun: call reset"):
+        env.unwrapped.step(np.zeros(2))
+    for made in (env, envs):
+        with pytest.raises(
+            TypeError, match=r"`options` of a reset must be a dict, got \['domain'\]"
+        ):
+            made.reset(options=["domain"])
+        for seed in ("abc", 1.5, -1):
+            with pytest.raises(ValueError, match=f"a seed must be a whole number.* got {seed!r}"):
+                made.reset(seed=seed)
+    with pytest.raises(ValueError, match=r"must be a whole number, at least 0, got 0\.5"):
+        envs.reset(seed=[1, 0.5])
+    with pytest.raises(ValueError, match=r"`num_envs` must be a whole number, got 1\.5"):
+        vector(1.5)

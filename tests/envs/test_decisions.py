@@ -148,3 +148,114 @@ def test_the_cost_is_the_first_alarm():
     env.reset(seed=0)
     costs = [env.step(np.ones(2))[4]["cost"] for _ in range(40)]
     assert sum(costs) == 1.0
+
+
+COARSE = {
+    "detector": "snapshot-chi2",
+    "attack": {"name": "false-position", "acceleration_limit_mps2": 5.0, "rate_limit_mps": 50.0},
+}
+"""An attack that raises alarms within seconds."""
+EARLY = {"end": {"name": "at-displacement", "limit_m": 0.3}, "detector": "never"}
+"""Ends an episode within a decision."""
+
+
+def last_step(env, seed, push=1.0):
+    env.reset(seed=seed)
+    while True:
+        observation, _, terminated, truncated, info = env.step(np.array([0.0, push]))
+        if terminated or truncated:
+            return observation, info
+
+
+@pytest.mark.parametrize("twin", [False, True])
+def test_an_episode_that_ends_within_a_decision_is_told_as_it_stood_at_its_end(twin):
+    slow, quick = make(decision_interval_s=5.0, twin=twin, **EARLY), make(twin=twin, **EARLY)
+    for seed in range(3):
+        seen, info = last_step(slow, seed)
+        exact, expected = last_step(quick, seed)
+        for env in (slow, quick) if twin else ():  # both have run the time to alert
+            assert env.game.engine.twin.epochs[0] == env.game.engine.batch.epochs[0]
+        count = slow.game.step_count[0]
+        assert count == quick.game.step_count[0]
+        assert count % 10
+        np.testing.assert_array_equal(seen, exact)
+        for name in (name for name in expected if not name.startswith("reward")):
+            assert info[name] == expected[name], name
+
+
+def test_an_alarm_within_a_decision_is_told_at_its_own_time():
+    slow, quick = make(decision_interval_s=5.0, **COARSE), make(**COARSE)
+    for seed in range(3):
+        seen, info = last_step(slow, seed)
+        exact, expected = last_step(quick, seed)
+        assert expected["detected"]
+        assert info["time_s"] == expected["time_s"]
+        np.testing.assert_array_equal(seen, exact)
+
+
+def test_in_a_batch_those_that_end_wait_for_the_others():
+    settings = {"decision_interval_s": 5.0, "watch": "snapshot-chi2", "twin": True, **EARLY}
+    envs = gym.make_vec(
+        ID,
+        num_envs=3,
+        autoreset_mode="same_step",
+        timeline=SHORT,
+        knowledge="oracle",
+        **settings,
+    )
+    envs.reset(seed=7)
+    pushes = np.array([[0.0, 0.6], [0.0, 1.0], [0.0, 0.3]])
+    alone = make(**settings)
+    told = {}
+    while len(told) < 3:
+        _, _, terminated, truncated, info = envs.step(pushes)
+        for row in np.flatnonzero(terminated | truncated):
+            if row not in told:
+                last = info["final_info"]
+                told[int(row)] = info["final_obs"][row], {k: last[k][row] for k in last}
+    for row, (seen, final) in told.items():
+        exact, expected = last_step(alone, 7 + row, pushes[row, 1])
+        np.testing.assert_array_equal(seen, exact)
+        for name, value in expected.items():
+            assert final[name] == value, name
+    envs.close()
+
+
+@pytest.mark.parametrize(
+    "reward",
+    [
+        ["alarmed-epochs"],
+        ["displacement-gain", "retraction", "alarmed-epochs"],
+        ["effort-penalty", "alarmed-epochs"],
+        ["terminal-displacement", "effort-penalty"],
+    ],
+)
+@pytest.mark.parametrize("end_at_alarm", [False, True])
+def test_the_reward_of_a_decision_is_the_sum_of_those_of_its_epochs(reward, end_at_alarm):
+    settings = {
+        "reward": [{"name": name} for name in reward],
+        "end_at_alarm": end_at_alarm,
+        **COARSE,
+    }
+    slow, quick = make(decision_interval_s=5.0, **settings), make(**settings)
+    totals = []
+    for env in (slow, quick):
+        env.reset(seed=3)
+        total, over = 0.0, False
+        while not over:
+            _, gained, terminated, truncated, info = env.step(np.array([0.5, 1.0]))
+            assert gained == sum(value for name, value in info.items() if "reward_" in name)
+            over = terminated or truncated
+            total += gained
+        totals.append(total)
+    assert totals[0] == pytest.approx(totals[1], abs=1e-9)
+    assert totals[1] != 0.0
+
+
+def test_a_number_of_commands_is_one_of_decisions():
+    end = {"name": "at-steps", "steps": 3}
+    env = make(decision_interval_s=5.0, end=end, detector="never")
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(2))[3] for _ in range(3)]
+    assert ends == [False, False, True]
+    assert env.game.step_count[0] == 30

@@ -62,6 +62,10 @@ def test_terms_of_a_file(tmp_path):
     path.write_text("{")
     with pytest.raises(ValueError, match=r"terms\.json' can't be read"):
         make_terms("reward", path)
+    folder = tmp_path / "folder.json"
+    folder.mkdir()
+    with pytest.raises(ValueError, match="can't be read"):
+        make_terms("reward", folder)
     with pytest.raises(ValueError, match="there is no file"):
         make_terms("reward", tmp_path / "other.toml")
 
@@ -73,7 +77,7 @@ def test_terms_of_a_file(tmp_path):
         ({"end": {"name": "at-steps", "step": 3}}, ValueError, "no setting 'step'; valid: steps"),
         ({"end": "at-displacement"}, ValueError, "needs the setting 'limit_m'"),
         ({"end": [{"name": "at-displacement", "limit_m": -1}]}, ValueError, "`limit_m` must be"),
-        ({"end": [{"name": "at-steps", "steps": 1}]}, ValueError, "`steps` must be.*got 1"),
+        ({"end": [{"name": "at-steps", "steps": 0}]}, ValueError, "`steps` must be.*got 0"),
         ({"end": [{"name": "at-stealth-budget", "budget_nats": 0.0}]}, ValueError, "> 0, got 0.0"),
         ({"end": ["at-alarm", "at-alarm"]}, ValueError, "two end terms have the same name"),
         ({"reward": [{"name": "effort-penalty", "at_full_m": -1.0}]}, ValueError, "got -1.0"),
@@ -85,11 +89,49 @@ def test_terms_of_a_file(tmp_path):
         ({"action": {"name": "channels", "ids": ["S99"]}}, ValueError, "no channel 'S99' to comm"),
         ({"action": "common-offset"}, ValueError, "got 'false-position'"),
         ({"action": "along-target", "attack": "per-channel"}, ValueError, "no axis 'north'"),
+        ({"end": {"limit_m": 5.0}}, TypeError, "it has no `name`; `spoofgym.envs.terms.written`"),
+        ({"knowledge": "orakel", "observation": "time"}, ValueError, "did you mean 'oracle'"),
+        ({"reward": "alarm-penalty", "alarm_penalty_m": 5.0}, ValueError, "`reward` is given"),
+        ({"end": "at-alarm", "end_at_alarm": False}, ValueError, "`end` lists 'at-alarm', but"),
+        ({"twin": "no"}, ValueError, "`twin` must be True or False, got 'no'"),
+        ({"between": "linear"}, ValueError, "`between` 'linear' needs a `decision_interval_s`"),
+        ({"watch": 3}, TypeError, "`watch` must be a detector or a list of detectors, got 3"),
+        ({"detector": 3}, TypeError, "a detector is a name"),
+        ({"attack": {}}, TypeError, "an attack is a name .*tracking-1m"),
+        (
+            {"receiver": {"grade": "tactical"}, "domain": {"imu": ["consumer"]}},
+            ValueError,
+            "`receiver` has the grade 'tactical', but",
+        ),
     ],
 )
 def test_a_wrong_term_says_what_is_valid(kwargs, error, message):
     with pytest.raises(error, match=message):
         vector(2, **kwargs)
+
+
+SCALES = [
+    ("own-command", "scale_m"),
+    ("target-motion", "position_scale_m"),
+    ("target-motion", "velocity_scale_mps"),
+    ("estimate-error", "scale_m"),
+    ("divergence-spent", "budget_nats"),
+]
+
+
+@pytest.mark.parametrize(("name", "setting"), SCALES)
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.0, -1.0])
+def test_a_scale_is_a_finite_number_above_zero(name, setting, value):
+    with pytest.raises(ValueError, match=f"`{setting}` must be a finite number > 0, got {value}"):
+        make_terms("observation", {"name": name, setting: value})
+
+
+@pytest.mark.parametrize("name", ["displacement-gain", "retraction", "terminal-displacement"])
+def test_the_reward_of_a_metre_is_a_finite_number(name):
+    for value in (float("nan"), float("inf")):
+        with pytest.raises(ValueError, match=f"`per_m` must be a finite number, got {value}"):
+            make_terms("reward", {"name": name, "per_m": value})
+    assert make_terms("reward", {"name": name, "per_m": -1.0})[0].per_m == -1.0
 
 
 @dataclass(frozen=True)

@@ -137,6 +137,37 @@ def test_final_observation_and_information(name):
             assert info["final_obs"][i] is None
 
 
+def types(info):
+    """Type of every array, by key, `final_info` looked into."""
+    kinds = {key: value.dtype for key, value in info.items() if key != "final_info"}
+    within = info.get("final_info", {})
+    return {**kinds, **{f"final {key}": value.dtype for key, value in within.items()}}
+
+
+def test_the_types_of_the_last_information_are_those_of_gymnasium(name):
+    ours = make(name, "same_step")
+    theirs = gym.vector.SyncVectorEnv(
+        [lambda: gym.make(name, **settings(name))] * COUNT,
+        autoreset_mode=AutoresetMode.SAME_STEP,
+    )
+    ours.reset(seed=4)
+    theirs.reset(seed=4)
+    rng = np.random.default_rng(0)
+    ends = 0
+    while ends < 3:
+        given = actions(ours, rng)
+        *_, terminated, truncated, told = ours.step(given)
+        expected = theirs.step(given)[4]
+        ends += (terminated | truncated).any()
+        found, right = types(told), types(expected)
+        assert found.keys() == right.keys()
+        assert {key: kind == right[key] for key, kind in found.items()} == dict.fromkeys(
+            found, True
+        )
+    ours.close()
+    theirs.close()
+
+
 def test_a_finished_receiver_must_be_reset(name):
     envs = make(name, "disabled")
     with pytest.raises(RuntimeError, match="call reset"):

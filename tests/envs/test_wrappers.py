@@ -249,6 +249,14 @@ def test_recording_without_its_package_says_what_to_install(monkeypatch, tmp_pat
         EpochRecorder(tmp_path, 1)
 
 
+def test_a_folder_that_nothing_can_be_written_into_is_refused_at_birth(tmp_path):
+    path = tmp_path / "file"
+    path.write_text("")
+    for folder in (path, path / "deeper"):
+        with pytest.raises(ValueError, match=r"`folder` .*file.* can't be made"):
+            wrappers.RecordEpochs(single(), folder)
+
+
 def test_an_unfinished_wrapped_episode_survives_pickling(tmp_path):
     pytest.importorskip("pyarrow")
     env = wrappers.RecordEpochs(wrappers.WatchWrapper(single(), ["cusum"]), tmp_path)

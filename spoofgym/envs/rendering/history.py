@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from ..sight import Sight, Sky, Stage
 
 FloatArray = NDArray[np.float64]
+NUMBERS = ("time_s", "counted_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")
+"""What there is one of at every instant."""
 
 
 class RenderHistory:
@@ -20,6 +22,8 @@ class RenderHistory:
     ----------
     stage : Stage
         What does not change in it.
+    decision_s : float
+        Time between two instants, but for the last one, which comes after the time to alert.
 
     Attributes
     ----------
@@ -31,14 +35,12 @@ class RenderHistory:
         The present one.
     """
 
-    def __init__(self, stage: Stage) -> None:
+    def __init__(self, stage: Stage, decision_s: float) -> None:
         self.stage, self.count = stage, 0
+        self._decision_s = decision_s
         self.sky: Sky | None = None
         size = stage.steps + 1
-        self._numbers = {
-            name: np.full(size, np.nan)
-            for name in ("time_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")
-        }
+        self._numbers = {name: np.full(size, np.nan) for name in NUMBERS}
         self._pairs = {
             name: np.full((size, 2), np.nan)
             for name in ("position_ne", "error_ne", "twin_error_ne", "displacement_ne")
@@ -58,8 +60,10 @@ class RenderHistory:
         """
         k, self.count = self.count, self.count + 1
         apart = attacked.error_ne - twin.error_ne
+        since = info["time_s"] - self.stage.onset_s
         for name, value in {
-            "time_s": info["time_s"] - self.stage.onset_s,
+            "time_s": since,
+            "counted_s": min(since, k * self._decision_s),
             "ratio": attacked.ratio,
             "twin_ratio": twin.ratio,
             "induced_m": np.hypot(apart[0], apart[1]),
@@ -84,9 +88,9 @@ class RenderHistory:
         Parameters
         ----------
         name : str
-            ``time_s`` since the onset, ``ratio`` and ``twin_ratio`` of the statistic to its
-            threshold, ``induced_m`` from the clean twin, ``error_m`` from the truth,
-            ``undetected_m``, the undetected displacement.
+            ``time_s`` since the onset; ``counted_s``, that of the last command; ``ratio`` and
+            ``twin_ratio`` of the statistic to its threshold; ``induced_m`` from the clean twin;
+            ``error_m`` from the truth; ``undetected_m``, the undetected displacement.
 
         Returns
         -------

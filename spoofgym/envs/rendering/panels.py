@@ -6,6 +6,7 @@ A panel draws once what stays, keeps the artists that move, and lets them follow
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -28,6 +29,10 @@ LEAST_M = 2.0
 """Smallest range of errors that is shown."""
 NAME_DRIFT = 0.02
 """How far a satellite goes on a sky plot of radius 1 before its name follows."""
+NAME_SIZE = (0.16, 0.09)
+"""Width and height of a satellite's name on such a plot."""
+Box = tuple[float, float, float, float]
+"""Left, bottom, width and height."""
 MAGNIFIED = 0.2
 """Largest error on the map, as a part of the map."""
 MOST_LINEAR = 5.0
@@ -329,9 +334,11 @@ class SkyPlot:
             self._names = [
                 self._ax.text(0, 0, name, fontsize=7, ha="left", va="bottom") for name in sky.names
             ]
-        for text, seen, x, y in zip(self._names, sky.visible, *place, strict=True):
+        for text, seen, (x, y) in zip(
+            self._names, sky.visible, beside(place, sky.visible), strict=True
+        ):
             text.set_visible(bool(seen))
-            text.set_position((x + 0.06, y + 0.04))
+            text.set_position((x, y))
         self._named = place, sky.visible.copy()
         return True
 
@@ -353,6 +360,47 @@ class SkyPlot:
             (self._excluded, sky.visible & (sky.weight <= 0.0)),
         ):
             line.set_data(x[shown], y[shown])
+
+
+def beside(place: FloatArray, visible: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Lower left corners of names beside satellites, where they lie on nothing else if possible.
+
+    Parameters
+    ----------
+    place : ndarray
+        (2, n) of the satellites on the plot.
+    visible : ndarray
+        (n,) bool, which of them are drawn.
+
+    Returns
+    -------
+    list of tuple of float
+        n corners.
+    """
+    width, height = NAME_SIZE
+    taken = [(x - 0.05, y - 0.05, 0.1, 0.1) for x, y in place[:, visible].T.tolist()]
+    corners = []
+    for (x, y), seen in zip(place.T.tolist(), visible.tolist(), strict=True):
+        right, left, above, below = x + 0.06, x - 0.06 - width, y + 0.04, y - 0.04 - height
+        tried = [(right, above), (left, above), (right, below), (left, below)]
+        tried += [(right, y - height / 2), (left, y - height / 2)]
+        corner = min(tried, key=lambda at: _overlap((*at, width, height), taken))
+        if seen:
+            taken.append((*corner, width, height))
+        corners.append(corner)
+    return corners
+
+
+def _overlap(box: Box, others: Sequence[Box]) -> float:
+    """Area that a box shares with others; each by its corner, width and height."""
+    shared = 0.0
+    for other in others:
+        sides = [
+            max(0.0, min(box[i] + box[i + 2], other[i] + other[i + 2]) - max(box[i], other[i]))
+            for i in (0, 1)
+        ]
+        shared += sides[0] * sides[1]
+    return shared
 
 
 def _on_sky(sky: Sky) -> FloatArray:
@@ -530,6 +578,9 @@ class ErrorPanel(TimePanel):
         time = history.number("time_s")
         for name, line in self._lines:
             line.set_data(time, history.number(name))
+        # nothing more counts in the time to alert, which is part of the last step
+        counted, last = history.number("counted_s"), history.number("undetected_m")
+        self._lines[-1][1].set_data(np.append(counted, time[-1]), np.append(last, last[-1]))
         if self._commanded is not None:
             self._commanded.set_data(time, _size(history.pair("displacement_ne")))
 

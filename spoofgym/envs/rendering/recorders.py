@@ -104,7 +104,7 @@ class GameRecorder:
         interval = setup.scenario.epoch_interval_s
         route = slice(self._onset, self._onset + setup.steps + setup.hold + 1)
         return Stage(
-            title=f"{setup.world.name}: {setup.attack.label} against "
+            title=f"{setup.scenario.name}: {setup.attack.label} against "
             f"{detector_name(setup.detector)}",
             route_ne=self._local(setup.world.position_e[route] - self._origin()),
             interval_s=interval,

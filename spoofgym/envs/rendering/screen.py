@@ -52,7 +52,7 @@ class Screen:
         info : mapping
             Of the environment's reset.
         """
-        self._history = RenderHistory(self._recorder.begin())
+        self._history = RenderHistory(self._recorder.begin(), self._recorder.interval_s)
         self._painter = None
         self.add(info)
 

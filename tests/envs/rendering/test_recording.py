@@ -9,6 +9,7 @@ from spoofgym.envs import make_game, make_setup
 from spoofgym.envs.loose_plant import LoosePlant
 from spoofgym.envs.plant_game import PlantGame
 from spoofgym.envs.rendering import GameRecorder, PlantRecorder, RenderHistory, Seen
+from spoofgym.envs.rendering.panels import beside
 from spoofgym.envs.robot_plant import RobotPlant
 from spoofgym.envs.snapshot_plant import SnapshotPlant
 
@@ -38,7 +39,7 @@ def play(game, action, steps=8, seed=3):
     """History of some steps."""
     game.reset([np.random.default_rng(seed)])
     recorder = recorder_of(game)
-    history = RenderHistory(recorder.begin())
+    history = RenderHistory(recorder.begin(), recorder.interval_s)
     history.add(*recorder.look(), {k: v[0] for k, v in game.begin_info().items()})
     for _ in range(steps):
         turn = game.step(np.full((1, len(game.action_names)), action))
@@ -118,3 +119,29 @@ def test_an_attack_on_channels_has_no_commanded_position():
     history = play(game, 0.1, steps=2)
     assert not history.stage.commands_position
     assert np.isnan(history.pair("displacement_ne")).all()
+
+
+def test_a_picture_is_titled_by_its_scenario():
+    game = tight_game(scenario="realistic-two-constellations")
+    game.reset([np.random.default_rng(0)])
+    assert recorder_of(game).begin().title.startswith("realistic-two-constellations: ")
+
+
+def test_what_counts_is_drawn_up_to_the_last_command_and_not_beyond():
+    game = tight_game(detector="never", decision_interval_s=5.0)
+    history = play(game, 1.0, steps=2)
+    np.testing.assert_allclose(history.number("counted_s"), [0.0, 5.0, 10.0])
+    np.testing.assert_allclose(history.number("time_s"), [0.0, 5.0, 12.0])
+
+
+def test_names_of_satellites_lie_beside_one_another():
+    angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    place = np.stack([0.3 * np.cos(angles), 0.3 * np.sin(angles)])
+    corners = np.array(beside(place, np.ones(12, dtype=bool)))
+    apart = np.abs(corners[:, None] - corners[None]) - np.array([0.16, 0.09])
+    overlap = (apart < -1e-9).all(axis=-1)
+    plain = np.abs(place.T[:, None] - place.T[None]) - np.array([0.16, 0.09])
+    assert (plain < -1e-9).all(axis=-1).sum() > 12  # in the upper right they would
+    assert overlap.sum() == 12
+    alone = beside(np.zeros((2, 1)), np.ones(1, dtype=bool))
+    assert alone == [(0.06, 0.04)]
