@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from functools import partial
 from typing import Any, TypeVar
 
@@ -695,10 +694,15 @@ class Engine:
         Verdict
             Of the epoch.
         """
-        with self._next.kept_waiting() if self._next is not None else nullcontext():
-            self.predict(action)
-            verdict = self.judge()
-            self.update(verdict)
+        if self._next is None:
+            return self._step(action)
+        with self._next.kept_waiting():
+            return self._step(action)
+
+    def _step(self, action: FloatArray | None) -> Verdict:
+        self.predict(action)
+        verdict = self.judge()
+        self.update(verdict)
         return verdict
 
     def step_twin(self) -> Verdict:

@@ -151,9 +151,9 @@ class Tally:
         values: list[Any] = self.numbers.tolist()
         marks: list[Any] = self.flags.tolist()
         told = values[: _kernels.GAIN] + marks[: len(MARK_NAMES)]
-        info: dict[str, Any] = dict(zip(self._heads.told, told, strict=True))
-        for name, array in self.more.items():
-            info[name] = array.item()
+        info: dict[str, Any] = dict(zip(self._heads.told, told))  # noqa: B905  (costs a microsecond)
+        if self.more:
+            info.update((name, array.item()) for name, array in self.more.items())
         return (
             values[_kernels.REWARD],
             marks[_kernels.TERMINATED],
