@@ -275,7 +275,9 @@ class NextEpisodes:
         """Warm up some receivers; False if there is nothing to do."""
         least = min(LEAST_AT_ONCE, self._receivers)
         with link.change:
-            if link.stopped or len(self._asked) < (1 if link.urgent else least):
+            if link.stopped or link.failure is not None:  # which is to be told first
+                return False
+            if len(self._asked) < (1 if link.urgent else least):
                 return False
             slots = self._asked[:MOST_AT_ONCE]
             episodes = [self._episodes[slot] for slot in slots]

@@ -201,6 +201,22 @@ def test_what_goes_wrong_in_the_background_is_raised_once(setup, monkeypatch, wh
     assert np.array_equal(game.observe(), plain.observe())
 
 
+def test_nothing_is_begun_before_a_failure_has_been_told(setup, monkeypatch):
+    """A second call for work may be waiting already, and would have covered it up."""
+    game, rngs = game_of(setup, True), generators()
+    episodes = game.engine._next
+    calls = fail_once(monkeypatch, episodes, "_warm_up")
+    game.reset(rngs)
+    link = episodes._link
+    with link.change:
+        assert link.change.wait_for(lambda: link.failure is not None, timeout=60.0)
+    episodes.serve(link)
+    assert len(calls) == 1
+    with pytest.raises(MemoryError, match="for once"):
+        game.reset(rngs)
+    game.reset(rngs)
+
+
 def test_an_interrupted_wait_leaves_no_urgency(setup, monkeypatch):
     game, rngs = game_of(setup, True), generators()
     go_on = threading.Event()
