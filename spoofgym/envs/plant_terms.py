@@ -61,12 +61,15 @@ class PlantSetup(NamedTuple):
         Direction in which displacement counts, clockwise from north.
     world : None
         A plant keeps it to itself.
+    repeat : int
+        Epochs of a decision.
     """
 
     attack: PlantCommands
     steps: int
     target_heading_deg: float
     world: None = None
+    repeat: int = 1
 
 
 class PlantSnapshot(NamedTuple):
