@@ -16,7 +16,7 @@ from ..envs.observations import terms_of
 from ..envs.observer import Observer
 from ..envs.setup import Setup
 from ..envs.snapshot import Snapshot
-from ..spoofers import SUFFIX, Spoofer, make_spoofer
+from ..spoofers import SUFFIX, Spoofer, SpooferContext, make_spoofer
 from .agent import PolicyDetector
 from .onnx_detector import OnnxDetector
 
@@ -145,11 +145,31 @@ def pooled_detector(
     return PooledDetector(members, weights)
 
 
+def between_decisions(context: SpooferContext, setup: Setup) -> SpooferContext:
+    """What a spoofer is told, with the decisions that it takes instead of epochs.
+
+    Parameters
+    ----------
+    context : SpooferContext
+        Of epochs, as cards have it.
+    setup : Setup
+        Knows the decisions.
+
+    Returns
+    -------
+    SpooferContext
+        A ramp that is held for several epochs gets to its rate, not to several times that.
+    """
+    return context._replace(
+        interval_s=context.interval_s * setup.repeat, steps=context.steps // setup.repeat
+    )
+
+
 class SpooferPool:
     """Spoofers of which one commands a receiver for a whole episode.
 
-    Every spoofer that has a receiver at present is called once an epoch, with the observations that
-    its knowledge allows, for all receivers; each receiver takes the command of its own.
+    Every spoofer that has a receiver at present is called once a decision, with the observations
+    that its knowledge allows, for all receivers; each receiver takes the command of its own.
 
     Parameters
     ----------
@@ -203,7 +223,7 @@ class SpooferPool:
                 f"the spoofer {label_of(spec)!r} does not fit this duel on "
                 f"{setup.scenario.name!r}:\n  " + "\n  ".join(found)
             )
-        made.bind(context)
+        made.bind(between_decisions(context, setup))
         made.reset()
         return made
 
@@ -224,7 +244,7 @@ class SpooferPool:
             spoofer.reset(mask)
 
     def act(self, snapshot: Snapshot, rows: NDArray[np.intp]) -> FloatArray:
-        """Command some receivers for the coming epoch; the spoofers of the others stand still.
+        """Let the spoofers of some receivers decide; those of the others stand still.
 
         Parameters
         ----------

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._memory import Memory
 from ..detectors import Detector, Verdict
 from ._kernels import (
     ALARM,
@@ -277,7 +278,12 @@ class Game:
             error_n = position_error_n(self.setup, self.engine.batch)
             self._origin[where] = error_n[where, :2]
         if self._watch is not None:
-            self._watch.reset(where, self.engine)
+            self._watch.reset(where, self._watched)
+
+    @property
+    def _watched(self) -> Memory:
+        """What the detectors beside the one in the loop have seen."""
+        return self.engine.batch.witness(Watch).memory
 
     def displacement(self) -> FloatArray:
         """Displacement that counts, of this epoch, (B,) [m]."""
@@ -387,7 +393,7 @@ class Game:
             Rewards, ends and information.
         """
         if self._watch is not None:
-            self._watch.forget(self.engine)
+            self._watch.forget(self._watched)
         looked_at = self._ends or self.listeners or self.setup.repeat > 1
         decide = self._decide if looked_at else self._decide_at_once
         tally = decide(self.actor.command(action))
@@ -397,7 +403,7 @@ class Game:
             captured = self.engine.batch.attack.memory["captured"]
             tally.more["captured_channels"] = captured.sum(axis=1)
         if self._watch is not None:
-            tally.more.update(self._watch.step_info(self.engine))
+            tally.more.update(self._watch.step_info(self._watched))
         return tally
 
     def _reward(self, tally: Tally, action: FloatArray) -> None:

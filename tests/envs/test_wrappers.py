@@ -81,7 +81,7 @@ def test_a_game_that_has_begun_is_left_alone(make, module):
 
 def test_other_environments_are_refused():
     with pytest.raises(TypeError, match="needs a SpoofEnv"):
-        wrappers.WatchWrapper(gym.make("spoofgym/Snapshot-v0"), ["cusum"])
+        wrappers.WatchWrapper(gym.make("spoofgym/SpooferView-v0", timeline=SHORT), ["cusum"])
 
 
 def test_make_vec_refuses_wrappers_where_there_is_a_vector_form():
