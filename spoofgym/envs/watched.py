@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Detector, DetectorContext, Verdict
+from ..detectors.pool import JointMemory
 from ..receiver.epoch import Epoch
-from .pool import JointMemory
 from .witness import Watch
 
 
