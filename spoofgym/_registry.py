@@ -39,6 +39,22 @@ def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
         raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
 
 
+def is_number(value: object) -> bool:
+    """Whether a setting is a real number, and no truth value.
+
+    Parameters
+    ----------
+    value : object
+        Of the user.
+
+    Returns
+    -------
+    bool
+        True for infinite ones and NaN, too.
+    """
+    return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
+
+
 def check_keywords(
     whose: Callable[..., Any] | str, given: Iterable[str], valid: Iterable[str]
 ) -> None:
@@ -70,7 +86,13 @@ def check_keywords(
             )
 
 
-def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: Any) -> T:
+def build(
+    word: str,
+    kinds: Mapping[str, type[T]],
+    base: Callable[..., T],
+    spec: Any,
+    others: Iterable[str] = (),
+) -> T:
     """Object by name, by name and settings, or a copy of an object.
 
     Parameters
@@ -83,6 +105,8 @@ def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec:
         Their base class.
     spec : str, dict or object
         A name; ``{"name": ..., "setting": value, ...}``; or an object, which is copied.
+    others : iterable of str
+        Names that the caller takes beside those, for messages.
 
     Returns
     -------
@@ -102,8 +126,9 @@ def build(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec:
     if isinstance(spec, str):
         spec = {"name": spec}
     if not isinstance(spec, Mapping) or not isinstance(spec.get("name"), str):
+        article, names = "an" if word[0] in "aeiou" else "a", sorted({*kinds, *others})
         raise TypeError(
-            f"a {word} is a name ({', '.join(sorted(kinds))}), a dict with a `name`, or an "
+            f"{article} {word} is a name ({', '.join(names)}), a dict with a `name`, or an "
             f"instance of {kind.__module__}.{kind.__qualname__}, got {spec!r}"
         )
     settings = dict(spec)

@@ -69,9 +69,9 @@ def make_attack(spec: str | Mapping[str, Any] | Attack) -> Attack:
         spec = {"name": spec}
     if isinstance(spec, Mapping) and isinstance(spec.get("name"), str):
         name = spec["name"]
-        check_choice("attack", name, [*ATTACKS, *THREATS])
+        check_choice("attack", name, {*ATTACKS, *THREATS})
         if name in THREATS:
             settings = {key: value for key, value in spec.items() if key != "name"}
             changed = "".join(f" {key}={settings[key]}" for key in sorted(settings))
             spec = {**THREATS[name], "threat": f"{name}{changed}", **settings}
-    return build("attack", ATTACKS, Attack, spec)
+    return build("attack", ATTACKS, Attack, spec, THREATS)

@@ -295,6 +295,7 @@ def test_after_a_change_of_the_pool_all_receivers_begin_anew(make):
         (duel_v0.SpooferView, {"pool": "ewna"}, "did you mean 'ewma'"),
         (duel_v0.SpooferView, {"pool": ["ewma"], "weights": [0.5, 0.5]}, "one number for each"),
         (duel_v0.SpooferView, {"pool": ["ewma"], "weights": [-1.0]}, "finite, >= 0, and not all"),
+        (duel_v0.SpooferView, {"pool": ["ewma"], "weights": ["x"]}, "`weights` must be numbers"),
         (duel_v0.SpooferView, {"pool": 3}, "`pool` must be an opponent or a list"),
         (duel_v0.SpooferView, {"pool": "gone.onnx"}, "there is no gone.onnx"),
         (duel_v0.DetectorView, {"pool": "ramq"}, "did you mean 'ramp'"),
