@@ -89,10 +89,10 @@ class DetectorVectorView(PooledVectorView[DetectorGame]):
     autoreset_mode : {"next_step", "same_step", "disabled"} or AutoresetMode
         When a finished receiver begins its next episode; with ``disabled``, when ``reset`` is
         called with ``options={"reset_mask": ...}``.
-    infos : {"all", "none"} or sequence of str
-        Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
     threads : int, optional
         Threads of the engine.
+    infos : {"all", "none"} or sequence of str
+        Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
     render_mode : None
         There is nothing to render.
     **settings
@@ -106,8 +106,8 @@ class DetectorVectorView(PooledVectorView[DetectorGame]):
         weights: Weights = None,
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        infos: InfoSpec = "all",
         threads: int | None = None,
+        infos: InfoSpec = "all",
         render_mode: None = None,
         **settings: Any,
     ) -> None:

@@ -88,9 +88,9 @@ class SpooferSide:
         rules = dict(settings)
         world = {name: rules.pop(name) for name in WORLD if name in rules}
         self._receivers = receivers
-        # a reward of its own has its own price
-        price = {} if rules.get("reward") is not None else {"alarm_penalty_m": 0.0}
-        self._rules = {**price, **rules}
+        # with a reward of one's own there is no default one to be without a price
+        free = {} if rules.get("reward") is not None else {"alarm_penalty_m": 0.0}
+        self._rules = {**free, **rules}
         self._setup = make_setup(detector="never", **world)
         self.labels: tuple[str, ...] = ()
         self.game = self.play(pool, weights)
@@ -222,10 +222,10 @@ class SpooferVectorView(PooledVectorView[Game]):
     autoreset_mode : {"next_step", "same_step", "disabled"} or AutoresetMode
         When a finished receiver begins its next episode; with ``disabled``, when ``reset`` is
         called with ``options={"reset_mask": ...}``.
-    infos : {"all", "none"} or sequence of str
-        Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
     threads : int, optional
         Threads of the engine.
+    infos : {"all", "none"} or sequence of str
+        Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
     render_mode : None
         There is nothing to render.
     **settings
@@ -239,8 +239,8 @@ class SpooferVectorView(PooledVectorView[Game]):
         weights: Weights = None,
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        infos: InfoSpec = "all",
         threads: int | None = None,
+        infos: InfoSpec = "all",
         render_mode: None = None,
         **settings: Any,
     ) -> None:
