@@ -39,51 +39,8 @@ def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
         raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
 
 
-def is_number(value: object) -> bool:
-    """Whether a setting is a real number, and no truth value.
-
-    Parameters
-    ----------
-    value : object
-        Of the user.
-
-    Returns
-    -------
-    bool
-        True for infinite ones and NaN, too.
-    """
-    return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
-
-
-def check_keywords(
-    whose: Callable[..., Any] | str, given: Iterable[str], valid: Iterable[str]
-) -> None:
-    """Raise unless keyword arguments are known, as Python does where they have no ``**``.
-
-    Parameters
-    ----------
-    whose : callable or str
-        What takes them, or its name; the other arguments of a callable are valid, too.
-    given, valid : iterable of str
-        Names of those that are given, and of those that it takes by ``**``.
-
-    Raises
-    ------
-    TypeError
-        Lists the valid names, and the nearest one.
-    """
-    names = {*valid}
-    if not isinstance(whose, str):
-        own = inspect.signature(whose).parameters.values()
-        names |= {each.name for each in own if each.kind is not each.VAR_KEYWORD}
-        whose = whose.__name__
-    for name in given:
-        if name not in names:
-            near = difflib.get_close_matches(name, names, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise TypeError(
-                f"{whose} has no argument {name!r}; valid: {', '.join(sorted(names))}{hint}"
-            )
+def _article(word: str) -> str:
+    return "an" if word[0] in "aeiou" else "a"
 
 
 def build(
@@ -91,7 +48,8 @@ def build(
     kinds: Mapping[str, type[T]],
     base: Callable[..., T],
     spec: Any,
-    others: Iterable[str] = (),
+    *,
+    more: Iterable[str] = (),
 ) -> T:
     """Object by name, by name and settings, or a copy of an object.
 
@@ -105,8 +63,8 @@ def build(
         Their base class.
     spec : str, dict or object
         A name; ``{"name": ..., "setting": value, ...}``; or an object, which is copied.
-    others : iterable of str
-        Names that the caller takes beside those, for messages.
+    more : iterable of str
+        Further names that the caller knows of, for messages.
 
     Returns
     -------
@@ -126,9 +84,10 @@ def build(
     if isinstance(spec, str):
         spec = {"name": spec}
     if not isinstance(spec, Mapping) or not isinstance(spec.get("name"), str):
-        article, names = "an" if word[0] in "aeiou" else "a", sorted({*kinds, *others})
+        names = {*kinds, *more}
         raise TypeError(
-            f"{article} {word} is a name ({', '.join(names)}), a dict with a `name`, or an "
+            f"{_article(word)} {word} is a name ({', '.join(sorted(names))}), a dict with a "
+            f"`name`, or an "
             f"instance of {kind.__module__}.{kind.__qualname__}, got {spec!r}"
         )
     settings = dict(spec)
@@ -229,3 +188,50 @@ def build_record(
             raise ValueError(f"`{word}` has no setting {name!r}; valid: {', '.join(valid)}")
     check_plain_settings(kind, settings)
     return kind(**settings)
+
+
+def is_number(value: object) -> bool:
+    """Whether a setting is a real number, and no truth value.
+
+    Parameters
+    ----------
+    value : object
+        Of the user.
+
+    Returns
+    -------
+    bool
+        True for infinite ones and NaN, too.
+    """
+    return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
+
+
+def check_keywords(
+    whose: Callable[..., Any] | str, given: Iterable[str], valid: Iterable[str]
+) -> None:
+    """Raise unless keyword arguments are known, as Python does where they have no ``**``.
+
+    Parameters
+    ----------
+    whose : callable or str
+        What takes them, or its name; the other arguments of a callable are valid, too.
+    given, valid : iterable of str
+        Names of those that are given, and of those that it takes by ``**``.
+
+    Raises
+    ------
+    TypeError
+        Lists the valid names, and the nearest one.
+    """
+    names = {*valid}
+    if not isinstance(whose, str):
+        own = inspect.signature(whose).parameters.values()
+        names |= {each.name for each in own if each.kind is not each.VAR_KEYWORD}
+        whose = whose.__name__
+    for name in given:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise TypeError(
+                f"{whose} has no argument {name!r}; valid: {', '.join(sorted(names))}{hint}"
+            )

@@ -137,7 +137,7 @@ def test_numbers_and_truth_values_are_no_words(settings, message):
 )
 def test_a_message_has_the_right_article_and_every_name_once(word: str, expected: str) -> None:
     with pytest.raises(TypeError, match=rf"^{expected}.*\(circle, far, point, square\), a dict"):
-        build(word, KINDS, Shape, 3, ("far", "circle"))
+        build(word, KINDS, Shape, 3, more=("far", "circle"))
 
 
 def test_unknown_keywords_are_named_with_all_valid_ones() -> None:

@@ -74,4 +74,4 @@ def make_attack(spec: str | Mapping[str, Any] | Attack) -> Attack:
             settings = {key: value for key, value in spec.items() if key != "name"}
             changed = "".join(f" {key}={settings[key]}" for key in sorted(settings))
             spec = {**THREATS[name], "threat": f"{name}{changed}", **settings}
-    return build("attack", ATTACKS, Attack, spec, THREATS)
+    return build("attack", ATTACKS, Attack, spec, more=THREATS)
