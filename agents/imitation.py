@@ -9,7 +9,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import Profile
-from spoofgym.spoofers.base import direction as unit_command
+from spoofgym.spoofers.aim import direction as unit_command
 from spoofgym.spoofers.profile import sampled
 
 FloatArray = NDArray[np.float64]

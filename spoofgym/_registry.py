@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import difflib
+import inspect
 import numbers
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, cast
@@ -187,3 +188,50 @@ def build_record(
             raise ValueError(f"`{word}` has no setting {name!r}; valid: {', '.join(valid)}")
     check_plain_settings(kind, settings)
     return kind(**settings)
+
+
+def is_number(value: object) -> bool:
+    """Whether a setting is a real number, and no truth value.
+
+    Parameters
+    ----------
+    value : object
+        Of the user.
+
+    Returns
+    -------
+    bool
+        True for infinite ones and NaN, too.
+    """
+    return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
+
+
+def check_keywords(
+    whose: Callable[..., Any] | str, given: Iterable[str], valid: Iterable[str]
+) -> None:
+    """Raise unless keyword arguments are known, as Python does where they have no ``**``.
+
+    Parameters
+    ----------
+    whose : callable or str
+        What takes them, or its name; the other arguments of a callable are valid, too.
+    given, valid : iterable of str
+        Names of those that are given, and of those that it takes by ``**``.
+
+    Raises
+    ------
+    TypeError
+        Lists the valid names, and the nearest one.
+    """
+    names = {*valid}
+    if not isinstance(whose, str):
+        own = inspect.signature(whose).parameters.values()
+        names |= {each.name for each in own if each.kind is not each.VAR_KEYWORD}
+        whose = whose.__name__
+    for name in given:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise TypeError(
+                f"{whose} has no argument {name!r}; valid: {', '.join(sorted(names))}{hint}"
+            )

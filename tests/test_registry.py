@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from spoofgym._registry import build, build_record, check_choice
+from spoofgym._registry import build, build_record, check_choice, check_keywords
 
 
 class Shape:
@@ -129,3 +129,23 @@ def test_numbers_and_truth_values_are_no_words(settings, message):
         build_record("grid", Grid, settings)
     right = {"cells": np.int64(4), "wrap": np.True_, "spacing": None}
     assert build_record("grid", Grid, right).cells == 4
+
+
+@pytest.mark.parametrize(
+    ("word", "expected"),
+    [("attack", "an attack is a name"), ("end term", "an end term"), ("shape", "a shape")],
+)
+def test_a_message_has_the_right_article_and_every_name_once(word: str, expected: str) -> None:
+    with pytest.raises(TypeError, match=rf"^{expected}.*\(circle, far, point, square\), a dict"):
+        build(word, KINDS, Shape, 3, more=("far", "circle"))
+
+
+def test_unknown_keywords_are_named_with_all_valid_ones() -> None:
+    def draw(colour: str, *, width: float = 1.0, **style: object) -> None:
+        """Takes some arguments by name, and some by `style`."""
+
+    check_keywords(draw, ["dash", "colour"], ["dash"])
+    with pytest.raises(TypeError, match=r"^draw has no argument 'dsh'; valid: colour, dash, width"):
+        check_keywords(draw, ["dsh"], ["dash"])
+    with pytest.raises(TypeError, match=r"^the pen has no argument 'x'; valid: dash$"):
+        check_keywords("the pen", ["x"], ["dash"])

@@ -103,7 +103,7 @@ from spoofgym.envs.rewards import AlarmPenalty, DisplacementGain, Retraction, Re
 from spoofgym.envs.setup import Setup
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE, Profile, card_of, shipped
-from spoofgym.spoofers.base import direction
+from spoofgym.spoofers.aim import direction
 from spoofgym.spoofers.card import Card, fields_of
 from spoofgym.spoofers.onnx_policy import OnnxPolicy
 from spoofgym.tasks import task_of

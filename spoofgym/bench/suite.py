@@ -20,6 +20,7 @@ from .. import __version__
 from ..attacks import ATTACKS, Attack, make_attack
 from ..detectors import DETECTORS, Detector
 from ..envs.attach import spoofer_context as spoofer_context
+from ..envs.attach import warn_of_headings
 from ..envs.domain import Domain
 from ..envs.observer import Observer
 from ..envs.presets import default_terms, make_setup
@@ -223,18 +224,22 @@ class Suite:
     def check_fit(self) -> None:
         """Raise where a spoofer does not fit the attack, before anything is played.
 
+        Spoofers that ignore a target direction that is drawn are warned of.
+
         Raises
         ------
         ValueError
             Tells what differs.
         """
+        bound = []
         for entry in self.spoofer_entries:
             spec = entry.spec
             if entry.tuned:
                 kind = type(build_spoofer(entry.with_value(1.0)))
                 low, _ = kind.tuning_range(spoofer_context(self._setup))
                 spec = entry.with_value(low)
-            make_bound_spoofer(spec, self._setup, 1)
+            bound.append(make_bound_spoofer(spec, self._setup, 1)[0])
+        warn_of_headings(bound, self._setup)
 
     @cached_property
     def world(self) -> Scenario:

@@ -64,7 +64,10 @@ def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray
     """
     if members < 1:
         raise ValueError("`pool` must have at least one opponent, got none")
-    given = np.ones(members) if weights is None else np.array(weights, dtype=np.float64)
+    try:
+        given = np.ones(members) if weights is None else np.array(weights, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`weights` must be numbers, got {weights!r}") from error
     if given.shape != (members,):
         raise ValueError(
             f"`weights` must have one number for each of the {members} opponents, got {weights!r}"

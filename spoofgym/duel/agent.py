@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import check_choice
+from .._registry import check_choice, is_number
 from ..detectors import Detector, DetectorContext, Verdict
 from ..detectors.pool import JointMemory
 from ..receiver.epoch import Epoch
@@ -79,8 +79,10 @@ def check_exclusion(exclusion_s: float | None) -> None:
     ValueError
         When it is not finite, or negative.
     """
-    if exclusion_s is not None and not (np.isfinite(exclusion_s) and exclusion_s >= 0.0):
-        raise ValueError(f"`exclusion_s` must be finite and >= 0, or None, got {exclusion_s}")
+    if exclusion_s is None:
+        return
+    if not (is_number(exclusion_s) and np.isfinite(exclusion_s) and exclusion_s >= 0.0):
+        raise ValueError(f"`exclusion_s` must be finite and >= 0, or None, got {exclusion_s!r}")
 
 
 @dataclass
@@ -233,8 +235,8 @@ class PolicyDetector(DetectorAgent):
         if not isinstance(self.policy, DetectorPolicy):
             raise TypeError(f"`policy` must be a DetectorPolicy, got {self.policy!r}")
         check_delay(self.decision_delay)
-        if not 0.0 < self.threshold <= 1.0:
-            raise ValueError(f"`threshold` must be in (0, 1], got {self.threshold}")
+        if not (is_number(self.threshold) and 0.0 < self.threshold <= 1.0):
+            raise ValueError(f"`threshold` must be a number in (0, 1], got {self.threshold!r}")
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare the policy.

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._describe import describe, digest_of
+from .._registry import is_number
 from ..detectors import DetectorContext
 from .agent import policy_context
 from .calibration import Calibration, fewest_runs, quantile_of
@@ -116,8 +117,11 @@ def calibrate(
 def _check(false_alarm: float, runs: int, confidence: float, receivers: int) -> None:
     """Raise unless the request makes sense."""
     for name, value in (("false_alarm", false_alarm), ("confidence", confidence)):
-        if not 0.0 < value < 1.0:
-            raise ValueError(f"`{name}` must be in (0, 1), got {value}")
+        if not (is_number(value) and 0.0 < value < 1.0):
+            raise ValueError(f"`{name}` must be in (0, 1), got {value!r}")
+    for name, count in (("runs", runs), ("receivers", receivers)):
+        if not isinstance(count, int | np.integer) or isinstance(count, bool):
+            raise ValueError(f"`{name}` must be a whole number, got {count!r}")
     if runs < fewest_runs(false_alarm):
         raise ValueError(
             f"`runs` must be at least {fewest_runs(false_alarm)} for `false_alarm` = "

@@ -7,15 +7,19 @@ from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from ..envs.game_env import GameEnv, refuse_rendering
+from .._registry import check_keywords
+from ..envs.game_env import GameEnv
 from ..envs.game_vector_env import autoreset_mode_of, check_vector_settings
+from ..envs.infos import InfoSpec
 from .detector_game import DetectorGame
 from .opponents import SpooferSpec
-from .rules import make_duel
+from .rules import SETTINGS, make_duel, refuse_to_draw
 from .spoofer_view import Weights
 from .vector_view import PooledVectorView
 
 SpooferPoolSpec = Sequence[SpooferSpec] | SpooferSpec
+VALID = tuple(name for name in SETTINGS if name != "knowledge")
+"""Settings of a view of the detector's side: each spoofer has a knowledge of its own."""
 
 
 class DetectorView(GameEnv[DetectorGame]):
@@ -32,7 +36,7 @@ class DetectorView(GameEnv[DetectorGame]):
     weights : sequence of float, optional
         Probability of each; all alike by default.
     render_mode : None
-        There is nothing to render.
+        Only the spoofer's side draws its episode.
     **settings
         As in `spoofgym.duel_v0.env`, but for ``knowledge``, which each spoofer has of its own, and
         ``decision_delay``: 0 by default, as in the AEC form, or 1, as in the parallel one.
@@ -51,8 +55,9 @@ class DetectorView(GameEnv[DetectorGame]):
         render_mode: None = None,
         **settings: Any,
     ) -> None:
-        refuse_rendering(render_mode)
-        duel = make_duel(1, **{**settings, "threads": 1})
+        refuse_to_draw("DetectorView", render_mode)
+        check_keywords(DetectorView, settings, VALID)
+        duel = make_duel(1, threads=1, **settings)
         super().__init__(DetectorGame(duel, pool, weights))
 
     @property
@@ -86,6 +91,8 @@ class DetectorVectorView(PooledVectorView[DetectorGame]):
         called with ``options={"reset_mask": ...}``.
     threads : int, optional
         Threads of the engine.
+    infos : {"all", "none"} or sequence of str
+        Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
     render_mode : None
         There is nothing to render.
     **settings
@@ -100,13 +107,15 @@ class DetectorVectorView(PooledVectorView[DetectorGame]):
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
+        infos: InfoSpec = "all",
         render_mode: None = None,
         **settings: Any,
     ) -> None:
         mode = autoreset_mode_of(autoreset_mode)
         check_vector_settings(num_envs, render_mode)
+        check_keywords(DetectorVectorView, settings, VALID)
         duel = make_duel(num_envs, threads=threads, **settings)
-        super().__init__(DetectorGame(duel, pool, weights), mode)
+        super().__init__(DetectorGame(duel, pool, weights), mode, infos)
 
     @property
     def opponents(self) -> list[str]:

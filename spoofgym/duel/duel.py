@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from .._registry import is_number
 from ..attacks import Attack
 from ..detectors.pool import NATURE, uniforms
 from ..envs.domain import Domain
@@ -105,8 +106,10 @@ class Duel:
         check_delay(decision_delay)
         if type(setup.detector) is not DetectorAgent:
             raise TypeError(f"the detector of `setup` must be an agent, got {setup.detector!r}")
-        if not 0.0 <= attack_probability <= 1.0:
-            raise ValueError(f"`attack_probability` must be in [0, 1], got {attack_probability}")
+        if not (is_number(attack_probability) and 0.0 <= attack_probability <= 1.0):
+            raise ValueError(
+                f"`attack_probability` must be a number in [0, 1], got {attack_probability!r}"
+            )
         self.decision_delay, self.attack_probability = decision_delay, attack_probability
         self.payoff = make_payoff(payoff)
         self.threshold = make_threshold(threshold, false_alarm, receivers)

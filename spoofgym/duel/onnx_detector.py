@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from .._files import write_file
-from ..spoofers import SUFFIX
-from ..spoofers.card_parts import PolicyFile, Record, Space
+from ..spoofers import SPOOFERS, SUFFIX
+from ..spoofers.card_parts import PolicyFile, Record, Space, kind_of, told
 from ..spoofers.onnx_file import check_signature, opset_of, read_model
 from ..spoofers.onnx_policy import make_session
 from .calibration import Calibration
@@ -181,7 +181,13 @@ class OnnxDetector(DetectorPolicy):
         try:
             self.card = DetectorCard.model_validate_json(text)
         except ValidationError as error:
-            raise ValueError(f"{path} is no card of a detector policy: {error}") from error
+            kind = kind_of(text)
+            if kind in SPOOFERS:
+                raise ValueError(
+                    f"{path} is the card of a spoofer ({kind}), which is no detector policy: it "
+                    "belongs into the pool of a DetectorView"
+                ) from error
+            raise ValueError(f"{path} is no card of a detector policy: {told(error)}") from error
         digest = hashlib.sha256(self._content).hexdigest()
         if digest != self.card.file.sha256:
             raise ValueError(f"{self.file} is not the file of its card: its digest is {digest}")

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from ..detectors import Detector, make_detector
 from ..detectors.pool import PooledDetector, checked_weights, drawn
-from ..envs.attach import card_behind, spoofer_context
-from ..envs.observations import terms_of
+from ..envs.attach import card_behind, spoofer_context, warn_of_headings
 from ..envs.observer import Observer
+from ..envs.presets import default_terms
 from ..envs.setup import Setup
 from ..envs.snapshot import Snapshot
+from ..envs.spaces import checked_action
 from ..spoofers import SUFFIX, Spoofer, make_spoofer
 from .agent import PolicyDetector
 from .onnx_detector import OnnxDetector
@@ -188,12 +189,15 @@ class SpooferPool:
         self._chances = checked_weights(len(specs), weights)
         self._observers: dict[str, Observer] = {}
         self._spoofers = [self._made(spec, setup, receivers) for spec in specs]
+        warn_of_headings(self._spoofers, setup)
+        self._action_names = setup.attack.action_names(setup.world)
+        self._shape = receivers, len(self._action_names)
         self.opponent = np.zeros(receivers, dtype=np.int64)
 
     def _made(self, spec: SpooferSpec, setup: Setup, receivers: int) -> Spoofer:
         made = make_spoofer(dict(spec) if isinstance(spec, Mapping) else spec)
         observer = self._observers.setdefault(
-            made.knowledge, Observer(terms_of(made.knowledge), setup)
+            made.knowledge, Observer(default_terms(setup, made.knowledge), setup)
         )
         context = spoofer_context(setup, receivers, observer)
         card = card_behind(spec, made)
@@ -236,22 +240,32 @@ class SpooferPool:
         Returns
         -------
         ndarray
-            (B, a), 0 for the others.
+            (B, a) float64, 0 for the others.
+
+        Raises
+        ------
+        ValueError
+            When an action has another shape, or is not finite or outside [-1, 1]; names the
+            spoofer.
         """
-        command: FloatArray | None = None
+        command = np.zeros(self._shape)
         seen: dict[str, NDArray[np.float32]] = {}
         for k in np.unique(self.opponent[rows]):
             spoofer = self._spoofers[k]
             if spoofer.knowledge not in seen:
                 seen[spoofer.knowledge] = self._observers[spoofer.knowledge].observe(snapshot)
             before = {name: np.array(array) for name, array in spoofer.memory.items()}
-            action = spoofer.act(seen[spoofer.knowledge])
+            action = self._checked(k, spoofer.act(seen[spoofer.knowledge]))
             for name, array in before.items():
                 array[rows] = spoofer.memory[name][rows]
                 spoofer.memory[name] = array
-            command = np.zeros_like(action) if command is None else command
             own = rows[self.opponent[rows] == k]
             command[own] = action[own]
-        if command is None:
-            raise ValueError("there is no receiver to command")
         return command
+
+    def _checked(self, k: int, action: Any) -> FloatArray:
+        """Action of a spoofer for all receivers, as the duel takes it."""
+        try:
+            return checked_action(action, self._shape, self._action_names)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"the spoofer {self.labels[k]!r} of the pool: {error}") from error

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build
+from .._registry import build, is_number
 from .calibration import Calibration
 
 FloatArray = NDArray[np.float64]
@@ -89,8 +89,8 @@ class Weighted:
         """Check the prices."""
         for name in ("false_alarm", "delay_per_s", "error_per_m"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+            if not (is_number(value) and np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"`{name}` must be finite and >= 0, got {value!r}")
 
     def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
         """Rewards of the spoofer and of the detector; they add up to 0 under attack only."""
@@ -240,18 +240,13 @@ def make_threshold(
     ValueError
         When it is something else, or outside (0, 1].
     """
-    if not 0.0 < false_alarm < 1.0:
-        raise ValueError(f"`false_alarm` must be in (0, 1), got {false_alarm}")
+    if not (is_number(false_alarm) and 0.0 < false_alarm < 1.0):
+        raise ValueError(f"`false_alarm` must be in (0, 1), got {false_alarm!r}")
     if isinstance(threshold, Calibration):
         threshold = threshold.threshold
-    if isinstance(threshold, str):
-        if threshold != RUNNING:
-            raise ValueError(
-                "`threshold` must be 'running', a number in (0, 1] or a calibration, got "
-                f"{threshold!r}"
-            )
+    if isinstance(threshold, str) and threshold == RUNNING:
         return RunningThreshold(false_alarm, receivers)
-    if isinstance(threshold, bool) or not 0.0 < float(threshold) <= 1.0:
+    if isinstance(threshold, str) or not (is_number(threshold) and 0.0 < threshold <= 1.0):
         raise ValueError(
             f"`threshold` must be 'running', a number in (0, 1] or a calibration, got {threshold!r}"
         )

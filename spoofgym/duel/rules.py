@@ -10,8 +10,8 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from .._registry import check_choice
-from ..envs.game_env import refuse_rendering, told_domain
+from .._registry import check_keywords
+from ..envs.game_env import told_domain
 from ..envs.resets import warn_unknown
 from ..envs.spaces import action_space, checked_action, observation_space
 from .duel import Duel, DuelTurn, duel_setup
@@ -35,6 +35,30 @@ SETTINGS = (*SETUP, *list(inspect.signature(Duel).parameters)[2:-1])
 """All settings of a duel."""
 OPTIONS = ("domain",)
 """Options that a reset knows."""
+FORMS = ("env", "parallel_env")
+"""Forms of the duel, by their `decision_delay`."""
+
+
+def refuse_to_draw(whose: str, render_mode: object) -> None:
+    """Raise unless nothing is to be rendered.
+
+    Parameters
+    ----------
+    whose : str
+        What is asked to render.
+    render_mode : object
+        Of the user.
+
+    Raises
+    ------
+    ValueError
+        When it is not None; tells what draws the same episodes.
+    """
+    if render_mode is not None:
+        raise ValueError(
+            f"`render_mode` must be None, there is nothing to render in {whose}: of the duel only "
+            f"SpooferView draws its episodes; got {render_mode!r}"
+        )
 
 
 class Rules:
@@ -59,8 +83,18 @@ class Rules:
         Name of every element, by agent.
     """
 
-    def __init__(self, decision_delay: int, render_mode: None = None, **settings: Any) -> None:
-        refuse_rendering(render_mode)
+    def __init__(
+        self, decision_delay: int, /, *, render_mode: None = None, **settings: Any
+    ) -> None:
+        form = f"duel_v0.{FORMS[decision_delay]}"
+        refuse_to_draw(form, render_mode)
+        if "decision_delay" in settings:
+            raise TypeError(
+                f"{form} takes no `decision_delay`: it is 0 in duel_v0.env and 1 in "
+                "duel_v0.parallel_env, which are two games"
+            )
+        valid = [name for name in SETTINGS if name != "decision_delay"]
+        check_keywords(form, settings, [*valid, "render_mode"])
         self.duel = make_duel(1, decision_delay=decision_delay, threads=1, **settings)
         game, agent = self.duel.game, self.duel.agent
         self.observation_names = {SPOOFER: game.observation_names, DETECTOR: agent.sight.names}
@@ -175,8 +209,12 @@ def make_duel(receivers: int, *, threads: int | None = None, **settings: Any) ->
     -------
     Duel
         Not reset yet.
+
+    Raises
+    ------
+    TypeError
+        When one is unknown; the valid ones are listed.
     """
-    for name in settings:
-        check_choice("setting of the duel", name, SETTINGS)
+    check_keywords("the duel", settings, SETTINGS)
     shared = {name: settings.pop(name) for name in SETUP if name in settings}
     return Duel(receivers, duel_setup(**shared), threads=threads, **settings)

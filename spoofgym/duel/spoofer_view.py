@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+import inspect
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
+from .._registry import check_keywords
 from ..detectors import Detector
 from ..envs.game import Game
-from ..envs.game_env import GameEnv, refuse_rendering
+from ..envs.game_env import GameEnv
 from ..envs.game_vector_env import autoreset_mode_of, check_vector_settings
+from ..envs.infos import InfoSpec
 from ..envs.presets import make_game, make_setup
+from ..envs.rendering import GameRecorder, Recorder
 from ..envs.setup import Setup
 from .opponents import DetectorSpec, label_of, members_of, pooled_detector
 from .vector_view import PooledVectorView
@@ -29,6 +33,40 @@ WORLD = (
     "decision_interval_s",
     "between",
 )
+RULES = tuple(
+    name
+    for name in inspect.signature(make_game).parameters
+    if name not in ("receivers", "setup", "threads")
+)
+"""Settings of the game beside those of its world."""
+
+
+def check_settings(kind: type, settings: Mapping[str, Any], pool: DetectorPool) -> None:
+    """Raise unless all settings of a view of the spoofer's side are known.
+
+    Parameters
+    ----------
+    kind : type
+        The view.
+    settings : mapping
+        By name.
+    pool : list
+        Opponents.
+
+    Raises
+    ------
+    TypeError
+        When one is unknown; the valid ones are listed.
+    ValueError
+        When a detector is set beside the pool; names both.
+    """
+    if settings.get("detector") is not None:
+        labels = ", ".join(label_of(spec) for spec in members_of(pool, Detector))
+        raise ValueError(
+            f"two detectors are set at once: `pool` = {labels} and `detector` = "
+            f"{settings['detector']!r}; {kind.__name__} takes its detectors by `pool` alone"
+        )
+    check_keywords(kind, settings, (*WORLD, *RULES))
 
 
 class SpooferSide:
@@ -125,8 +163,8 @@ class SpooferView(GameEnv[Game]):
         threshold), or paths of ``.onnx`` files with a card; a single one may stand for itself.
     weights : sequence of float, optional
         Probability of each; all alike by default.
-    render_mode : None
-        There is nothing to render.
+    render_mode : {"human", "rgb_array"}, optional
+        As in `SpoofEnv`.
     **settings
         As in `SpoofEnv`, but for the detector; ``alarm_penalty_m`` is 0 by default.
 
@@ -141,12 +179,16 @@ class SpooferView(GameEnv[Game]):
         pool: DetectorPool = "ewma",
         weights: Weights = None,
         *,
-        render_mode: None = None,
+        render_mode: str | None = None,
         **settings: Any,
     ) -> None:
-        refuse_rendering(render_mode)
+        check_settings(SpooferView, settings, pool)
         self._side = SpooferSide(1, pool, weights, {**settings, "threads": 1})
-        super().__init__(self._side.game)
+        super().__init__(self._side.game, render_mode)
+
+    def _recorder(self) -> Recorder | None:
+        """What looks at the receiver."""
+        return GameRecorder(self.game)
 
     @property
     def opponent(self) -> str:
@@ -162,6 +204,9 @@ class SpooferView(GameEnv[Game]):
             As above.
         """
         self.game = self._side.change(pool, weights)
+        if self._screen is not None:
+            self._screen.close()
+            self._draw_with(self._recorder())
         self._running = False
 
 
@@ -179,6 +224,8 @@ class SpooferVectorView(PooledVectorView[Game]):
         called with ``options={"reset_mask": ...}``.
     threads : int, optional
         Threads of the engine.
+    infos : {"all", "none"} or sequence of str
+        Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
     render_mode : None
         There is nothing to render.
     **settings
@@ -193,13 +240,15 @@ class SpooferVectorView(PooledVectorView[Game]):
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
+        infos: InfoSpec = "all",
         render_mode: None = None,
         **settings: Any,
     ) -> None:
         mode = autoreset_mode_of(autoreset_mode)
         check_vector_settings(num_envs, render_mode)
+        check_settings(SpooferVectorView, settings, pool)
         self._side = SpooferSide(num_envs, pool, weights, {**settings, "threads": threads})
-        super().__init__(self._side.game, mode)
+        super().__init__(self._side.game, mode, infos)
 
     @property
     def opponents(self) -> list[str]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from ..envs.game_env import G
-from ..envs.game_vector_env import GameVectorEnv
+from ..envs.game_vector_env import Array, GameVectorEnv
+from ..envs.resets import mask_of
 
 RESET_FIRST = "the pool has changed: call reset() before step()"
+RESET_ALL = "the pool has changed: the next reset must be that of all receivers"
 
 
 class PooledVectorView(GameVectorEnv[G]):
@@ -21,21 +24,31 @@ class PooledVectorView(GameVectorEnv[G]):
 
     pool_changed: bool = False
 
-    def reset(self, **kwargs: Any) -> Any:
-        """Begin an episode in every receiver.
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array, dict[str, Any]]:
+        """Begin an episode in every receiver, or in some.
 
         Parameters
         ----------
-        **kwargs
-            ``seed`` and ``options``, as in `GameVectorEnv`.
+        seed, options : optional
+            As in `GameVectorEnv`; after a change of the pool all receivers have to begin anew.
 
         Returns
         -------
         observation, info
             As in `GameVectorEnv`.
         """
+        if self.pool_changed:
+            mask = mask_of(options, self.num_envs)
+            if mask is not None and not mask.all():
+                raise ValueError(RESET_ALL)
+        begun = super().reset(seed=seed, options=options)
         self.pool_changed = False
-        return super().reset(**kwargs)
+        return begun
 
     def step(self, actions: Any) -> Any:
         """Run one epoch of every receiver.

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterable, Mapping
 from numbers import Real
 from typing import Any
 
 from .._describe import describe, unlike
-from ..spoofers import Card, Spoofer, SpooferContext, card_of, make_spoofer, shipped
+from ..spoofers import (
+    Card,
+    ScriptedSpoofer,
+    Spoofer,
+    SpooferContext,
+    card_of,
+    make_spoofer,
+    shipped,
+)
+from ..spoofers.aim import TARGET, has_heading
 from .game import Game
 from .observer import Observer
 from .presets import make_setup
@@ -79,7 +89,36 @@ def attach(
             )
     made.bind(context)
     made.reset()
+    warn_of_headings([made], game.setup)
     return made
+
+
+def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
+    """Warn of spoofers that push along a fixed heading where the target direction is drawn.
+
+    Parameters
+    ----------
+    spoofers : iterable of Spoofer
+        Who is to play.
+    setup : Setup
+        Target and attack.
+    """
+    commands = setup.attack.action_names(setup.world)
+    if setup.target_heading_deg != "random" or not has_heading(commands):
+        return
+    fixed = [
+        f"{type(each).__name__} (heading_deg={each.heading_deg:g})"
+        for each in spoofers
+        if isinstance(each, ScriptedSpoofer) and each.heading_deg != TARGET
+    ]
+    if fixed:
+        warnings.warn(
+            "the target direction is drawn for every episode (target_heading_deg='random'), but "
+            f"along a fixed heading push {', '.join(fixed)}; with heading_deg='{TARGET}' a "
+            "scripted spoofer follows the target direction",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def spoofer_context(

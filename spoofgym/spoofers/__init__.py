@@ -119,4 +119,4 @@ def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
     name = resolved.get("name") if isinstance(resolved, Mapping) else resolved
     if isinstance(name, str):
         check_choice("spoofer", name, [*SPOOFERS, *shipped()])
-    return build("spoofer", SPOOFERS, Spoofer, resolved)
+    return build("spoofer", SPOOFERS, Spoofer, resolved, more=shipped())

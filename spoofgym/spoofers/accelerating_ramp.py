@@ -19,7 +19,7 @@ class AcceleratingRamp(ScriptedSpoofer):
     ----------
     acceleration_mps2 : float
         Acceleration; negative against the heading, or to shorter ranges.
-    heading_deg : float
+    heading_deg : float or "target"
         As in `ScriptedSpoofer`.
     """
 

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
+from .aim import Aim, check_heading
 
 FloatArray = NDArray[np.float64]
 KNOWLEDGE = ("blind", "tracking", "oracle")
-AXES = ("north", "east", "down")
-"""Axes by which the actions of a false position are named."""
 
 
 class SpooferContext(NamedTuple):
@@ -144,7 +143,7 @@ class Spoofer(ABC):
 
 @dataclass(kw_only=True)
 class ScriptedSpoofer(Spoofer):
-    r"""Pushes along one line, blindly, by a rule for the rate of every epoch.
+    r"""Pushes along one line by a rule for the rate of every epoch, blind for what comes of it.
 
     The rate v and the displacement D that it has commanded follow the attack's own kinematics,
 
@@ -155,19 +154,20 @@ class ScriptedSpoofer(Spoofer):
 
     Parameters
     ----------
-    heading_deg : float
-        Direction of a false position, clockwise from north.  An attack on single channels has no
-        heading: there all channels are commanded alike, which moves the receiver's clock alone if
-        they are all that it sees.
+    heading_deg : float or "target"
+        Direction of a false position, clockwise from north; or the target direction, where it is
+        observed: ``target_heading_deg="random"`` draws it for every episode.  An attack on single
+        channels has no heading: there all channels are commanded alike, which moves the receiver's
+        clock alone if they are all that it sees.
     """
 
-    heading_deg: float = 90.0
+    heading_deg: float | str = 90.0
 
     knowledge = "blind"
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        check_finite("heading_deg", self.heading_deg)
+        check_heading(self.heading_deg)
 
     def bind(self, context: SpooferContext) -> None:
         """Prepare for a batch of receivers.
@@ -178,7 +178,7 @@ class ScriptedSpoofer(Spoofer):
             Sizes, limits and names.
         """
         super().bind(context)
-        self._direction = direction(context.action_names, self.heading_deg)
+        self._aim = Aim(context, self.heading_deg)
         for name in ("step", "rate", "displacement"):
             self.memory.declare(name, np.zeros(context.receivers))
 
@@ -205,7 +205,7 @@ class ScriptedSpoofer(Spoofer):
         Parameters
         ----------
         observation : ndarray
-            Not looked at.
+            (B, o); looked at for the target direction alone, where that is the heading.
 
         Returns
         -------
@@ -227,43 +227,7 @@ class ScriptedSpoofer(Spoofer):
         memory["displacement"] = memory["displacement"] + mean * context.interval_s
         memory["rate"] = after
         memory["step"] = memory["step"] + 1.0
-        return np.ascontiguousarray(size[:, None] * self._direction)
-
-
-def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
-    """Unit command along a heading, or the same command for every channel.
-
-    Parameters
-    ----------
-    action_names : tuple of str
-        Of the attack.
-    heading_deg : float
-        Clockwise from north.
-
-    Returns
-    -------
-    ndarray
-        (a,) in [-1, 1].
-
-    Raises
-    ------
-    ValueError
-        When the attack has no command along the heading.
-    """
-    axes = [name.rsplit("_", 1)[0] for name in action_names]
-    if not set(axes) <= set(AXES):
-        return np.ones(len(axes))
-    heading = math.radians(heading_deg % 360.0)
-    wanted = {"north": math.cos(heading), "east": math.sin(heading), "down": 0.0}
-    for name, part in wanted.items():
-        if abs(part) < 1e-12:
-            wanted[name] = 0.0
-        elif name not in axes:
-            raise ValueError(
-                f"`heading_deg` = {heading_deg:g} needs a command to the {name}, but the attack "
-                f"commands {', '.join(action_names)}"
-            )
-    return np.array([wanted[name] for name in axes])
+        return np.ascontiguousarray(size[:, None] * self._aim(observation))
 
 
 def check_finite(name: str, value: float) -> None:

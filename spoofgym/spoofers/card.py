@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from .._describe import unlike
 from .._files import write_file
 from .base import SpooferContext
-from .card_parts import Conditions, Knowledge, PolicyFile, Record, Score, Space
+from .card_parts import Conditions, Knowledge, PolicyFile, Record, Score, Space, kind_of, told
 
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 """What a spoofer with a card may be called."""
@@ -116,7 +116,12 @@ class Card(Record):
         except OSError as error:
             raise ValueError(f"there is no card {path} ({error.strerror})") from error
         except ValidationError as error:
-            raise ValueError(f"card {path}: {_told(error)}") from error
+            if kind_of(text) == "detector-policy":
+                raise ValueError(
+                    f"card {path} is that of a detector policy, which is no spoofer: it belongs "
+                    "into the pool of a SpooferView"
+                ) from error
+            raise ValueError(f"card {path}: {told(error)}") from error
         except ValueError as error:
             raise ValueError(f"card {path} is not JSON: {error}") from error
 
@@ -206,16 +211,3 @@ def _order(word: str, card: Space, names: tuple[str, ...]) -> list[str]:
 
 def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is no number")
-
-
-def _told(error: ValidationError) -> str:
-    """What is wrong with which fields, in one line."""
-    parts = []
-    for item in error.errors():
-        where = ".".join(map(str, item["loc"]))
-        message = item["msg"].removeprefix("Value error, ")
-        got = item["input"]
-        small = got is None or isinstance(got, str | int | float)
-        told = f", got {got!r}" if small and item["type"] != "missing" else ""
-        parts.append(f"`{where}`: {message}{told}" if where else message)
-    return "; ".join(parts)

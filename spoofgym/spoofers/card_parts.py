@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Literal, Self
 
 from pydantic import (
@@ -11,6 +12,7 @@ from pydantic import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
+    ValidationError,
     model_validator,
 )
 
@@ -151,3 +153,48 @@ class Score(Record):
                 f"{self.undetected_displacement_m}, {self.low} and {self.high}"
             )
         return self
+
+
+def kind_of(text: str) -> str | None:
+    """Kind that a card says.
+
+    Parameters
+    ----------
+    text : str
+        Of the card.
+
+    Returns
+    -------
+    str or None
+        None where it says none.
+    """
+    try:
+        card = json.loads(text)
+    except ValueError:
+        return None
+    kind = card.get("kind") if isinstance(card, dict) else None
+    return kind if isinstance(kind, str) else None
+
+
+def told(error: ValidationError) -> str:
+    """What is wrong with which fields, in one line.
+
+    Parameters
+    ----------
+    error : ValidationError
+        Of a card.
+
+    Returns
+    -------
+    str
+        For a message.
+    """
+    parts = []
+    for item in error.errors():
+        where = ".".join(map(str, item["loc"]))
+        message = item["msg"].removeprefix("Value error, ")
+        got = item["input"]
+        small = got is None or isinstance(got, str | int | float)
+        told = f", got {got!r}" if small and item["type"] != "missing" else ""
+        parts.append(f"`{where}`: {message}{told}" if where else message)
+    return "; ".join(parts)

@@ -36,7 +36,7 @@ class Intermittent(ScriptedSpoofer):
         How many bursts there are, at least 1; None for as many as the episode has time for.
     scale : float
         Factor of all sizes.
-    heading_deg : float
+    heading_deg : float or "target"
         As in `ScriptedSpoofer`.
     """
 

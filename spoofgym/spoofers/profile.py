@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from .base import AXES, FloatArray, ScriptedSpoofer, SpooferContext, check_finite, direction
+from .aim import Aim, has_heading
+from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_finite
 
 FEWEST_KNOTS, MOST_KNOTS = 2, 64
 
@@ -71,7 +72,7 @@ class Profile(ScriptedSpoofer):
         self._across = sampled(self.cross_rates_mps or (0.0, 0.0), context.steps)
         self._check_limit(context.rate_limit_mps)
         if self.cross_rates_mps:
-            self._right = _to_the_right(context.action_names, self.heading_deg)
+            self._right = _to_the_right(context, self.heading_deg)
             for name in ("cross_rate", "cross_displacement"):
                 self.memory.declare(name, np.zeros(context.receivers))
 
@@ -114,7 +115,7 @@ class Profile(ScriptedSpoofer):
         Parameters
         ----------
         observation : ndarray
-            Not looked at.
+            As in `ScriptedSpoofer.act`.
 
         Returns
         -------
@@ -138,7 +139,8 @@ class Profile(ScriptedSpoofer):
         memory["displacement"] = memory["displacement"] + mean[0] * tau
         memory["cross_displacement"] = memory["cross_displacement"] + mean[1] * tau
         memory["step"] = memory["step"] + 1.0
-        action = size[0][:, None] * self._direction + size[1][:, None] * self._right
+        along, right = self._aim(observation), self._right(observation)
+        action = size[0][:, None] * along + size[1][:, None] * right
         return np.ascontiguousarray(np.clip(action, -1.0, 1.0))
 
 
@@ -181,19 +183,21 @@ def shortened(vector: FloatArray, limit: float) -> FloatArray:
     return np.asarray(vector * (limit / np.maximum(length, limit)))
 
 
-def _to_the_right(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
+def _to_the_right(context: SpooferContext, heading_deg: float | str) -> Aim:
     """Unit command to the right of the heading."""
-    if not {name.rsplit("_", 1)[0] for name in action_names} <= set(AXES):
+    commands = ", ".join(context.action_names)
+    if not has_heading(context.action_names):
         raise ValueError(
             "`cross_rates_mps` needs an attack that moves a false position, but this one commands "
-            f"{', '.join(action_names)}"
+            f"{commands}"
         )
     try:
-        return direction(action_names, heading_deg + 90.0)
+        return Aim(context, heading_deg, 90.0)
     except ValueError as error:
+        said = heading_deg if isinstance(heading_deg, str) else f"{heading_deg:g}"
         raise ValueError(
-            f"`cross_rates_mps` needs a command to the right of `heading_deg` = {heading_deg:g}, "
-            f"but the attack commands {', '.join(action_names)} only"
+            f"`cross_rates_mps` needs a command to the right of `heading_deg` = {said}, "
+            f"but the attack commands {commands} only"
         ) from error
 
 

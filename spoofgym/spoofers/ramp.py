@@ -21,7 +21,7 @@ class Ramp(ScriptedSpoofer):
     ----------
     rate_mps : float
         Rate; negative against the heading, or to shorter ranges.
-    heading_deg : float
+    heading_deg : float or "target"
         As in `ScriptedSpoofer`.
     """
 

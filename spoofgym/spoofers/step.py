@@ -35,7 +35,7 @@ class Step(ScriptedSpoofer):
     ----------
     size_m : float
         Displacement; negative against the heading, or to shorter ranges.
-    heading_deg : float
+    heading_deg : float or "target"
         As in `ScriptedSpoofer`.
     """
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from ..attacks import Attack
 from ..envs.attach import setup_of_card, spoofer_context
 from ..envs.engine import Engine
-from ..envs.observations import terms_of
 from ..envs.observer import Observer
-from ..envs.presets import make_setup
+from ..envs.presets import default_terms, make_setup
 from ..envs.setup import Setup, Timeline
 from ..envs.snapshot import Snapshot
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
+from ..spoofers.aim import TARGET
 from .contract import no_global_chance, read_only_given, require, require_fresh
 from .trial import Record, Trial, check_memory, run_trial
 
@@ -71,7 +71,7 @@ def check_spoofer(
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         setup = _setup(unbound, attack)
-        observer = Observer(terms_of(unbound.knowledge), setup)
+        observer = Observer(default_terms(setup, unbound.knowledge), setup)
         context = spoofer_context(setup, RECEIVERS, observer)
         _check_tuning(unbound, context)
         observations = _perform(unbound, setup, observer, context)
@@ -83,7 +83,13 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
     card = getattr(spoofer, "card", None)
     if card is None:
         attack = "false-position" if attack is None else attack
-        return make_setup(attack=attack, timeline=TIMELINE, detector="ewma")
+        follows = getattr(spoofer, "heading_deg", None) == TARGET
+        return make_setup(
+            attack=attack,
+            timeline=TIMELINE,
+            detector="ewma",
+            target_heading_deg="random" if follows else 90.0,
+        )
     own = setup_of_card(card)
     return make_setup(
         scenario=own.scenario,
@@ -91,6 +97,7 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
         attack=own.attack if attack is None else attack,
         detector=own.detector,
         timeline=replace(TIMELINE, attack_s=own.timeline.attack_s),
+        target_heading_deg=own.target_heading_deg,
     )
 
 

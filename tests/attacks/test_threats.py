@@ -37,6 +37,14 @@ def test_a_threat_is_a_spec_that_fits_into_json_and_names_itself(name):
     assert {**vars(again)} == {**vars(attack)}
 
 
+def test_messages_list_attacks_and_threats_once() -> None:
+    names = sorted({*ATTACKS, *THREATS})
+    with pytest.raises(ValueError, match=rf"unknown attack 'mecaoner'; valid: {', '.join(names)};"):
+        make_attack("mecaoner")
+    with pytest.raises(TypeError, match=rf"^an attack is a name \({', '.join(names)}\), a dict"):
+        make_attack(3)
+
+
 def test_changed_settings_of_a_threat_stand_in_its_label():
     attack = make_attack({"name": "tracking-1m", "rate_limit_mps": 2.0})
     assert (attack.rate_limit_mps, attack.tracking.sd_m) == (2.0, 1.0)

@@ -30,6 +30,13 @@ def test_runs_share_no_noise_between_splits_scenarios_runs_and_campaigns() -> No
     assert len(found) == 2 * len(SPLITS) * 2 * 5
 
 
+def test_spoofers_that_ignore_a_target_that_is_drawn_are_warned_of() -> None:
+    drawn = {"target_heading_deg": "random", "detectors": ("never",)}
+    with pytest.warns(UserWarning, match=r"push Ramp \(heading_deg=90\), Step \(heading_deg=90\);"):
+        small_suite(spoofers=("ramp", "step"), **drawn).check_fit()
+    small_suite(spoofers=({"name": "step", "heading_deg": "target"},), **drawn).check_fit()
+
+
 def test_more_runs_begin_with_the_same_ones() -> None:
     few = [words(seed) for seed in seed_sequences(3, "evaluation", "zhong2025", 4)]
     many = [words(seed) for seed in seed_sequences(3, "evaluation", "zhong2025", 9)]

@@ -5,8 +5,11 @@ from __future__ import annotations
 import re
 import warnings
 
+import gymnasium as gym
 import numpy as np
 import pytest
+
+import spoofgym  # noqa: F401
 
 from .pages import blocks_of, broken_links, run
 
@@ -30,6 +33,22 @@ SMALLER = [
     (r'(?<=\{)"knowledge": ', f'"{SHORT.replace("=", chr(34) + ": ")}, "knowledge": '),
 ]
 """What makes a block small; each has to be found on the page."""
+
+
+REFUSED = [
+    *(("same_step", name) for name in ("Normalize", "Flatten", "Dtype", "Rescale")),
+    ("disabled", "Normalize"),
+]
+
+
+@pytest.mark.parametrize(("mode", "name"), REFUSED)
+def test_wrappers_of_observations_refuse_the_modes_that_the_page_says(mode, name):
+    given = {"Dtype": (np.float64,), "Rescale": (-1.0, 1.0)}.get(name, ())
+    wrapper = getattr(gym.wrappers.vector, f"{name}Observation")
+    envs = gym.make_vec("spoofgym/Snapshot-v0", num_envs=2, autoreset_mode=mode)
+    with pytest.raises(ValueError, match=r"autoreset_mode"):
+        wrapper(envs, *given)
+    envs.close()
 
 
 def smaller(code: str) -> str:

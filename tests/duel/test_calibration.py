@@ -137,3 +137,17 @@ def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):
 def test_bad_policies(policy, message):
     with pytest.raises((ValueError, TypeError), match=message):
         duel_v0.calibrate(policy, **SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"false_alarm": "x"}, r"`false_alarm` must be in \(0, 1\), got 'x'"),
+        ({"runs": 19.5}, "`runs` must be a whole number, got 19.5"),
+        ({"receivers": "x"}, "`receivers` must be a whole number, got 'x'"),
+        ({"exclusion_s": "x"}, "`exclusion_s` must be finite and >= 0, or None, got 'x'"),
+    ],
+)
+def test_bad_requests(settings, message):
+    with pytest.raises(ValueError, match=message):
+        duel_v0.calibrate(wary, **{**SETTINGS, **settings})

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0
+from spoofgym.spoofers.zoo import ZOO_FOLDER
 
 from ..spoofers.policies import network
 from .support import SHORT
@@ -96,6 +97,24 @@ def test_damaged_cards(file, fields, message):
     edit(file, **fields)
     with pytest.raises(ValueError, match=message):
         duel_v0.SpooferView(str(file), timeline=SHORT)
+
+
+def test_a_policy_of_the_other_side_is_told_where_it_belongs(file):
+    with pytest.raises(
+        ValueError, match=r"guard.json is that of a detector policy, .* SpooferView"
+    ):
+        duel_v0.DetectorView(str(file), timeline=SHORT)
+    spoofer = ZOO_FOLDER / "ewma-blind.onnx"
+    with pytest.raises(ValueError, match=r"ewma-blind.json is the card of a spoofer .* DetectorVi"):
+        duel_v0.SpooferView(str(spoofer), timeline=SHORT)
+
+
+def test_a_damaged_card_is_told_in_one_line(file):
+    edit(file, threshold=1.5, weighs="often")
+    with pytest.raises(ValueError, match="no card of a detector policy: `weighs`: ") as told:
+        duel_v0.OnnxDetector(file)
+    assert "\n" not in str(told.value)
+    assert "errors.pydantic.dev" not in str(told.value)
 
 
 def test_other_files(file, tmp_path):

@@ -1,6 +1,7 @@
 """PettingZoo's own suite, and what it does not test: whole trajectories, fresh dicts, bad input."""
 
 import hashlib
+import inspect
 import pickle
 import subprocess
 import sys
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test
 from pettingzoo.utils import parallel_to_aec
+
+from spoofgym import duel_v0
 
 from .support import QUIET, aec, parallel
 
@@ -197,6 +200,14 @@ def test_bad_actions_of_the_aec_form():
         ({"threshold": "run"}, "'running', a number"),
         ({"false_alarm": 1.0}, r"`false_alarm` must be in \(0, 1\)"),
         ({"attack_probability": 1.5}, r"in \[0, 1\], got 1.5"),
+        ({"threshold": None}, r"`threshold` must be 'running', a number in \(0, 1\] .* got None"),
+        ({"threshold": True}, r"`threshold` must be 'running', a number .* got True"),
+        ({"false_alarm": "x"}, r"`false_alarm` must be in \(0, 1\), got 'x'"),
+        ({"attack_probability": "x"}, r"`attack_probability` must be a number in .* got 'x'"),
+        ({"attack_probability": None}, r"`attack_probability` must be a number in .* got None"),
+        ({"exclusion_s": "x"}, r"`exclusion_s` must be finite and >= 0, or None, got 'x'"),
+        ({"exclusion_s": True}, r"`exclusion_s` must be finite and >= 0, or None, got True"),
+        ({"decision_delay": 0}, r"duel_v0.parallel_env takes no `decision_delay`: it is 0 in duel"),
         ({"weighs": "yes"}, "`weighs` must be True or False"),
         ({"render_mode": "human"}, "nothing to render"),
         ({"thresholds": 0.5}, "did you mean 'threshold'"),
@@ -209,6 +220,13 @@ def test_bad_actions_of_the_aec_form():
 def test_bad_settings(kwargs, message):
     with pytest.raises((ValueError, TypeError), match=message):
         parallel(**kwargs)
+
+
+def test_raw_env_names_its_valid_arguments():
+    with pytest.raises(TypeError, match=r"^duel_v0.env has no argument 'thresholds'") as told:
+        duel_v0.raw_env(thresholds=0.5)
+    valid = str(told.value).partition("valid: ")[2].partition(";")[0].split(", ")
+    assert {*valid} == {*inspect.signature(duel_v0.env).parameters}
 
 
 def test_pettingzoo_is_imported_when_it_is_needed():

@@ -13,15 +13,16 @@ DRAWN = {
     "target_heading_deg": "random",
 }
 TOLD = {"start_s": 12.0, "world": 1, "target_heading_deg": 45.0}
+RAMP = {"name": "ramp", "heading_deg": "target"}
 SINGLE = {
     "aec": lambda: aec(**DRAWN),
     "parallel": lambda: parallel(**DRAWN),
     "spoofer": lambda: duel_v0.SpooferView("never", **DRAWN),
-    "detector": lambda: duel_v0.DetectorView("ramp", **DRAWN),
+    "detector": lambda: duel_v0.DetectorView(RAMP, **DRAWN),
 }
 VECTOR = {
     "spoofers": lambda **more: duel_v0.SpooferVectorView(3, "never", **DRAWN, **more),
-    "detectors": lambda **more: duel_v0.DetectorVectorView(3, "ramp", **DRAWN, **more),
+    "detectors": lambda **more: duel_v0.DetectorVectorView(3, RAMP, **DRAWN, **more),
 }
 
 
@@ -88,7 +89,7 @@ def test_both_forms_and_the_views_begin_alike():
         view.reset(seed=8, options={"domain": TOLD})[0], observations["spoofer_0"]
     )
     assert duel.step({"spoofer_0": np.zeros(2), "detector_0": QUIET})
-    guard = duel_v0.DetectorView("ramp", decision_delay=1, **DRAWN)
+    guard = duel_v0.DetectorView(RAMP, decision_delay=1, **DRAWN)
     np.testing.assert_array_equal(guard.reset(seed=8, options={"domain": TOLD})[0], seen)
 
 

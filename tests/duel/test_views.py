@@ -22,6 +22,11 @@ DOMAIN = {
     "domain": {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
     "target_heading_deg": "random",
 }
+FOLLOWING = [
+    {"name": "ramp", "rate_mps": 0.5, "heading_deg": "target"},
+    "none",
+    Ramp(rate_mps=3.0, heading_deg="target"),
+]
 DETECTOR = {"pool": SPOOFERS, "timeline": SHORT, "attack": STRONG, "threshold": 0.5}
 
 
@@ -85,7 +90,7 @@ def single_runs(make, act, seed, steps):
         (
             duel_v0.DetectorView,
             duel_v0.DetectorVectorView,
-            {**DETECTOR, **DOMAIN},
+            {**DETECTOR, **DOMAIN, "pool": FOLLOWING},
             detector_actions,
         ),
         (
@@ -260,23 +265,121 @@ def test_a_pool_can_be_changed_between_episodes():
 
 
 @pytest.mark.parametrize(
+    "make",
+    [
+        lambda: duel_v0.SpooferVectorView(2, **SPOOFER, autoreset_mode="disabled"),
+        lambda: duel_v0.DetectorVectorView(2, **DETECTOR, autoreset_mode="disabled"),
+    ],
+)
+def test_after_a_change_of_the_pool_all_receivers_begin_anew(make):
+    envs = make()
+    action = np.zeros(envs.action_space.shape)
+    envs.reset(seed=1)
+    envs.step(action)
+    envs.set_pool(["never"] if isinstance(envs, duel_v0.SpooferVectorView) else ["none"])
+    for options in ({"reset_mask": np.array([True, False])}, {"domain": 3}):
+        with pytest.raises((ValueError, TypeError), match=r"that of all receivers|must be a dict"):
+            envs.reset(options=options)
+        with pytest.raises(RuntimeError, match="the pool has changed"):
+            envs.step(action)
+    envs.reset(options={"reset_mask": np.array([True, True])})
+    envs.step(action)
+    envs.reset(options={"reset_mask": np.array([True, False])})
+    envs.step(action)
+
+
+@pytest.mark.parametrize(
     ("make", "kwargs", "message"),
     [
         (duel_v0.SpooferView, {"pool": []}, "at least one opponent"),
         (duel_v0.SpooferView, {"pool": "ewna"}, "did you mean 'ewma'"),
         (duel_v0.SpooferView, {"pool": ["ewma"], "weights": [0.5, 0.5]}, "one number for each"),
         (duel_v0.SpooferView, {"pool": ["ewma"], "weights": [-1.0]}, "finite, >= 0, and not all"),
+        (duel_v0.SpooferView, {"pool": ["ewma"], "weights": ["x"]}, "`weights` must be numbers"),
         (duel_v0.SpooferView, {"pool": 3}, "`pool` must be an opponent or a list"),
         (duel_v0.SpooferView, {"pool": "gone.onnx"}, "there is no gone.onnx"),
         (duel_v0.DetectorView, {"pool": "ramq"}, "did you mean 'ramp'"),
         (duel_v0.DetectorView, {"decision_delay": 2}, "`decision_delay` must be 0 or 1, got 2"),
         (duel_v0.DetectorView, {"pool": "ewma-blind"}, "spoofer 'ewma-blind' does not fit this"),
-        (duel_v0.DetectorView, {"attak": "x"}, "did you mean 'attack'"),
+        (
+            duel_v0.DetectorView,
+            {"render_mode": "rgb_array"},
+            "in DetectorView: .* only SpooferView",
+        ),
+        (duel_v0.SpooferView, {"render_mode": "svg"}, "render mode 'svg'; valid: human, rgb_array"),
+        (duel_v0.SpooferVectorView, {"infos": ["tim_s"]}, "did you mean 'time_s'"),
     ],
 )
 def test_bad_settings(make, kwargs, message):
     with pytest.raises((ValueError, TypeError), match=message):
         make(**{"timeline": SHORT, **kwargs})
+
+
+VIEWS = [
+    duel_v0.SpooferView,
+    duel_v0.SpooferVectorView,
+    duel_v0.DetectorView,
+    duel_v0.DetectorVectorView,
+]
+
+
+@pytest.mark.parametrize("make", VIEWS)
+def test_unknown_arguments_are_named_with_the_valid_ones(make):
+    message = rf"^{make.__name__} has no argument .attak.; valid: .*attack, .* pool, .*mean .attack"
+    with pytest.raises(TypeError, match=message) as told:
+        make(attak="meaconer")
+    assert "make_game" not in str(told.value)
+    hidden = "knowledge" if "Detector" in make.__name__ else "detector"
+    assert f" {hidden}," not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "kwargs"),
+    [
+        (gym.make, {}),
+        (gym.make_vec, {"num_envs": 2}),
+    ],
+)
+def test_a_detector_beside_the_pool_is_one_too_many(make, kwargs):
+    with pytest.raises(ValueError, match=r"two detectors .* `pool` = ewma, .* = 'cusum'; Sp"):
+        make("spoofgym/BenchT6-v1", detector="cusum", **kwargs)
+
+
+@pytest.mark.parametrize(
+    ("make", "kwargs", "key"),
+    [
+        (duel_v0.SpooferVectorView, SPOOFER, "displacement_m"),
+        (duel_v0.DetectorVectorView, DETECTOR, "statistic"),
+    ],
+)
+def test_infos_are_handed_out_as_asked_for(make, kwargs, key):
+    for infos, expected in (("none", set()), ([key], {key, f"_{key}"})):
+        envs = make(2, infos=infos, **kwargs)
+        envs.reset(seed=1)
+        *_, info = envs.step(np.zeros(envs.action_space.shape))
+        assert set(info) == expected
+
+
+def test_the_spoofers_view_draws_its_episodes():
+    pytest.importorskip("matplotlib")
+    view = duel_v0.SpooferView(**SPOOFER, render_mode="rgb_array")
+    plain = duel_v0.SpooferView(**SPOOFER)
+    for seed, pool in ((1, None), (2, "cusum")):
+        if pool is not None:
+            view.set_pool(pool)
+            plain.set_pool(pool)
+        view.reset(seed=seed)
+        plain.reset(seed=seed)
+        first = view.render()
+        for k in range(6):
+            push = spoofer_actions(k, np.zeros(2))
+            drawn, other = view.step(push), plain.step(push)
+            np.testing.assert_array_equal(drawn[0], other[0])
+            assert drawn[4] == other[4]
+        frame = view.render()
+        assert frame.shape == first.shape == (700, 1120, 3)
+        assert (frame != first).any()
+    view.close()
 
 
 def test_a_pool_that_changes_the_observation_is_refused_by_both_names():

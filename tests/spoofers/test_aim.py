@@ -1,0 +1,138 @@
+"""Spoofers that follow the target direction that they observe."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from spoofgym import duel_v0
+from spoofgym.envs import attach
+from spoofgym.spoofers import SpooferContext, make_spoofer
+from spoofgym.spoofers.aim import TARGET_NAMES
+from spoofgym.testing import check_spoofer
+
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 2.0}
+STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
+WORLD = {"timeline": SHORT, "attack": STRONG, "detector": "never"}
+FOLLOWING = {"name": "ramp", "rate_mps": 2.0, "heading_deg": "target"}
+SCRIPTED: list[dict[str, Any]] = [
+    FOLLOWING,
+    {"name": "accelerating-ramp", "acceleration_mps2": 0.02, "heading_deg": "target"},
+    {"name": "step", "size_m": 30.0, "heading_deg": "target"},
+    {"name": "intermittent", "shapes": ["step"], "heading_deg": "target"},
+    {"name": "profile", "rates_mps": [0.0, 2.0], "heading_deg": "target"},
+    {"name": "profile", "cross_rates_mps": [0.0, 1.0], "heading_deg": "target"},
+]
+HEADINGS = np.array([0.0, 90.0, 312.0])
+
+
+def context(control: str, axes: tuple[str, ...], *seen: str) -> SpooferContext:
+    names = tuple(f"{axis}_{control}" for axis in axes)
+    return SpooferContext(3, 0.5, 300, control, 0.05, 5.0, names, seen)
+
+
+@pytest.mark.parametrize("control", ["rate", "acceleration"])
+@pytest.mark.parametrize("axes", [("north", "east"), ("east", "down", "north")])
+@pytest.mark.parametrize("spec", SCRIPTED, ids=lambda spec: spec["name"])
+def test_each_receiver_is_pushed_as_along_its_own_heading(
+    spec: dict[str, Any], control: str, axes: tuple[str, ...]
+) -> None:
+    told = context(control, axes, "time", *TARGET_NAMES)
+    following = make_spoofer(spec)
+    following.bind(told)
+    radians = np.radians(HEADINGS)
+    seen = np.stack([np.ones(3), np.cos(radians), np.sin(radians)], axis=1).astype(np.float32)
+    fixed = [make_spoofer({**spec, "heading_deg": heading}) for heading in HEADINGS.tolist()]
+    for one in fixed:
+        one.bind(told)
+    for _ in range(60):
+        action = following.act(seen)
+        assert action.shape == (3, len(axes))
+        assert action.flags["C_CONTIGUOUS"]
+        assert np.abs(action).max() <= 1.0
+        for i, one in enumerate(fixed):
+            np.testing.assert_allclose(action[i], one.act(seen)[i], atol=2e-7)
+
+
+@pytest.mark.parametrize(
+    ("axes", "seen", "message"),
+    [
+        (("north", "east"), (), "needs target_direction_north and target_direction_east among"),
+        (("east",), TARGET_NAMES, "'target' needs a command to the north, but the attack"),
+    ],
+)
+def test_where_a_target_cannot_be_followed(
+    axes: tuple[str, ...], seen: tuple[str, ...], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_spoofer(FOLLOWING).bind(context("rate", axes, *seen))
+
+
+def test_what_is_no_direction_is_refused() -> None:
+    with pytest.raises(ValueError, match="finite number or 'target', got 'north'"):
+        make_spoofer({**FOLLOWING, "heading_deg": "north"})
+    spoofer = make_spoofer(FOLLOWING)
+    spoofer.bind(context("rate", ("north", "east"), *TARGET_NAMES))
+    seen = np.array([[1.0, 0.0], [0.2, -0.1], [0.0, 1.0]], dtype=np.float32)
+    with pytest.raises(ValueError, match=r"receiver 1 observes, \(0.2, -0.1\), has not the length"):
+        spoofer.act(seen)
+
+
+def test_an_attack_on_channels_has_no_heading_to_follow() -> None:
+    told = context("rate", ("G01", "G02"))
+    action = []
+    for heading in ("target", 90.0):
+        spoofer = make_spoofer({**FOLLOWING, "heading_deg": heading})
+        spoofer.bind(told)
+        action.append(spoofer.act(np.zeros((3, 0), dtype=np.float32)))
+    np.testing.assert_array_equal(*action)
+
+
+def test_a_target_that_is_drawn_is_reached() -> None:
+    envs = gym.make_vec("spoofgym/RandomStart-v0", num_envs=6, **WORLD)
+    spoofer = attach(FOLLOWING, envs)
+    observation, _ = envs.reset(seed=4)
+    for _ in range(60):
+        observation, _, over, _, info = envs.step(spoofer.act(observation))
+    assert over.all()
+    # a constant rate of 2 m/s, reached after 2 s, pulls the filter along
+    assert (info["undetected_displacement_m"] > 10.0).all()
+    envs.close()
+
+
+def test_a_fixed_heading_is_warned_of_once() -> None:
+    envs = gym.make_vec("spoofgym/RandomStart-v0", num_envs=2, **WORLD)
+    ramp = {"name": "ramp", "rate_mps": 2.0}
+    with pytest.warns(UserWarning, match=r"Ramp \(heading_deg=90\); with heading_deg='target'"):
+        attach(ramp, envs)
+    attach("none", envs)
+    envs.close()
+    drawn = {"timeline": SHORT, "target_heading_deg": "random"}
+    pool = [ramp, "none", {"name": "step", "heading_deg": 10.0}, FOLLOWING]
+    with pytest.warns(UserWarning, match=r"push Ramp \(.*=90\), Step \(.*=10\); with") as told:
+        duel_v0.DetectorView(pool, **drawn)
+    assert len(told) == 1
+    duel_v0.DetectorView(["none", FOLLOWING], **drawn)
+    duel_v0.DetectorView(ramp, **drawn, attack="per-channel")
+    duel_v0.DetectorView(ramp, timeline=SHORT, target_heading_deg="worst")
+    with pytest.raises(ValueError, match="'target' needs target_direction_north"):
+        duel_v0.DetectorView(FOLLOWING, timeline=SHORT)
+
+
+def test_a_pool_follows_the_target_direction_of_every_receiver() -> None:
+    settings = {"timeline": SHORT, "attack": STRONG, "attack_probability": 1.0, "threshold": 1.0}
+    envs = duel_v0.DetectorVectorView(6, FOLLOWING, **settings, target_heading_deg="random")
+    envs.reset(seed=4)
+    quiet = np.tile(np.r_[-1.0, np.ones(12)], (6, 1))
+    over = np.zeros(6, dtype=bool)
+    while not over.any():
+        _, _, over, _, info = envs.step(quiet)
+    assert over.all()
+    assert (info["undetected_displacement_m"] > 10.0).all()
+
+
+def test_the_contract_holds() -> None:
+    check_spoofer(FOLLOWING)
