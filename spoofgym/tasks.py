@@ -68,7 +68,9 @@ class Task:
     def env_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of the environment; a copy."""
         whom = {"pool": list(self.detectors)} if self.pooled else {"detector": self.detectors[0]}
-        return copy.deepcopy({**self.settings, **whom})
+        # what v1 does where an episode ends within a decision
+        decided = {"plays_on": True} if "decision_interval_s" in self.settings else {}
+        return copy.deepcopy({**self.settings, **decided, **whom})
 
     @property
     def world_kwargs(self) -> dict[str, Any]:
