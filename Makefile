@@ -31,7 +31,7 @@ bench: $(VENV)/.installed-bench ## play the benchmark and write its report
 	$(VENV)/bin/spoofgym bench $(ARGS)
 
 test: $(VENV)/.installed-test ## run all tests; a part of them with ARGS="-k word"
-	$(python) -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+	$(python) -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 test-ray: $(VENV_RAY)/.installed ## test RLlib and the oldest Gymnasium, in an environment of its own
 	$(VENV_RAY)/bin/python -m pytest $(tests_ray) $(ARGS)

@@ -82,13 +82,14 @@ def demonstrations(
     setup = envs.game.setup
     attack = setup.attack
     rng = np.random.default_rng(seed)
-    rates = sampled(profile.rates_mps, setup.steps)
-    most = attack.acceleration_limit_mps2 * setup.scenario.epoch_interval_s
+    decisions = setup.steps // setup.repeat
+    rates = sampled(profile.rates_mps, decisions)
+    most = attack.acceleration_limit_mps2 * setup.scenario.epoch_interval_s * setup.repeat
     own = [envs.observation_names.index(name) for name in _rates(envs)]
     seen, told = [], []
     observation = envs.reset()
-    for _ in range(setup.steps):
-        wanted = rates[envs.game.step_count]
+    for _ in range(decisions):
+        wanted = rates[envs.game.step_count // setup.repeat]
         rate = observation[:, own] @ direction * attack.rate_limit_mps
         command = np.clip((wanted - rate) / most, -1.0, 1.0)[:, None]
         seen.append(observation)

@@ -843,10 +843,10 @@ def _report(folder: Any, as_json: bool, reports: Any) -> None:
     from .bench.store import SUMMARY, TABLE
     from .bench.summary import summarize
     from .bench.tables import (
-        ATTACKS_HEAD,
         CLEAN_HEAD,
         RIVALS_HEAD,
         attack_rows,
+        attacks_head,
         clean_rows,
         reference_lines,
         rival_rows,
@@ -866,7 +866,8 @@ def _report(folder: Any, as_json: bool, reports: Any) -> None:
     if as_json:
         _print_json({**summary, "folder": str(folder.path), "input": reports})
         return
-    _print_table(f"{summary['scenario']}: attacks", ATTACKS_HEAD, attack_rows(summary), names=2)
+    head = attacks_head(summary)
+    _print_table(f"{summary['scenario']}: attacks", head, attack_rows(summary), names=2)
     if rows := rival_rows(summary):
         _print_table("spoofers compared, run by run", RIVALS_HEAD, rows, names=2)
         for line in reference_lines(summary):

@@ -64,6 +64,8 @@ def env(
     attack_probability: float = 0.5,
     domain: Mapping[str, Any] | Domain | None = None,
     target_heading_deg: float | str = 90.0,
+    decision_interval_s: float | None = None,
+    between: str = "hold",
     render_mode: None = None,
 ) -> Any:
     """Make the AEC form: the spoofer moves, measurements arrive, the detector decides on them.
@@ -95,6 +97,12 @@ def env(
         What differs from episode to episode.
     target_heading_deg : float or {"random", "worst"}
         Direction in which displacement counts, clockwise from north.
+    decision_interval_s : float, optional
+        Time between the spoofer's decisions, as in `SpoofEnv`; every epoch by default.  The
+        detector decides on every epoch, since its weights gate the filter: here it has the turns
+        in between, too; in `parallel_env` the spoofer's actions in between are not looked at.
+    between : {"hold", "linear"}
+        What is commanded between them.
     render_mode : None
         There is nothing to render.
 

@@ -17,11 +17,12 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from .attacks import Attack
 from .detectors import Detector
@@ -31,6 +32,7 @@ from .envs.game_vector_env import check_vector_settings
 from .envs.infos import InfoSpec, chosen, info_keys
 from .envs.played import Turn
 from .envs.presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
+from .envs.recorder import EpochRecorder
 from .envs.resets import warn_unknown
 from .envs.setup import Timeline
 from .envs.spaces import action_space, checked_action, observation_space
@@ -53,8 +55,8 @@ class SpoofVecEnv(VecEnv):
 
     - ``terminal_observation``, and ``TimeLimit.truncated``, which is False unless an end term
       truncates, since the time left is observed and an alarm is an end;
-    - ``episode`` with return ``r``, length ``l`` and seconds since the environment was made ``t``,
-      as `VecMonitor` would write it, which is not needed around this;
+    - ``episode`` with return ``r``, length ``l`` in decisions and seconds since the environment was
+      made ``t``, as `VecMonitor` would write it, which is not needed around this;
     - ``undetected_displacement_m``, ``detected``, ``warmup_alarm`` and ``coasting`` of the episode,
       ``cost`` of the step, and ``watch_*`` of the detectors that watch.
 
@@ -354,6 +356,64 @@ class SpoofVecEnv(VecEnv):
             False: a batch can't be wrapped one by one.
         """
         return [False for _ in self._get_indices(indices)]
+
+
+class RecordEpochs(VecEnvWrapper):
+    """Writes every epoch of the commands into Parquet files, one an episode of a receiver.
+
+    The twin of `spoofgym.envs.wrappers.RecordEpochs`, for stable-baselines3.
+
+    Parameters
+    ----------
+    venv : VecEnv
+        A `SpoofVecEnv`, in other wrappers or not.
+    folder : str or Path
+        Where the files go.
+
+    Raises
+    ------
+    TypeError
+        When there is no `SpoofVecEnv` inside.
+    """
+
+    def __init__(self, venv: VecEnv, folder: str | Path) -> None:
+        super().__init__(venv)
+        inner: Any = venv
+        while isinstance(inner, VecEnvWrapper):
+            inner = inner.venv
+        if not isinstance(inner, SpoofVecEnv):
+            raise TypeError(f"this wrapper needs a SpoofVecEnv, wrapped or not, got {inner!r}")
+        self.recorder = EpochRecorder(folder, self.num_envs)
+        inner.game.listeners.append(self.recorder)
+
+    def reset(self) -> Any:
+        """Begin episodes; those that are not over are written as they are.
+
+        Returns
+        -------
+        ndarray
+            (B, o) of the environment.
+        """
+        self.recorder.finish(np.arange(self.num_envs), complete=False)
+        return self.venv.reset()
+
+    def step_wait(self) -> tuple[Any, Array, Array, list[dict[str, Any]]]:
+        """Run one step, and write the episodes that it has ended.
+
+        Returns
+        -------
+        observations, rewards, dones, infos
+            Of the environment.
+        """
+        result = self.venv.step_wait()
+        if result[2].any():
+            self.recorder.finish(np.flatnonzero(result[2]), complete=True)
+        return result
+
+    def close(self) -> None:
+        """Write episodes that are not over, and close the environment."""
+        self.recorder.finish(np.arange(self.num_envs), complete=False)
+        super().close()
 
 
 def _is_of_the_end(name: str) -> bool:

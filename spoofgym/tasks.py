@@ -19,6 +19,8 @@ from ._registry import check_choice
 
 SUITE = "spoofgym-bench-v1"
 """Name of the tasks together; a change of any of them makes another one."""
+ALARM_PENALTY_M = 10.0
+"""What an alarm costs in the reward of the environments, as by default elsewhere [m]."""
 BUDGET = 0.05
 """How much more often than without attack an alarm may come, as a part of the runs."""
 
@@ -67,10 +69,13 @@ class Task:
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of the environment; a copy."""
-        whom = {"pool": list(self.detectors)} if self.pooled else {"detector": self.detectors[0]}
-        # what v1 does where an episode ends within a decision
-        decided = {"plays_on": True} if "decision_interval_s" in self.settings else {}
-        return copy.deepcopy({**self.settings, **decided, **whom})
+        if not self.pooled:
+            # what v1 does where an episode ends within a decision
+            decided = {"plays_on": True} if "decision_interval_s" in self.settings else {}
+            return {**self.world_kwargs, **decided, "detector": self.detector}
+        # a view pays no alarm penalty unless it is told to, and all tasks are paid alike
+        pool = {"pool": list(self.detectors), "alarm_penalty_m": ALARM_PENALTY_M}
+        return copy.deepcopy({**self.settings, **pool})
 
     @property
     def world_kwargs(self) -> dict[str, Any]:
@@ -80,7 +85,8 @@ class Task:
     @property
     def suite_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of a benchmark's `Suite`; a copy."""
-        return {**self.world_kwargs, "detectors": (self.detector,)}
+        limit = {} if self.alert_limit_m is None else {"alert_limit_m": self.alert_limit_m}
+        return {**self.world_kwargs, "detectors": (self.detector,), **limit}
 
 
 EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
@@ -99,7 +105,7 @@ TASKS: dict[str, Task] = {
     for task in (
         Task(
             "T1",
-            "snapshot chi-square, ideal spoofer: the known optimum",
+            "snapshot chi-square, ideal spoofer",
             {"scenario": "zhong2025", "attack": "false-position-ideal"},
             ({"name": "snapshot-chi2"},),
         ),
@@ -121,7 +127,7 @@ TASKS: dict[str, Task] = {
             {
                 "scenario": {"name": "realistic-tactical", "flight": "airway"},
                 "receiver": "matched",
-                "attack": "tracking-1m",
+                "attack": {"name": "tracking-1m", "rate_limit_mps": 50.0},
                 "timeline": {"warmup_s": 200.0, "live_s": 60.0, "attack_s": 1800.0},
                 "decision_interval_s": 10.0,
                 "between": "linear",
@@ -135,11 +141,11 @@ TASKS: dict[str, Task] = {
             {
                 "scenario": "realistic",
                 "receiver": "matched",
-                "attack": "tracking-1m",
+                "attack": "false-position-ideal",
                 "domain": EVERYTHING,
                 "target_heading_deg": "worst",
             },
-            (EWMA,),
+            (RANGE_RATES,),
         ),
         Task(
             "T6",

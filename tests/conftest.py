@@ -16,6 +16,26 @@ hypothesis.settings.register_profile("spoofgym", deadline=None, derandomize=True
 hypothesis.settings.load_profile("spoofgym")
 
 DATA_VARIABLE = "SPOOFGYM_DATA"
+TESTS = Path(__file__).parent
+COMPILES = ("golden/test_trajectories.py",)
+"""Compiles nearly all that the others need, which finds its way to them through the cache."""
+MEANWHILE = (
+    "agents/",
+    "conformance/test_compiled.py",
+    "conformance/test_docstrings.py",
+    "io/",
+    "test_jit.py",
+)
+"""For the other processes in these two minutes: needs little of it, or nothing."""
+LONG = (
+    "docs/test_train_your_own.py",
+    "train/",
+    "test_cli.py",
+    "baselines/",
+    "papers/",
+    "conformance/test_detectors.py",
+)
+"""Next, so that no process ends with a long one by itself."""
 # Before anything imports matplotlib: Gymnasium's checks open windows, and there may be no display.
 WINDOW = "module://tests.window"
 os.environ["MPLBACKEND"] = WINDOW
@@ -40,9 +60,17 @@ def data_folder() -> Path:
     return folder
 
 
+def place_of(item: pytest.Item) -> int:
+    """When a file has its turn; see `COMPILES`, `MEANWHILE` and `LONG`."""
+    path = item.path.relative_to(TESTS).as_posix()
+    stages = (COMPILES, MEANWHILE, LONG)
+    return next((k for k, stage in enumerate(stages) if path.startswith(stage)), len(stages))
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the users of `data_folder`, before -m selects by marker."""
+    """Order the files, and mark the users of `data_folder` before -m selects by marker."""
+    items.sort(key=place_of)  # and else as they were found
     for item in items:
         if "data_folder" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.data)

@@ -15,11 +15,12 @@ pytest.importorskip("stable_baselines3")
 
 import gymnasium as gym
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
 from spoofgym.envs import SpoofEnv
 from spoofgym.envs.rewards import AlarmPenalty, default_rewards
-from spoofgym.sb3 import SpoofVecEnv
+from spoofgym.envs.wrappers import vector as vector_wrappers
+from spoofgym.sb3 import RecordEpochs, SpoofVecEnv
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
 SETTINGS = {
@@ -240,6 +241,68 @@ def test_nobody_else_here_imports_stable_baselines3():
     code = "import sys, spoofgym.cli, spoofgym.testing; print('stable_baselines3' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def written(folder):
+    """Contents of the files of a recorder, by name."""
+    import pyarrow.parquet as pq
+
+    return {path.name: pq.read_table(path) for path in sorted(folder.glob("*.parquet"))}
+
+
+def test_recorded_epochs_are_those_of_the_vector_environment(tmp_path):
+    """Every file of it is the same but for the learner's last, unfinished episodes."""
+    pytest.importorskip("pyarrow")
+    envs = RecordEpochs(VecNormalize(make()), tmp_path / "sb3")
+    commands = actions(25)
+    envs.reset()
+    played = play(envs, commands)
+    ends = sum(step[2].sum() for step in played)
+    envs.close()
+    other = gym.make_vec(
+        "spoofgym/TightlyCoupled-v0", num_envs=ENVS, autoreset_mode="same_step", **SETTINGS
+    )
+    other = vector_wrappers.RecordEpochs(other, tmp_path / "gymnasium")
+    other.reset(seed=3)
+    for command in commands:
+        other.step(command)
+    other.close()
+    mine, theirs = written(tmp_path / "sb3"), written(tmp_path / "gymnasium")
+    assert list(mine) == list(theirs)
+    for name, table in mine.items():
+        assert table.equals(theirs[name], check_metadata=True)
+    assert ends >= ENVS
+    told = [table.schema.metadata[b"spoofgym"] for table in mine.values()]
+    assert sum(b'"complete": true' in text for text in told) == ends
+
+
+def test_what_is_recorded_ends_with_what_the_learner_is_told(tmp_path):
+    pytest.importorskip("pyarrow")
+    envs = RecordEpochs(make(decision_interval_s=1.0), tmp_path)
+    envs.reset()
+    ends, since = [], np.zeros(ENVS, dtype=int)
+    for *_, done, infos in play(envs, actions(12)):
+        since += 1
+        ends += [(row, since[row], infos[row]) for row in np.flatnonzero(done)]
+        since[done] = 0
+    tables, seen = written(tmp_path), [0] * ENVS
+    for row, decisions, info in ends:
+        table = tables[f"receiver-{row:03d}-episode-{seen[row]:06d}.parquet"]
+        seen[row] += 1
+        assert info["episode"]["l"] == decisions  # as VecMonitor counts
+        # every epoch of a decision, up to an alarm
+        assert 2 * decisions - 1 <= table.num_rows <= 2 * decisions
+        alarms = table["alarm"].to_pylist()
+        assert not any(alarms[:-1])
+        # one in the time to alert ends it, too
+        assert alarms[-1] <= info["detected"]
+    assert sum(seen) == len(tables) > ENVS
+
+
+def test_a_recorder_needs_the_environment_of_this_package(tmp_path):
+    others = DummyVecEnv([lambda: gym.make("spoofgym/Snapshot-v0")])
+    with pytest.raises(TypeError, match=r"needs a SpoofVecEnv, wrapped or not, got <.*Dummy"):
+        RecordEpochs(others, tmp_path)
 
 
 def test_information_of_every_step_is_handed_out_where_it_is_asked_for():

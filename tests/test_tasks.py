@@ -9,7 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 import spoofgym  # noqa: F401  (registers the ids)
+from spoofgym.bench.run import WarmStart, play
 from spoofgym.bench.suite import Suite
+from spoofgym.bench.tables import attacks_head
 from spoofgym.bench.task_scores import stored_scores, task_scores
 from spoofgym.cli import app
 from spoofgym.detectors import make_detector
@@ -42,6 +44,24 @@ def test_the_long_task_has_a_decision_every_ten_seconds():
     setup = gym.make(TASKS["T4"].env_id).unwrapped.game.setup
     assert (setup.steps, setup.repeat) == (3600, 20)
     assert setup.receiver.tuning == "matched"
+
+
+def test_the_alert_limit_of_a_task_stands_in_its_table():
+    suite = Suite(**TASKS["T4"].suite_kwargs, runs=2)
+    assert (suite.alert_limit_m, Suite().alert_limit_m) == (556.0, 40.0)
+    summary = {"alert_limit_m": suite.config["alert_limit_m"]}
+    assert attacks_head(summary)[-1] == "P(> 556 m) [%]"
+
+
+@pytest.mark.parametrize("key", ["T1", "T2", "T3", "T5", "T6"])
+def test_no_task_is_won_by_full_throttle(key):
+    """What pushes as hard as the attack allows is caught, in most runs of every task."""
+    suite = Suite(**TASKS[key].suite_kwargs, runs=2)
+    start = WarmStart(suite.setup(suite.detector_entries[0]), suite.generators("training", 16))
+    hardest = play(
+        start, {"name": "accelerating-ramp", "acceleration_mps2": 0.05}, drop_alarmed=True
+    )
+    assert hardest.alarm.any(axis=0).mean() > 0.5
 
 
 def test_a_copy_of_the_settings_is_handed_out():

@@ -141,6 +141,7 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
     batch = engine.batch
     batch.begin([suite.generators("evaluation", run + 1)[run] for _ in range(2)])
     batch.quiet_epochs(setup.quiet)
+    batch.clean = np.array([not player.transmits, True])
     epochs = setup.steps + setup.hold
     ratio = np.zeros((setup.live + epochs, 2))
     alarm = np.zeros(ratio.shape, dtype=np.bool_)
@@ -156,7 +157,6 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
         elif step < setup.steps:
             if step % setup.repeat == 0:
                 before, given = given, command(player, observer, engine, step)
-                given[TWIN] = 0.0
             verdict = engine.step(setup.command(before, given, step % setup.repeat))
         else:
             verdict = engine.step(None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,6 @@ import numpy as np
 from .._pictures import COLOURS, GREY, style
 from .cells import Cell
 from .rivals import PROFILE, SCRIPTED
-from .summary import TABLE_LIMIT_M
 from .tables import number
 
 if TYPE_CHECKING:
@@ -191,7 +191,9 @@ def draw_trade(
     ax.set_xlabel("runs with an alarm [%] (hollow: over budget)")
 
 
-def draw_exceedance(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> None:
+def draw_exceedance(
+    ax: Axes, cells: dict[str, Cell], look: dict[str, Look], limit_m: float
+) -> None:
     """Probability that the undetected displacement exceeds a limit.
 
     Parameters
@@ -202,27 +204,32 @@ def draw_exceedance(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> 
         Of a detector, by spoofer.
     look : dict
         Of every spoofer.
+    limit_m : float
+        Alert limit that is marked.
     """
     style(ax)
-    ax.axvline(TABLE_LIMIT_M, color=GREY, lw=1, ls=":")
+    ax.axvline(limit_m, color=GREY, lw=1, ls=":")
     ax.annotate(
-        f"{TABLE_LIMIT_M:g} m",
-        (TABLE_LIMIT_M, 1.0),
+        f"{limit_m:g} m",
+        (limit_m, 1.0),
         xycoords=("data", "axes fraction"),
         xytext=(3, -10),
         textcoords="offset points",
         color=GREY,
         fontsize=8,
     )
-    limits = np.geomspace(1.0, 1000.0, 400)
+    far = [float(cell.records["undetected_displacement_m"].max()) for cell in cells.values()]
+    decades = max(math.ceil(math.log10(max(*far, 1000.0))), 3) if far else 3
+    limits = np.geomspace(1.0, 10.0**decades, 400)
     for label, cell in cells.items():
         x = cell.records["undetected_displacement_m"]
         part = (x[None, :] > limits[:, None]).mean(axis=1)
         drawn = look[label]
         ax.plot(limits, part, drawn.dashes, color=drawn.colour, lw=drawn.width)
     ax.set_xscale("log")
-    ax.set_xlim(1.0, 1000.0)
-    ax.set_xticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
+    ax.set_xlim(1.0, 10.0**decades)
+    marks = [10**k for k in range(decades + 1)]
+    ax.set_xticks(marks, [str(mark) for mark in marks])
     ax.set_ylim(-0.03, 1.05)
     ax.set_xlabel("alert limit [m]")
 

@@ -97,7 +97,7 @@ def _draw_column(
     searches = [search for search in summary["tuning"] if search["detector"] == detector]
     draw_means(column[0], scores, look)
     draw_trade(column[1], scores, searches, summary["budget"], look)
-    draw_exceedance(column[2], cells, look)
+    draw_exceedance(column[2], cells, look, summary["alert_limit_m"])
     draw_course(column[3], cells, look)
     column[0].set_title(detector, fontweight="bold")
 

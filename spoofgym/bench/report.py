@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from .tables import (
-    ATTACKS_HEAD,
     CLEAN_HEAD,
     KNOWLEDGE_HEAD,
     RIVALS_HEAD,
     attack_rows,
+    attacks_head,
     clean_rows,
     interval,
     knowledge_rows,
@@ -47,7 +47,7 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
     lines = [f"# Campaign: {summary['scenario']}", "", *_setting(config, summary), ""]
     if summary["missing"]:
         lines += [f"**Not finished**: {', '.join(summary['missing'])}.", ""]
-    lines += ["## Attacks", "", *_table(ATTACKS_HEAD, attack_rows(summary)), ""]
+    lines += ["## Attacks", "", *_table(attacks_head(summary), attack_rows(summary)), ""]
     lines += [*_reading(config, summary), ""]
     if summary["rivals"]:
         lines += ["## Spoofers compared, run by run", "", *_rivals(summary), ""]

@@ -215,6 +215,7 @@ def play(
     engine = start.engine()
     onset = engine.batch.onset.copy()
     spoofer, observer = make_bound_spoofer(spec, setup, everyone)
+    _keep_authentic(engine, spoofer)
     before = given = np.zeros((everyone, len(setup.attack.action_names(setup.world))))
     for k in range(epochs):
         if k < setup.steps and k % setup.repeat == 0:
@@ -236,11 +237,18 @@ def play(
             if open_.mean() <= 1.0 - DROP_PART:
                 kept = np.flatnonzero(open_)
                 engine = start.extract(engine, kept)
+                _keep_authentic(engine, spoofer)
                 fewer, _ = make_bound_spoofer(spec, setup, len(kept))
                 fewer.memory.copy_rows(np.arange(len(kept)), spoofer.memory, kept)
                 spoofer, rows = fewer, rows[kept]
                 before, given = before[kept], given[kept]
     return Runs(position_e, alarm, peak, onset)
+
+
+def _keep_authentic(engine: Engine, spoofer: Spoofer) -> None:
+    """Leave all measurements alone where a spoofer transmits nothing."""
+    if not spoofer.transmits:
+        engine.batch.clean = np.ones(engine.receivers, dtype=np.bool_)
 
 
 def command(spoofer: Spoofer, observer: Observer, engine: Engine, step: int) -> NDArray[np.float64]:

@@ -41,7 +41,7 @@ from .entries import (
 from .shipped import fitting
 from .specs import describe, digest_of, make, spec_of
 
-FORMAT = 2
+FORMAT = 3
 """Of the results; those of another one are not scored."""
 SPLITS = {"training": 0, "calibration": 1, "evaluation": 2, "bootstrap": 3}
 """First element of the spawn keys; runs of different splits share no noise."""
@@ -145,6 +145,9 @@ class Suite:
         All chance follows from it.
     tuning : Tuning
         Search for the settings that are ``"tuned"``.
+    alert_limit_m : float
+        Undetected displacement of which tables tell how often it is exceeded; by default the
+        horizontal alert limit of an approach with vertical guidance.
     notes : sequence of str
         Where the scenario comes from, for the report.
     allow_oracles : bool
@@ -164,6 +167,7 @@ class Suite:
     runs: int = 200
     entropy: int = 0
     tuning: Tuning = field(default_factory=Tuning)
+    alert_limit_m: float = 40.0
     notes: Sequence[str] = ()
     allow_oracles: bool = False
 
@@ -171,6 +175,8 @@ class Suite:
         """Check names and settings; no receiver is simulated yet."""
         _check_count("runs", self.runs, 2)
         _check_count("entropy", self.entropy, 0)
+        if not (math.isfinite(self.alert_limit_m) and self.alert_limit_m > 0.0):
+            raise ValueError(f"`alert_limit_m` must be finite and > 0, got {self.alert_limit_m}")
         for entries in (self.detector_entries, self.spoofer_entries):
             check_labels(entries)
         if not self.detector_entries:
@@ -308,6 +314,7 @@ class Suite:
             "entropy": self.entropy,
             "splits": dict(SPLITS),
             "tuning": dataclasses.asdict(self.tuning),
+            "alert_limit_m": float(self.alert_limit_m),
             "notes": [*self.notes, *self._oracle_notes, *self.left_out],
         }
 

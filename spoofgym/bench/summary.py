@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,6 @@ from .suite import FORMAT, seed_sequences
 ALERT_LIMITS_M = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0, 556.0)
 """Levels of the P_HMI curve; 40 m is the horizontal alert limit of an approach with vertical
 guidance, 556 m that of a non-precision approach (`icao-annex10`)."""
-TABLE_LIMIT_M = 40.0
 
 
 def summarize(folder: ResultsFolder) -> dict[str, Any]:
@@ -62,6 +62,7 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
     budget = float(config["tuning"]["budget"])
     samples = bootstrap_samples(config)
     counts = counts_of(samples)
+    limits = sorted({*ALERT_LIMITS_M, config["alert_limit_m"]})
     searches = [folder.tuning(*pair) for pair in pairs]
     return {
         "campaign": next((cell.head["campaign"] for cell in cells.values()), None),
@@ -74,9 +75,10 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
             if (detector, "none") in cells
         ],
         "budget": budget,
+        "alert_limit_m": config["alert_limit_m"],
         "cells": [
             {
-                **score_cell(cell, samples, counts),
+                **score_cell(cell, samples, counts, limits),
                 **footing(cell, cells.get((cell.detector, "none")), budget, samples),
             }
             for cell in cells.values()
@@ -137,7 +139,10 @@ def score_detector(clean: Cell) -> dict[str, Any]:
 
 
 def score_cell(
-    cell: Cell, samples: NDArray[np.int64], counts: NDArray[np.float64]
+    cell: Cell,
+    samples: NDArray[np.int64],
+    counts: NDArray[np.float64],
+    limits: Sequence[float] = ALERT_LIMITS_M,
 ) -> dict[str, Any]:
     """Scores of one cell.
 
@@ -147,6 +152,8 @@ def score_cell(
         All runs.
     samples, counts : ndarray
         (S, R) bootstrap samples, and how often each run is in them.
+    limits : sequence of float
+        Of the P_HMI curve [m].
 
     Returns
     -------
@@ -176,9 +183,7 @@ def score_cell(
         "largest_error_m": float(records["largest_error_m"].mean().round(4)),
         "p_hmi": [
             {"alert_limit_m": limit, **estimate.as_json()}
-            for limit, estimate in zip(
-                ALERT_LIMITS_M, exceedance(displacement, ALERT_LIMITS_M), strict=True
-            )
+            for limit, estimate in zip(limits, exceedance(displacement, limits), strict=True)
         ],
     }
 

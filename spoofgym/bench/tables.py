@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from .summary import TABLE_LIMIT_M
-
 ATTACKS_HEAD = (
     "detector",
     "spoofer",
@@ -14,7 +12,6 @@ ATTACKS_HEAD = (
     "alarm rate [%]",
     "delay [s]",
     "undetected displacement [m]",
-    f"P(> {TABLE_LIMIT_M:g} m) [%]",
 )
 CLEAN_HEAD = (
     "detector",
@@ -175,8 +172,24 @@ def alarms(rate: dict[str, Any], within_budget: bool | None) -> str:
     return percent(rate) + (OVER if within_budget is False else "")
 
 
+def attacks_head(summary: dict[str, Any]) -> tuple[str, ...]:
+    """Head of the table of attacks.
+
+    Parameters
+    ----------
+    summary : dict
+        Of `summarize`.
+
+    Returns
+    -------
+    tuple of str
+        `ATTACKS_HEAD`, and the alert limit.
+    """
+    return (*ATTACKS_HEAD, f"P(> {summary['alert_limit_m']:g} m) [%]")
+
+
 def attack_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of attacks, in the order of `ATTACKS_HEAD`.
+    """Rows of the table of attacks, in the order of `attacks_head`.
 
     Parameters
     ----------
@@ -191,7 +204,7 @@ def attack_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for cell in summary["cells"]:
         clean = cell["spoofer"] == "none"
-        limit = next(p for p in cell["p_hmi"] if p["alert_limit_m"] == TABLE_LIMIT_M)
+        limit = next(p for p in cell["p_hmi"] if p["alert_limit_m"] == summary["alert_limit_m"])
         rows.append(
             (
                 cell["detector"],

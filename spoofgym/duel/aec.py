@@ -15,6 +15,8 @@ from .rules import AGENTS, DETECTOR, SPOOFER, Rules
 class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
     """Spoofer moves, measurements arrive, detector decides on them, filter updates.
 
+    Where the spoofer decides every n-th epoch only, the detector has n turns between two of its.
+
     Parameters
     ----------
     **settings
@@ -57,7 +59,8 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
         seed : int, optional
             Seeds the receiver; without it the next episode of the same stream begins.
         options : dict, optional
-            There are none; a warning names those that were given.
+            ``"domain"``: circumstances that are not to be drawn, as in `SpoofEnv`; others are
+            warned of.
         """
         self.rules.begin(seed, options)
         self.agents = list(AGENTS)
@@ -103,12 +106,19 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
         self._cumulative_rewards[agent] = 0.0
         self._clear_rewards()
         if agent == SPOOFER:
-            self.rules.duel.arrive(given)
-            self._observations[DETECTOR] = self.rules.duel.observe_detector()[0]
+            self._arrive(given)
         else:
             self._decide(given)
-        self.agent_selection = DETECTOR if agent == SPOOFER else SPOOFER
+            self.agent_selection = SPOOFER
+            if not (self.terminations[SPOOFER] or self.rules.decides):
+                self._arrive(None)
         self._accumulate_rewards()
+
+    def _arrive(self, given: NDArray[np.float64] | None) -> None:
+        """Begin an epoch, on which the detector is to decide."""
+        self.rules.duel.arrive(given)
+        self._observations[DETECTOR] = self.rules.duel.observe_detector()[0]
+        self.agent_selection = DETECTOR
 
     def _decide(self, given: NDArray[np.float64]) -> None:
         """End an epoch by the detector's decision."""

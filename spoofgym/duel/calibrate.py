@@ -132,6 +132,9 @@ def _told(duel: Duel) -> dict[str, Any]:
     setup = duel.setup
     parts = ("scenario", "receiver", "timeline", "detector", "domain")
     told = {name: describe(getattr(setup, name)) for name in parts}
+    if setup.repeat > 1:
+        # an episode keeps a decision to spare, so that it may have to begin earlier
+        told["decision_interval_s"] = setup.decision_interval_s
     return {**told, "decision_delay": duel.decision_delay}
 
 

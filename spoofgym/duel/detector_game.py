@@ -19,7 +19,7 @@ class DetectorGame(Stepwise):
     """Episodes of B receivers, in which the learner is the detector.
 
     With ``decision_delay=0`` an observation is of the epoch that the next action judges; with 1 it
-    is of the epoch before.
+    is of the epoch before.  A step is an epoch, however seldom the spoofers decide.
 
     Parameters
     ----------
@@ -123,8 +123,10 @@ class DetectorGame(Stepwise):
             self._arrive(where)
 
     def _arrive(self, rows: NDArray[np.intp]) -> None:
-        """Let the opponents of some receivers move."""
-        self.duel.arrive(self.pool.act(self.duel.game.snapshot(), rows), rows)
+        """Let the opponents of some receivers move, those that decide now."""
+        due = rows[self.duel.deciding[rows]]
+        action = self.pool.act(self.duel.game.snapshot(), due) if len(due) else None
+        self.duel.arrive(action, rows)
 
     def step(self, action: FloatArray) -> Turn:
         """Judge one epoch of all receivers.

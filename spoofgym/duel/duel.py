@@ -48,9 +48,13 @@ class DuelTurn(NamedTuple):
 class Duel:
     """Episodes of a spoofer against a detector agent, for B receivers.
 
-    One epoch is `arrive`, then `decide`.  Nature draws for every episode whether it is attacked; in
-    a clean one the commands are ignored.  The episode ends at an alarm, or after the time to alert,
-    which follows the last command and in which the offsets hold their rate.
+    One epoch is `arrive`, then `decide`.  The spoofer decides at the first of every `Setup.repeat`
+    epochs, counted from the onset, and is commanded from there as `Setup.command` says; the
+    detector decides on every epoch, since its weights gate the filter.
+
+    Nature draws for every episode whether it is attacked; in a clean one the commands are ignored.
+    The episode ends at an alarm, or after the time to alert, which follows the last command and in
+    which the offsets hold their rate.
 
     Parameters
     ----------
@@ -113,7 +117,8 @@ class Duel:
         self.over = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
         self._sources: list[np.random.Generator | None] = [None] * receivers
-        self._command = np.zeros((receivers, len(self.game.action_names)))
+        shape = (receivers, len(self.game.action_names))
+        self._before, self._given, self._command = np.zeros(shape), np.zeros(shape), np.zeros(shape)
 
     @property
     def agent(self) -> DetectorAgent:
@@ -124,6 +129,12 @@ class Duel:
     def epochs(self) -> int:
         """Epochs of an episode without an alarm."""
         return self.setup.steps + self.setup.hold
+
+    @property
+    def deciding(self) -> NDArray[np.bool_]:
+        """(B,) bool, whose spoofer decides before the coming epoch."""
+        now: NDArray[np.bool_] = self.ledger.step_count % self.setup.repeat == 0
+        return now
 
     def reset(
         self,
@@ -145,7 +156,8 @@ class Duel:
         where = self._everyone if rows is None else rows
         self.game.reset(rngs, rows, given)
         self.ledger.reset(where)
-        self._command[where], self.over[where] = 0.0, False
+        self._before[where] = self._given[where] = self._command[where] = 0.0
+        self.over[where] = False
         for row, rng in zip(where, rngs, strict=True):
             if self._sources[row] is not rng:
                 self._sources[row] = rng
@@ -153,22 +165,30 @@ class Duel:
         keys = self.game.engine.batch.sensors.keys[DOMAIN, where]
         self.attacked[where] = uniforms(keys, NATURE) < self.attack_probability
 
-    def arrive(self, action: FloatArray, rows: NDArray[np.intp] | None = None) -> None:
+    def arrive(self, action: FloatArray | None, rows: NDArray[np.intp] | None = None) -> None:
         """First half of an epoch: the spoofer moves, measurements arrive, the detector looks.
 
         Parameters
         ----------
-        action : ndarray
-            (B, a) in [-1, 1]; not looked at in clean episodes, and after the last command.
+        action : ndarray or None
+            (B, a) in [-1, 1]; not looked at in clean episodes, after the last command, and where
+            no decision is due.  None where none is due at all: see `deciding`.
         rows : ndarray, optional
             Which receivers; all by default.
         """
         where = self._everyone if rows is None else rows
-        self._command[where] = command = self._commanded(action)[where]
+        due = where[self.deciding[where]]
+        if len(due):
+            if action is None:
+                raise ValueError("`action` must be given: a decision of the spoofer is due")
+            self._before[due], self._given[due] = self._given[due], action[due]
+        self._command[where] = command = self._commanded()[where]
         self.game.engine.apart(where, lambda batch: self._arrive(batch, command, where))
 
-    def _commanded(self, action: FloatArray) -> FloatArray:
+    def _commanded(self) -> FloatArray:
         """Commands as the attack takes them: holding the rate where all have been given."""
+        epoch = self.ledger.step_count % self.setup.repeat
+        action = self.setup.command(self._before, self._given, epoch[:, None])
         by_rate = self.setup.attack.control == "rate"
         held = self._command if by_rate else np.zeros_like(self._command)
         command = np.where(self.ledger.holding[:, None], held, action)
@@ -248,6 +268,8 @@ def duel_setup(
     exclusion_s: float | None = EXCLUSION_S,
     domain: Mapping[str, Any] | Domain | None = None,
     target_heading_deg: float | str = 90.0,
+    decision_interval_s: float | None = None,
+    between: str = "hold",
 ) -> Setup:
     """What all receivers of a duel share.
 
@@ -261,8 +283,8 @@ def duel_setup(
         Whether it weighs satellites.
     exclusion_s : float or None
         Its allowance of exclusion in an episode.
-    domain, target_heading_deg : optional
-        As in `make_setup`.
+    domain, target_heading_deg, decision_interval_s, between : optional
+        As in `make_setup`; the decisions are those of the spoofer.
 
     Returns
     -------
@@ -277,4 +299,6 @@ def duel_setup(
         timeline=timeline,
         domain=domain,
         target_heading_deg=target_heading_deg,
+        decision_interval_s=decision_interval_s,
+        between=between,
     )

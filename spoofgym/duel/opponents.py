@@ -148,8 +148,8 @@ def pooled_detector(
 class SpooferPool:
     """Spoofers of which one commands a receiver for a whole episode.
 
-    Every spoofer that has a receiver at present is called once an epoch, with the observations that
-    its knowledge allows, for all receivers; each receiver takes the command of its own.
+    Every spoofer that has a receiver at present is called once a decision, with the observations
+    that its knowledge allows, for all receivers; each receiver takes the command of its own.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ class SpooferPool:
             spoofer.reset(mask)
 
     def act(self, snapshot: Snapshot, rows: NDArray[np.intp]) -> FloatArray:
-        """Command some receivers for the coming epoch; the spoofers of the others stand still.
+        """Let the spoofers of some receivers decide; those of the others stand still.
 
         Parameters
         ----------

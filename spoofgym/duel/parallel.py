@@ -18,6 +18,9 @@ Observation = NDArray[np.float32]
 class DuelParallel(ParallelEnv[str, Observation, Observation]):
     """Both act at once: the detector's decision on the last epoch is applied to the next one.
 
+    A step is an epoch.  Where the spoofer decides every n-th epoch only, its actions in between are
+    not looked at: ``infos["spoofer_0"]["decides"]`` tells whether its next one is.
+
     Parameters
     ----------
     **settings
@@ -56,7 +59,8 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
         seed : int, optional
             Seeds the receiver; without it the next episode of the same stream begins.
         options : dict, optional
-            There are none; a warning names those that were given.
+            ``"domain"``: circumstances that are not to be drawn, as in `SpoofEnv`; others are
+            warned of.
 
         Returns
         -------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import warnings
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,8 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from .._registry import check_choice
-from ..envs.game_env import refuse_rendering
+from ..envs.game_env import refuse_rendering, told_domain
+from ..envs.resets import warn_unknown
 from ..envs.spaces import action_space, checked_action, observation_space
 from .duel import Duel, DuelTurn, duel_setup
 
@@ -28,11 +28,13 @@ SETUP = (
     "exclusion_s",
     "domain",
     "target_heading_deg",
+    "decision_interval_s",
+    "between",
 )
 SETTINGS = (*SETUP, *list(inspect.signature(Duel).parameters)[2:-1])
 """All settings of a duel."""
-OPTIONS: tuple[str, ...] = ()
-"""Options that a reset knows: none."""
+OPTIONS = ("domain",)
+"""Options that a reset knows."""
 
 
 class Rules:
@@ -81,14 +83,13 @@ class Rules:
         seed : int, optional
             Seeds the receiver; without it the next episode of the same stream begins.
         options : dict, optional
-            There are none; a warning names those that were given.
+            As in `GameEnv.reset`: ``"domain"``; others are warned of.
         """
-        for name in options or {}:
-            if name not in OPTIONS:
-                warnings.warn(f"the duel has no reset option {name!r}", UserWarning, stacklevel=3)
+        warn_unknown(options, OPTIONS)
+        given = told_domain(options)
         if seed is not None or self._rng is None:
             self._rng = seeding.np_random(seed)[0]
-        self.duel.reset([self._rng])
+        self.duel.reset([self._rng], given=given)
 
     def checked(self, agent: str, action: Any) -> NDArray[np.float64]:
         """Action of an agent, as the duel takes it.
@@ -126,7 +127,18 @@ class Rules:
     def begin_infos(self) -> dict[str, dict[str, Any]]:
         """Information at the begin of an episode; the detector is not told of nature's choice."""
         told = {"time_s": self.duel.time_s()[0].item(), "decision_delay": self.duel.decision_delay}
-        return {SPOOFER: {**told, "attacked": bool(self.duel.attacked[0])}, DETECTOR: dict(told)}
+        own = {**told, "attacked": bool(self.duel.attacked[0]), **self._due()}
+        return {SPOOFER: own, DETECTOR: dict(told)}
+
+    def _due(self) -> dict[str, bool]:
+        """Whether the spoofer's next action is a decision, where it acts without one, too."""
+        late = self.duel.decision_delay == 1
+        return {"decides": self.decides} if late and self.duel.setup.repeat > 1 else {}
+
+    @property
+    def decides(self) -> bool:
+        """Whether a decision of the spoofer is due."""
+        return bool(self.duel.deciding[0])
 
     def infos(self, turn: DuelTurn) -> dict[str, dict[str, Any]]:
         """Information after an epoch; the detector is told of nothing that it can't see itself.
@@ -144,7 +156,7 @@ class Rules:
         all_: dict[str, Any] = {name: array.item() for name, array in turn.info.items()}
         all_["decision_delay"] = self.duel.decision_delay
         own = ("time_s", "alarm", "statistic", "threshold", "decision_delay")
-        return {SPOOFER: all_, DETECTOR: {name: all_[name] for name in own}}
+        return {SPOOFER: {**all_, **self._due()}, DETECTOR: {name: all_[name] for name in own}}
 
 
 def make_duel(receivers: int, *, threads: int | None = None, **settings: Any) -> Duel:

@@ -174,8 +174,9 @@ class SpooferVectorView(PooledVectorView[Game]):
         Receivers, each with an opponent of its own.
     pool, weights : list
         As in `SpooferView`.
-    autoreset_mode : {"next_step", "same_step"} or AutoresetMode
-        When a finished receiver begins its next episode.
+    autoreset_mode : {"next_step", "same_step", "disabled"} or AutoresetMode
+        When a finished receiver begins its next episode; with ``disabled``, when ``reset`` is
+        called with ``options={"reset_mask": ...}``.
     threads : int, optional
         Threads of the engine.
     render_mode : None

@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from .._jit import njit
-from ..receiver.state import unpack
 
 
 @njit
@@ -33,7 +32,10 @@ def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin,
     displacement : ndarray
         (B,), written [m].
     """
+    cosine, sine = 1.0, 0.0
     for b in range(displacement.shape[0]):
+        if b == 0 or heading[b] != heading[b - 1]:
+            cosine, sine = math.cos(heading[b]), math.sin(heading[b])
         north, east = -origin[b, 0], -origin[b, 1]
         axes = C_en[onset[b]]
         for i in range(3):
@@ -43,7 +45,7 @@ def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin,
         if worst:
             displacement[b] = math.sqrt(north * north + east * east)
         else:
-            displacement[b] = math.cos(heading[b]) * north + math.sin(heading[b]) * east
+            displacement[b] = cosine * north + sine * east
 
 
 @njit
@@ -329,33 +331,53 @@ def look(table, epochs, displacement, rate, first, scales, out):
 
 
 @njit
+def unpack_books(raw, receivers, steps):
+    """Name the arrays of the books: views of their bytes.
+
+    Parameters
+    ----------
+    raw : ndarray
+        (B (8 (steps + 3) + 3),) uint8.
+    receivers, steps : int
+        B, and epochs of the command phase.
+
+    Returns
+    -------
+    step_count, credited, largest, detected, ended, nobody : ndarray
+        Of `Books`.
+    """
+    b, o = receivers, 8 * receivers
+    step_count = raw[:o].view(np.int64)
+    credited = raw[o : 2 * o].view(np.float64)
+    last = (steps + 3) * o
+    largest = raw[2 * o : last].view(np.float64).reshape((steps + 1, b))
+    detected = raw[last : last + b].view(np.bool_)
+    ended = raw[last + b : last + 2 * b].view(np.bool_)
+    nobody = raw[last + 2 * b :].view(np.bool_)
+    return step_count, credited, largest, detected, ended, nobody
+
+
+@njit
 def play(
     floats,
     flags,
     twin_floats,
-    truth,
-    origin,
-    step_count,
-    book_flags,
-    amounts,
-    rules,
-    factors,
-    table,
     epochs,
-    onset,
-    heading,
-    warmup_alarm,
+    books,
+    rules,
+    table,
+    begun,
     alarms,
     displacement,
     rate,
-    values,
-    marks,
+    numbers,
+    flags_told,
     seen,
 ):
     """Displace, keep the books, tell and observe, where nothing comes between.
 
-    Handing over an array costs as much as the work of this kernel on one receiver, so that most
-    of them come several in one.
+    To hand over an array costs as much as all that this does for one receiver, so most of them
+    come several in one.
 
     Parameters
     ----------
@@ -363,67 +385,65 @@ def play(
         Of `ReceiverBuffers`.
     twin_floats : ndarray
         The same of the clean twins; of the receivers themselves where there are none.
-    truth : ndarray
-        (13 K,) true positions, local axes and times of all epochs, one after the other.
-    origin : ndarray
-        As in `displace`.
-    step_count : ndarray
-        As in `score`.
-    book_flags, amounts : ndarray
-        Of `Books`.
+    epochs : ndarray
+        (B,) the epoch that each receiver is at.
+    books : ndarray
+        Bytes of `Books`.
     rules : ndarray
-        (7,) int64: slots, whether there are twins, whether the worst direction counts, whether an
-        alarm ends an episode, epochs of the command phase and of the time to alert, `first` of
-        `look`.
-    factors : ndarray
-        (4 + 4 r,) `scales` of `look`, then `shares` of `tell`.
-    table, epochs, displacement, rate
+        (11 + 4 r + 13 K,) of `rules_of`.
+    table : ndarray
+        (K, o) as in `look`.
+    begun : ndarray
+        (5 B,) onset, heading and `origin` as in `displace`, `warmup_alarm` as in `tell`.
+    alarms : ndarray
+        As in `score`.
+    displacement, rate : ndarray
         As in `look`.
-    onset, heading
-        As in `displace`.
-    warmup_alarm, alarms
-        As in `tell` and `score`.
-    values, marks : ndarray
-        Of `Tally`, written.
-    seen : ndarray
-        (B, o) float32, written.
+    numbers, flags_told, seen : ndarray
+        Of `Tally`, and `out` of `look` in one row; written.
 
     Returns
     -------
     bool
         As in `score`; nothing is told or observed then.
     """
-    receivers, K, steps = epochs.shape[0], table.shape[0], rules[4]
-    state, measured, _ = unpack(floats, flags, receivers, rules[0])
-    if rules[1] != 0:
-        twin, _, _ = unpack(twin_floats, flags, receivers, rules[0])
-        reference_e, rows = twin.position_e, np.arange(receivers)
+    receivers, K = epochs.shape[0], table.shape[0]
+    channels, steps, hold, first = int(rules[0]), int(rules[4]), int(rules[5]), int(rules[6])
+    end = rules.shape[0] - 13 * K
+    shares, truth = rules[11:end].reshape(((end - 11) // 4, 4)), rules[end:]
+    values = numbers.reshape((numbers.shape[0] // receivers, receivers))
+    marks = flags_told.reshape((flags_told.shape[0] // receivers, receivers))
+    # the positions come first in `unpack`, which would name many more
+    position_e = floats[: 3 * receivers].reshape((receivers, 3))
+    coasting = flags[channels * receivers :]
+    step_count, credited, largest, detected, ended, nobody = unpack_books(books, receivers, steps)
+    if rules[1] != 0.0:
+        reference_e = twin_floats[: 3 * receivers].reshape((receivers, 3))
+        rows = np.arange(receivers)
     else:
         reference_e, rows = truth[: 3 * K].reshape((K, 3)), epochs
     displace(
-        state.position_e,
+        position_e,
         reference_e,
         rows,
         truth[3 * K : 12 * K].reshape((K, 3, 3)),
-        onset,
-        heading,
-        rules[2] != 0,
-        origin,
+        begun[:receivers].astype(np.int64),
+        begun[receivers : 2 * receivers],
+        rules[2] != 0.0,
+        begun[2 * receivers : 4 * receivers].reshape((receivers, 2)),
         values[DISPLACEMENT],
     )
-    detected, ended, nobody = book_flags[0], book_flags[1], book_flags[2]
-    credited = amounts[:receivers]
     held = score(
         alarms,
         nobody,
-        rules[3] != 0,
+        rules[3] != 0.0,
         steps,
-        rules[5],
+        hold,
         step_count,
         detected,
         ended,
         credited,
-        amounts[receivers:].reshape((steps + 1, receivers)),
+        largest,
         values,
         marks,
     )
@@ -432,15 +452,16 @@ def play(
             detected,
             ended,
             credited,
-            warmup_alarm,
-            measured.coasting,
+            begun[4 * receivers :] != 0.0,
+            coasting,
             truth[12 * K :],
             epochs,
-            factors[4:].reshape(((factors.shape[0] - 4) // 4, 4)),
+            shares,
             values,
             marks,
         )
-        look(table, epochs, displacement, rate, rules[6], factors[:4], seen)
+        out = seen.reshape((receivers, table.shape[1]))
+        look(table, epochs, displacement, rate, first, rules[7:11], out)
     return held
 
 
@@ -467,7 +488,7 @@ def shift_response(
     weights : ndarray
         (B, 2n) on the columns of the gain.
     min_satellites : int
-        With fewer visible satellites there is no update.
+        With fewer visible satellites there is no update; the innovations are there all the same.
     range_offset, rate_offset : ndarray
         (B, n) what the attack adds [m], [m/s].
     shift : ndarray
@@ -498,8 +519,6 @@ def shift_response(
             for j in range(states):
                 total += Phi[i, j] * before[j]
             e[i] = total
-        if m < 2 * min_satellites:
-            continue
         for i in range(m):
             s = used[i]
             total = range_offset[b, s] if s < n else rate_offset[b, s - n]
@@ -521,6 +540,8 @@ def shift_response(
             y[i] /= S[i, i]
             w[i] /= S[i, i]
             divergence[b] += 0.5 * y[i] * y[i]
+        if m < 2 * min_satellites:
+            continue
         for i in range(m - 1, -1, -1):
             for k in range(i + 1, m):
                 w[i] -= S[k, i] * w[k]

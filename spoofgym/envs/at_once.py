@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Verdict
-from ..sim.world import World
 from ._kernels import play
 from .books import Books
 from .engine import Engine
@@ -22,20 +21,45 @@ from .tally import Tally
 FloatArray = NDArray[np.float64]
 
 
-def truth_of(world: World) -> FloatArray:
-    """What displacements are told by, in one array.
+def rules_of(
+    engine: Engine, books: Books, observer: Observer, at_alarm: bool, shares: FloatArray
+) -> FloatArray:
+    """What does not change while a game is played, in one array.
 
     Parameters
     ----------
-    world : World
-        Of K epochs.
+    engine : Engine
+        Knows the world, of K epochs, and whether there are twins.
+    books : Books
+        Know the lengths of the command phase and of the time to alert.
+    observer : Observer
+        Knows how a command is observed.
+    at_alarm : bool
+        Whether an alarm ends an episode.
+    shares : ndarray
+        (r, 4) of `shares_of`.
 
     Returns
     -------
     ndarray
-        (13 K,) positions, local axes and times, one after the other.
+        (11 + 4 r + 13 K,): slots, whether there are twins, whether the worst direction counts,
+        whether an alarm ends an episode, epochs of the command phase and of the time to alert,
+        `first` and `scales` of `look`; then `shares`; then positions, local axes and times of all
+        epochs.
     """
-    return np.concatenate([world.position_e.ravel(), world.C_en.ravel(), world.epoch_time])
+    world = engine.setup.world
+    numbers = (
+        world.channels,
+        engine.twin is not None,
+        engine.setup.target_heading_deg == "worst",
+        at_alarm,
+        books.steps,
+        books.hold,
+        observer.command_column,
+        *observer.command_scales,
+    )
+    truth = (world.position_e.ravel(), world.C_en.ravel(), world.epoch_time)
+    return np.concatenate([np.array(numbers, dtype=np.float64), shares.ravel(), *truth])
 
 
 class AtOnce:
@@ -49,51 +73,41 @@ class AtOnce:
         What counts of their episodes.
     observer : Observer
         What is observed.
-    origin : ndarray
-        (B, 2) north and east difference at the onset, which does not count [m].
-    at_alarm : bool
-        Whether an alarm ends an episode.
-    shares : ndarray
-        (r, 4) of `shares_of`.
+    rules : ndarray
+        Of `rules_of`.
     """
 
-    def __init__(
-        self,
-        engine: Engine,
-        books: Books,
-        observer: Observer,
-        origin: FloatArray,
-        at_alarm: bool,
-        shares: FloatArray,
-    ) -> None:
-        setup, batch, twin = engine.setup, engine.batch, engine.twin
-        rules = (
-            setup.world.channels,
-            twin is not None,
-            setup.target_heading_deg == "worst",
-            at_alarm,
-            books.steps,
-            books.hold,
-            observer.command_column,
-        )
-        self._engine, self._batch = engine, batch
+    def __init__(self, engine: Engine, books: Books, observer: Observer, rules: FloatArray) -> None:
+        batch, twin = engine.batch, engine.twin
+        self._attack = batch.attack
+        self._begun = np.zeros(5 * engine.receivers)
         self._fixed = (
             batch.buffers.floats,
             batch.buffers.flags,
             batch.buffers.floats if twin is None else twin.buffers.floats,
-            truth_of(setup.world),
-            origin,
-            books.step_count,
-            books.flags,
-            books.amounts,
-            np.array(rules, dtype=np.int64),
-            np.concatenate([observer.command_scales, shares.ravel()]),
-            observer.table,
             batch.sensors.epoch,
+            books.raw,
+            rules,
+            observer.table,
+            self._begun,
         )
 
+    def begin(self, engine: Engine, origin: FloatArray) -> None:
+        """Take what new episodes begin with.
+
+        Parameters
+        ----------
+        engine : Engine
+            The receivers, at the onset where they have just begun.
+        origin : ndarray
+            (B, 2) north and east difference at the onset, which does not count [m].
+        """
+        batch = engine.batch
+        parts = (batch.onset, batch.heading, origin.ravel(), engine.warmup_alarm)
+        np.concatenate(parts, out=self._begun, casting="unsafe")
+
     def __call__(self, verdict: Verdict, tally: Tally, seen: NDArray[np.float32]) -> bool:
-        """Count and tell the epoch, and observe what the kernel knows how to.
+        """Count and tell the epoch, and observe what `look` knows how to.
 
         Parameters
         ----------
@@ -102,25 +116,21 @@ class AtOnce:
         tally : Tally
             Written.
         seen : ndarray
-            (B, o), written.
+            (B o,), written.
 
         Returns
         -------
         bool
             Whether somebody has to run the time to alert first: nothing is told or observed then.
         """
-        batch = self._batch
-        circumstances, attack = batch.memory, batch.attack.memory
+        memory = self._attack.memory
         held: bool = play(
             *self._fixed,
-            circumstances["onset"],
-            circumstances["heading"],
-            self._engine.warmup_alarm,
             np.ascontiguousarray(verdict.alarm),
-            attack["displacement"],
-            attack["rate"],
-            tally.values,
-            tally.marks,
+            memory["displacement"],
+            memory["rate"],
+            tally.numbers,
+            tally.flags,
             seen,
         )
         return held

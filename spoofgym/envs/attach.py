@@ -104,8 +104,9 @@ def spoofer_context(
     attack = setup.attack
     context = SpooferContext(
         receivers=receivers,
-        interval_s=setup.scenario.epoch_interval_s,
-        steps=setup.steps,
+        # of its decisions: a ramp that is held for n epochs must not get to n times its rate
+        interval_s=setup.scenario.epoch_interval_s * setup.repeat,
+        steps=setup.steps // setup.repeat,
         control=attack.control,
         acceleration_limit_mps2=attack.acceleration_limit_mps2,
         rate_limit_mps=attack.rate_limit_mps,

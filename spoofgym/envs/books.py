@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,48 +50,54 @@ class Books:
 
     Attributes
     ----------
+    raw : ndarray
+        (bytes,) uint8, all of the following one after the other, as `unpack_books` names them.
     step_count : ndarray
         (B,) commands given in the running episodes.
-    flags : ndarray
-        (3, B) bool: `detected`, `ended`, `nobody`.
-    amounts : ndarray
-        (B + B (steps + 1),) `credited`, then `largest`, as `play` takes them [m].
+    credited : ndarray
+        (B,) undetected displacement so far [m].
+    largest : ndarray
+        (steps + 1, B) largest displacement so far after each command [m].
+    detected : ndarray
+        (B,) bool, whether the attack has raised an alarm.
+    ended : ndarray
+        (B,) bool, whose episode is over; the game sets it.  They count nothing more.
+    nobody : ndarray
+        (B,) bool, False.
     """
 
+    step_count: NDArray[np.int64]
+    credited: FloatArray
+    largest: FloatArray
+    detected: NDArray[np.bool_]
+    ended: NDArray[np.bool_]
+    nobody: NDArray[np.bool_]
+
     def __init__(self, receivers: int, steps: int, hold: int) -> None:
-        self.steps, self.hold, self._receivers = steps, hold, receivers
+        self.receivers, self.steps, self.hold = receivers, steps, hold
         self._heads = Heads(receivers)
-        self.step_count = np.zeros(receivers, dtype=np.int64)
-        self.flags = np.zeros((3, receivers), dtype=np.bool_)
-        self.amounts = np.zeros(receivers * (steps + 2))
+        self.raw = np.zeros(receivers * (8 * (steps + 3) + 3), dtype=np.uint8)
+        self._name_arrays()
 
-    @property
-    def detected(self) -> NDArray[np.bool_]:
-        """(B,) bool, whether the attack has raised an alarm."""
-        row: NDArray[np.bool_] = self.flags[0]
-        return row
+    def _name_arrays(self) -> None:
+        (
+            self.step_count,
+            self.credited,
+            self.largest,
+            self.detected,
+            self.ended,
+            self.nobody,
+        ) = _kernels.unpack_books(self.raw, self.receivers, self.steps)
 
-    @property
-    def ended(self) -> NDArray[np.bool_]:
-        """(B,) bool, whose episode is over; the game sets it.  They count nothing more."""
-        row: NDArray[np.bool_] = self.flags[1]
-        return row
+    def __getstate__(self) -> dict[str, Any]:
+        """All without the views, which a copy makes anew of its own bytes."""
+        views = ("step_count", "credited", "largest", "detected", "ended", "nobody")
+        return {name: value for name, value in self.__dict__.items() if name not in views}
 
-    @property
-    def nobody(self) -> NDArray[np.bool_]:
-        """(B,) bool, False."""
-        row: NDArray[np.bool_] = self.flags[2]
-        return row
-
-    @property
-    def credited(self) -> FloatArray:
-        """(B,) undetected displacement so far [m]."""
-        return self.amounts[: self._receivers]
-
-    @property
-    def largest(self) -> FloatArray:
-        """(steps + 1, B) largest displacement so far after each command [m]."""
-        return self.amounts[self._receivers :].reshape(self.steps + 1, self._receivers)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over the bytes, and name their arrays."""
+        self.__dict__.update(state)
+        self._name_arrays()
 
     def reset(self, rows: NDArray[np.intp]) -> None:
         """Begin new episodes.

@@ -7,6 +7,8 @@ from typing import Any
 
 from ..detectors import Detector, make_detector
 from .ends import AtAlarm
+from .plant_env import PlantEnv, PlantVectorEnv
+from .plant_game import PlantGame
 from .presets import WatchSpec, make_watch
 from .spoof_env import SpoofEnv
 from .terms import EndSpec, make_terms
@@ -24,7 +26,7 @@ def compose(
 
     Parameters
     ----------
-    env : SpoofEnv or SpoofVectorEnv
+    env : SpoofEnv, PlantEnv or vector environment of them
         Wrapped or not.
     detector : str, mapping or Detector, optional
         In the loop, as `make_detector` takes it.
@@ -40,18 +42,18 @@ def compose(
     RuntimeError
         When the environment has been reset.
     """
-    inner = composed(env)
+    inner = _composable(env)
     if inner.begun:
         raise RuntimeError("the game has begun: compose the environment before reset()")
     changes: dict[str, Any] = {}
-    setup = inner.game.setup
+    made = None
     if detector is not None:
         if inner.given_detector is not None:
             raise ValueError(
                 f"two detectors are set at once: {inner.given_detector!r} and {detector!r}; "
                 "one alone can be in the loop, others watch"
             )
-        setup = setup.altered(detector=make_detector(detector))
+        made = make_detector(detector)
     if watch:
         changes["watch"] = (*inner.game.settings["watch"], *make_watch(watch))
     if end:
@@ -59,12 +61,29 @@ def compose(
         if present is None:
             present = (AtAlarm(),) if inner.game.end_at_alarm else ()
         changes["end"] = (*present, *make_terms("end", end))
-    game = inner.game.altered(setup, **changes)
-    game.listeners = inner.game.listeners
-    inner.game.close()
-    inner.adopt(game)
+    before = inner.game
+    inner.adopt(_altered(before, made, changes))
+    before.close()
     if detector is not None:
         inner.given_detector = detector
+
+
+def _altered(game: Any, detector: Detector | None, changes: dict[str, Any]) -> Any:
+    """A new game of the same kind, not begun yet."""
+    if isinstance(game, PlantGame):
+        return game.altered(detector, **changes)
+    setup = game.setup if detector is None else game.setup.altered(detector=detector)
+    new = game.altered(setup, **changes)
+    new.listeners = game.listeners
+    return new
+
+
+def _composable(env: Any) -> Any:
+    """Environment inside all wrappers, whose game can be made anew."""
+    inner = getattr(env, "unwrapped", env)
+    if isinstance(inner, PlantEnv | PlantVectorEnv):
+        return inner
+    return composed(env)
 
 
 def composed(env: Any) -> SpoofEnv | SpoofVectorEnv:

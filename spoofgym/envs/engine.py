@@ -573,11 +573,11 @@ class Engine:
 
     def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
         """Call ``work(lo, hi)`` over slices of whole lanes."""
-        groups = -(-receivers // LANES)
-        parts = min(self.threads, groups)
-        if parts <= 1:
+        if self.threads == 1 or receivers <= LANES:
             work(0, receivers)
             return
+        groups = -(-receivers // LANES)
+        parts = min(self.threads, groups)
         bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
         self._workers.run(work, bounds)
 

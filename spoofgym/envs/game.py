@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._memory import Memory
 from ..detectors import Detector, Verdict
 from ._kernels import (
     ALARM,
@@ -21,7 +22,7 @@ from ._kernels import (
     tell,
 )
 from .actions import ActionTerm, Actor, FullCommand
-from .at_once import AtOnce
+from .at_once import AtOnce, rules_of
 from .books import Books
 from .checks import check_truth
 from .ends import AtAlarm, Ends, EndTerm, Standing
@@ -157,6 +158,9 @@ class Game(Stepwise):
         self.books = Books(receivers, setup.steps, setup.hold)
         self.listeners: list[Listener] = []
         self._watch = WatchBooks(self.watch.names, receivers) if self.watch is not None else None
+        self._observed = receivers * len(self.observation_names)
+        # whether something comes between the verdict of an epoch and what is told of it
+        self._in_pieces = bool(self._ends) or setup.repeat > 1
         self.set_rewards(reward)
 
     @property
@@ -223,14 +227,11 @@ class Game(Stepwise):
         parts = [key for key, _ in self._reward_parts] if self._compiled else []
         self._heads = Heads(self.receivers, parts)
         self._scratch = Tally(self._heads)
-        self._at_once = AtOnce(
-            self.engine,
-            self.books,
-            self.observer,
-            self._origin,
-            self.end_at_alarm,
-            self._shares,
-        )
+        rules = rules_of(self.engine, self.books, self.observer, self.end_at_alarm, self._shares)
+        self._at_once = AtOnce(self.engine, self.books, self.observer, rules)
+        self._at_once.begin(self.engine, self._origin)
+        captures = self.setup.attack.capture is not None
+        self._tells_more = captures or self._watch is not None or not self._compiled
 
     def altered(self, setup: Setup | None = None, **changes: Any) -> Game:
         """A new game, not begun yet, with some settings changed.
@@ -302,8 +303,14 @@ class Game(Stepwise):
         if self.engine.twin is None:
             error_n = position_error_n(self.setup, self.engine.batch)
             self._origin[where] = error_n[where, :2]
+        self._at_once.begin(self.engine, self._origin)
         if self._watch is not None:
-            self._watch.reset(where, self.engine)
+            self._watch.reset(where, self._watched)
+
+    @property
+    def _watched(self) -> Memory:
+        """What the detectors beside the one in the loop have seen."""
+        return self.engine.batch.witness(Watch).memory
 
     def displacement(self) -> FloatArray:
         """Displacement that counts, of this epoch, (B,) [m]."""
@@ -371,21 +378,16 @@ class Game(Stepwise):
         return tally
 
     def _decide_at_once(self, command: FloatArray, tally: Tally) -> NDArray[np.float32]:
-        """`_decide` and `observe` in one kernel, where nobody looks at the epoch between."""
+        """`_decide` and `observe` in one kernel, where nobody looks between; (B o,) observed."""
         verdict = self._advance(command)
-        seen = self.observer.blank(self.receivers)
+        seen = np.empty(self._observed, dtype=np.float32)
         if self._at_once(verdict, tally, seen):
             self.books.score_hold(tally, self.engine.hold)
             self._tell(tally)
-            return self.observe()
-        if self.observer.has_more:
-            self.observer.complete(self.snapshot(), seen)
+            return self.observe().ravel()
+        if self.observer.dynamic:
+            self.observer.complete(self.snapshot(), seen.reshape(self.receivers, -1))
         return seen
-
-    @property
-    def _looked_at(self) -> bool:
-        """Whether something comes between the verdict of an epoch and what is told of it."""
-        return bool(self.listeners or self._ends or self.setup.repeat > 1)
 
     def _tell(self, tally: Tally) -> None:
         """Write what is told of a step."""
@@ -434,22 +436,27 @@ class Game(Stepwise):
             (B, o) float32, new.
         """
         if self._watch is not None:
-            self._watch.forget(self.engine)
+            self._watch.forget(self._watched)
         command = self.actor.command(action)
-        if self._looked_at:
+        if self._in_pieces or self.listeners:
             tally = self._decide(command, action)
             observation = self.observe()
         else:
             tally = Tally(self._heads)
-            observation = self._decide_at_once(command, tally)
+            observation = self._decide_at_once(command, tally).reshape(self.receivers, -1)
             if not self._compiled:
                 self._reward(tally, action)
+        if self._tells_more:
+            self._tell_more(tally)
+        return tally, observation
+
+    def _tell_more(self, tally: Tally) -> None:
+        """Tell of a step what compiled code does not."""
         if self.setup.attack.capture is not None:
             captured = self.engine.batch.attack.memory["captured"]
             tally.more["captured_channels"] = captured.sum(axis=1)
         if self._watch is not None:
-            tally.more.update(self._watch.step_info(self.engine))
-        return tally, observation
+            tally.more.update(self._watch.step_info(self._watched))
 
     def alone(self, action: FloatArray) -> Told:
         """`turn` of the only receiver, as an environment returns it.
@@ -464,17 +471,12 @@ class Game(Stepwise):
         observation, reward, terminated, truncated, info
             As in `Stepwise`.
         """
-        if self._looked_at or self._tells_more:
+        if self._in_pieces or self.listeners or self._tells_more:
             return super().alone(action)
-        # nobody keeps the arrays of a batch of one, whose values are handed out as numbers
-        observation = self._decide_at_once(self.actor.command(action), self._scratch)
-        return observation[0], *self._scratch.alone()
-
-    @property
-    def _tells_more(self) -> bool:
-        """Whether there is more to tell of a step than compiled code does."""
-        watched = self._watch is not None
-        return watched or not self._compiled or self.setup.attack.capture is not None
+        # nobody keeps its arrays: their values are handed out as numbers
+        tally = self._scratch
+        observation = self._decide_at_once(self.actor.command(action), tally)
+        return observation, *tally.alone()
 
     def _reward(self, tally: Tally, action: FloatArray) -> None:
         """Reward by the terms themselves."""

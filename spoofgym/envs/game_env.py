@@ -85,6 +85,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         self.game = game
         self._draw_with(self._recorder())
         self.observation_names, self.action_names = game.observation_names, game.action_names
+        self._action_shape = (len(self.action_names),)
         self.observation_space = observation_space(game)
         self.action_space = action_space(game)
         self._begun = self._running = False
@@ -146,7 +147,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         if not self._running:
             why = "the episode is over" if self._begun else "no episode has begun"
             raise RuntimeError(f"{why}: call reset() before step()")
-        given = checked_action(action, (len(self.action_names),), self.action_names)
+        given = checked_action(action, self._action_shape, self.action_names)
         told = self.game.alone(given[None])
         _, _, terminated, truncated, info = told
         self._running = not (terminated or truncated)

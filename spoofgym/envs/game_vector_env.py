@@ -18,9 +18,10 @@ from .resets import RESET_MASK, mask_of, of_rows, seeds_of, warn_unknown
 from .spaces import action_space, checked_action, observation_space
 from .tally import Tally
 
+NEXT_STEP, SAME_STEP = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP
 AUTORESET_MODES = {
-    "next_step": AutoresetMode.NEXT_STEP,
-    "same_step": AutoresetMode.SAME_STEP,
+    "next_step": NEXT_STEP,
+    "same_step": SAME_STEP,
     "disabled": AutoresetMode.DISABLED,
 }
 Array = NDArray[Any]
@@ -127,6 +128,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         """
         self.game, self.num_envs = game, game.receivers
         self.observation_names, self.action_names = game.observation_names, game.action_names
+        self._action_shape = (self.num_envs, len(self.action_names))
         self.single_observation_space = observation_space(game)
         self.single_action_space = action_space(game)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -233,13 +235,11 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         """
         if not self._rngs:
             raise RuntimeError("call reset() before step()")
-        shape = (self.num_envs, len(self.action_names))
-        given = checked_action(actions, shape, self.action_names)
-        if self.autoreset_mode == AutoresetMode.NEXT_STEP:
+        given = checked_action(actions, self._action_shape, self.action_names)
+        mode = self.autoreset_mode
+        if mode is NEXT_STEP:
             return self._next_step(given)
-        if self.autoreset_mode == AutoresetMode.SAME_STEP:
-            return self._same_step(given)
-        return self._plain_step(given)
+        return self._same_step(given) if mode is SAME_STEP else self._plain_step(given)
 
     def _plain_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         if np.count_nonzero(self._over):

@@ -21,8 +21,8 @@ from ..sim.loose_world import SOURCES, InertialErrors, first_errors, flown_world
 from ..sim.noise import padded
 from ..sim.position_error import PositionErrors
 from .observations import KNOWLEDGE
-from .plant import Plant
-from .setup import Timeline, check_settles
+from .plant import Plant, bound
+from .setup import Timeline
 from .sight import Sight
 
 FloatArray = NDArray[np.float64]
@@ -115,22 +115,18 @@ class LoosePlant(Plant):
                 f"an episode takes {last * INTERVAL_S:g} s, but {flight!r} lasts "
                 f"{(self.world.epochs - 1) * INTERVAL_S:g} s; shorten the `timeline`"
             )
-        self._unbound = make_detector(DEFAULT_DETECTOR if detector is None else detector)
+        self.unbound = make_detector(DEFAULT_DETECTOR if detector is None else detector)
         self.detector = self._bound()
         self.memory = self._declared()
 
     def _bound(self) -> Detector:
-        detector = copy.deepcopy(self._unbound)
-        missing = detector.needs - {"gnss_position"}
-        if missing:
-            raise ValueError(
-                f"{type(detector).__name__} needs {', '.join(sorted(missing))}, which a loosely "
-                "coupled receiver does not have"
-            )
-        variance = self.settings.noise_variance()
-        detector.bind(DetectorContext(self.receivers, 0, INTERVAL_S, variance, ()))
-        check_settles(detector, self._live + self.steps + self.hold)
-        return detector
+        return bound(
+            self.unbound,
+            DetectorContext(self.receivers, 0, INTERVAL_S, self.settings.noise_variance(), ()),
+            self._live + self.steps + self.hold,
+            "a loosely coupled receiver",
+            frozenset({"gnss_position"}),
+        )
 
     def _declared(self) -> Memory:
         b = self.receivers

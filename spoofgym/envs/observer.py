@@ -43,6 +43,8 @@ class Observer:
         First column of what the commanded displacement and rate are observed as; -1 for none.
     command_scales : ndarray
         (4,) their factors and bounds, as `look` takes them.
+    dynamic : bool
+        Whether there are further terms, which depend on what has happened.
     """
 
     def __init__(self, terms: Sequence[ObservationTerm], setup: Setup) -> None:
@@ -80,6 +82,7 @@ class Observer:
             raise ValueError(f"two terms write the same observation: {', '.join(twice)}")
         self.low = np.array(low, dtype=np.float32)
         self.high = np.array(high, dtype=np.float32)
+        self.dynamic = bool(self._parts)
         own_parts = [part for _, part in self._parts]
         self._clipped = (
             min((part.start for part in own_parts), default=0),
@@ -102,7 +105,7 @@ class Observer:
         """
         batch = snapshot.batch
         memory = batch.attack.memory
-        out = self.blank(batch.receivers)
+        out = np.empty((batch.receivers, len(self.names)), dtype=np.float32)
         look(
             self.table,
             batch.epochs,
@@ -112,29 +115,9 @@ class Observer:
             self.command_scales,
             out,
         )
-        if self.has_more:
+        if self.dynamic:
             self.complete(snapshot, out)
         return out
-
-    def blank(self, receivers: int) -> NDArray[np.float32]:
-        """Room for an observation.
-
-        Parameters
-        ----------
-        receivers : int
-            B.
-
-        Returns
-        -------
-        ndarray
-            (B, o) float32, new, not written.
-        """
-        return np.empty((receivers, len(self.names)), dtype=np.float32)
-
-    @property
-    def has_more(self) -> bool:
-        """Whether there are terms that `look` does not write."""
-        return bool(self._parts)
 
     def complete(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the terms that `look` does not.

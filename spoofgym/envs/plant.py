@@ -8,6 +8,7 @@ can be reset, taken out and put back by rows.
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
@@ -16,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from ..detectors import Detector
+from ..detectors import Detector, DetectorContext
+from .setup import check_settles
+from .watched import members_of
 
 FloatArray = NDArray[np.float64]
 
@@ -40,6 +43,8 @@ class Plant(ABC):
         Time between epochs.
     action_names : tuple of str
         What each element of the action commands, with its unit.
+    unbound : Detector
+        As it was given; `spawn` binds a copy of it.
     detector : Detector
         Bound to B receivers.
     memory : Memory
@@ -52,6 +57,7 @@ class Plant(ABC):
     hold: int
     interval_s: float
     action_names: tuple[str, ...]
+    unbound: Detector
     detector: Detector
     memory: Memory
 
@@ -69,6 +75,33 @@ class Plant(ABC):
         Plant
             Shares what never changes.
         """
+
+    def altered(self, detector: Detector) -> Plant:
+        """A batch of the same settings with another detector, not begun yet.
+
+        Parameters
+        ----------
+        detector : Detector
+            In the place of `unbound`.
+
+        Returns
+        -------
+        Plant
+            Of as many receivers.
+        """
+        other = copy.copy(self)
+        other.unbound = detector
+        return other.spawn(self.receivers)
+
+    def action_limits(self) -> FloatArray:
+        """What an action of 1 commands, where it is not the same for all elements.
+
+        Returns
+        -------
+        ndarray
+            (a,) in the unit of each; all 1 where they are alike.
+        """
+        return np.ones(len(self.action_names))
 
     @abstractmethod
     def begin(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.bool_]:
@@ -166,3 +199,45 @@ class Plant(ABC):
         """
         self.memory.copy_rows(to, other.memory, rows)
         self.detector.memory.copy_rows(to, other.detector.memory, rows)
+
+
+def bound(
+    unbound: Detector, context: DetectorContext, epochs: int, whose: str, has: frozenset[str]
+) -> Detector:
+    """Copy of a detector, ready for the receivers of a plant.
+
+    Parameters
+    ----------
+    unbound : Detector
+        As it was given.
+    context : DetectorContext
+        Sizes.
+    epochs : int
+        Epochs of an episode in which it judges.
+    whose : str
+        Receiver, for messages.
+    has : frozenset of str
+        Optional fields of `Epoch` that the receiver has.
+
+    Returns
+    -------
+    Detector
+        Bound.
+
+    Raises
+    ------
+    ValueError
+        When it needs what the receiver does not have, or can't alarm within an episode.
+    """
+    detector = copy.deepcopy(unbound)
+    for member in members_of(detector):
+        missing = member.needs - has
+        if missing:
+            raise ValueError(
+                f"{type(member).__name__} needs {', '.join(sorted(missing))}, which {whose} does "
+                "not have"
+            )
+    detector.bind(context)
+    for member in members_of(detector):
+        check_settles(member, epochs)
+    return detector

@@ -14,9 +14,10 @@ from .game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_sett
 from .infos import InfoSpec
 from .plant import Plant
 from .plant_game import PlantGame
+from .presets import WatchSpec
 from .rendering import PlantRecorder, Recorder, Seen
 from .setup import Timeline
-from .terms import RewardSpec
+from .terms import ActionSpec, EndSpec, RewardSpec
 
 RECEIVERS = "receivers"
 """Argument of a plant that an environment sets by itself."""
@@ -109,12 +110,20 @@ class PlantEnv(GameEnv[PlantGame]):
         Lengths of warm-up, attack window and time to alert; the plant's own by default.
     knowledge : {"tracking", "blind", "oracle"}
         What the spoofer observes.
+    action : str, mapping, path, ActionTerm or sequence of them, optional
+        Own list of terms instead of the plant's elements, as `make_terms` takes them.
     reward : str, mapping, path, RewardTerm or sequence of them, optional
-        Own list of terms, as `make_terms` takes them.
+        Own list of terms.
+    end : str, mapping, path, EndTerm or sequence of them, optional
+        Own list of terms instead of `end_at_alarm`; not the stealth budget, which needs the filter
+        of the tightly coupled receiver.
+    watch : sequence of str, mapping or Detector
+        Detectors that judge the same epochs and change nothing; ``info["watch_NAME_alarm"]`` and
+        more tell of them.
     alarm_penalty_m : float
-        Price of an alarm.
+        Price of an alarm, where `reward` does not say it.
     end_at_alarm : bool
-        Whether an alarm ends the episode.
+        Whether an alarm ends the episode, where `end` does not say it.
     target_heading_deg : float
         Direction in which displacement counts, clockwise from north.
     render_mode : {"human", "rgb_array"}, optional
@@ -126,6 +135,8 @@ class PlantEnv(GameEnv[PlantGame]):
     ----------
     plant_type : type
         The plant; set by a subclass.
+    given_detector : object
+        Detector that has been set, as it was given; None for the plant's own.
     """
 
     plant_type: ClassVar[type[Plant]]
@@ -142,7 +153,10 @@ class PlantEnv(GameEnv[PlantGame]):
         detector: str | Mapping[str, Any] | Detector | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
+        action: ActionSpec | None = None,
         reward: RewardSpec | None = None,
+        end: EndSpec | None = None,
+        watch: WatchSpec = (),
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
@@ -153,11 +167,15 @@ class PlantEnv(GameEnv[PlantGame]):
         game = PlantGame(
             make_plant(self.plant_type, 1, given),
             knowledge=knowledge,
+            action=action,
             reward=reward,
+            end=end,
+            watch=watch,
             alarm_penalty_m=alarm_penalty_m,
             end_at_alarm=end_at_alarm,
             target_heading_deg=target_heading_deg,
         )
+        self.given_detector: Any = detector
         super().__init__(game, render_mode)
 
     def _recorder(self) -> Recorder | None:
@@ -177,7 +195,7 @@ class PlantVectorEnv(GameVectorEnv[PlantGame]):
         called with ``options={"reset_mask": ...}``.
     infos : {"all", "none"} or sequence of str
         Which information is handed out, by its keys; `final_obs` and `final_info` always are.
-    detector, timeline, knowledge, reward, alarm_penalty_m, end_at_alarm
+    detector, timeline, knowledge, action, reward, end, watch, alarm_penalty_m, end_at_alarm
         As in `PlantEnv`.
     target_heading_deg, render_mode, **settings
         As in `PlantEnv`.
@@ -186,6 +204,8 @@ class PlantVectorEnv(GameVectorEnv[PlantGame]):
     ----------
     plant_type : type
         The plant; set by a subclass.
+    given_detector : object
+        Detector that has been set, as it was given; None for the plant's own.
     """
 
     plant_type: ClassVar[type[Plant]]
@@ -205,7 +225,10 @@ class PlantVectorEnv(GameVectorEnv[PlantGame]):
         detector: str | Mapping[str, Any] | Detector | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
+        action: ActionSpec | None = None,
         reward: RewardSpec | None = None,
+        end: EndSpec | None = None,
+        watch: WatchSpec = (),
         alarm_penalty_m: float = 10.0,
         end_at_alarm: bool = True,
         target_heading_deg: float = 90.0,
@@ -218,9 +241,13 @@ class PlantVectorEnv(GameVectorEnv[PlantGame]):
         game = PlantGame(
             make_plant(self.plant_type, num_envs, given),
             knowledge=knowledge,
+            action=action,
             reward=reward,
+            end=end,
+            watch=watch,
             alarm_penalty_m=alarm_penalty_m,
             end_at_alarm=end_at_alarm,
             target_heading_deg=target_heading_deg,
         )
+        self.given_detector: Any = detector
         super().__init__(game, mode, infos)

@@ -54,8 +54,8 @@ SHARED = ("gain", "retraction", "detected", "alarm")
 class RewardTerm(Protocol):
     """One part of the reward.
 
-    A term that is a factor times one field may also have a property `share` that tells both; where
-    all terms have one, the reward is computed in compiled code, to the same bits.
+    Where all terms are also a `SharedTerm`, the reward is computed in compiled code, to the same
+    bits.
 
     Attributes
     ----------
@@ -78,6 +78,14 @@ class RewardTerm(Protocol):
         ndarray
             (B,) a new array.
         """
+
+
+class SharedTerm(RewardTerm, Protocol):
+    """A term that is a factor times one field of the outcome."""
+
+    @property
+    def share(self) -> Share:
+        """Field, of `SHARED`, and factor."""
 
 
 def _check_price(name: str, value: Any) -> None:
@@ -311,7 +319,7 @@ def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
     for row, term in zip(shares, terms, strict=True):
         if not told_beside_call(term, "share"):
             return None
-        field, factor = cast("Share", getattr(term, "share"))  # noqa: B009  (not of every term)
+        field, factor = cast("SharedTerm", term).share
         row[SHARED.index(field)] = factor
     return shares
 

@@ -37,7 +37,7 @@ class WheeledRobotEnv(PlantEnv):
     ``info["warmup_alarm"]``; nothing is drawn again for it.
 
     **End.** `terminated` after the last command of the attack window, or at an alarm.  `truncated`
-    never.
+    never, unless an end term does it.
 
     **Arguments.** Those of `PlantEnv` and, by name, the settings of `RobotPlant`.  The detector is
     ``acna`` in its production variant by default.

@@ -34,8 +34,8 @@ from ..sim.odometry import (
 )
 from ..sim.robot_track import RobotLoop
 from . import robot_observation
-from .plant import Plant
-from .setup import Timeline, check_settles
+from .plant import Plant, bound
+from .setup import Timeline
 from .sight import Sight
 
 FloatArray = NDArray[np.float64]
@@ -116,13 +116,7 @@ class RobotPlant(Plant):
         self.quiet, self.live, self.steps, self.hold = self.timeline.epochs(interval_s)
         self.onset = self.quiet + self.live
         self.action_names = ("north_rate", "east_rate")
-        self._unbound = make_detector(DEFAULT_DETECTOR if detector is None else detector)
-        missing = self._unbound.needs - {"gnss_position", "auxiliary_position"}
-        if missing:
-            raise ValueError(
-                f"{type(self._unbound).__name__} needs {', '.join(sorted(missing))}, which a "
-                "wheeled robot does not have"
-            )
+        self.unbound = make_detector(DEFAULT_DETECTOR if detector is None else detector)
         self._drive()
         self._interrupt(interruptions_s)
         self._populate(receivers)
@@ -178,10 +172,14 @@ class RobotPlant(Plant):
         self.batch = CredibleBatch(self.filter, self.memory, self.interval_s)
         self.increment = np.zeros((b, AXES))
         self._noise = np.empty(BLOCK)
-        self.detector = copy.deepcopy(self._unbound)
         variance = np.full(AXES, self.filter.noise_variance)
-        self.detector.bind(DetectorContext(b, 0, self.interval_s, variance, ()))
-        check_settles(self.detector, self.live + self.steps + self.hold)
+        self.detector = bound(
+            self.unbound,
+            DetectorContext(b, 0, self.interval_s, variance, ()),
+            self.live + self.steps + self.hold,
+            "a wheeled robot",
+            frozenset({"gnss_position", "auxiliary_position"}),
+        )
 
     def spawn(self, receivers: int) -> RobotPlant:
         """Another batch of the same settings.

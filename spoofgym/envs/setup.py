@@ -236,24 +236,29 @@ class Setup:
         begun: NDArray[np.int64] = epochs - epochs % self.epochs_each
         return begun + self.bounds.first + self.onset
 
-    def command(self, before: FloatArray, action: FloatArray, epoch: int) -> FloatArray:
+    def command(
+        self, before: FloatArray, action: FloatArray, epoch: int | NDArray[np.int64]
+    ) -> FloatArray:
         """Command of one of the epochs of a decision.
 
         Parameters
         ----------
         before, action : ndarray
             (B, a) decision before, and this one.
-        epoch : int
-            Which epoch of the decision, from 0 on.
+        epoch : int or ndarray
+            Which epoch of the decision, from 0 on; (B, 1) where receivers differ.
 
         Returns
         -------
         ndarray
             (B, a).
         """
-        if self.between == "hold" or epoch + 1 == self.repeat:
+        if self.between == "hold":
             return action
-        return before + ((epoch + 1) / self.repeat) * (action - before)
+        count = np.asarray(epoch) + 1
+        # the line reaches its end exactly, not but for rounding
+        on_the_way = before + (count / self.repeat) * (action - before)
+        return np.where(count == self.repeat, action, on_the_way)
 
     def altered(
         self, *, detector: Detector | None = None, witnesses: Sequence[Witness] | None = None

@@ -40,7 +40,7 @@ class SnapshotEnv(PlantEnv):
     in ``info["warmup_alarm"]``; nothing is drawn again for it.
 
     **End.** `terminated` after the last command of the attack window, or at an alarm.  `truncated`
-    never.
+    never, unless an end term does it.
 
     **Arguments.** Those of `PlantEnv` and, by name, the settings of `SnapshotPlant`.  The detector
     is ``srv-raim`` by default.

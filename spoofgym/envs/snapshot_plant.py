@@ -28,8 +28,8 @@ from ..receiver.snapshot import (
 from ..sim.constellation import CircularConstellation
 from ..sim.sky import make_sky, measure, scratch
 from .observations import KNOWLEDGE
-from .plant import Plant
-from .setup import Timeline, check_settles
+from .plant import Plant, bound
+from .setup import Timeline
 from .sight import Sight, Sky
 
 FloatArray = NDArray[np.float64]
@@ -122,21 +122,20 @@ class SnapshotPlant(Plant):
             speed_mps=speed_mps,
             heading_deg=heading_deg,
         )
-        self._judge = make_detector(detector)
-        if self._judge.needs:
-            raise ValueError(
-                f"{type(self._judge).__name__} needs {', '.join(sorted(self._judge.needs))}, "
-                "which a snapshot receiver does not have"
-            )
+        self.unbound = make_detector(detector)
         self._settle()
 
     def _settle(self) -> None:
         """Detector, memory and buffers of this batch."""
         b, n = self.receivers, len(self.sky.satellite_ids)
-        self.detector = copy.deepcopy(self._judge)
         variance = np.repeat([self.noise_m**2, 1.0], n)
-        self.detector.bind(DetectorContext(b, n, self.interval_s, variance, self.sky.satellite_ids))
-        check_settles(self.detector, self._live + self.steps + self.hold)
+        self.detector = bound(
+            self.unbound,
+            DetectorContext(b, n, self.interval_s, variance, self.sky.satellite_ids),
+            self._live + self.steps + self.hold,
+            "a snapshot receiver",
+            frozenset(),
+        )
         c = n if self.detector.scope == "channel" else 1
         self.memory = Memory(b)
         start = np.tile(self.sky.position_e[0], (b, 1))
@@ -244,6 +243,16 @@ class SnapshotPlant(Plant):
             memory["rate"] = np.clip(action, -1.0, 1.0) * self.rate_limit_mps
         memory["displacement"] = memory["displacement"] + memory["rate"] * self.interval_s
         return self._epoch(live=True)
+
+    def action_limits(self) -> FloatArray:
+        """Largest rate of every axis.
+
+        Returns
+        -------
+        ndarray
+            (4,) [m/s].
+        """
+        return self.rate_limit_mps
 
     def _epoch(self, live: bool) -> NDArray[np.bool_]:
         """Measure, judge and fix."""

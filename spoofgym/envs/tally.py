@@ -41,15 +41,16 @@ class Heads:
     numbers : int
         How many of `told` are numbers.
     blank : ndarray
-        (8 + t, B) bool, what `Tally.marks` begins with.
+        ((8 + t) B,) bool, what `Tally.flags` begins with.
     """
 
     def __init__(self, receivers: int, parts: Sequence[str] = ()) -> None:
         self.told = (*VALUE_NAMES, *parts, *MARK_NAMES)
         self.masked = (*self.told, *("_" + name for name in self.told))
         self.numbers = len(VALUE_NAMES) + len(parts)
-        self.blank: Mask = np.zeros((MARKS + len(self.told), receivers), dtype=np.bool_)
-        self.blank[MARKS:] = True
+        self.receivers = receivers
+        self.blank: Mask = np.ones((MARKS + len(self.told)) * receivers, dtype=np.bool_)
+        self.blank[: MARKS * receivers] = False
 
 
 class Tally:
@@ -65,20 +66,30 @@ class Tally:
 
     Attributes
     ----------
-    values : ndarray
-        (k + 3, B) the numbers of ``heads.told``, then gain, retraction [m] and reward.
-    marks : ndarray
-        (8 + t, B) bool, `MARK_NAMES`, then first alarm, last command, terminated and truncated;
-        then, for each key, that every receiver has it.
+    numbers : ndarray
+        ((k + 3) B,) `values` in one row.
+    flags : ndarray
+        ((8 + t) B,) bool, `marks` in one row: those that the kernels name, then, for every key,
+        that all receivers have it.
     more : dict
         Arrays that are told beside them, by key.
     """
 
     def __init__(self, heads: Heads) -> None:
         self._heads = heads
-        self.marks: Mask = heads.blank.copy()
-        self.values: FloatArray = np.empty((heads.numbers + 3, self.marks.shape[1]))
+        self.flags: Mask = heads.blank.copy()
+        self.numbers: FloatArray = np.empty((heads.numbers + 3) * heads.receivers)
         self.more: dict[str, NDArray[Any]] = {}
+
+    @property
+    def values(self) -> FloatArray:
+        """(k + 3, B) the numbers of ``heads.told``, then gain, retraction [m] and reward."""
+        return self.numbers.reshape(-1, self._heads.receivers)
+
+    @property
+    def marks(self) -> Mask:
+        """(8 + t, B) bool, those of `MARK_NAMES` first; the kernels name the others."""
+        return self.flags.reshape(-1, self._heads.receivers)
 
     @property
     def reward(self) -> FloatArray:
@@ -137,8 +148,8 @@ class Tally:
         info : dict
             By key.
         """
-        values: list[Any] = self.values.ravel().tolist()
-        marks: list[Any] = self.marks.ravel().tolist()
+        values: list[Any] = self.numbers.tolist()
+        marks: list[Any] = self.flags.tolist()
         told = values[: _kernels.GAIN] + marks[: len(MARK_NAMES)]
         info: dict[str, Any] = dict(zip(self._heads.told, told, strict=True))
         for name, array in self.more.items():

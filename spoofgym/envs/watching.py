@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .engine import Engine
-from .witness import Watch, Witness
+from .._memory import Memory
+from .witness import Witness
 
 
 def needed(terms: Iterable[Any]) -> list[Witness]:
@@ -52,29 +52,28 @@ class WatchBooks:
         self.step_names = (*self.begin_names, *self._alarm_names, *self._ratio_names)
         self._warmup_alarm = np.zeros((receivers, len(names)), dtype=np.bool_)
 
-    def reset(self, rows: NDArray[np.intp], engine: Engine) -> None:
+    def reset(self, rows: NDArray[np.intp], watched: Memory) -> None:
         """Take down the alarms of the warm-up.
 
         Parameters
         ----------
         rows : ndarray
             Which receivers have begun anew.
-        engine : Engine
-            The receivers.
+        watched : Memory
+            Of the `Watch`.
         """
-        alarmed = engine.batch.witness(Watch).memory["alarmed"]
-        self._warmup_alarm[rows] = alarmed[rows]
+        self._warmup_alarm[rows] = watched["alarmed"][rows]
 
     @staticmethod
-    def forget(engine: Engine) -> None:
+    def forget(watched: Memory) -> None:
         """Begin to count the alarms of a step.
 
         Parameters
         ----------
-        engine : Engine
-            The receivers.
+        watched : Memory
+            Of the `Watch`.
         """
-        engine.batch.witness(Watch).memory["alarmed"][:] = False
+        watched["alarmed"][:] = False
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
         """Information at the begin of an episode.
@@ -86,20 +85,19 @@ class WatchBooks:
         """
         return {name: self._warmup_alarm[:, k].copy() for k, name in enumerate(self.begin_names)}
 
-    def step_info(self, engine: Engine) -> dict[str, NDArray[Any]]:
+    def step_info(self, watched: Memory) -> dict[str, NDArray[Any]]:
         """Information of a step, the time to alert included.
 
         Parameters
         ----------
-        engine : Engine
-            The receivers.
+        watched : Memory
+            Of the `Watch`.
 
         Returns
         -------
         dict
             (B,) arrays of each detector.
         """
-        memory = engine.batch.witness(Watch).memory
-        alarms = {name: memory["alarmed"][:, k].copy() for k, name in enumerate(self._alarm_names)}
-        ratios = {name: memory["ratio"][:, k].copy() for k, name in enumerate(self._ratio_names)}
+        alarms = {name: watched["alarmed"][:, k].copy() for k, name in enumerate(self._alarm_names)}
+        ratios = {name: watched["ratio"][:, k].copy() for k, name in enumerate(self._ratio_names)}
         return {**self.begin_info(), **alarms, **ratios}

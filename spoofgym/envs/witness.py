@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..detectors import DETECTORS, Detector
+from ..receiver.epoch import Epoch
 
 if TYPE_CHECKING:
     from .engine import Batch
@@ -109,10 +110,20 @@ class Watch(Witness):
         """
         for detector in self.detectors:
             batch.bind_detector(detector)
+        self.declare(batch.receivers)
+
+    def declare(self, receivers: int) -> None:
+        """Prepare for what the detectors will see.
+
+        Parameters
+        ----------
+        receivers : int
+            B.
+        """
         count = len(self.detectors)
-        self.memory = Memory(batch.receivers)
-        self.memory.declare("alarmed", np.zeros((batch.receivers, count), dtype=np.bool_))
-        self.memory.declare("ratio", np.zeros((batch.receivers, count)))
+        self.memory = Memory(receivers)
+        self.memory.declare("alarmed", np.zeros((receivers, count), dtype=np.bool_))
+        self.memory.declare("ratio", np.zeros((receivers, count)))
 
     def begin(self) -> None:
         """Begin new episodes in all receivers."""
@@ -128,9 +139,19 @@ class Watch(Witness):
         batch : Batch
             With the epoch.
         """
+        self.look(batch.epoch)
+
+    def look(self, epoch: Epoch) -> None:
+        """Let every detector judge an epoch.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only.
+        """
         alarmed, ratio = self.memory["alarmed"], self.memory["ratio"]
         for k, detector in enumerate(self.detectors):
-            verdict = detector.judge(batch.epoch)
+            verdict = detector.judge(epoch)
             alarmed[:, k] |= verdict.alarm.any(axis=1)
             ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
 

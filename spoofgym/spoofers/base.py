@@ -70,12 +70,16 @@ class Spoofer(ABC):
         Short name in results; by default it is made of the registered name and the settings.
     designed_on : str
         What it was optimised on before the attack: detector, receiver, scenario; or nothing.
+    transmits : bool
+        Whether it counterfeits at all.  An attack that is commanded nothing may still be seen, by
+        its tracking error or its delay; where nothing is transmitted, measurements are authentic.
     memory : Memory
         What it remembers of every receiver.
     """
 
     knowledge: str
     tunable: ClassVar[str | None] = None
+    transmits: ClassVar[bool] = True
     label: str | None = None
     designed_on: str = "nothing"
     memory: Memory

@@ -12,9 +12,10 @@ from .base import FloatArray, Spoofer
 
 @dataclass
 class NoSpoofer(Spoofer):
-    """Commands zero."""
+    """Commands zero; a benchmark leaves the measurements of its runs authentic."""
 
     knowledge = "blind"
+    transmits = False
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         """Command nothing.

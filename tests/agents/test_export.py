@@ -234,15 +234,30 @@ def acts(path: Path) -> np.ndarray:
     return written.act(seen(300))
 
 
+TURNED = [[0.6, 0.8], [0.8, -0.6]]
+
+
+@pytest.fixture(scope="module", params=[None, [[0.0, 1.0], [-1.0, 0.0]], TURNED])
+def turned(request: pytest.FixtureRequest) -> tuple[PolicyExporter, np.ndarray]:
+    """Traced once for all amplitudes, and the directions of its actions."""
+    exporter = PolicyExporter(make_policy(gain=20.0), request.param)
+    return exporter, np.eye(2) if request.param is None else np.array(request.param)
+
+
 @pytest.mark.parametrize("amplitude", [0.4, 1.0, 1.7])
-@pytest.mark.parametrize("directions", [None, [[0.0, 1.0], [-1.0, 0.0]], [[0.6, 0.8], [0.8, -0.6]]])
 def test_a_file_follows_the_plan_in_its_directions(
-    amplitude: float, directions: list[list[float]] | None, tmp_path: Path
+    turned: tuple[PolicyExporter, np.ndarray], amplitude: float, tmp_path: Path
 ) -> None:
+    exporter, directions = turned
+    exporter.write(tmp_path / "large.onnx", fields(), amplitude)
+    expected = np.clip(planned(exporter.policy, seen(300), amplitude) @ directions, -1.0, 1.0)
+    np.testing.assert_allclose(acts(tmp_path / "large.onnx"), expected, atol=1e-5)
+
+
+def test_amplitude_and_directions_are_told_in_one_call(tmp_path: Path) -> None:
     policy = make_policy(gain=20.0)
-    export_policy(policy, tmp_path / "large.onnx", fields(), amplitude, directions)
-    turned = np.eye(2) if directions is None else np.array(directions)
-    expected = np.clip(planned(policy, seen(300), amplitude) @ turned, -1.0, 1.0)
+    export_policy(policy, tmp_path / "large.onnx", fields(), 0.4, TURNED)
+    expected = np.clip(planned(policy, seen(300), 0.4) @ TURNED, -1.0, 1.0)
     np.testing.assert_allclose(acts(tmp_path / "large.onnx"), expected, atol=1e-5)
 
 

@@ -53,17 +53,22 @@ def columns(envs: SpoofVecEnv, observations: np.ndarray) -> tuple[np.ndarray, np
     return rate, observations[:, names.index("time_since_onset")]
 
 
-def test_commands_lead_to_the_rates_of_the_profile(envs: SpoofVecEnv) -> None:
+@pytest.mark.parametrize("epochs", [1, 4])
+def test_commands_lead_to_the_rates_of_the_profile(epochs: int) -> None:
     """Whatever a disturbed receiver has come to, its command leads back to the curve."""
+    envs = make_envs(4, decision_interval_s=0.5 * epochs)
     setup = envs.game.setup
+    assert setup.repeat == epochs
+    decisions = setup.steps // epochs
     observations, commands = demonstrations(envs, PROFILE, EAST, seed=0)
-    assert (len(observations), commands.shape) == (4 * setup.steps, (4 * setup.steps, 1))
+    envs.close()
+    assert (len(observations), commands.shape) == (4 * decisions, (4 * decisions, 1))
     rate, part = columns(envs, observations)
-    rows = np.round(part * setup.steps).astype(int)
-    assert (np.bincount(rows, minlength=setup.steps) == 4).all()
-    most = ACCELERATION["acceleration_limit_mps2"] * setup.scenario.epoch_interval_s
+    rows = np.round(part * decisions).astype(int)
+    assert (np.bincount(rows, minlength=decisions) == 4).all()
+    most = ACCELERATION["acceleration_limit_mps2"] * setup.scenario.epoch_interval_s * epochs
     free = np.abs(commands[:, 0]) < 1.0
-    wanted = sampled(PROFILE.rates_mps, setup.steps)[rows]
+    wanted = sampled(PROFILE.rates_mps, decisions)[rows]
     assert free.mean() > 0.9
     np.testing.assert_allclose((rate + most * commands[:, 0])[free], wanted[free], atol=1e-6)
     later = rows > 0

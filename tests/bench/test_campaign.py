@@ -200,7 +200,7 @@ def test_results_of_another_format_are_not_scored(tmp_path: Path) -> None:
     folder.open(small_suite())
     config = folder.config()
     folder.put_text("config.json", json.dumps({**config, "format": 1}))
-    with pytest.raises(ValueError, match=r"holds results of format 1, .* scores format 2: play"):
+    with pytest.raises(ValueError, match=r"holds results of format 1, .* scores format 3: play"):
         summarize(folder)
 
 

@@ -115,6 +115,18 @@ def test_no_attack_induces_nothing(start: WarmStart) -> None:
     assert not displacement_of(start.setup, still, clean).any()
 
 
+def test_no_attack_is_not_seen_by_its_tracking_error() -> None:
+    """An attack that is commanded nothing is one all the same; `none` transmits nothing."""
+    suite = small_suite(attack={"name": "tracking-1m", "tracking": {"sd_m": 5.0}})
+    start = WarmStart(suite.setup(suite.detector_entries[0]), suite.generators("training", 4))
+    clean = play(start, "none", drop_alarmed=True)
+    ideal = small_suite(attack="false-position-ideal")
+    other = WarmStart(ideal.setup(ideal.detector_entries[0]), ideal.generators("training", 4))
+    np.testing.assert_array_equal(clean.position_e, play(other, "none").position_e)
+    still = play(start, {"name": "ramp", "rate_mps": 0.0})
+    assert (still.peak > 2.0 * clean.peak).all()
+
+
 def test_a_slow_ramp_carries_the_victim_along(start: WarmStart) -> None:
     clean, slow = play(start, "none"), play(start, {"name": "ramp", "rate_mps": 0.1})
     error = induced_error(start.setup, slow, clean)

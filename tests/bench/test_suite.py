@@ -68,6 +68,7 @@ def test_the_clean_twin_is_always_played_first() -> None:
     [
         ({"runs": 1}, "`runs` must be a whole number of at least 2, got 1"),
         ({"entropy": -1}, "`entropy` must be a whole number of at least 0"),
+        ({"alert_limit_m": 0.0}, "`alert_limit_m` must be finite and > 0, got 0.0"),
         ({"detectors": ()}, "at least one detector"),
         ({"detectors": ("ewma", "ewma")}, "listed twice: ewma"),
         ({"detectors": ("emwa",)}, "unknown detector 'emwa'; valid: .*did you mean 'ewma'"),

@@ -37,13 +37,13 @@ def test_imports_are_told_by_their_absolute_names():
 
 
 def test_numba_is_used_by_the_one_decorator_alone(source):
-    tree = ast.parse(source.read_text())
+    tree = sources.tree_of(source)
     used = [name for name, _ in sources.imported(tree, source) if name.split(".")[0] == "numba"]
     assert sources.name_of(source) == "_jit.py" or not used
 
 
 def test_compiled_functions_stand_in_compiled_layers(source):
-    tree = ast.parse(source.read_text())
+    tree = sources.tree_of(source)
     parts = source.relative_to(sources.ROOT).parts
     takes = [
         (module, names)
@@ -61,7 +61,7 @@ def test_compiled_functions_stand_in_compiled_layers(source):
 
 def test_decorators_are_bare(source):
     """``@njit(...)`` would have settings of its own."""
-    tree = ast.parse(source.read_text())
+    tree = sources.tree_of(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
             for decorator in node.decorator_list:
@@ -75,7 +75,7 @@ def test_compiled_layers_import_only_from_those_whose_sources_count(source):
     if len(parts) < 2 or parts[0] not in COMPILED_LAYERS or sources.name_of(source) in BRIDGES:
         return
     counted = COMPILED_LAYERS[: COMPILED_LAYERS.index(parts[0]) + 1]
-    tree = ast.parse(source.read_text())
+    tree = sources.tree_of(source)
     for module, names in sources.imported(tree, source):
         path = module.split(".")
         if path[0] != "spoofgym":
@@ -88,7 +88,7 @@ def test_no_module_of_a_compiled_layer_imports_a_bridge(source):
     parts = source.relative_to(sources.ROOT).parts
     if parts[0] not in COMPILED_LAYERS or source.name == "__init__.py":
         return
-    for module, names in sources.imported(ast.parse(source.read_text()), source):
+    for module, names in sources.imported(sources.tree_of(source), source):
         for package, bridge in BRIDGES.values():
             assert module != f"{package}.{bridge}"
             assert module != package or bridge not in names

@@ -17,7 +17,7 @@ SMALLER = [
     (r'detector="', f'{SHORT}, detector="'),
     (r"model\.learn\([\d_]+\)", "model.learn(320)"),
     (r"n_steps=300, batch_size=600", "n_steps=10, batch_size=40"),
-    (r"learning_starts=5_000", "learning_starts=100"),
+    (r"learning_starts=2_000", "learning_starts=100"),
     (r"buffer_size=200_000", "buffer_size=1_000"),
     (r"range\(350\)", "range(60)"),
     (

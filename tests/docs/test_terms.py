@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import sys
 import types
@@ -12,14 +13,15 @@ import pytest
 
 from spoofgym.envs.terms import TERMS, term_table
 
+from .pages import blocks_of
+
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = ("terms.md", "own_observation_term.md")
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch):
-    text = (DOCS / page).read_text()
-    blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    text, blocks = (DOCS / page).read_text(), blocks_of(page)
     assert blocks
     if "RecordEpochs" in text:
         pytest.importorskip("pyarrow")
@@ -29,7 +31,9 @@ def test_the_code_of_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = types.ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)
-    for number, block in enumerate(blocks):
+    for number, (needs, block) in enumerate(blocks):
+        if needs is not None and importlib.util.find_spec(needs) is None:
+            continue
         exec(compile(block, f"{page} block {number}", "exec"), module.__dict__)
 
 

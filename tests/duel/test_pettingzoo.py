@@ -16,9 +16,10 @@ VARIANTS = [
     {},
     {"statistic": "channel", "payoff": "weighted", "knowledge": "oracle", "threshold": 0.9},
     {"weighs": False, "attack": {"name": "per-channel", "control": "rate"}},
+    {"decision_interval_s": 1.5, "between": "linear"},
 ]
 HARMLESS = [
-    "ignore:the duel has no reset option:UserWarning",
+    "ignore:reset has no option:UserWarning",
     "ignore:Agents have different observation space sizes:UserWarning",
     "ignore:Observations are different shapes:UserWarning",
     "ignore:Environment has not defined a render:UserWarning",
@@ -167,7 +168,7 @@ def test_bad_actions_name_the_agent():
         env.step({**good, "spoofer_0": np.array([1.5, 0.0])})
     with pytest.raises(ValueError, match=r"got those of spoofer_0"):
         env.step({"spoofer_0": np.zeros(2)})
-    with pytest.warns(UserWarning, match="no reset option 'sead'"):
+    with pytest.warns(UserWarning, match="no option 'sead'; valid: domain"):
         env.reset(options={"sead": 1})
     while env.agents:
         env.step(good)
@@ -200,6 +201,9 @@ def test_bad_actions_of_the_aec_form():
         ({"render_mode": "human"}, "nothing to render"),
         ({"thresholds": 0.5}, "did you mean 'threshold'"),
         ({"timeline": {"attack_s": 208.0}}, "lasts 418 s"),
+        ({"decision_interval_s": 0.7}, "must be a multiple of the interval between epochs, 0.5 s"),
+        ({"decision_interval_s": 2.0}, "window of 15 s must hold a whole number of decisions"),
+        ({"between": "spline"}, "unknown between 'spline'; valid: hold, linear"),
     ],
 )
 def test_bad_settings(kwargs, message):

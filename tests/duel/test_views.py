@@ -88,8 +88,21 @@ def single_runs(make, act, seed, steps):
             {**DETECTOR, **DOMAIN},
             detector_actions,
         ),
+        (
+            duel_v0.DetectorView,
+            duel_v0.DetectorVectorView,
+            {**DETECTOR, "decision_interval_s": 1.5, "between": "linear"},
+            detector_actions,
+        ),
     ],
-    ids=["spoofer", "detector", "detector-late", "spoofer-domain", "detector-domain"],
+    ids=[
+        "spoofer",
+        "detector",
+        "detector-late",
+        "spoofer-domain",
+        "detector-domain",
+        "detector-decisions",
+    ],
 )
 def test_every_receiver_of_a_vector_view_is_the_single_view(single, vector, kwargs, act, mode):
     receivers, steps, seed = 5, 75, 11

@@ -57,6 +57,36 @@ def test_it_plays_stable_baselines_environment(policy: str) -> None:
     envs.close()
 
 
+@pytest.mark.parametrize("between", ["hold", "linear"])
+@pytest.mark.parametrize(
+    "spec",
+    [
+        {"name": "ramp", "rate_mps": 0.1},
+        {"name": "profile", "rates_mps": [0.0, 0.1, 0.1]},
+        {"name": "accelerating-ramp", "acceleration_mps2": 0.01},
+    ],
+)
+def test_a_scripted_spoofer_goes_by_the_time_between_its_decisions(
+    spec: dict[str, Any], between: str
+) -> None:
+    env = single(detector="never", decision_interval_s=2.5, between=between)
+    spoofer = attach(spec, env)
+    assert (spoofer.context.interval_s, spoofer.context.steps) == (2.5, 6)
+    observation, _ = env.reset(seed=1)
+    memory = env.unwrapped.game.engine.batch.attack.memory
+    rates = []
+    for _ in range(6):
+        observation, *_ = env.step(spoofer.act(observation[None])[0])
+        rates.append(memory["rate"][0, 1])
+    if spec["name"] == "accelerating-ramp":
+        # linear: half of the first decision is on the way to its acceleration
+        late = 2.5 * (between == "linear") * 0.5 * (1.0 - 1.0 / 5.0)
+        assert rates[-1] == pytest.approx(0.01 * (15.0 - late))
+    else:
+        assert rates[-1] == pytest.approx(0.1)
+        assert max(rates) < 0.1 + 1e-9
+
+
 def test_the_object_is_copied() -> None:
     ramp = Ramp(rate_mps=0.2)
     attached = attach(ramp, single())

@@ -63,6 +63,67 @@ def run(attacked, clean, command):
     return total
 
 
+def by_hand(batch, shift, weights):
+    """Shift after an epoch, and what it adds to the divergence: the module's equations in NumPy."""
+    epoch, sensors = batch.epoch, batch.sensors.state
+    seen = np.tile(epoch.visible[0], 2)
+    H, P = epoch.design[0][seen], epoch.predicted_cov[0]
+    S = epoch.innovation_cov[0][np.ix_(seen, seen)]
+    a = np.r_[sensors.range_offset[0], sensors.rate_offset[0]][seen]
+    predicted = epoch.transition[0] @ shift
+    rho = a + H @ predicted
+    if epoch.visible[0].sum() < batch.setup.receiver.min_satellites:
+        after = predicted
+    else:
+        after = predicted - P @ H.T @ np.linalg.inv(S) @ np.diag(weights[0][seen]) @ rho
+    return after, divergence_of_normals(rho, S, np.zeros_like(rho), S)
+
+
+def divergence_of_normals(mean, cov, mean_0, cov_0):
+    """Of N(mean, cov) from N(mean_0, cov_0) [nats], for any covariances."""
+    inverse, apart = np.linalg.inv(cov_0), mean - mean_0
+    ratio = np.linalg.slogdet(cov_0)[1] - np.linalg.slogdet(cov)[1]
+    return 0.5 * (np.trace(inverse @ cov) + apart @ inverse @ apart - len(apart) + ratio)
+
+
+@pytest.mark.parametrize(
+    ("detector", "attack"),
+    [
+        ("never", "false-position"),
+        ("ewma", "false-position"),
+        ("ewma", {"name": "per-channel", "channels": ["S05", "S09"]}),
+        ("never", "tracking-1m"),
+        ("snapshot-chi2", "pseudorange-only"),
+    ],
+)
+@pytest.mark.parametrize("min_satellites", [4, 13])
+def test_it_is_the_sum_of_the_divergences_of_normal_distributions(detector, attack, min_satellites):
+    """Epoch by epoch, with the run's own gain and weights, to rounding."""
+    setup = make_setup(
+        timeline=SHORT,
+        detector=detector,
+        attack=attack,
+        receiver={"min_satellites": min_satellites},
+        domain={"start_s": (0.0, 60.0)},
+    ).altered(witnesses=[Divergence()])
+    engine = Engine(1, setup)
+    engine.reset([np.random.default_rng(3)])
+    axes = len(setup.attack.action_names(setup.world))
+    rng, shift, total, weighed = np.random.default_rng(4), np.zeros(17), 0.0, False
+    for _ in range(24):
+        engine.predict(rng.uniform(-1.0, 1.0, (1, axes)))
+        verdict = engine.judge()
+        weights = np.ones((1, 24)) if verdict.weights is None else verdict.weights
+        weighed |= bool((weights != 1.0).any())
+        shift, added = by_hand(engine.batch, shift, weights)
+        total += added
+        engine.update(verdict)
+        np.testing.assert_allclose(memory(engine)["shift"][0], shift, rtol=1e-6, atol=1e-9)
+        assert memory(engine)["divergence"][0] == pytest.approx(total, rel=1e-6, abs=1e-9)
+    assert total > 0.01
+    assert weighed == (detector == "ewma" and min_satellites == 4)
+
+
 def test_without_an_attack_there_is_none():
     _, clean = engines("ewma")
     for _ in range(5):

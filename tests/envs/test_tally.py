@@ -5,9 +5,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.envs.ends import AtDisplacement, Standing
+from spoofgym.envs.ends import AtAlarm, AtDisplacement, Standing
 from spoofgym.envs.game import Game
-from spoofgym.envs.observations import TargetMotion, Time, terms_of
+from spoofgym.envs.observations import OwnCommand, TargetMotion, Time, terms_of
 from spoofgym.envs.presets import make_setup
 from spoofgym.envs.rewards import (
     AlarmedEpochs,
@@ -50,6 +50,15 @@ class Nowhere(AtDisplacement):
 
 
 @dataclass(frozen=True)
+class Backwards(OwnCommand):
+    """Inherits factors that are not its own."""
+
+    def __call__(self, snapshot: Any, out: Any) -> None:
+        super().__call__(snapshot, out)
+        out *= -1.0
+
+
+@dataclass(frozen=True)
 class Doubled(DisplacementGain):
     """Inherits a share that is not its own."""
 
@@ -65,9 +74,9 @@ def played(**settings: Any) -> list[dict[str, Any]]:
     envs.reset(seed=4)
     rng, found = np.random.default_rng(1), []
     for _ in range(60):
-        _, reward, terminated, truncated, info = envs.step(rng.uniform(0.5, 1.0, (3, 2)))
+        seen, reward, terminated, truncated, info = envs.step(rng.uniform(0.5, 1.0, (3, 2)))
         if "alarm" in info:  # else all of them begin anew
-            found.append({"reward": reward, "over": terminated | truncated, **info})
+            found.append({"seen": seen, "reward": reward, "over": terminated | truncated, **info})
     envs.close()
     return found
 
@@ -103,6 +112,70 @@ def test_an_epoch_in_one_kernel_is_an_epoch_piece_by_piece(compiled: list[dict[s
     assert_same(compiled, played(reward=TERMS, detector=NERVOUS, end=[Nowhere(1.0)]))
 
 
+COMPOSITIONS: list[dict[str, Any]] = [
+    {},
+    {"twin": True},
+    {"target_heading_deg": "worst"},
+    {"knowledge": "oracle", "detector": NERVOUS},
+    {"knowledge": "blind", "attack": "meaconer"},
+    {"observation": [Time(), OwnCommand(30.0)], "reward": TERMS, "detector": NERVOUS},
+    {"domain": {"start_s": (0.0, 10.0)}, "target_heading_deg": "random"},
+]
+
+
+def alone(**settings: Any) -> list[tuple[Any, ...]]:
+    """All that a single environment returns in some episodes."""
+    env = gym.make("spoofgym/TightlyCoupled-v0", timeline=SHORT, **settings)
+    rng, found = np.random.default_rng(1), []
+    env.reset(seed=4)
+    for _ in range(60):
+        found.append(env.step(rng.uniform(0.5, 1.0, len(env.unwrapped.action_names))))
+        if found[-1][2] or found[-1][3]:
+            env.reset()
+    env.close()
+    return found
+
+
+@pytest.mark.parametrize("settings", COMPOSITIONS, ids=str)
+def test_the_fast_twin_has_the_bits_of_the_pieces(settings: dict[str, Any]) -> None:
+    # the observations of the fast one are kept over all further steps
+    fast, pieces = alone(**settings), alone(**settings, end=[AtAlarm(), Nowhere(1.0)])
+    for mine, theirs in zip(fast, pieces, strict=True):
+        np.testing.assert_array_equal(mine[0], theirs[0], strict=True)
+        assert mine[1:4] == theirs[1:4]
+        told = {name: value for name, value in theirs[4].items() if name != "end_nowhere"}
+        assert mine[4] == told
+        assert list(map(type, mine[4].values())) == list(map(type, told.values()))
+
+
+def test_the_fast_twin_of_many_has_the_bits_of_the_pieces() -> None:
+    settings = {"knowledge": "oracle", "detector": NERVOUS, "target_heading_deg": "random"}
+    assert_same(played(**settings), played(**settings, end=[AtAlarm(), Nowhere(1.0)]))
+
+
+@pytest.mark.parametrize("num_envs", [1, 3])
+def test_masked_rows_are_masked_arrays(num_envs: int) -> None:
+    envs, chosen = (
+        gym.make_vec(
+            "spoofgym/TightlyCoupled-v0",
+            num_envs=num_envs,
+            prefetch=False,
+            timeline=SHORT,
+            infos=infos,
+        )
+        for infos in ("all", ("time_s", "cost", "alarm", "reward_alarm"))
+    )
+    envs.reset(seed=2)
+    chosen.reset(seed=2)
+    whole = envs.step(np.ones((num_envs, 2)))[4]
+    some = chosen.step(np.ones((num_envs, 2)))[4]
+    assert {"_" + name for name in whole if name[0] != "_"} == {n for n in whole if n[0] == "_"}
+    for name, array in some.items():
+        np.testing.assert_array_equal(array, whole[name], strict=True)
+    envs.close()
+    chosen.close()
+
+
 def test_a_step_hands_out_arrays_that_share_nothing() -> None:
     envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=2, prefetch=False, timeline=SHORT)
     envs.reset(seed=0)
@@ -125,6 +198,17 @@ def test_only_a_share_beside_its_own_call_is_believed() -> None:
     )
     other: list[RewardTerm] = [*TERMS, Doubled()]
     assert shares_of(other) is None
+
+
+def test_only_factors_beside_their_own_call_are_believed() -> None:
+    setup = make_setup(timeline=SHORT, detector="never")
+    game = Game(2, setup, observation=[Backwards(1.0)], reward=[], end_at_alarm=False)
+    game.reset(np.random.default_rng(0).spawn(2))
+    for _ in range(3):
+        _, seen = game.turn(np.ones((2, 2)))
+    moved = game.engine.batch.attack.memory["displacement"]
+    assert (moved > 0.0).all()
+    np.testing.assert_array_equal(seen[:, :2], -moved.astype(np.float32))
 
 
 def test_motion_and_time_are_tabled_to_the_bit() -> None:

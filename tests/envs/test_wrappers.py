@@ -15,6 +15,7 @@ from spoofgym.envs.recorder import EpochRecorder
 from spoofgym.envs.wrappers import vector as vector_wrappers
 
 from .support import ID, SHORT, single, vector
+from .test_ends import AfterEpochs
 
 
 def transitions(env, steps=36, seed=4):
@@ -81,7 +82,7 @@ def test_a_game_that_has_begun_is_left_alone(make, module):
 
 def test_other_environments_are_refused():
     with pytest.raises(TypeError, match="needs a SpoofEnv"):
-        wrappers.WatchWrapper(gym.make("spoofgym/Snapshot-v0"), ["cusum"])
+        wrappers.WatchWrapper(gym.make("spoofgym/SpooferView-v0", timeline=SHORT), ["cusum"])
 
 
 def test_make_vec_refuses_wrappers_where_there_is_a_vector_form():
@@ -197,6 +198,31 @@ def test_every_epoch_of_every_episode_is_written(tmp_path, mode):
     assert {"time_s", "innovation", "innovation_variance", "statistic", "alarm"} <= names
     assert np.array(table["innovation"].to_pylist()).shape == (table.num_rows, 24)
     assert not list(tmp_path.glob("*.part"))
+
+
+@pytest.mark.parametrize("decision_interval_s", [None, 2.5])
+@pytest.mark.parametrize(("at", "warmup_alarm", "alarm"), [(-5, True, False), (33, False, True)])
+def test_what_is_written_are_the_epochs_of_the_commands_and_no_others(
+    tmp_path, decision_interval_s, at, warmup_alarm, alarm
+):
+    """Neither the warm-up nor the time to alert: the information tells of alarms there."""
+    pytest.importorskip("pyarrow")
+    env = single(detector=AfterEpochs(at), decision_interval_s=decision_interval_s)
+    env = wrappers.RecordEpochs(env, tmp_path)
+    _, begun = env.reset(seed=3)
+    assert begun["warmup_alarm"] == warmup_alarm
+    over = False
+    while not over:
+        *_, over, _, info = env.step([0.0, 0.1])
+    env.close()
+    assert info["alarm"] == alarm
+    table, told = read(tmp_path / "receiver-000-episode-000000.parquet")
+    # 15 s of commands from 20 s on, in epochs of half a second
+    np.testing.assert_allclose(table["time_s"].to_pylist(), 20.0 + 0.5 * np.arange(1, 31))
+    assert not any(table["alarm"].to_pylist())
+    assert told["complete"]
+    # the receiver has run the time to alert, which no file tells of
+    assert (begun["time_s"], info["time_s"]) == (20.0, 40.0)
 
 
 def test_a_later_run_counts_on_and_a_broken_episode_says_so(tmp_path):

@@ -80,6 +80,15 @@ def command(*given):
     )
 
 
+def refused(monkeypatch, *given):
+    """What the command says before it ends with an error; another process would load torch anew."""
+    monkeypatch.setattr(sys, "argv", ["train.ppo_spoofer", *given])
+    with pytest.raises(SystemExit) as told:
+        ppo_spoofer.main()
+    assert isinstance(told.value.code, str)  # which Python prints, and fails
+    return told.value.code
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     args = arguments(tmp_path_factory.mktemp("runs") / "tiny")
@@ -164,7 +173,7 @@ def test_a_finished_run_can_be_resumed_and_stays_as_it_is(trained):
 def test_a_killed_run_goes_on(tmp_path):
     """SIGKILL in the middle, then the same command with --resume."""
     out = tmp_path / "killed"
-    given = words(out, steps=4000, evaluations=20)
+    given = words(out, steps=1000, evaluations=10)
     process = subprocess.Popen(
         [sys.executable, "-m", "train.ppo_spoofer", *given],
         cwd=ROOT,
@@ -173,7 +182,7 @@ def test_a_killed_run_goes_on(tmp_path):
     )
     try:
         for _ in range(2400):
-            if (out / RECORD).is_file() and len(read_record(out / RECORD)) >= 4:
+            if (out / RECORD).is_file() and len(read_record(out / RECORD)) >= 3:
                 break
             assert process.poll() is None, "ended before it was killed"
             time.sleep(0.05)
@@ -182,7 +191,7 @@ def test_a_killed_run_goes_on(tmp_path):
         process.kill()
         process.wait()
     killed = read_record(out / RECORD)[-1]["step"]
-    assert killed < 4000
+    assert killed < 1000
     with zipfile.ZipFile(out / CHECKPOINT) as archive:
         saved = json.loads(archive.read("state.json"))["num_timesteps"]
     assert saved <= killed
@@ -192,18 +201,16 @@ def test_a_killed_run_goes_on(tmp_path):
     assert f"resumed after {saved:,} steps" in again.stdout
     steps = [point["step"] for point in read_record(out / RECORD)]
     assert steps == sorted(set(steps))
-    assert (steps[0], steps[-1]) == (0, 4000)
+    assert (steps[0], steps[-1]) == (0, 1000)
     walls = [point["wall_s"] for point in read_record(out / RECORD)]
     assert walls == sorted(walls)
     assert len(Card.load(out / "killed.json").scores) == 2
 
 
-def test_a_run_that_diverges_keeps_the_best(tmp_path):
-    done = command(*words(tmp_path / "wild", learning_rate=1e30))
-    assert done.returncode != 0
-    assert "training has diverged" in done.stderr
-    assert "is kept" in done.stderr
-    assert "Traceback" not in done.stderr
+def test_a_run_that_diverges_keeps_the_best(tmp_path, monkeypatch):
+    said = refused(monkeypatch, *words(tmp_path / "wild", learning_rate=1e30))
+    assert "training has diverged" in said
+    assert "is kept" in said
     OnnxPolicy(str(tmp_path / "wild" / "wild.onnx"))
 
 
@@ -234,12 +241,9 @@ def test_settings_are_checked_at_once(tmp_path, settings, message):
     ],
 )
 def test_what_it_is_to_learn_against_is_checked_before_anything_is_written(
-    tmp_path, settings, message
+    tmp_path, monkeypatch, settings, message
 ):
-    done = command(*words(tmp_path / "x", **settings))
-    assert done.returncode != 0
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+    assert message in refused(monkeypatch, *words(tmp_path / "x", **settings))
     assert not (tmp_path / "x").exists()
 
 
@@ -286,10 +290,9 @@ def test_other_knowledge_headings_and_controls(tmp_path, settings, knowledge, st
     envs.close()
 
 
-def test_an_attack_that_moves_only_the_clock_is_refused(tmp_path):
-    done = command(*words(tmp_path / "x", attack="per-channel"))
-    assert done.returncode != 0
-    assert "no scale for a reward follows" in done.stderr
+def test_an_attack_that_moves_only_the_clock_is_refused(tmp_path, monkeypatch):
+    given = words(tmp_path / "x", attack="per-channel")
+    assert "no scale for a reward follows" in refused(monkeypatch, *given)
     assert not (tmp_path / "x").exists()
 
 

@@ -210,7 +210,7 @@ class PlantRecorder:
         seen = _seen(plant)
         now = seen.sight()
         return Stage(
-            title=f"{plant.kind} receiver against {detector_name(plant.detector)}",
+            title=f"{plant.kind} receiver against {detector_name(self._game.detector)}",
             route_ne=seen.route_ne(),
             interval_s=plant.interval_s,
             steps=plant.steps,

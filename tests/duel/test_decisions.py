@@ -1,0 +1,213 @@
+"""Spoofers that decide every n-th epoch, against detectors that decide on every one."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from spoofgym import duel_v0
+
+from .support import ALARM, QUIET, SHORT, aec, parallel, wary
+
+STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
+EVERY = 3
+SLOW = {"decision_interval_s": 1.5, "attack": STRONG, "attack_probability": 1.0, "threshold": 1.0}
+QUICK = {**SLOW, "decision_interval_s": None}
+EPOCHS, HOLD = 30, 4
+
+
+def pushes(count):
+    return np.random.default_rng(7).uniform(-1.0, 1.0, (count, 2))
+
+
+def trusting(k):
+    """Weights of epoch k, so that it matters which epoch a decision is applied to."""
+    return np.r_[-1.0, np.random.default_rng(k).uniform(0.0, 1.0, 12)]
+
+
+def commands(decisions, between):
+    """Command of every epoch, by hand."""
+    before, found = np.zeros(2), []
+    for decision in decisions:
+        for part in (1 / 3, 2 / 3, 1.0):
+            on_the_way = before + part * (decision - before)
+            found.append(decision if between == "hold" else on_the_way)
+        before = decision
+    return np.array(found)
+
+
+def aec_epochs(duel, seed, push_of):
+    """Whose turns there were, displacements by epoch, and rewards of the spoofer at its turns."""
+    turns, own, paid, last = [], [], [], {}
+    duel.reset(seed=seed)
+    for name in duel.agent_iter():
+        _, reward, over, _, _ = duel.last()
+        if name == "spoofer_0":
+            paid.append(reward)
+        if over:
+            duel.step(None)
+            continue
+        turns.append(name)
+        if name == "spoofer_0":
+            duel.step(push_of(len(own)))
+        else:
+            duel.step(trusting(len(own)))
+            last = duel.infos["spoofer_0"]
+            own.append(last["displacement_m"])
+    return turns, np.array(own), np.array(paid[1:]), last
+
+
+@pytest.mark.parametrize("between", ["hold", "linear"])
+def test_in_the_aec_form_the_detector_has_the_turns_between(between):
+    decisions = pushes((EPOCHS + HOLD) // EVERY + 1)
+    given = commands(decisions, between)
+    turns, own, paid, last = aec_epochs(
+        aec(**SLOW, between=between), 4, lambda epoch: decisions[epoch // EVERY]
+    )
+    _, expected, each, same = aec_epochs(aec(**QUICK), 4, lambda epoch: given[epoch])
+    cycle = ["spoofer_0", *["detector_0"] * EVERY]
+    assert turns == (cycle * (len(decisions)))[: len(turns)]
+    assert turns.count("detector_0") == EPOCHS + HOLD
+    if between == "hold":
+        np.testing.assert_array_equal(own, expected)
+    np.testing.assert_allclose(own, expected, rtol=0, atol=1e-9)
+    cuts = np.arange(0, len(each), EVERY)
+    np.testing.assert_allclose(paid, np.add.reduceat(each, cuts), rtol=0, atol=1e-9)
+    assert last["undetected_displacement_m"] == pytest.approx(same["undetected_displacement_m"])
+    assert paid.sum() == pytest.approx(last["undetected_displacement_m"])
+    assert last["undetected_displacement_m"] > 1.0
+
+
+def test_an_alarm_between_two_decisions_ends_the_episode():
+    duel = aec(**{**SLOW, "threshold": 0.5})
+    duel.reset(seed=2)
+    duel.step(np.ones(2))
+    duel.step(QUIET)
+    assert duel.agent_selection == "detector_0"
+    duel.step(ALARM)
+    assert all(duel.terminations.values())
+    for _ in duel.agent_iter():
+        assert duel.last()[2]
+        duel.step(None)
+    assert not duel.agents
+
+
+def parallel_epochs(duel, seed, push_of):
+    own, due = [], []
+    _, infos = duel.reset(seed=seed)
+    while duel.agents:
+        due.append(infos["spoofer_0"].get("decides"))
+        actions = {"spoofer_0": push_of(len(own)), "detector_0": trusting(len(own))}
+        *_, infos = duel.step(actions)
+        own.append(infos["spoofer_0"]["displacement_m"])
+    return np.array(own), due
+
+
+def test_in_the_parallel_form_actions_between_are_not_looked_at():
+    decisions = pushes((EPOCHS + HOLD) // EVERY + 1)
+    noise = np.random.default_rng(1)
+
+    def push(epoch):
+        return noise.uniform(-1.0, 1.0, 2) if epoch % EVERY else decisions[epoch // EVERY]
+
+    own, due = parallel_epochs(parallel(**SLOW), 4, push)
+    expected, never = parallel_epochs(parallel(**QUICK), 4, lambda k: decisions[k // EVERY])
+    np.testing.assert_array_equal(own, expected)
+    assert due == [k % EVERY == 0 for k in range(EPOCHS + HOLD)]
+    assert set(never) == {None}
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("between", ["hold", "linear"])
+def test_the_spoofers_view_is_the_same_game_with_a_step_a_decision(delay, between):
+    policy = duel_v0.FunctionPolicy(wary)
+    opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.2, decision_delay=delay)
+    view = duel_v0.SpooferView(
+        opponent, timeline=SHORT, attack=STRONG, decision_interval_s=1.5, between=between
+    )
+    settings = {**SLOW, "threshold": 0.2, "between": between}
+    duel = (parallel if delay else aec)(**settings)
+    detected = set()
+    for size in (0.002, 0.8):
+        decisions = size * np.abs(pushes(12))
+        view.reset(seed=3)
+        over, expected, total = False, [], 0.0
+        while not over:
+            _, reward, over, _, info = view.step(decisions[len(expected)])
+            total += reward
+            expected.append(info["displacement_m"])
+        detected.add(info["detected"])
+        own, last = wary_run(duel, delay, decisions)
+        ends = own[EVERY - 1 :: EVERY][: len(expected)]
+        np.testing.assert_array_equal(ends, expected[: len(ends)])
+        assert last["undetected_displacement_m"] == info["undetected_displacement_m"]
+        assert total == pytest.approx(last["undetected_displacement_m"])
+    assert detected == {False, True}
+
+
+def wary_run(duel, delay, decisions):
+    """Displacements of the epochs of a duel against a wary detector."""
+    own, last = [], {}
+    if delay:
+        observations, _ = duel.reset(seed=3)
+        while duel.agents:
+            actions = {
+                "spoofer_0": decisions[len(own) // EVERY],
+                "detector_0": wary(observations["detector_0"][None])[0],
+            }
+            observations, *_, infos = duel.step(actions)
+            last = infos["spoofer_0"]
+            own.append(last["displacement_m"])
+        return own, last
+    duel.reset(seed=3)
+    for name in duel.agent_iter():
+        observation, _, over, _, _ = duel.last()
+        if over:
+            duel.step(None)
+        elif name == "spoofer_0":
+            duel.step(decisions[len(own) // EVERY])
+        else:
+            duel.step(wary(observation[None])[0])
+            last = duel.infos["spoofer_0"]
+            own.append(last["displacement_m"])
+    return own, last
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_scripted_spoofer_of_the_detectors_view_knows_how_seldom_it_decides(delay):
+    view = duel_v0.DetectorView(
+        {"name": "ramp", "rate_mps": 0.9}, decision_delay=delay, timeline=SHORT, **SLOW
+    )
+    view.reset(seed=5)
+    steps, over = 0, False
+    while not over:
+        _, _, over, _, _ = view.step(QUIET)
+        steps += 1
+    memory = view.game.duel.game.engine.batch.attack.memory
+    # 0.9 m/s at 0.6 m/s^2, held for the 1.5 s of the first decision
+    np.testing.assert_allclose(memory["rate"][0], [0.0, 0.9], atol=1e-12)
+    assert steps == EPOCHS + HOLD
+
+
+def test_a_duel_that_is_pickled_between_two_decisions_goes_on_identically():
+    duel = aec(**SLOW, between="linear").unwrapped
+    duel.reset(seed=6)
+    for action in (np.ones(2), QUIET, QUIET, QUIET, -np.ones(2), QUIET):
+        duel.step(action)
+    copy = pickle.loads(pickle.dumps(duel))
+    for each in (duel, copy):
+        for action in (QUIET, QUIET, np.zeros(2), QUIET):
+            each.step(action)
+    for name in ("spoofer_0", "detector_0"):
+        np.testing.assert_array_equal(duel.observe(name), copy.observe(name))
+    assert duel.infos == copy.infos
+
+
+def test_the_store_tells_intervals_apart_where_an_episode_depends_on_them(tmp_path):
+    settings = {"false_alarm": 0.5, "runs": 2, "store": tmp_path, "timeline": SHORT}
+    policy = duel_v0.FunctionPolicy(wary, "wary")
+    quick = duel_v0.calibrate(policy, **settings)
+    slow = duel_v0.calibrate(policy, **settings, decision_interval_s=1.5)
+    # nobody attacks in a clean episode, however seldom
+    assert (slow.threshold, slow.threshold_low) == (quick.threshold, quick.threshold_low)
+    assert slow.settings != quick.settings

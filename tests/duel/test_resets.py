@@ -1,0 +1,112 @@
+"""Circumstances that a reset is told, in both forms and in the views of both sides."""
+
+import numpy as np
+import pytest
+
+from spoofgym import duel_v0
+
+from .support import QUIET, SHORT, aec, parallel
+
+DRAWN = {
+    "timeline": SHORT,
+    "domain": {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
+    "target_heading_deg": "random",
+}
+TOLD = {"start_s": 12.0, "world": 1, "target_heading_deg": 45.0}
+SINGLE = {
+    "aec": lambda: aec(**DRAWN),
+    "parallel": lambda: parallel(**DRAWN),
+    "spoofer": lambda: duel_v0.SpooferView("never", **DRAWN),
+    "detector": lambda: duel_v0.DetectorView("ramp", **DRAWN),
+}
+VECTOR = {
+    "spoofers": lambda **more: duel_v0.SpooferVectorView(3, "never", **DRAWN, **more),
+    "detectors": lambda **more: duel_v0.DetectorVectorView(3, "ramp", **DRAWN, **more),
+}
+
+
+def batch_of(env):
+    """Receivers of an environment of any kind."""
+    inner = getattr(env, "unwrapped", env)
+    duel = inner.rules.duel if hasattr(inner, "rules") else getattr(inner.game, "duel", None)
+    return (inner.game if duel is None else duel.game).engine.batch
+
+
+def circumstances(env):
+    """World, time from its begin to the onset, and heading of every receiver."""
+    batch = batch_of(env)
+    each = batch.setup.epochs_each
+    interval = batch.setup.scenario.epoch_interval_s
+    return batch.onset // each, (batch.onset % each) * interval, np.degrees(batch.heading)
+
+
+def check_told(env, rows=slice(None)):
+    world, begun, heading = circumstances(env)
+    assert set(world[rows]) == {1}
+    assert set(begun[rows]) == {12.0 + SHORT["warmup_s"]}
+    np.testing.assert_allclose(heading[rows], 45.0)
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_a_single_receiver(name):
+    env = SINGLE[name]()
+    env.reset(seed=3, options={"domain": TOLD})
+    check_told(env)
+    env.reset(seed=3)
+    drawn = circumstances(env)
+    env.reset(seed=3, options={"domain": {"world": 1 - drawn[0][0]}})
+    world, *others = circumstances(env)
+    assert world[0] == 1 - drawn[0][0]
+    for told, was in zip(others, drawn[1:], strict=True):  # the rest is drawn as ever
+        np.testing.assert_array_equal(told, was)
+
+
+@pytest.mark.parametrize("name", VECTOR)
+def test_a_batch(name):
+    envs = VECTOR[name](autoreset_mode="disabled")
+    envs.reset(seed=3, options={"domain": {**TOLD, "world": [1, 0, 1]}})
+    world, begun, _ = circumstances(envs)
+    assert world.tolist() == [1, 0, 1]
+    assert set(begun) == {32.0}
+    envs.reset(seed=3)
+    before = circumstances(envs)
+    mask = np.array([True, False, True])
+    envs.reset(seed=3, options={"domain": TOLD, "reset_mask": mask})
+    check_told(envs, mask)
+    for now, was in zip(circumstances(envs), before, strict=True):
+        assert now[1] == was[1]
+
+
+def test_both_forms_and_the_views_begin_alike():
+    observations, _ = (duel := SINGLE["parallel"]()).reset(seed=8, options={"domain": TOLD})
+    seen = observations["detector_0"]
+    (other := SINGLE["aec"]()).reset(seed=8, options={"domain": TOLD})
+    np.testing.assert_array_equal(other.observe("detector_0"), seen)
+    np.testing.assert_array_equal(other.observe("spoofer_0"), observations["spoofer_0"])
+    view = SINGLE["spoofer"]()
+    np.testing.assert_array_equal(
+        view.reset(seed=8, options={"domain": TOLD})[0], observations["spoofer_0"]
+    )
+    assert duel.step({"spoofer_0": np.zeros(2), "detector_0": QUIET})
+    guard = duel_v0.DetectorView("ramp", decision_delay=1, **DRAWN)
+    np.testing.assert_array_equal(guard.reset(seed=8, options={"domain": TOLD})[0], seen)
+
+
+@pytest.mark.parametrize("name", [*SINGLE, *VECTOR])
+def test_what_is_wrong_is_named_and_leaves_the_episode_alone(name):
+    env = {**SINGLE, **VECTOR}[name]()
+    env.reset(seed=1)
+    before = batch_of(env).epochs.copy()
+    for given, message in (
+        ({"wurld": 1}, "unknown choice of a reset 'wurld'; valid: .* did you mean 'world'"),
+        ({"world": 2}, "`world` must be whole numbers, 0 to 1, got 2"),
+        ({"start_s": 40.0}, "`start_s` must be 0 to 30, got 40.0"),
+        ({"imu": "navigation"}, "unknown imu 'navigation'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            env.reset(options={"domain": given})
+        np.testing.assert_array_equal(batch_of(env).epochs, before)
+    with pytest.raises(TypeError, match=r"option `domain` of a reset must be a dict, got 3"):
+        env.reset(options={"domain": 3})
+    with pytest.warns(UserWarning, match="reset has no option 'mask'; valid: domain"):
+        env.reset(options={"mask": 1})
