@@ -174,8 +174,8 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
             mask = self._all.copy()
         elif not self._rngs and not mask.all():
             raise ValueError("the first reset must be that of all receivers")
-        super().reset(seed=seed if isinstance(seed, int) else None)
         seeds = seeds_of(seed, self.num_envs)
+        super().reset(seed=seed if isinstance(seed, int) else None)
         if not self._rngs:
             self._rngs = [np.random.default_rng(s) for s in seeds]
         else:
@@ -294,8 +294,6 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         last = {name: _where(over, array) for name, array in told.items()}
         self._restart(over)
         begin = self.game.begin_info()
-        if np.logical_and.reduce(over):  # nobody is left who would have the others
-            told = {name: array for name, array in told.items() if name in begin}
         values = {name: _where(~over, array, begin.get(name)) for name, array in told.items()}
         info = masked(values, ~over)
         self._mark_begun(info)

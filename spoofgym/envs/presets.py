@@ -156,6 +156,7 @@ def make_game(
     threads: int | None = None,
     prefetch: bool = False,
     twin: bool = False,
+    plays_on: bool = False,
 ) -> Game:
     """Game with the observation of a level of knowledge.
 
@@ -175,7 +176,7 @@ def make_game(
         Price of an alarm, where `reward` does not say it.
     end_at_alarm : bool
         Whether an alarm ends the episode, where `end` does not say it.
-    threads, prefetch, twin : optional
+    threads, prefetch, twin, plays_on : optional
         As in `Game`.
 
     Returns
@@ -210,6 +211,7 @@ def make_game(
         threads=threads,
         prefetch=prefetch,
         twin=twin,
+        plays_on=plays_on,
     )
 
 

@@ -160,10 +160,9 @@ def test_the_types_of_the_last_information_are_those_of_gymnasium(name):
         expected = theirs.step(given)[4]
         ends += (terminated | truncated).any()
         found, right = types(told), types(expected)
-        assert found.keys() == right.keys()
-        assert {key: kind == right[key] for key, kind in found.items()} == dict.fromkeys(
-            found, True
-        )
+        # where nobody has a key, Gymnasium leaves it out, and ours is masked
+        assert found.keys() >= right.keys()
+        assert {key: found[key] for key in right} == right
     ours.close()
     theirs.close()
 
