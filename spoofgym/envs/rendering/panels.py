@@ -29,7 +29,7 @@ LEAST_M = 2.0
 """Smallest range of errors that is shown."""
 NAME_DRIFT = 0.02
 """How far a satellite goes on a sky plot of radius 1 before its name follows."""
-NAME_SIZE = (0.16, 0.09)
+NAME_SIZE = (0.2, 0.1)
 """Width and height of a satellite's name on such a plot."""
 Box = tuple[float, float, float, float]
 """Left, bottom, width and height."""
@@ -378,15 +378,17 @@ def beside(place: FloatArray, visible: NDArray[np.bool_]) -> list[tuple[float, f
         n corners.
     """
     width, height = NAME_SIZE
-    taken = [(x - 0.05, y - 0.05, 0.1, 0.1) for x, y in place[:, visible].T.tolist()]
+    marks = [(x - 0.08, y - 0.08, 0.16, 0.16) for x, y in place.T.tolist()]
+    names: list[Box] = []
     corners = []
-    for (x, y), seen in zip(place.T.tolist(), visible.tolist(), strict=True):
+    for k, ((x, y), seen) in enumerate(zip(place.T.tolist(), visible.tolist(), strict=True)):
+        others = [mark for i, mark in enumerate(marks) if i != k and visible[i]]
         right, left, above, below = x + 0.06, x - 0.06 - width, y + 0.04, y - 0.04 - height
         tried = [(right, above), (left, above), (right, below), (left, below)]
         tried += [(right, y - height / 2), (left, y - height / 2)]
-        corner = min(tried, key=lambda at: _overlap((*at, width, height), taken))
+        corner = min(tried, key=lambda at: _overlap((*at, width, height), others + names))
         if seen:
-            taken.append((*corner, width, height))
+            names.append((*corner, width, height))
         corners.append(corner)
     return corners
 

@@ -9,7 +9,7 @@ from spoofgym.envs import make_game, make_setup
 from spoofgym.envs.loose_plant import LoosePlant
 from spoofgym.envs.plant_game import PlantGame
 from spoofgym.envs.rendering import GameRecorder, PlantRecorder, RenderHistory, Seen
-from spoofgym.envs.rendering.panels import beside
+from spoofgym.envs.rendering.panels import NAME_SIZE, beside
 from spoofgym.envs.robot_plant import RobotPlant
 from spoofgym.envs.snapshot_plant import SnapshotPlant
 
@@ -135,13 +135,14 @@ def test_what_counts_is_drawn_up_to_the_last_command_and_not_beyond():
 
 
 def test_names_of_satellites_lie_beside_one_another():
-    angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-    place = np.stack([0.3 * np.cos(angles), 0.3 * np.sin(angles)])
-    corners = np.array(beside(place, np.ones(12, dtype=bool)))
-    apart = np.abs(corners[:, None] - corners[None]) - np.array([0.16, 0.09])
-    overlap = (apart < -1e-9).all(axis=-1)
-    plain = np.abs(place.T[:, None] - place.T[None]) - np.array([0.16, 0.09])
-    assert (plain < -1e-9).all(axis=-1).sum() > 12  # in the upper right they would
-    assert overlap.sum() == 12
+    middles = np.array([[-0.7, 0.0], [0.0, 0.6], [0.0, -0.6], [0.7, 0.1]])
+    place = np.concatenate([middles, middles + 0.03]).T  # four pairs
+
+    def shared(corners):
+        apart = np.abs(corners[:, None] - corners[None]) - np.array(NAME_SIZE)
+        return (apart < -1e-9).all(axis=-1).sum() - len(corners)
+
+    assert shared(place.T) == 8  # all in the upper right
+    assert shared(np.array(beside(place, np.ones(8, dtype=bool)))) == 0
     alone = beside(np.zeros((2, 1)), np.ones(1, dtype=bool))
     assert alone == [(0.06, 0.04)]
