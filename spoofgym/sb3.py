@@ -81,7 +81,7 @@ class SpoofVecEnv(VecEnv):
         As in `SpoofEnv`.
     watch, alarm_penalty_m, end_at_alarm, target_heading_deg, domain, decision_interval_s, between
         As in `SpoofEnv`.
-    twin, plays_on
+    twin
         As in `SpoofEnv`.
 
     Attributes
@@ -119,7 +119,6 @@ class SpoofVecEnv(VecEnv):
         decision_interval_s: float | None = None,
         between: str = "hold",
         twin: bool = False,
-        plays_on: bool = False,
     ) -> None:
         check_vector_settings(num_envs, None)
         if torch_threads is not None:
@@ -152,7 +151,6 @@ class SpoofVecEnv(VecEnv):
             threads=threads,
             prefetch=prefetch,
             twin=twin,
-            plays_on=plays_on,
         )
         self.observation_names = self.game.observer.names
         self.action_names = self.game.action_names

@@ -70,9 +70,7 @@ class Task:
     def env_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of the environment; a copy."""
         if not self.pooled:
-            # what v1 does where an episode ends within a decision
-            decided = {"plays_on": True} if "decision_interval_s" in self.settings else {}
-            return {**self.world_kwargs, **decided, "detector": self.detector}
+            return {**self.world_kwargs, "detector": self.detector}
         # a view pays no alarm penalty unless it is told to, and all tasks are paid alike
         pool = {"pool": list(self.detectors), "alarm_penalty_m": ALARM_PENALTY_M}
         return copy.deepcopy({**self.settings, **pool})

@@ -82,9 +82,6 @@ class Game(Stepwise):
         As in `Engine`.
     prefetch, twin : bool
         As in `Engine`.
-    plays_on : bool
-        Whether a receiver whose episode ends within a decision is observed, and told with time and
-        displacement, as it would stand when the decision is over.
 
     Attributes
     ----------
@@ -94,8 +91,6 @@ class Game(Stepwise):
         What counts of the running episodes.
     end_at_alarm : bool
         Whether an alarm ends the episode.
-    plays_on : bool
-        As it was given.
     settings : dict
         Arguments as they were given, for `altered`.
     listeners : list of callable
@@ -118,12 +113,10 @@ class Game(Stepwise):
         threads: int | None = None,
         prefetch: bool = False,
         twin: bool = False,
-        plays_on: bool = False,
     ) -> None:
         check_end_at_alarm(end_at_alarm)
         check_truth("twin", twin)
         check_truth("prefetch", prefetch)
-        check_truth("plays_on", plays_on)
         self.settings: dict[str, Any] = {
             "observation": observation,
             "reward": reward,
@@ -134,9 +127,7 @@ class Game(Stepwise):
             "threads": threads,
             "prefetch": prefetch,
             "twin": twin,
-            "plays_on": plays_on,
         }
-        self.plays_on = plays_on
         ends = ((AtAlarm(),) if end_at_alarm else ()) if end is None else tuple(end)
         self._ends = Ends(ends)
         self.end_at_alarm = self._ends.at_alarm
@@ -355,15 +346,13 @@ class Game(Stepwise):
         tally = self._play_and_tell(command, action, 0)
         for epoch in range(1, self.setup.repeat):
             over, counts = books.ended.copy(), books.step_count.copy()
-            if not self.plays_on:
-                if np.logical_and.reduce(over):
-                    break
-                self._kept.put_aside(np.flatnonzero(over & ~before))
+            if np.logical_and.reduce(over):
+                break
+            self._kept.put_aside(np.flatnonzero(over & ~before))
             before = over
             later = self._play_and_tell(command, action, epoch)
-            later.add(tally, over, plays_on=self.plays_on)
-            if not self.plays_on:
-                books.step_count[over] = counts[over]
+            later.add(tally, over)
+            books.step_count[over] = counts[over]
             tally = later
         self._kept.put_back()
         self._given[:] = command

@@ -156,7 +156,6 @@ def make_game(
     threads: int | None = None,
     prefetch: bool = False,
     twin: bool = False,
-    plays_on: bool = False,
 ) -> Game:
     """Game with the observation of a level of knowledge.
 
@@ -176,7 +175,7 @@ def make_game(
         Price of an alarm, where `reward` does not say it.
     end_at_alarm : bool
         Whether an alarm ends the episode, where `end` does not say it.
-    threads, prefetch, twin, plays_on : optional
+    threads, prefetch, twin : optional
         As in `Game`.
 
     Returns
@@ -211,7 +210,6 @@ def make_game(
         threads=threads,
         prefetch=prefetch,
         twin=twin,
-        plays_on=plays_on,
     )
 
 

@@ -93,10 +93,6 @@ class SpoofEnv(GameEnv[Game]):
     twin : bool
         Whether a clean twin runs beside the victim, and displacement is the distance from it
         instead of the error less that at the onset.  It takes up to twice the time.
-    plays_on : bool
-        Whether a receiver whose episode ends within a decision is observed, and told with time and
-        displacement, as it would stand when the decision is over.  It is not by default, but in
-        ``spoofgym/BenchT4-v1``.
     render_mode : {"human", "rgb_array"}, optional
         Whether a window shows the episode, or `render` returns pictures of it.
 
@@ -144,7 +140,6 @@ class SpoofEnv(GameEnv[Game]):
         decision_interval_s: float | None = None,
         between: str = "hold",
         twin: bool = False,
-        plays_on: bool = False,
         render_mode: str | None = None,
     ) -> None:
         setup = make_setup(
@@ -171,7 +166,6 @@ class SpoofEnv(GameEnv[Game]):
             end_at_alarm=end_at_alarm,
             threads=1,
             twin=twin,
-            plays_on=plays_on,
         )
         self.given_detector: Any = detector
         super().__init__(game, render_mode)

@@ -161,7 +161,7 @@ class Tally:
             info,
         )
 
-    def add(self, earlier: Tally, over: Mask, *, plays_on: bool = False) -> None:
+    def add(self, earlier: Tally, over: Mask) -> None:
         """Count the earlier epochs of the same decision; both are told.
 
         Parameters
@@ -170,8 +170,6 @@ class Tally:
             Of these epochs.
         over : ndarray
             (B,) bool, whose episode was over before this epoch, so that `earlier` is all of it.
-        plays_on : bool
-            Whether time, displacement and visibility are those of this epoch all the same.
         """
         parts = slice(len(VALUE_NAMES), self._heads.numbers)
         for row in (_kernels.GAIN, _kernels.RETRACTION, _kernels.COST, parts):
@@ -183,12 +181,8 @@ class Tally:
             both = array | before if array.dtype == np.bool_ else before + array
             self.more[name] = np.where(over, before, both)
         self.values[_kernels.REWARD] = self._sum_of_parts(parts)
-        values, marks = earlier.values.copy(), earlier.marks.copy()
-        if plays_on:
-            for row in (_kernels.TIME, _kernels.DISPLACEMENT):
-                values[row] = self.values[row]
-            marks[_kernels.COASTING] = self.marks[_kernels.COASTING]
-        self.values[:, over], self.marks[:, over] = values[:, over], marks[:, over]
+        self.values[:, over] = earlier.values[:, over]
+        self.marks[:, over] = earlier.marks[:, over]
 
     def _sum_of_parts(self, parts: slice) -> FloatArray:
         """(B,) parts of the reward, added in the order in which they are told."""

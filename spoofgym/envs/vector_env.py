@@ -42,7 +42,7 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
         As in `SpoofEnv`.
     watch, alarm_penalty_m, end_at_alarm, target_heading_deg, render_mode
         As in `SpoofEnv`.
-    domain, decision_interval_s, between, twin, plays_on
+    domain, decision_interval_s, between, twin
         As in `SpoofEnv`.
 
     Attributes
@@ -88,7 +88,6 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
         decision_interval_s: float | None = None,
         between: str = "hold",
         twin: bool = False,
-        plays_on: bool = False,
         render_mode: None = None,
     ) -> None:
         mode = autoreset_mode_of(autoreset_mode)
@@ -118,7 +117,6 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
             threads=threads,
             prefetch=prefetch,
             twin=twin,
-            plays_on=plays_on,
         )
         self.given_detector: Any = detector
         super().__init__(game, mode, infos)

@@ -193,21 +193,6 @@ def test_an_alarm_within_a_decision_is_told_at_its_own_time():
         np.testing.assert_array_equal(seen, exact)
 
 
-def test_where_it_plays_on_the_rewards_are_the_same():
-    told = {}
-    for plays_on in (False, True):
-        env = make(decision_interval_s=5.0, plays_on=plays_on, **COARSE)
-        env.reset(seed=1)
-        rewards, over = [], False
-        while not over:
-            _, reward, over, _, info = env.step(np.array([0.5, 1.0]))
-            rewards.append(reward)
-        told[plays_on] = rewards, info["undetected_displacement_m"], info["time_s"]
-    assert told[True][:2] == told[False][:2]
-    assert told[True][2] % 5.0 == 0.0
-    assert told[False][2] < told[True][2]
-
-
 def test_in_a_batch_those_that_end_wait_for_the_others():
     settings = {"decision_interval_s": 5.0, "watch": "snapshot-chi2", "twin": True, **EARLY}
     envs = gym.make_vec(
