@@ -403,7 +403,7 @@ class RecordEpochs(VecEnvWrapper):
         observations, rewards, dones, infos
             Of the environment.
         """
-        result = self.venv.step_wait()
+        result: tuple[Any, Array, Array, list[dict[str, Any]]] = self.venv.step_wait()
         if result[2].any():
             self.recorder.finish(np.flatnonzero(result[2]), complete=True)
         return result
