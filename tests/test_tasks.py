@@ -137,14 +137,15 @@ def test_stored_scores_are_of_tasks():
 
 def test_the_page_tells_the_stored_scores():
     page = (Path(__file__).parents[1] / "docs" / "tasks.md").read_text()
-    rows = [line.split(" | ") for line in page.splitlines() if re.match(r"\| T\d \| \d", line)]
+    rows = [line.split(" | ") for line in page.splitlines() if re.match(r"\| T\d \| \d+ \|", line)]
     told = {row[0].strip("| "): [cell.strip(" |").replace(",", "") for cell in row] for row in rows}
     scores = stored_scores()
     assert sorted(told) == sorted(scores)
     for key, found in scores.items():
         reached = found["undetected_displacement_m"]
         numbers = [f"{reached[name]:.1f}" for name in ("none", "ramp", "profile", "ppo")]
-        assert told[key][1:] == [str(found["runs"]), *numbers, f"{found['normalised']:.2f}"]
+        part = f"{found['normalised']:.2f}" if "normalised" in found else "-"
+        assert told[key][1:] == [str(found["runs"]), *numbers, part]
 
 
 def test_the_command_line_lists_the_tasks():
