@@ -265,5 +265,5 @@ def test_a_broken_attack_is_caught(attack, said):
 
 
 def test_what_is_no_attack_is_refused():
-    with pytest.raises(TypeError, match=r"^a attack is a name"):
+    with pytest.raises(TypeError, match=r"^an attack is a name"):
         check_attack(FalsePosition)
