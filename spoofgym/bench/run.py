@@ -176,6 +176,8 @@ class WarmStart:
         """
         part = Engine(len(rows), self.setup, threads=self._threads)
         part.batch.copy_rows(np.arange(len(rows)), engine.batch, rows)
+        if engine.batch.clean is not None:
+            part.batch.clean = engine.batch.clean[rows]
         part.warmup_alarm = engine.warmup_alarm[rows]
         return part
 
@@ -215,7 +217,8 @@ def play(
     engine = start.engine()
     onset = engine.batch.onset.copy()
     spoofer, observer = make_bound_spoofer(spec, setup, everyone)
-    _keep_authentic(engine, spoofer)
+    if not spoofer.transmits:
+        engine.batch.clean = np.ones(everyone, dtype=np.bool_)
     before = given = np.zeros((everyone, len(setup.attack.action_names(setup.world))))
     for k in range(epochs):
         if k < setup.steps and k % setup.repeat == 0:
@@ -237,18 +240,11 @@ def play(
             if open_.mean() <= 1.0 - DROP_PART:
                 kept = np.flatnonzero(open_)
                 engine = start.extract(engine, kept)
-                _keep_authentic(engine, spoofer)
                 fewer, _ = make_bound_spoofer(spec, setup, len(kept))
                 fewer.memory.copy_rows(np.arange(len(kept)), spoofer.memory, kept)
                 spoofer, rows = fewer, rows[kept]
                 before, given = before[kept], given[kept]
     return Runs(position_e, alarm, peak, onset)
-
-
-def _keep_authentic(engine: Engine, spoofer: Spoofer) -> None:
-    """Leave all measurements alone where a spoofer transmits nothing."""
-    if not spoofer.transmits:
-        engine.batch.clean = np.ones(engine.receivers, dtype=np.bool_)
 
 
 def command(spoofer: Spoofer, observer: Observer, engine: Engine, step: int) -> NDArray[np.float64]:

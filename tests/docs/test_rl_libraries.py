@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import spoofgym  # noqa: F401
+import spoofgym  # noqa: F401  (registers the ids)
 
 from .pages import blocks_of, broken_links, run
 
