@@ -1,0 +1,395 @@
+"""B receivers of one victim in step: start, predict, judge, update; no Gymnasium here.
+
+An epoch has two halves.  `predict` takes the spoofer's command and gives the `Epoch` that detectors
+may see; `update` corrects the filter with the weights of their verdict.  Every array has a leading
+axis of receivers, and a receiver has the same bits in a batch of any size.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._memory import Memory
+from ..detectors import Detector, DetectorContext, PooledDetector, Verdict
+from ..receiver.epoch import Epoch
+from .domain import Choice, draw, given_choice
+from .frame import EpisodeLayout, FrameData
+from .monitors import Monitor
+from .setup import Run, Setup
+
+if TYPE_CHECKING:
+    from typing import Self
+
+FloatArray = NDArray[np.float64]
+Rows = NDArray[np.intp]
+M = TypeVar("M", bound=Monitor)
+DOMAIN_STREAM = 0xD0
+"""Key of the stream of an episode's seed from which a domain is drawn."""
+
+
+class Simulator(ABC):
+    """B receivers that go through their episodes in step with one another.
+
+    All that an episode changes is in memories, so that receivers can be reset and moved by rows.
+
+    Attributes
+    ----------
+    setup : Setup
+        What all simulators of this victim share.
+    receivers : int
+        B.
+    memory : Memory
+        ``first`` and ``onset`` (B,) epochs at which the episode starts, and after which the attack
+        does; ``direction`` (B, 2) north and east part of the target direction; and the victim's.
+    detector : Detector
+        In the loop, bound.
+    monitors : list of Monitor
+        What looks at every epoch that is judged.
+    verdict : Verdict or None
+        Of the last epoch that was judged in these episodes.
+    weights : ndarray
+        (B, m) of the last update.
+    clean : ndarray or None
+        (B,) bool, receivers whose measurements the attack leaves alone, whatever it is commanded;
+        None for none.
+    """
+
+    verdict: Verdict | None
+    epoch: Epoch
+
+    def __init__(self, setup: Setup, receivers: int, run: Run) -> None:
+        if receivers < 1:
+            raise ValueError(f"`receivers` must be at least 1, got {receivers}")
+        self.setup, self.receivers, self._run = setup, receivers, run
+        self.memory = Memory(receivers)
+        for name in ("first", "onset"):
+            self.memory.declare(name, np.zeros(receivers, dtype=np.int64))
+        self.memory.declare("heading", np.zeros(receivers))
+        self.memory.declare("direction", np.zeros((receivers, 2)))
+        self._allocate()
+        self.ones = np.ones((receivers, len(self._context().noise_variance)))
+        self.weights, self.verdict, self.clean = self.ones, None, None
+        self.detector = copy.deepcopy(setup.detector)
+        self.bind_detector(self.detector)
+        self.monitors = [copy.deepcopy(monitor) for monitor in setup.monitors]
+        for monitor in self.monitors:
+            monitor.bind(self)
+
+    # --- what a victim defines -----------------------------------------------------------------
+
+    @abstractmethod
+    def _allocate(self) -> None:
+        """Declare memories and make the buffers of B receivers."""
+
+    @abstractmethod
+    def _context(self) -> DetectorContext:
+        """Sizes, interval, noise and satellites, for detectors."""
+
+    @abstractmethod
+    def _draw(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.uint64]:
+        """Take a new episode from every generator; (B, 2) keys of its domain."""
+
+    @abstractmethod
+    def _start(self, choice: Choice) -> None:
+        """Draw the errors of the chosen episodes, and initialize the filters."""
+
+    @abstractmethod
+    def _measure(self, command: FloatArray | None) -> None:
+        """Go on by one epoch: move the counterfeit, measure, predict."""
+
+    @abstractmethod
+    def _form_epoch(self) -> Epoch:
+        """What a detector may see of the epoch."""
+
+    @abstractmethod
+    def _correct(self, weights: FloatArray | None) -> None:
+        """Update the filters with these weights; None for ones."""
+
+    @property
+    @abstractmethod
+    def epochs(self) -> NDArray[np.int64]:
+        """(B,) index of each receiver's epoch in `Setup.epoch_time`."""
+
+    @abstractmethod
+    def error_n(self) -> FloatArray:
+        """(B, e) error of the estimate along `Setup.error_names`, estimate minus truth [m]."""
+
+    @property
+    def coasting(self) -> NDArray[np.bool_]:
+        """(B,) bool, whether the last epoch had no update for want of measurements."""
+        return np.zeros(self.receivers, dtype=np.bool_)
+
+    @property
+    def commanded_displacement(self) -> FloatArray:
+        """(B, a) displacement that the spoofer has commanded so far [m]."""
+        displacement: FloatArray = self.memory["displacement"]
+        return displacement
+
+    @property
+    def commanded_rate(self) -> FloatArray:
+        """(B, a) its rate [m/s]."""
+        rate: FloatArray = self.memory["rate"]
+        return rate
+
+    @abstractmethod
+    def motion(
+        self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
+    ) -> None:
+        """Write the target's true motion since the onset, along `Setup.motion_names`, scaled."""
+
+    def geometry(self, out: NDArray[np.float32]) -> None:
+        """Write `Setup.geometry_names`; victims without satellites have none."""
+        raise TypeError(f"{self.setup.whose} has no satellites")
+
+    def observed_weights(self) -> FloatArray:
+        """(B, w) weights of the last update along `Setup.weight_names`."""
+        return self.weights[:, : len(self.setup.weight_names)]
+
+    @abstractmethod
+    def layout(self) -> EpisodeLayout:
+        """What stays the same in a picture of the first receiver's episode."""
+
+    @abstractmethod
+    def frame(self) -> FrameData:
+        """The first receiver now, for a picture."""
+
+    def recorded(self) -> dict[str, NDArray[Any]]:
+        """What a recording of epochs holds beside the epoch itself."""
+        return {"commanded_displacement_m": self.commanded_displacement}
+
+    # --- the same for all victims --------------------------------------------------------------
+
+    @property
+    def onset(self) -> NDArray[np.int64]:
+        """(B,) the epoch after which each receiver's attack starts."""
+        onset: NDArray[np.int64] = self.memory["onset"]
+        return onset
+
+    @property
+    def heading(self) -> FloatArray:
+        """(B,) direction in which displacement counts, clockwise from north [rad]."""
+        heading: FloatArray = self.memory["heading"]
+        return heading
+
+    def time_s(self) -> FloatArray:
+        """(B,) time of the present epoch [s], a new array."""
+        return self.setup.epoch_time[self.epochs]
+
+    def bind_detector(self, detector: Detector) -> None:
+        """Bind a detector to these receivers; a ValueError where it can't judge or alarm."""
+        setup = self.setup
+        missing = detector.needs - setup.has
+        if missing:
+            raise ValueError(
+                f"{type(detector).__name__} needs {', '.join(sorted(missing))}, which "
+                f"{setup.whose} does not have"
+            )
+        detector.bind(self._context())
+        epochs = setup.live + setup.steps + setup.hold
+        if detector.silent_epochs >= epochs:
+            raise ValueError(
+                f"{type(detector).__name__} can't alarm in its first {detector.silent_epochs} "
+                f"epochs, and an episode has {epochs} in which it judges; shorten its windows"
+            )
+
+    def monitor(self, kind: type[M]) -> M:
+        """Monitor of a class."""
+        for monitor in self.monitors:
+            if isinstance(monitor, kind):
+                return monitor
+        raise LookupError(f"no {kind.__name__} looks at these epochs")
+
+    def begin(
+        self, rngs: Sequence[np.random.Generator], given: Mapping[str, Any] | None = None
+    ) -> None:
+        """Start a new episode in every receiver; `given` are circumstances not to be drawn."""
+        keys = self._draw(rngs)
+        choice = self._choose(keys, given)
+        self.detector.reset()
+        if isinstance(self.detector, PooledDetector):
+            self.detector.draw(keys)
+        for monitor in self.monitors:
+            monitor.begin()
+        self._start(choice)
+        self.verdict, self.weights = None, self.ones
+
+    def _choose(self, keys: NDArray[np.uint64], given: Mapping[str, Any] | None) -> Choice:
+        """Choose the circumstances of new episodes."""
+        setup = self.setup
+        choice = draw(setup.bounds, keys)
+        if given:
+            names = setup.combination_names
+            choice = given_choice(given, choice, setup.bounds, names, setup.interval_s)
+        first = choice.world * setup.epochs_each + choice.start
+        self.memory["first"][:] = first
+        self.memory["onset"][:] = first + setup.onset
+        self.memory["heading"][:] = choice.heading
+        for b, heading in enumerate(choice.heading.tolist()):
+            self.memory["direction"][b] = math.cos(heading), math.sin(heading)
+        return choice
+
+    def predict(self, command: FloatArray | None) -> Epoch:
+        """First half of an epoch under attack; `command` (B, a), None holds the present rate."""
+        self._measure(command)
+        self.epoch = self._form_epoch()
+        return self.epoch
+
+    def advance(self) -> Epoch:
+        """First half of an epoch without attack."""
+        return self.predict(None)
+
+    def judge(self) -> Verdict:
+        """Let the detector judge the epoch, and the monitors look at it."""
+        self.verdict = self.detector.judge(self.epoch)
+        for monitor in self.monitors:
+            monitor.update(self)
+        return self.verdict
+
+    def update(self, weights: FloatArray | None) -> None:
+        """Second half of an epoch; `weights` (B, m) in [0, 1], C-contiguous, None for ones."""
+        self.weights = self.ones if weights is None else weights
+        self._correct(weights)
+
+    def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
+        """Run clean epochs without a detector; `between` is called before some, and may wait."""
+        self.weights = self.ones
+        for _ in range(count):
+            if between is not None:
+                between()
+            self._measure(None)
+            self._correct(None)
+
+    def live_epochs(
+        self,
+        count: int,
+        *,
+        holding: bool = False,
+        between: Callable[[], None] | None = None,
+    ) -> NDArray[np.bool_]:
+        """Run epochs with the detector and without commands; (count, B) bool alarms.
+
+        `holding` says that the attack holds its rate; if not, it has not started.
+        """
+        alarms = np.zeros((count, self.receivers), dtype=np.bool_)
+        for k in range(count):
+            if between is not None:
+                between()
+            if holding:
+                self.predict(None)
+            else:
+                self.advance()
+            verdict = self.judge()
+            alarms[k] = verdict.alarm.any(axis=1)
+            self.update(verdict.weights)
+        return alarms
+
+    def warm_up(
+        self,
+        rngs: Sequence[np.random.Generator],
+        between: Callable[[], None] | None = None,
+        given: Mapping[str, Any] | None = None,
+    ) -> NDArray[np.bool_]:
+        """Start new episodes, and run them to the onset; (B,) bool, who alarmed."""
+        self.begin(rngs, given)
+        self.quiet_epochs(self.setup.quiet, between=between)
+        alarms = self.live_epochs(self.setup.live, between=between)
+        alarmed: NDArray[np.bool_] = np.logical_or.reduce(alarms, axis=0)
+        return alarmed
+
+    def origin_ne(self) -> FloatArray:
+        """(B, 2) error north and east now, for the `origin` of a displacement [m]."""
+        return self.error_n()[:, :2]
+
+    def displacement(self, origin: FloatArray, twin: Self | None, out: FloatArray) -> None:
+        """Write the displacement that counts, (B,) [m].
+
+        It is the horizontal error less `origin` (B, 2), or the distance from the clean twin, along
+        the target direction; its size where the target direction is ``"worst"``.
+        """
+        apart = self.error_n()[:, :2]
+        if twin is not None:
+            apart = apart - twin.error_n()[:, :2]
+        if self.setup.target_heading_deg == "worst":
+            north, east = (apart - origin).T
+            np.sqrt(north * north + east * east, out=out)
+            return
+        north, east = self.memory["direction"].T
+        np.subtract(
+            apart[:, 0] * north + apart[:, 1] * east,
+            origin[:, 0] * north + origin[:, 1] * east,
+            out=out,
+        )
+
+    def command_with(self, command: FloatArray | None) -> FloatArray | None:
+        """Command, 0 for receivers that are left alone."""
+        if command is None or self.clean is None:
+            return command
+        return np.where(self.clean[:, None], 0.0, command)
+
+    def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
+        """Take over receivers `rows` of another simulator, with all that they remember."""
+        self.memory.copy_rows(to, other.memory, rows)
+        self.detector.memory.copy_rows(to, other.detector.memory, rows)
+        if self.monitors:  # nobody monitors a clean twin
+            for mine, theirs in zip(self.monitors, other.monitors, strict=True):
+                mine.copy_rows(to, theirs, rows)
+        weights = self.weights.copy()
+        weights[to] = other.weights[rows]
+        self.weights = weights
+        if other.verdict is not None:
+            self.verdict = _merge(self.verdict, other.verdict, to, rows, self.receivers)
+        elif self.verdict is not None:
+            # nothing has been judged in the new episode; the verdict of the old one is over
+            statistic, alarm = self.verdict.statistic.copy(), self.verdict.alarm.copy()
+            statistic[to], alarm[to] = 0.0, False
+            self.verdict = self.verdict._replace(statistic=statistic, alarm=alarm)
+
+    def ratio(self) -> FloatArray:
+        """(B,) largest statistic over its threshold of the last verdict; NaN before the first."""
+        if self.verdict is None:
+            return np.full(self.receivers, np.nan)
+        largest: FloatArray = (self.verdict.statistic / self.verdict.threshold).max(axis=1)
+        return largest
+
+
+def _merge(
+    mine: Verdict | None, theirs: Verdict, to: Rows, rows: Rows, receivers: int
+) -> Verdict:
+    """Verdict with some rows of another."""
+    merged: list[Any] = []
+    for k, source in enumerate(theirs):
+        if source is None:
+            merged.append(None)
+            continue
+        target = np.zeros((receivers, *source.shape[1:]), dtype=source.dtype)
+        if mine is not None and mine[k] is not None:
+            target[:] = mine[k]
+        target[to] = source[rows]
+        merged.append(target)
+    return Verdict(*merged)
+
+
+def episode_seeds(rngs: Sequence[np.random.Generator]) -> list[np.random.SeedSequence]:
+    """Seed of the next episode of every generator."""
+    return [rng.bit_generator.seed_seq.spawn(1)[0] for rng in rngs]  # type: ignore[attr-defined]
+
+
+def domain_keys(episodes: Sequence[np.random.SeedSequence]) -> NDArray[np.uint64]:
+    """(B, 2) keys from which the domains of episodes are drawn, apart from all their noise."""
+    streams = [
+        np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, DOMAIN_STREAM))
+        for seed in episodes
+    ]
+    return np.array([stream.generate_state(2, np.uint64) for stream in streams])
+
+
+def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
+    """Call ``work(lo, hi)`` once over all receivers."""
+    work(0, receivers)

@@ -1,0 +1,249 @@
+"""The engine: B receivers, each in its own episode, with threads, prefetched warm-ups and twins."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..detectors import Verdict
+from ..receiver.epoch import Epoch
+from ..receiver.state import LANES
+from .base import Rows, Simulator, run_serially
+from .domain import draw, given_choice
+from .prefetch import STOCK, NextEpisodes
+from .setup import Setup
+from .threads import Workers
+
+FloatArray = NDArray[np.float64]
+T = TypeVar("T")
+RECEIVERS_PER_THREAD = 16
+KEPT = 8
+"""Largest size of the simulators that are kept for the time to alert of a few receivers."""
+
+
+def _warmed_up(
+    setup: Setup, rngs: Sequence[np.random.Generator], between: Callable[[], None]
+) -> tuple[Simulator, NDArray[np.bool_]]:
+    """Receivers at the onset, by one thread."""
+    simulator = setup.simulator(len(rngs), run_serially)
+    return simulator, simulator.warm_up(rngs, between)
+
+
+class Engine:
+    """B receivers under attack, each in its own episode.
+
+    Parameters
+    ----------
+    receivers : int
+        B, at least 1.
+    setup : Setup
+        World, victim, attack, detector and timeline.
+    threads : int, optional
+        Threads for the compiled halves; by default all useful cores, with at least
+        `RECEIVERS_PER_THREAD` receivers each.  A victim without threads uses one.
+    prefetch : bool
+        Whether to warm up every receiver's next episodes while the present one runs.  They have the
+        same bits, but for a detector whose bits depend on the size of the batch: which receivers
+        are warmed up together depends on timing, so its runs cannot be reproduced
+        (`check_detector` checks that it is none).  One thread more than `threads` computes, also
+        with ``threads=1``.
+    twin : bool
+        Whether a clean twin of every receiver runs, too: the same flight, noise and detector, but
+        no attack.  It shares the warm-up.
+
+    Attributes
+    ----------
+    simulator : Simulator
+        The receivers.
+    twin : Simulator or None
+        The same receivers, not attacked.
+    warmup_alarm : ndarray
+        (B,) bool, whether the detector alarmed before the attack: a false alarm.
+    """
+
+    def __init__(
+        self,
+        receivers: int,
+        setup: Setup,
+        *,
+        threads: int | None = None,
+        prefetch: bool = False,
+        twin: bool = False,
+    ) -> None:
+        if receivers < 1:
+            raise ValueError(f"`receivers` must be at least 1, got {receivers}")
+        if threads is not None and threads < 1:
+            raise ValueError(f"`threads` must be at least 1, got {threads}")
+        self.receivers, self.setup = receivers, setup
+        useful = available_threads(receivers) if threads is None else threads
+        self.threads = useful if setup.threaded else 1
+        self._workers = Workers(self.threads - 1)
+        self.simulator = setup.simulator(receivers, self._run)
+        self.twin = setup.altered(monitors=()).simulator(receivers, self._run) if twin else None
+        self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
+        self._everyone = np.arange(receivers)
+        self._few: dict[tuple[bool, int], Simulator] = {}
+        self._next = (
+            NextEpisodes(
+                setup.simulator(STOCK * receivers, run_serially), partial(_warmed_up, setup)
+            )
+            if prefetch
+            else None
+        )
+
+    def close(self) -> None:
+        """End the threads; they are started again when they are needed."""
+        self._workers.close()
+        if self._next is not None:
+            self._next.close()
+
+    def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
+        """Call ``work(lo, hi)`` over slices of whole lanes."""
+        if self.threads == 1 or receivers <= LANES:
+            work(0, receivers)
+            return
+        groups = -(-receivers // LANES)
+        parts = min(self.threads, groups)
+        bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
+        self._workers.run(work, bounds)
+
+    def reset(
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: Rows | None = None,
+        given: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Start new episodes of some receivers, all by default, and run their warm-up.
+
+        `rngs` has one generator a row; `given` are circumstances that are not to be drawn, one
+        value, or one per row (see `domain.CHOICES`).
+        """
+        where = self._everyone if rows is None else rows
+        if given:
+            # refused before any episode has been started
+            setup = self.setup
+            nothing = draw(setup.bounds, np.zeros((len(where), 2), dtype=np.uint64))
+            given_choice(given, nothing, setup.bounds, setup.combination_names, setup.interval_s)
+        self._reset(rngs, where, given)
+        if self.twin is not None:
+            self.twin.copy_rows(where, self.simulator, where)
+
+    def _reset(
+        self,
+        rngs: Sequence[np.random.Generator],
+        where: Rows,
+        given: Mapping[str, Any] | None,
+    ) -> None:
+        if self._next is None:
+            self._begin(rngs, where, given)
+            return
+        if given:
+            self._begin(self._next.instead(where, rngs), where, given)
+            self._next.prepare(where, rngs)
+            return
+        prepared = self._next.prepared(where, rngs)
+        if prepared.any():
+            ready = where[prepared]
+            self.warmup_alarm[ready] = self._next.take(ready, self.simulator)
+        if not prepared.all():
+            others = [
+                rng for rng, is_prepared in zip(rngs, prepared, strict=True) if not is_prepared
+            ]
+            self._begin(others, where[~prepared])
+        self._next.prepare(where, rngs)
+
+    def _begin(
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: Rows,
+        given: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Start new episodes and run their warm-up here and now."""
+        if len(rows) == self.receivers:
+            self.warmup_alarm = self.simulator.warm_up(rngs, given=given)
+            return
+        part = self.setup.simulator(len(rngs), self._run)
+        self.warmup_alarm[rows] = part.warm_up(rngs, given=given)
+        self.simulator.copy_rows(rows, part, np.arange(len(rows)))
+
+    def predict(self, command: FloatArray | None) -> Epoch:
+        """First half of a step; `command` (B, a) in [-1, 1], None holds the present rates."""
+        return self.simulator.predict(command)
+
+    def judge(self) -> Verdict:
+        """Let the detector in the loop judge the epoch."""
+        return self.simulator.judge()
+
+    def update(self, verdict: Verdict) -> None:
+        """Second half of a step: the update with the verdict's weights."""
+        self.simulator.update(verdict.weights)
+
+    def step(self, command: FloatArray | None) -> Verdict:
+        """Both halves with the engine's own detector; the twins follow."""
+        if self._next is None:
+            return self._step(command)
+        with self._next.kept_waiting():
+            return self._step(command)
+
+    def _step(self, command: FloatArray | None) -> Verdict:
+        simulator = self.simulator
+        simulator.predict(command)
+        verdict = simulator.judge()
+        simulator.update(verdict.weights)
+        if self.twin is not None:
+            self.step_twin()
+        return verdict
+
+    def step_twin(self) -> Verdict:
+        """Run the epoch of the clean twins, with their own detector."""
+        if self.twin is None:
+            raise RuntimeError("this engine has no clean twins; make it with `twin=True`")
+        self.twin.advance()
+        verdict = self.twin.judge()
+        self.twin.update(verdict.weights)
+        return verdict
+
+    def hold(self, rows: Rows) -> NDArray[np.bool_]:
+        """Run the time to alert of some receivers and their twins; (hold, b) bool alarms."""
+        count = self.setup.hold
+        if self.twin is not None:
+            self._apart(self.twin, rows, lambda part: part.live_epochs(count))
+        return self.apart(rows, lambda part: part.live_epochs(count, holding=True))
+
+    def apart(self, rows: Rows, work: Callable[[Simulator], T]) -> T:
+        """Do something with a simulator of some receivers alone, while the others wait."""
+        return self._apart(self.simulator, rows, work)
+
+    def _apart(self, whole: Simulator, rows: Rows, work: Callable[[Simulator], T]) -> T:
+        """`apart` of the receivers, or of their twins."""
+        if len(rows) == self.receivers:
+            return work(whole)
+        part, here = self._part_of(whole, len(rows)), np.arange(len(rows))
+        part.copy_rows(here, whole, rows)
+        done = work(part)
+        whole.copy_rows(rows, part, here)
+        return done
+
+    def _part_of(self, whole: Simulator, receivers: int) -> Simulator:
+        """Simulator whose rows are all to be overwritten; a small one is made once."""
+        key = (whole is self.twin, receivers)
+        if key not in self._few:
+            part = whole.setup.simulator(receivers, self._run)
+            if receivers > KEPT:
+                return part
+            self._few[key] = part
+        return self._few[key]
+
+
+def available_threads(receivers: int) -> int:
+    """Useful threads for so many receivers, at least 1."""
+    try:
+        processors = len(os.sched_getaffinity(0))
+    except AttributeError:
+        processors = os.cpu_count() or 1
+    return max(1, min(processors, receivers // RECEIVERS_PER_THREAD))

@@ -1,0 +1,347 @@
+"""What all receivers of one victim share: phases of an episode, detector, decisions, target."""
+
+from __future__ import annotations
+
+import copy
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Real
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._registry import build_record, check_choice
+from ..detectors import Detector, make_detector
+from .domain import Bounds, Domain
+
+if TYPE_CHECKING:
+    from .base import Simulator
+    from .monitors import Monitor
+
+FloatArray = NDArray[np.float64]
+MOST_EPOCHS = 100_000
+"""Longest episode."""
+TARGETS = ("random", "worst")
+"""Target directions that are no number."""
+BETWEEN = ("hold", "linear")
+"""What is commanded between two decisions."""
+Run = Callable[[Callable[[int, int], None], int], None]
+"""``run(f, B)`` calls ``f(lo, hi)`` over slices of the receivers, possibly in threads."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timeline:
+    """Phases of an episode.
+
+    Parameters
+    ----------
+    warmup_s : float
+        Clean run before the attack.
+    live_s : float
+        Last part of it in which the detectors judge; an alarm there is a false alarm.
+    attack_s : float
+        Command phase.
+    time_to_alert_s : float
+        Time to alert: how long the offsets hold their rate after the command phase, with alarms
+        live; what was induced within this time of an alarm does not count.
+    """
+
+    warmup_s: float = 200.0
+    live_s: float = 60.0
+    attack_s: float = 150.0
+    time_to_alert_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the lengths."""
+        for name in ("warmup_s", "live_s", "attack_s", "time_to_alert_s"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+        if self.attack_s <= 0.0:
+            raise ValueError(f"`attack_s` must be > 0, got {self.attack_s}")
+        if self.live_s > self.warmup_s:
+            raise ValueError(
+                f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}"
+            )
+
+    def epochs(self, interval_s: float) -> tuple[int, int, int, int]:
+        """Epochs of the filter-only and the monitored warm-up, the command phase, and the hold."""
+        length = self.warmup_s + self.attack_s + self.time_to_alert_s
+        if length > MOST_EPOCHS * interval_s:
+            raise ValueError(
+                f"an episode must have at most {MOST_EPOCHS} epochs; {length:g} s at intervals of "
+                f"{interval_s:g} s are {length / interval_s:.0f}"
+            )
+        warmup = round(self.warmup_s / interval_s)
+        live = min(round(self.live_s / interval_s), warmup)
+        attack = max(round(self.attack_s / interval_s), 1)
+        return warmup - live, live, attack, round(self.time_to_alert_s / interval_s)
+
+
+class Commands(Protocol):
+    """What a spoofer commands: an `Attack`, or the `RateCommands` of a smaller victim."""
+
+    @property
+    def kind(self) -> str:
+        """Name of what is commanded, such as ``"false-position"``."""
+
+    @property
+    def label(self) -> str:
+        """Threat in a word, for results."""
+
+    control: str
+    acceleration_limit_mps2: float
+    rate_limit_mps: Any
+    capture: Any
+
+    def action_names(self, world: Any) -> tuple[str, ...]:
+        """Name of every element, such as ``"north_rate"``."""
+
+
+@dataclass(frozen=True)
+class RateCommands:
+    """Displacement commanded by rates, one an axis; `limits` (a,) are what an action of 1 means."""
+
+    kind: str
+    names: tuple[str, ...]
+    limits: tuple[float, ...]
+    control: ClassVar[str] = "rate"
+    capture: ClassVar[None] = None
+
+    @property
+    def label(self) -> str:
+        """Threat in a word, for results."""
+        return self.kind
+
+    @property
+    def rate_limit_mps(self) -> float | tuple[float, ...]:
+        """Limit of all axes, or of each where they differ [m/s]."""
+        return self.limits[0] if len(set(self.limits)) == 1 else self.limits
+
+    @property
+    def acceleration_limit_mps2(self) -> float:
+        """No limit of acceleration binds."""
+        return math.inf
+
+    def action_names(self, world: object) -> tuple[str, ...]:
+        """Name of every element."""
+        return self.names
+
+
+
+class Setup(ABC):
+    """World, victim, commands, detector, phases and decisions, computed once and shared.
+
+    A subclass is one victim.  It calls `_phase` and `_aim`, and sets the attributes named here.
+
+    Attributes
+    ----------
+    kind : str
+        Of the victim, such as ``"snapshot"``.
+    name : str
+        Of the scenario, for results.
+    attack : Commands
+        What a spoofer commands.
+    detector : Detector
+        In the loop; copied for every simulator.
+    monitors : tuple of Monitor
+        What looks at every epoch and changes nothing; copied for every simulator.
+    interval_s : float
+        Time between epochs.
+    epoch_time : ndarray
+        (K,) time of every epoch that an episode can come to [s].
+    quiet, live, steps, hold : int
+        Epochs of the filter-only warm-up, the monitored warm-up, the command phase, and the
+        alert-window hold; `onset` is the sum of the first two, `repeat` epochs make a decision.
+    bounds : Bounds
+        What an episode chooses from.
+    motion_names, error_names, weight_names, geometry_names : tuple of str
+        Elements of what a simulator of this victim writes as motion of the target, error of the
+        estimate, weights and geometry.
+    scales : dict
+        What the default observation takes for 1.
+    """
+
+    kind: ClassVar[str]
+    whose: ClassVar[str]
+    """The victim with its article, for messages."""
+    has: ClassVar[frozenset[str]] = frozenset()
+    """Optional fields of `Epoch` that the victim has."""
+    domain_names: ClassVar[frozenset[str]] = frozenset()
+    """Settings of `Domain` that the victim has."""
+    threaded: ClassVar[bool] = False
+    """Whether its kernels work on slices of the receivers."""
+    ratio_is_largest: ClassVar[bool] = True
+    """Whether the default observation shows the largest statistic ratio, not one a channel."""
+    motion_names: tuple[str, ...] = ()
+    error_names: tuple[str, ...] = ("north", "east")
+    weight_names: tuple[str, ...] = ()
+    geometry_names: tuple[str, ...] = ()
+    scales: Mapping[str, float]
+
+    name: str
+    attack: Any
+    detector: Detector
+    timeline: Timeline
+    domain: Domain
+    interval_s: float
+    epoch_time: FloatArray
+    bounds: Bounds
+    target_heading_deg: float | str
+    world: Any = None
+
+    def _phase(
+        self,
+        detector: str | Mapping[str, Any] | Detector,
+        timeline: Timeline,
+        interval_s: float,
+        decision_interval_s: float | None,
+        between: str,
+    ) -> None:
+        """Take detector, phases and decisions."""
+        self.detector, self.timeline, self.interval_s = (
+            make_detector(detector),
+            timeline,
+            interval_s,
+        )
+        self.monitors: tuple[Monitor, ...] = ()
+        self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
+        self.onset = self.quiet + self.live
+        self.decision_interval_s, self.between = decision_interval_s, between
+        check_choice("between", between, BETWEEN)
+        if between != "hold" and decision_interval_s is None:
+            raise ValueError(
+                f"`between` {between!r} needs a `decision_interval_s`: without one there is no "
+                "epoch between two decisions"
+            )
+        self.repeat = _repeat(decision_interval_s, interval_s, self.steps)
+        # one decision more, which a finished receiver may run until it is reset
+        self.length = self.onset + self.steps + self.hold + self.repeat
+
+    def _aim(
+        self, target_heading_deg: float | str, domain: Mapping[str, Any] | Domain | None
+    ) -> None:
+        """Take target direction and domain, as far as this victim has one."""
+        self.target_heading_deg = checked_target(target_heading_deg)
+        self.domain = build_record("domain", Domain, domain)
+        nothing = Domain()
+        for name in vars(nothing):
+            if getattr(self.domain, name) != getattr(nothing, name) and (
+                name not in self.domain_names
+            ):
+                raise ValueError(
+                    f"`domain` has no {name!r} for {self.whose}; valid: "
+                    f"{', '.join(sorted(self.domain_names)) or 'none'}"
+                )
+
+    def _bounds(self, worlds: int, grades: int, errors: int, first: int, last: int) -> Bounds:
+        heading = self.target_heading_deg
+        fixed = None if heading == "random" else float(np.radians(_number(heading)))
+        return Bounds(worlds, grades, errors, first, last, fixed)
+
+    def _starts(self, epochs: int, name: str) -> tuple[int, int]:
+        """First and last epoch, of a flight of so many, at which an episode may start."""
+        interval, length = self.interval_s, self.length
+        early, late = self.domain.start_s
+        room = epochs - 1 - length
+        first = math.ceil(early / interval - 1e-6)
+        last = room if late is None else math.floor(late / interval + 1e-6)
+        if first > last and late is not None:
+            raise ValueError(
+                f"`start_s` must hold an epoch, of which there is one every {interval:g} s, got "
+                f"{self.domain.start_s}"
+            )
+        if max(first, last) > room:
+            line = self.timeline
+            start = f" from a start at {max(first, last) * interval:g} s" if first or last else ""
+            raise ValueError(
+                f"an episode takes {length * interval:g} s{start} (warm-up {line.warmup_s:g} s, "
+                f"attack {line.attack_s:g} s, time to alert {line.time_to_alert_s:g} s, and one "
+                f"decision of {self.repeat * interval:g} s in reserve), but "
+                f"{name!r} lasts {(epochs - 1) * interval:g} s"
+            )
+        return first, last
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Name of every element that can be commanded."""
+        names: tuple[str, ...] = self.attack.action_names(self.world)
+        return names
+
+    @property
+    def combination_names(self) -> dict[str, Sequence[str]]:
+        """Names of the grades, ``"imu"``, and of the errors, ``"errors"``, of the domain."""
+        return {"imu": ("own",), "errors": ("own",)}
+
+    @property
+    def onsets(self) -> NDArray[np.int64] | None:
+        """(K,) onset of the episodes that each epoch is part of; None where there is no table."""
+        return None
+
+    @abstractmethod
+    def simulator(self, receivers: int, run: Run) -> Simulator:
+        """B receivers of this victim, not begun yet."""
+
+    def command(
+        self, before: FloatArray, action: FloatArray, epoch: int | NDArray[np.int64]
+    ) -> FloatArray:
+        """Command (B, a) of an epoch of a decision, from 0 on, (B, 1) where receivers differ.
+
+        `before` and `action` are the decision before and this one, (B, a).
+        """
+        if self.between == "hold":
+            return action
+        count = np.asarray(epoch) + 1
+        # the line reaches its end exactly, not but for rounding
+        on_the_way = before + (count / self.repeat) * (action - before)
+        return np.where(count == self.repeat, action, on_the_way)
+
+    def altered(
+        self, *, detector: Detector | None = None, monitors: Sequence[Monitor] | None = None
+    ) -> Setup:
+        """The same world and attack, with another detector or other monitors."""
+        other = copy.copy(self)
+        if detector is not None:
+            other.detector = detector
+        if monitors is not None:
+            other.monitors = tuple(monitors)
+        return other
+
+
+def checked_target(target_heading_deg: float | str) -> float | str:
+    """Target direction, or a ValueError."""
+    if isinstance(target_heading_deg, str):
+        check_choice("target_heading_deg", target_heading_deg, TARGETS)
+    elif not isinstance(target_heading_deg, Real) or not np.isfinite(float(target_heading_deg)):
+        raise ValueError(
+            f"`target_heading_deg` must be a finite number, 'random' or 'worst', got "
+            f"{target_heading_deg!r}"
+        )
+    return target_heading_deg
+
+
+def _repeat(decision_interval_s: float | None, interval_s: float, steps: int) -> int:
+    """Epochs of a decision."""
+    if decision_interval_s is None:
+        return 1
+    if not (math.isfinite(decision_interval_s) and decision_interval_s > 0.0):
+        raise ValueError(f"`decision_interval_s` must be finite and > 0, got {decision_interval_s}")
+    repeat = round(decision_interval_s / interval_s)
+    if repeat < 1 or abs(repeat * interval_s - decision_interval_s) > 1e-6 * interval_s:
+        raise ValueError(
+            f"`decision_interval_s` must be a multiple of the interval between epochs, "
+            f"{interval_s:g} s, got {decision_interval_s}"
+        )
+    if steps % repeat:
+        raise ValueError(
+            f"the attack window of {steps * interval_s:g} s must hold a whole number of decisions, "
+            f"got `decision_interval_s` {decision_interval_s}"
+        )
+    return repeat
+
+
+def _number(heading: float | str) -> float:
+    return 0.0 if isinstance(heading, str) else float(heading)
