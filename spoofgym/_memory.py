@@ -37,7 +37,7 @@ class Memory(dict[str, NDArray[Any]]):
         return self._initial
 
     def declare(self, name: str, initial: NDArray[Any]) -> None:
-        """Add an array.  `initial` (B, ...) values at the begin of an episode."""
+        """Add an array.  `initial` (B, ...) values at the start of an episode."""
         array = np.array(initial)
         if array.ndim == 0 or array.shape[0] != self.receivers:
             raise ValueError(
@@ -48,7 +48,7 @@ class Memory(dict[str, NDArray[Any]]):
         self[name] = array.copy()
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Restore the values of the begin."""
+        """Restore the initial values."""
         for name, initial in self._initial.items():
             if mask is None:
                 self[name] = initial.copy()

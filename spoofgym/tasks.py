@@ -32,7 +32,7 @@ class Task:
     - `title`: what it asks for, in a line;
     - `settings`: keyword arguments of `SpoofEnv`, JSON-able, but for the detector;
     - `detectors`: whom the spoofer meets, as `make_detector` takes them; more than one are a pool,
-      from which every episode draws, and the spoofer is not told which it is;
+      from which every episode draws, and the spoofer does not know which it is;
     - `alert_limit_m`: error that the navigation must not exceed unnoticed, where the task names
       one.
     """

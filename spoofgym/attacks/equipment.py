@@ -62,7 +62,7 @@ class Equipment:
         keys: NDArray[np.uint64],
         onsets: NDArray[np.int64],
     ) -> None:
-        """Draw what an episode begins with."""
+        """Draw what an episode starts with."""
         if self.perfect:
             return
         tracking = self.tracking if self.tracking is not None else TrackingError()

@@ -31,7 +31,7 @@ SLOW_MEAN, SLOW_VARIANCE = 0.5, 0.05
 class RobotDataSet:
     """A run of the robot, and the attacks on it.
 
-    `speed_mps`: 0 for a robot that stands; `jump_s`, `slow_s`: begin (excluded) and end (included)
+    `speed_mps`: 0 for a robot at rest; `jump_s`, `slow_s`: start (excluded) and end (included)
     of the jumps and of the slow changes.
     """
 
@@ -50,7 +50,7 @@ class RobotDataSet:
                 )
 
     def epochs(self, window: Window, interval_s: float = 1.0) -> NDArray[np.intp]:
-        """Fixes that lie in a window.  `window`: begin (excluded) and end (included) [s]."""
+        """Fixes that lie in a window.  `window`: start (excluded) and end (included) [s]."""
         time = (np.arange(round(self.duration_s / interval_s)) + 1.0) * interval_s
         return np.flatnonzero((time > window[0]) & (time <= window[1]))
 

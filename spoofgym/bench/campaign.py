@@ -184,7 +184,7 @@ def knowledge_of(entry: Entry, setup: Setup, detector: Entry) -> dict[str, Any]:
     """What a spoofer knows: while it attacks, and when it was designed.
 
     Returns ``run_time``; ``design_time``; ``detector``, the label of the one that it was made for,
-    None where it was made for none, or has no card that tells; ``transfer``, what is another one
+    None where it was made for none, or has no card that says so; ``transfer``, what is another one
     here than where it was made.
     """
     settings = {key: value for key, value in entry.spec.items() if key != entry.tuned}

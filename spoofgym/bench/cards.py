@@ -57,7 +57,7 @@ def score_rows(card: Card) -> list[tuple[str, ...]]:
 
 
 def card_rows(card: Card) -> list[tuple[str, str]]:
-    """What else a card tells, field by field."""
+    """What else is on a card, field by field."""
     conditions, file = card.conditions, card.file
     limits = f"{conditions.rate_limit_mps:g} m/s"
     if conditions.control == "acceleration":

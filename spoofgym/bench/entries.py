@@ -87,13 +87,13 @@ def _default(word: str, kinds: Mapping[str, type[Any]], kind: type[Any]) -> Spec
 
 
 def oracle_labels(entries: tuple[Entry, ...]) -> list[str]:
-    """Labels of the detectors that are told the attack."""
+    """Labels of the detectors that know the attack."""
     made = [(entry, make("detector", DETECTORS, Detector, entry.spec)) for entry in entries]
     return [entry.label for entry, detector in made if detector.oracle]
 
 
 def refuse_oracles(entries: tuple[Entry, ...]) -> None:
-    """Raise where a detector is told the attack."""
+    """Raise where a detector knows the attack."""
     labels = oracle_labels(entries)
     if labels:
         raise ValueError(

@@ -94,7 +94,7 @@ class WarmStart:
         return self.extract(self._engine, np.arange(self.receivers))
 
     def extract(self, engine: Engine, rows: NDArray[np.intp]) -> Engine:
-        """Some receivers of an engine as they stand."""
+        """Some receivers of an engine as they are."""
         part = Engine(len(rows), self.setup, threads=self._threads)
         part.batch.copy_rows(np.arange(len(rows)), engine.batch, rows)
         if engine.batch.clean is not None:

@@ -122,7 +122,7 @@ def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
 
 
 def label_of(spec: Spec, default: Spec | None) -> str:
-    """Short name: what differs from the default settings stands in brackets."""
+    """Short name: what differs from the default settings is in brackets."""
     settings = {key: value for key, value in spec.items() if key != "name"}
     if default is not None:
         settings = {key: v for key, v in settings.items() if default.get(key, v) != v}

@@ -247,7 +247,7 @@ class Suite:
     def setup(self, detector: Entry) -> Setup:
         """What all receivers share, with one of the detectors.
 
-        Returns world and all else are shared with the other ones.
+        World and all else are shared.
         """
         setup = copy.copy(self._setup)
         setup.detector = make("detector", DETECTORS, Detector, detector.spec)

@@ -72,7 +72,7 @@ def advance_sums(
     """Advance all sums by one epoch.
 
     `innovation`, `innovation_cov` (B, 2n), (B, 2n, 2n); `judged` (B, n) bool; the sums of the
-    others begin anew; `above`, `below` (B, last - first) memory, overwritten; returns (B, n)
+    others start again; `above`, `below` (B, last - first) memory, overwritten; returns (B, n)
     largest sum of every satellite.
     """
     receivers, n = judged.shape

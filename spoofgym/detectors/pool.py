@@ -72,7 +72,7 @@ class JointMemory(Memory):
         self.parts = tuple(parts)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Restore the values of the begin, in all parts."""
+        """Restore the initial values, in all parts."""
         super().reset(mask)
         for part in self.parts:
             part.reset(mask)

@@ -201,7 +201,7 @@ class PolicyDetector(DetectorAgent):
 
 
 def policy_context(agent: DetectorAgent, context: DetectorContext) -> PolicyContext:
-    """What a policy is told of an agent."""
+    """What a policy knows of an agent."""
     return PolicyContext(
         receivers=context.receivers,
         interval_s=context.epoch_interval_s,

@@ -136,7 +136,7 @@ class Rules:
         return bool(self.duel.deciding[0])
 
     def infos(self, turn: DuelTurn) -> dict[str, dict[str, Any]]:
-        """Information after an epoch; the detector is told of nothing that it can't see itself."""
+        """Information after an epoch; the detector gets nothing that it can't see itself."""
         all_: dict[str, Any] = {name: array.item() for name, array in turn.info.items()}
         all_["decision_delay"] = self.duel.decision_delay
         own = ("time_s", "alarm", "statistic", "threshold", "decision_delay")

@@ -118,7 +118,7 @@ def spoofer_context(
 ) -> SpooferContext:
     """What a spoofer is told of an attack.
 
-    `observer`: what it observes; by default it is told nothing of that.
+    `observer`: what it observes; by default it does not know.
     """
     attack = setup.attack
     context = SpooferContext(

@@ -85,7 +85,7 @@ class Cases:
     - `scenario`: what holds where the domain says nothing;
     - `receiver`: the victim; its grade is replaced where the domain has several;
     - `domain`: what there is to choose from;
-    - `epochs`: of an episode, which a matched receiver is told;
+    - `epochs`: of an episode, which a matched receiver knows;
     - `flown`: epochs of the flight that any episode may come to;
     - `world`: all worlds, one after the other;
     - `names`: names of the grades, ``"imu"``, and of the errors, ``"errors"``.

@@ -600,7 +600,7 @@ class Engine:
         return self.apart(rows, lambda batch: batch.live_epochs(count, holding=True))
 
     def apart(self, rows: NDArray[np.intp], work: Callable[[Batch], T]) -> T:
-        """Do something with some receivers, while the others stand still."""
+        """Do something with some receivers, while the others wait."""
         return self._apart(self.batch, rows, work)
 
     def _apart(self, whole: Batch, rows: NDArray[np.intp], work: Callable[[Batch], T]) -> T:

@@ -221,7 +221,7 @@ class Game(Stepwise):
     def altered(self, setup: Setup | None = None, **changes: Any) -> Game:
         """A new game, not begun yet, with some settings changed.
 
-        Returns of as many receivers, without listeners.
+        It has as many receivers, and no listeners.
         """
         return Game(
             self.receivers,
@@ -234,7 +234,7 @@ class Game(Stepwise):
         self.engine.close()
 
     def snapshot(self) -> Snapshot:
-        """The game as it stands."""
+        """The game as it is."""
         return Snapshot(self.setup, self.engine.batch, self.step_count, self.engine.twin)
 
     def observe(self) -> NDArray[np.float32]:
@@ -429,7 +429,7 @@ class Game(Stepwise):
         return early
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
-        """Information at the begin of an episode."""
+        """Information at the start of an episode."""
         engine = self.engine
         watched = {} if self._watch is None else self._watch.begin_info()
         return {

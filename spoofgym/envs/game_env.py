@@ -147,7 +147,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
 
 
 def told_domain(options: dict[str, Any] | None) -> Mapping[str, Any] | None:
-    """Circumstances that a reset is told."""
+    """Circumstances that a reset is given."""
     given = (options or {}).get("domain")
     if given is not None and not isinstance(given, Mapping):
         raise TypeError(f"the option `domain` of a reset must be a dict, got {given!r}")

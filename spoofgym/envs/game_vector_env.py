@@ -116,10 +116,9 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
     ) -> tuple[Array, dict[str, Any]]:
         """Begin an episode in every receiver, or in some.
 
-        `options`: ``reset_mask``: (B,) bool, which receivers begin anew, with at least one of them;
-        all by default, and at the first reset. ``"domain"``: circumstances not to be drawn, each
-        one value, or (B,) of them; see `spoofgym.envs.domain.CHOICES`. Others are warned of;
-        returns `observation` (B, o) float32.
+        `options`: ``reset_mask``, (B,) bool, which receivers to reset, at least one (all by default
+        and at the first reset); ``domain``, circumstances not to be drawn, each one value or (B,)
+        of them, see `spoofgym.envs.domain.CHOICES`.  Returns `observation` (B, o) float32.
         """
         warn_unknown(options, ("domain", RESET_MASK))
         mask = mask_of(options, self.num_envs)

@@ -34,7 +34,7 @@ def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> Mapping[st
 
 
 def masked(info: Mapping[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
-    """Arrays with the masks that tell which receivers have them.  `info` (B,) arrays."""
+    """Arrays with the masks of the receivers that have them.  `info` (B,) arrays."""
     masks = np.empty((len(info), len(mask)), dtype=np.bool_)  # a row each, so that none is shared
     masks[:] = mask
     result: dict[str, Any] = dict(info)

@@ -23,7 +23,7 @@ class Kept:
         self._aside: NDArray[np.bool_] = np.zeros(engine.receivers, dtype=np.bool_)
 
     def put_aside(self, rows: NDArray[np.intp]) -> None:
-        """Keep some receivers as they stand."""
+        """Keep some receivers as they are."""
         if not len(rows):
             return
         if not self._copies:  # few games ever need them

@@ -240,7 +240,7 @@ class LoosePlant(Plant):
         return np.asarray((way - way[0]) @ self.world.C_el[self.onset][:, _NORTH_EAST])
 
     def sight(self) -> Sight:
-        """The first receiver as it stands."""
+        """The first receiver as it is."""
         memory, world = self.memory, self.world
         moved = world.position_e[memory["epoch"][0]] - world.position_e[self.onset]
         return Sight(

@@ -277,7 +277,7 @@ class PlantGame(Stepwise):
         return tally
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
-        """Information at the begin of an episode."""
+        """Information at the start of an episode."""
         watched = {} if self._watch is None else self._watch.begin_info()
         return {
             "time_s": self.plant.time_s().copy(),

@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 
 def check_end_at_alarm(end_at_alarm: bool) -> None:
-    """Raise unless the end of an episode is told."""
+    """Raise unless the end of an episode is reported."""
     if not isinstance(end_at_alarm, bool | np.bool_):
         raise ValueError(f"`end_at_alarm` must be True or False, got {end_at_alarm!r}")
 

@@ -26,7 +26,7 @@ def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -
 
 
 def mask_of(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_] | None:
-    """Which receivers are to begin anew: (B,) bool, a copy; None for all of them."""
+    """Which receivers are to be reset: (B,) bool, a copy; None for all of them."""
     if options is None or RESET_MASK not in options:
         return None
     mask = options[RESET_MASK]
@@ -67,7 +67,7 @@ def check_seed(seed: Any) -> None:
 
 
 def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:
-    """Circumstances of some receivers, of those told of all."""
+    """Circumstances of some receivers, of those given for all."""
     chosen = {}
     for name, value in given.items():
         if isinstance(value, str) or np.ndim(value) == 0:

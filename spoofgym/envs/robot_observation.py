@@ -79,7 +79,7 @@ def elements(knowledge: str) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
 
 
 def write(values: Values, out: NDArray[np.float32]) -> None:
-    """Write the first elements.  `out` (B, o), written, not clipped; o tells the level."""
+    """Write the first elements.  `out` (B, o), written, not clipped; o gives the level."""
     pairs = out.shape[1] // 2
     for i, pair in enumerate(values[:pairs]):
         out[:, 2 * i : 2 * i + 2] = pair

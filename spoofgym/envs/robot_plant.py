@@ -59,7 +59,7 @@ class RobotPlant(Plant):
       velocity, that are observed as 1;
     - `loop`, `odometer`, `fix_errors`, `receiver`: settings of `RobotLoop`, `Odometer`, `FixErrors`
       and `CredibleFilter`;
-    - `interruptions_s`: begin and end of the times without a fix, counted from the begin of the
+    - `interruptions_s`: start and end of the times without a fix, counted from the start of the
       episode.
     """
 
@@ -268,7 +268,7 @@ class RobotPlant(Plant):
         return np.asarray(way - way[0])
 
     def sight(self) -> Sight:
-        """The first receiver as it stands."""
+        """The first receiver as it is."""
         memory, truth = self.memory, self.true_position_ne
         return Sight(
             position_ne=truth[memory["epoch"][0]] - truth[self.onset],
@@ -279,7 +279,7 @@ class RobotPlant(Plant):
         )
 
     def time_s(self) -> FloatArray:
-        """Time since the begin of the episode: (B,) [s]."""
+        """Time since the start of the episode: (B,) [s]."""
         time: FloatArray = self.memory["epoch"] * self.interval_s
         return time
 

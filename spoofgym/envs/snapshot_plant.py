@@ -289,7 +289,7 @@ class SnapshotPlant(Plant):
         return np.asarray(((way - way[0]) @ self.sky.C_en)[:, :2])
 
     def sight(self) -> Sight:
-        """The first receiver as it stands."""
+        """The first receiver as it is."""
         memory, sky = self.memory, self.sky
         epoch, n = int(memory["epoch"][0]), len(sky.satellite_ids)
         toward = self._line_of_sight_n()[0]

@@ -28,7 +28,7 @@ def action_space(game: Played) -> spaces.Space[Any]:
 def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) -> NDArray[Any]:
     """Action as the engine takes it.
 
-    `shape`: that it must have: (B, a), or (a,) of a single environment; returns of that shape,
+    `shape`: that it must have: (B, a), or (a,) of a single environment; returns that shape,
     float64, C-contiguous, a copy.
     """
     array = np.array(action, dtype=np.float64, order="C")

@@ -29,7 +29,7 @@ class Heads:
     - `told`: `VALUE_NAMES` and `parts`, then `MARK_NAMES`;
     - `masked`: the same, then all of them with ``_`` before it, for who has them;
     - `numbers`: how many of `told` are numbers;
-    - `blank` ((8 + t) B,) bool, what `Tally.flags` begins with.
+    - `blank` ((8 + t) B,) bool, initial `Tally.flags`.
     """
 
     def __init__(self, receivers: int, parts: Sequence[str] = ()) -> None:
@@ -50,7 +50,7 @@ class Tally:
     - `numbers` ((k + 3) B,) `values` in one row;
     - `flags` ((8 + t) B,) bool, `marks` in one row: those that the kernels name, then, for every
       key, that all receivers have it;
-    - `more`: arrays that are told beside them, by key.
+    - `more`: arrays that are reported with them, by key.
     """
 
     def __init__(self, heads: Heads) -> None:

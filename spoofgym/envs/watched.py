@@ -60,5 +60,5 @@ class WatchedDetector(Detector):
 
 
 def members_of(detector: Detector) -> tuple[Detector, ...]:
-    """Detectors that a detector is made of.  Returns itself, unless others watch beside it."""
+    """Detectors that a detector is made of.  The detector alone, unless others watch with it."""
     return detector.members if isinstance(detector, WatchedDetector) else (detector,)

@@ -25,7 +25,7 @@ class WatchBooks:
     """Alarms and statistics of the detectors that watch.
 
     `names`: of the detectors, as `Watch` has them; `begin_names`, `step_names`: keys in the
-    information at the begin of an episode, and of a step.
+    information at the start of an episode, and of a step.
     """
 
     def __init__(self, names: tuple[str, ...], receivers: int) -> None:
@@ -45,7 +45,7 @@ class WatchBooks:
         watched["alarmed"][:] = False
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
-        """Information at the begin of an episode: (B,) bool of each detector."""
+        """Information at the start of an episode: (B,) bool of each detector."""
         return {name: self._warmup_alarm[:, k].copy() for k, name in enumerate(self.begin_names)}
 
     def step_info(self, watched: Memory) -> dict[str, NDArray[Any]]:

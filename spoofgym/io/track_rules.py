@@ -42,7 +42,7 @@ def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask
     there is nothing to repeat: there, rows without a known time of their position are filled
     backwards, and the last of them counts.
 
-    `latitude`, `longitude` (n,) geodetic [rad]; `known` (n,) whether the file tells the time of the
+    `latitude`, `longitude` (n,) geodetic [rad]; `known` (n,) whether the file gives the time of the
     position; returns (n,) True where the row doesn't count.
     """
     same = (np.diff(latitude) == 0.0) & (np.diff(longitude) == 0.0)

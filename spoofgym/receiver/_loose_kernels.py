@@ -135,8 +135,8 @@ def predict(
 ) -> None:
     """Mechanize one block of samples, propagate, and form innovation and covariance.
 
-    `samples` (B, S, 6) measured specific force and angular rate, body axes; `fix_e` (B, 3) position
-    by GNSS, ECEF [m]; `interval`: length of a sample [s]; `noise_psd` (15,) of the noise that
+    `samples` (B, S, 6) measured specific force and angular rate, body axes; `fix_e` (B, 3) GNSS
+    position, ECEF [m]; `interval`: length of a sample [s]; `noise_psd` (15,) of the noise that
     drives each state; `transition` (B, 15, 15), written; its rows of the biases must hold those of
     the identity; `imu_delta` (B, 6), written: bias-corrected delta-v [m/s] and delta-theta [rad].
     """

@@ -203,7 +203,7 @@ class CredibleBatch:
         """First half of an epoch.
 
         `time` (B,) of the epoch [s]; `increment`, `fix` (B, 2) dead reckoning since the last epoch,
-        position by GNSS [m].
+        GNSS position [m].
         """
         memory, settings = self.memory, self.settings
         predict_positions(

@@ -115,7 +115,7 @@ class LooseReceivers:
     - `memory`: of B receivers; what changes from one epoch to the next is declared in it;
     - `samples`: inertial samples of an epoch;
     - `samples` (B, S, 6) measured specific force and angular rate, to be written before `predict`;
-    - `fix_e` (B, 3) position by GNSS, ECEF [m], to be written before `predict`.
+    - `fix_e` (B, 3) GNSS position, ECEF [m], to be written before `predict`.
     """
 
     def __init__(

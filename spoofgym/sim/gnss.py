@@ -57,7 +57,7 @@ class GnssErrors:
     def bias_sd(self, elevation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Standard deviation of the constant biases.
 
-        `elevation`: elevation of the satellites, any shape [rad]; returns of the same shape [m].
+        `elevation`: elevation of the satellites, any shape [rad]; returns the same shape [m].
         """
         cos2 = np.cos(elevation) ** 2
         return np.sqrt(

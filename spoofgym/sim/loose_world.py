@@ -159,9 +159,9 @@ def first_errors(
     """Draw what an episode begins with.
 
     `keys` (B, 3, 2) key of every source; `initial_sd`, `position_sd` (15,) and (3,), of the state
-    and of the position by GNSS; `deviates` (64,) scratch memory; `initial` (B, 15), written: errors
-    of the first estimate, then sensor biases; `error` (B, 3), written: errors of the position by
-    GNSS, east, north, up [m].
+    and of the GNSS position; `deviates` (64,) scratch memory; `initial` (B, 15), written: errors
+    of the first estimate, then sensor biases; `error` (B, 3), written: GNSS position errors, east,
+    north, up [m].
     """
     for b in range(keys.shape[0]):
         normals(keys[b, INITIAL, 0], keys[b, INITIAL, 1], 0, deviates)
@@ -195,9 +195,9 @@ def measure(
     (2,) root PSD of accelerometers and gyros; `bias` (B, 6) of gyros [rad/s] and accelerometers
     [m/s^2]; `position_sd` (3,) of the position errors [m]; `displacement` (B, 3) what the attack
     adds to the position, east, north, up [m]; `deviates` (P,) scratch memory, P a multiple of 64
-    and at least 6 times the samples of an epoch; `error` (B, 3) errors of the position by GNSS [m];
+    and at least 6 times the samples of an epoch; `error` (B, 3) errors of the GNSS position [m];
     advanced; `samples` (B, S, 6), written: measured specific force and angular rate, body axes;
-    `fix_e` (B, 3), written: position by GNSS, ECEF [m].
+    `fix_e` (B, 3), written: GNSS position, ECEF [m].
     """
     count = samples.shape[1]
     root = 1.0 / math.sqrt(interval)

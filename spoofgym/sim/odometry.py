@@ -102,7 +102,7 @@ class FixErrors:
                 raise ValueError(f"`{item.name}` must be finite and {sign} 0, got {value}")
 
     def decay(self, interval_s: float) -> float:
-        """What is left of the correlated part after an interval.  Returns in (0, 1)."""
+        """What is left of the correlated part after an interval, in (0, 1)."""
         return math.exp(-interval_s / self.correlation_time_s)
 
 

@@ -50,9 +50,9 @@ class RobotLoop:
 
     - `length_m`, `width_m`: sides; the first one that is driven is a long one;
     - `corner_radius_m`: radius of the corners, above 0 and at most half the shorter side; the paper
-      does not tell how its robot turns;
+      does not say how its robot turns;
     - `heading_deg`: of the first side, clockwise from north;
-    - `speed_mps`: 0 for a robot that stands.
+    - `speed_mps`: 0 for a robot at rest.
     """
 
     length_m: float = 13.4

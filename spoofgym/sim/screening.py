@@ -39,7 +39,7 @@ class ScreeningReport:
     - `unhealthy`: records that are marked unhealthy, copies not counted; they are kept;
     - `rejections`: records rejected, by satellite and time;
     - `unchecked`: records kept without a neighbour near enough to compare with;
-    - `unresolved`: pairs of neighbours that were kept although they disagree: nothing tells which
+    - `unresolved`: pairs of neighbours that were kept although they disagree: it is not known which
       is wrong.
     """
 

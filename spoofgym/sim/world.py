@@ -26,7 +26,7 @@ class World:
     slots for satellites, the same for the whole run, ordered by satellite id.
 
     - `satellite_ids` (n,) id of each slot; ``""`` for a slot that stays empty;
-    - `imu_time` (N+1,) begin of the first sample and end of every sample [s];
+    - `imu_time` (N+1,) start of the first sample and end of every sample [s];
     - `run` (8, N) true specific force [m/s^2] and angular rate [rad/s], body axes; length of every
       sample [s], and one over its square root [Hz^0.5];
     - `epoch_time` (K,) [s];

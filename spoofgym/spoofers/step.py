@@ -71,7 +71,7 @@ class Step(ScriptedSpoofer):
 def fastest(rest: FloatArray, rate: FloatArray, gain: float, interval: float) -> FloatArray:
     """Largest rate at the end of an epoch from which the rest of a way suffices to brake.
 
-    `rest`: way left [m]; what rounding made negative counts as 0; `rate`: rate at the begin of the
+    `rest`: way left [m]; what rounding made negative counts as 0; `rate`: rate at the start of the
     epoch [m/s], of the same shape; `gain`: largest change of the rate in an epoch [m/s];
     `interval`: length of an epoch [s]; returns [m/s].
     """

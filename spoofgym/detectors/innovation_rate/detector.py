@@ -143,7 +143,7 @@ def guard_against_lockout(
     """Let satellites in again that were out for too long, or that are needed.
 
     `size`, `threshold` (B, n) statistic and threshold; `max_exclusion_s`: longest time at weight
-    zero [s]; then the channel begins anew; `excluded_s` (B, n) time at weight zero, overwritten;
+    zero [s]; then the channel starts again; `excluded_s` (B, n) time at weight zero, overwritten;
     `state`, `covariance` (B, n, 3), (B, n, 6) memory of the filters, overwritten; `weights`
     (B, 2n), overwritten.
     """

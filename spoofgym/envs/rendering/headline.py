@@ -86,7 +86,7 @@ class Headline:
             x = (corner[0] + (WIDTH + 3) * self._tiles.width) / width
 
     def fit(self, history: RenderHistory) -> bool:
-        """Tell of the first alarm."""
+        """Show the first alarm."""
         first = history.first_alarm
         if first is None or self._alarm.get_text():
             return False

@@ -76,7 +76,7 @@ def head(ax: Axes, title: str, columns: int = 4) -> None:
 
 
 class FlightMap:
-    """The flight, with both estimates; their errors are magnified, by a factor that is told."""
+    """The flight, with both estimates; their errors are magnified, by a factor that is shown."""
 
     def __init__(self, ax: Axes, stage: Stage) -> None:
         style(ax)
@@ -228,7 +228,7 @@ class SkyPlot:
         head(ax, "Satellites", 3)
 
     def fit(self, history: RenderHistory) -> bool:
-        """Write the names anew where satellites have moved, risen or set."""
+        """Write the names again where satellites have moved, risen or set."""
         sky = history.sky
         if sky is None:
             return False

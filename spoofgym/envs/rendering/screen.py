@@ -63,7 +63,7 @@ class Screen:
         return self._history
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the episode as it stands: (H, W, 3) uint8; None in mode ``human``."""
+        """Draw the episode as it is: (H, W, 3) uint8; None in mode ``human``."""
         frame = self.frame()
         if self.mode == "rgb_array":
             return frame
@@ -73,7 +73,7 @@ class Screen:
         return None
 
     def frame(self) -> NDArray[np.uint8]:
-        """Draw the episode as it stands, in any mode: (H, W, 3) uint8, a new array."""
+        """Draw the episode as it is, in any mode: (H, W, 3) uint8, a new array."""
         history = self._begun("render")
         if self._painter is None:
             self._painter = Painter(history.stage)
