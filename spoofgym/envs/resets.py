@@ -13,20 +13,7 @@ RESET_MASK = "reset_mask"
 
 
 def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -> None:
-    """Warn of options that nothing is done with.
-
-    Parameters
-    ----------
-    options : mapping, optional
-        Of the user.
-    valid : sequence of str
-        Names of the options that there are.
-
-    Raises
-    ------
-    TypeError
-        When `options` is no mapping.
-    """
+    """Warn of options that nothing is done with."""
     if options is not None and not isinstance(options, Mapping):
         raise TypeError(f"`options` of a reset must be a dict, got {options!r}")
     for name in options or ():
@@ -39,27 +26,7 @@ def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -
 
 
 def mask_of(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_] | None:
-    """Which receivers are to begin anew.
-
-    Parameters
-    ----------
-    options : mapping, optional
-        Of the user.
-    receivers : int
-        B.
-
-    Returns
-    -------
-    ndarray or None
-        (B,) bool, a copy; None for all of them.
-
-    Raises
-    ------
-    TypeError
-        When the mask is no array of bool.
-    ValueError
-        When its shape is another, or nothing in it is True.
-    """
+    """Which receivers are to be reset: (B,) bool, a copy; None for all of them."""
     if options is None or RESET_MASK not in options:
         return None
     mask = options[RESET_MASK]
@@ -76,25 +43,7 @@ def mask_of(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.boo
 
 
 def seeds_of(seed: Any, receivers: int) -> list[int | None]:
-    """Seed of every receiver.
-
-    Parameters
-    ----------
-    seed : int, sequence of int or None
-        Of the user; receiver i gets ``seed + i``, or its element.
-    receivers : int
-        B.
-
-    Returns
-    -------
-    list
-        None where the stream of the receiver goes on.
-
-    Raises
-    ------
-    ValueError
-        When there are not as many, or one is no seed.
-    """
+    """Seed of every receiver.  Returns None where the stream of the receiver goes on."""
     if seed is None:
         return [None] * receivers
     if isinstance(seed, int | np.integer):
@@ -111,45 +60,14 @@ def seeds_of(seed: Any, receivers: int) -> list[int | None]:
 
 
 def check_seed(seed: Any) -> None:
-    """Raise unless there is such a seed.
-
-    Parameters
-    ----------
-    seed : int or None
-        Of the user.
-
-    Raises
-    ------
-    ValueError
-        When it is neither None nor a whole number, at least 0.
-    """
+    """Raise unless there is such a seed."""
     whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if seed is not None and not (whole and seed >= 0):
         raise ValueError(f"a seed must be a whole number, at least 0, got {seed!r}")
 
 
 def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:
-    """Circumstances of some receivers, of those told of all.
-
-    Parameters
-    ----------
-    given : mapping
-        Each one value, or one for every receiver.
-    rows : ndarray
-        Which receivers.
-    count : int
-        Number of all.
-
-    Returns
-    -------
-    dict
-        Each one value, or one for every row.
-
-    Raises
-    ------
-    ValueError
-        When there are as many values of something as of neither.
-    """
+    """Circumstances of some receivers, of those given for all."""
     chosen = {}
     for name, value in given.items():
         if isinstance(value, str) or np.ndim(value) == 0:
