@@ -25,7 +25,7 @@ import platformdirs
 F = TypeVar("F", bound=Callable[..., object])
 
 CACHE_VARIABLE = "SPOOFGYM_CACHE_DIR"
-COMPILED_LAYERS = ("earth", "sim", "attacks", "receiver", "detectors", "envs")
+COMPILED_LAYERS = ("earth", "sim", "attacks", "receiver", "detectors", "simulators", "envs")
 """Packages with compiled code, each of which calls only those before it (import-linter's order)."""
 KEPT_DIGESTS = 16
 FASTMATH = {"contract", "arcp", "nsz"}

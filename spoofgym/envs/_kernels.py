@@ -10,32 +10,6 @@ from .._jit import njit
 
 
 @njit
-def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin, displacement):
-    """Displacements along the target direction, in the local axes at the onset.
-
-    `position_e`, `reference_e` (B, 3) estimated, and (K, 3) what it is compared to, ECEF [m];
-    `C_en` (K, 3, 3) local axes at all epochs; `onset` (B,) epoch after which each receiver's attack
-    begins; `heading` (B,) direction in which displacement counts, clockwise from north [rad];
-    `origin` (B, 2) north and east difference at the onset, which does not count [m]; `displacement`
-    (B,), written [m].
-    """
-    cosine, sine = 1.0, 0.0
-    for b in range(displacement.shape[0]):
-        if b == 0 or heading[b] != heading[b - 1]:
-            cosine, sine = math.cos(heading[b]), math.sin(heading[b])
-        north, east = -origin[b, 0], -origin[b, 1]
-        axes = C_en[onset[b]]
-        for i in range(3):
-            apart = position_e[b, i] - reference_e[rows[b], i]
-            north += apart * axes[i, 0]
-            east += apart * axes[i, 1]
-        if worst:
-            displacement[b] = math.sqrt(north * north + east * east)
-        else:
-            displacement[b] = cosine * north + sine * east
-
-
-@njit
 def time_fractions(epochs, onset, steps, out):
     """Parts of the command phase that are over, and left.
 
@@ -46,26 +20,6 @@ def time_fractions(epochs, onset, steps, out):
         since = (epochs[b] - onset[b]) / steps
         out[b, 0] = since
         out[b, 1] = 1.0 - since
-
-
-@njit
-def local_motion(position_e, velocity_e, C_en, epochs, onset, per_position, per_velocity, out):
-    """Motion since the onset in the local axes there, scaled.
-
-    `position_e`, `velocity_e` (K, 3) true, ECEF [m], [m/s]; `C_en` (K, 3, 3) local axes at all
-    epochs; `epochs`, `onset` (B,) epoch that each receiver is at, and that of its onset; `out`
-    (B, 6), written: position less that at the onset, and velocity; north, east, down.
-    """
-    for b in range(out.shape[0]):
-        k, first = epochs[b], onset[b]
-        axes = C_en[first]
-        for j in range(3):
-            moved, speed = 0.0, 0.0
-            for i in range(3):
-                moved += (position_e[k, i] - position_e[first, i]) * axes[i, j]
-                speed += velocity_e[k, i] * axes[i, j]
-            out[b, j] = per_position * moved
-            out[b, 3 + j] = per_velocity * speed
 
 
 @njit
@@ -323,83 +277,3 @@ def play(
         out = seen.reshape((receivers, table.shape[1]))
         look(table, epochs, displacement, rate, first, rules[7:11], out)
     return held
-
-
-@njit
-def shift_response(
-    transition,
-    design,
-    predicted_cov,
-    innovation_cov,
-    visible,
-    weights,
-    min_satellites,
-    range_offset,
-    rate_offset,
-    shift,
-    divergence,
-):
-    """Move the attack's shift of the filter over one epoch, and add the divergence of it.
-
-    `weights` (B, 2n) on the columns of the gain; `range_offset`, `rate_offset` (B, n) what the
-    attack adds [m], [m/s]; `shift` (B, 17) of the filter's error, overwritten; `divergence` (B,)
-    [nats], added to.
-    """
-    receivers, n = visible.shape
-    states = shift.shape[1]
-    before, used = np.empty(states), np.empty(2 * n, dtype=np.int64)
-    S, rho, y, w = np.empty((2 * n, 2 * n)), np.empty(2 * n), np.empty(2 * n), np.empty(2 * n)
-    for b in range(receivers):
-        Phi, H, e = transition[b], design[b], shift[b]
-        still, m = True, 0
-        for i in range(states):
-            before[i] = e[i]
-            still = still and e[i] == 0.0
-        for s in range(2 * n):
-            if visible[b, s % n]:
-                used[m] = s
-                a = range_offset[b, s] if s < n else rate_offset[b, s - n]
-                still = still and a == 0.0
-                m += 1
-        if still:
-            continue
-        for i in range(states):
-            total = 0.0
-            for j in range(states):
-                total += Phi[i, j] * before[j]
-            e[i] = total
-        for i in range(m):
-            s = used[i]
-            total = range_offset[b, s] if s < n else rate_offset[b, s - n]
-            for j in range(states):
-                total += H[s, j] * e[j]
-            rho[i], y[i], w[i] = total, total, weights[b, s] * total
-            for j in range(i + 1):
-                S[i, j] = innovation_cov[b, s, used[j]]
-        # S = L L', y = L^-1 rho, w = S^-1 (W rho)
-        for i in range(m):
-            for j in range(i + 1):
-                total = S[i, j]
-                for k in range(j):
-                    total -= S[i, k] * S[j, k]
-                S[i, j] = math.sqrt(total) if i == j else total / S[j, j]
-            for k in range(i):
-                y[i] -= S[i, k] * y[k]
-                w[i] -= S[i, k] * w[k]
-            y[i] /= S[i, i]
-            w[i] /= S[i, i]
-            divergence[b] += 0.5 * y[i] * y[i]
-        if m < 2 * min_satellites:
-            continue
-        for i in range(m - 1, -1, -1):
-            for k in range(i + 1, m):
-                w[i] -= S[k, i] * w[k]
-            w[i] /= S[i, i]
-        # e^- - P H' S^-1 W rho
-        for j in range(states):
-            before[j] = 0.0
-            for i in range(m):
-                before[j] += H[used[i], j] * w[i]
-        for i in range(states):
-            for j in range(states):
-                e[i] -= predicted_cov[b, i, j] * before[j]

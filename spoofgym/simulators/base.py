@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from ..detectors import Detector, DetectorContext, PooledDetector, Verdict
+from ..detectors import DETECTORS, Detector, DetectorContext, PooledDetector, Verdict
 from ..receiver.epoch import Epoch
 from .domain import Choice, draw, given_choice
 from .frame import EpisodeLayout, FrameData
@@ -393,3 +393,9 @@ def domain_keys(episodes: Sequence[np.random.SeedSequence]) -> NDArray[np.uint64
 def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
     """Call ``work(lo, hi)`` once over all receivers."""
     work(0, receivers)
+
+
+def detector_name(detector: Detector) -> str:
+    """Registered name of a detector, else that of its class, for titles."""
+    found = (name for name, kind in DETECTORS.items() if kind is type(detector))
+    return next(found, type(detector).__name__)

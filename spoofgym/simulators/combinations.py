@@ -25,7 +25,7 @@ from .domain import Domain
 FloatArray = NDArray[np.float64]
 
 
-class Case(NamedTuple):
+class Combination(NamedTuple):
     """One combination of world, grade and errors.
 
     - `grade`: errors of the inertial sensors;
@@ -79,7 +79,7 @@ def _variants(scenario: Scenario, base: CircularConstellation, domain: Domain) -
     ]
 
 
-class Cases:
+class Combinations:
     """All combinations of world, grade and errors.
 
     - `scenario`: what holds where the domain says nothing;
@@ -105,8 +105,8 @@ class Cases:
         errors = [ERRORS[name] for name in domain.errors] or [scenario.gnss_errors]
         self._grades = [IMU_GRADES[name] for name in self.names["imu"]]
         self.grades, self.errors = len(self._grades), len(errors)
-        self._cases = [
-            _case(world, grade, error, _victim(receiver, grade, domain), epochs, flown)
+        self._all = [
+            _combination(world, grade, error, _victim(receiver, grade, domain), epochs, flown)
             for world in worlds
             for grade in self.names["imu"]
             for error in errors
@@ -123,20 +123,20 @@ class Cases:
         result: NDArray[np.int64] = (world * self.grades + grade) * self.errors + error
         return result
 
-    def __getitem__(self, index: int) -> Case:
+    def __getitem__(self, index: int) -> Combination:
         """Return the combination of an index."""
-        return self._cases[index]
+        return self._all[index]
 
     @property
     def largest_variance(self) -> FloatArray:
         """(2n,) largest R of all combinations."""
-        largest: FloatArray = np.max([case.noise_variance for case in self._cases], axis=0)
+        largest: FloatArray = np.max([case.noise_variance for case in self._all], axis=0)
         return largest
 
     def first_C_eb(self, grade: NDArray[np.int64], epochs: NDArray[np.int64]) -> FloatArray:
-        """Attitudes that receivers begin with.
+        """Attitudes that receivers start with.
 
-        `grade` (b,) of a `Choice`; `epochs` (b,) epochs of `world` at which they begin; returns
+        `grade` (b,) of a `Choice`; `epochs` (b,) epochs of `world` at which they start; returns
         (b, 3, 3) to ECEF from body axes.
         """
         pairs = zip(grade.tolist(), epochs.tolist(), strict=True)
@@ -147,17 +147,17 @@ def _victim(receiver: TightlyCoupled, grade: str, domain: Domain) -> TightlyCoup
     return replace(receiver, grade=grade) if domain.imu else receiver
 
 
-def _case(
+def _combination(
     world: World,
     grade: str,
     errors: GnssErrors,
     receiver: TightlyCoupled,
     epochs: int,
     flown: int,
-) -> Case:
+) -> Combination:
     bias_sd = errors.bias_sd(world.first_elevation)
     variance, noise = assumed_noise(receiver, errors, bias_sd, world, epochs, flown)
-    return Case(
+    return Combination(
         IMU_GRADES[grade],
         errors,
         bias_sd,
@@ -169,7 +169,7 @@ def _case(
 
 
 def _first_attitudes(world: World, grade: ImuGrade) -> FloatArray:
-    """(K, 3, 3) attitudes with the grade's first error, for a begin at every epoch."""
+    """(K, 3, 3) attitudes with the grade's first error, for a start at every epoch."""
     error = euler_to_dcm(*(-np.radians(grade.attitude_error_deg)))
     # the error turns the local axes: C_nb (estimated) = dC C_nb
     C_ne = np.ascontiguousarray(world.C_en.transpose(0, 2, 1))

@@ -26,35 +26,33 @@ are not counted.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from .._memory import Memory
 from ..receiver.error_model import STATES
 from ._kernels import shift_response
-from .witness import Witness
-
-if TYPE_CHECKING:
-    from .engine import Batch
+from .monitors import Monitor, Monitored
+from .tightly_coupled import tightly_coupled
 
 
-class Divergence(Witness):
-    """Divergence of the innovations by the filter's belief, of every receiver.
+class Divergence(Monitor):
+    """Divergence of the innovations by the belief of tightly coupled filters.
 
     `memory`: ``divergence`` (B,) accumulated [nats]; ``shift`` (B, 17) e, in the filter's states.
     """
 
-    def bind(self, batch: Batch) -> None:
-        """Prepare for a batch."""
-        self.memory = Memory(batch.receivers)
-        self.memory.declare("divergence", np.zeros(batch.receivers))
-        self.memory.declare("shift", np.zeros((batch.receivers, STATES)))
+    def bind(self, simulator: Monitored) -> None:
+        """Prepare for the receivers of a simulator."""
+        receivers = tightly_coupled(simulator, "the divergence of an attack").receivers
+        self.memory = Memory(receivers)
+        self.memory.declare("divergence", np.zeros(receivers))
+        self.memory.declare("shift", np.zeros((receivers, STATES)))
 
-    def see(self, batch: Batch) -> None:
+    def update(self, simulator: Monitored) -> None:
         """Add the part of an epoch."""
-        epoch, verdict, sensors = batch.epoch, batch.verdict, batch.sensors.state
-        weights = batch.ones if verdict is None or verdict.weights is None else verdict.weights
+        victims = tightly_coupled(simulator, "the divergence of an attack")
+        epoch, verdict, sensors = victims.epoch, victims.verdict, victims.sensors.state
+        weights = victims.ones if verdict is None or verdict.weights is None else verdict.weights
         shift_response(
             epoch.transition,
             epoch.design,
@@ -62,7 +60,7 @@ class Divergence(Witness):
             epoch.innovation_cov,
             epoch.visible,
             weights,
-            batch.setup.receiver.min_satellites,
+            victims.setup.receiver.min_satellites,
             sensors.range_offset,
             sensors.rate_offset,
             self.memory["shift"],

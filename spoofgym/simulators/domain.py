@@ -20,7 +20,7 @@ MOST_WORLDS = 256
 MOST_TIME_S = 1e8
 """Three years; beyond them a float's rounding of the time shows in positions of satellites."""
 CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")
-"""What a reset may be told of every receiver."""
+"""What a reset may be given for every receiver."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +127,7 @@ class Choice(NamedTuple):
     world, grade, error : ndarray
         (b,) index of the world, of the grade in `Domain.imu` and of the errors in `Domain.errors`.
     start : ndarray
-        (b,) epoch of the world at which the episode begins.
+        (b,) epoch of the world at which the episode starts.
     heading : ndarray
         (b,) direction in which displacement counts, clockwise from north [rad].
     """
@@ -147,7 +147,7 @@ class Bounds(NamedTuple):
     worlds, grades, errors : int
         Numbers of them.
     first, last : int
-        Epochs at which an episode may begin.
+        Epochs at which an episode may start.
     heading : float or None
         Fixed direction [rad]; None where it is drawn.
     """
@@ -188,14 +188,14 @@ def draw(bounds: Bounds, keys: NDArray[np.uint64]) -> Choice:
     return Choice(whole[0], whole[1], whole[2], whole[3], heading)
 
 
-def told(
+def given_choice(
     given: Mapping[str, Any],
     drawn: Choice,
     bounds: Bounds,
     names: Mapping[str, Sequence[str]],
     interval_s: float,
 ) -> Choice:
-    """Circumstances that a user has told, and those drawn where nothing is told.
+    """Circumstances that a user has given, and those drawn where nothing is.
 
     `given`: some of `CHOICES`, each one value, or (b,) of them.
     """
@@ -225,7 +225,7 @@ def told(
         error = _index("errors", values["errors"], names["errors"])
     if "target_heading_deg" in values:
         if bounds.heading is not None:
-            raise ValueError("a reset can tell `target_heading_deg` only where it is 'random'")
+            raise ValueError("a reset can be given `target_heading_deg` only where it is 'random'")
         heading = np.radians(_numbers("target_heading_deg", values["target_heading_deg"]))
     return Choice(world, grade, error, start, heading)
 

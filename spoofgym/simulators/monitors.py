@@ -1,53 +1,61 @@
-"""Witnesses: what looks at every epoch that is judged, and changes nothing.
+"""Monitors: what looks at every epoch that is judged, and changes nothing.
 
-They live in the batches of the engine, so that they see the warm-up and the time to alert, too, and
-go with their receivers when these are moved from one batch to another.
+They live in the simulators, so that they see the warm-up and the time to alert, too, and go with
+their receivers when these are moved from one simulator to another.
 """
 
 from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Self
+from collections.abc import Iterable, Sequence
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from ..detectors import DETECTORS, Detector
+from ..detectors import DETECTORS, Detector, Verdict
 from ..receiver.epoch import Epoch
-
-if TYPE_CHECKING:
-    from .engine import Batch
 
 FloatArray = NDArray[np.float64]
 
 
-class Witness(ABC):
-    """What looks at the epochs of a batch.  `memory`: all that it remembers of every receiver."""
+class Monitored(Protocol):
+    """What a monitor looks at: a `Simulator`."""
+
+    receivers: int
+    epoch: Epoch
+    verdict: Verdict | None
+
+    def bind_detector(self, detector: Detector) -> None:
+        """Bind a detector to these receivers."""
+
+
+class Monitor(ABC):
+    """What looks at the epochs of a simulator.  `memory`: all that it remembers of every receiver."""
 
     memory: Memory
 
     @abstractmethod
-    def bind(self, batch: Batch) -> None:
-        """Prepare for a batch."""
+    def bind(self, simulator: Monitored) -> None:
+        """Prepare for the receivers of a simulator."""
 
     @abstractmethod
-    def see(self, batch: Batch) -> None:
+    def update(self, simulator: Monitored) -> None:
         """Look at an epoch between the verdict and the update."""
 
     def begin(self) -> None:
-        """Begin new episodes in all receivers."""
+        """Start new episodes in all receivers."""
         self.memory.reset()
 
     def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
-        """Take over receivers of another batch."""
+        """Take over receivers of another simulator."""
         self.memory.copy_rows(to, other.memory, rows)
 
 
-class Watch(Witness):
-    """Detectors that run on the epochs beside the one in the loop; their weights are not used.
+class PassiveDetectors(Monitor):
+    """Detectors that judge the same epochs as the one in the loop; their weights are not used.
 
     `names`: name of each in ``info``: that of its class in `DETECTORS`, numbered where it is not
     alone; `memory`: ``alarmed`` (B, w) bool, whether each has alarmed since it was last set to
@@ -58,42 +66,40 @@ class Watch(Witness):
         self.detectors = [copy.deepcopy(detector) for detector in detectors]
         self.names = names_of(self.detectors)
 
-    def bind(self, batch: Batch) -> None:
-        """Prepare for a batch."""
+    def bind(self, simulator: Monitored) -> None:
+        """Prepare for the receivers of a simulator."""
         for detector in self.detectors:
-            batch.bind_detector(detector)
-        self.declare(batch.receivers)
-
-    def declare(self, receivers: int) -> None:
-        """Prepare for what the detectors will see."""
-        count = len(self.detectors)
+            simulator.bind_detector(detector)
+        receivers, count = simulator.receivers, len(self.detectors)
         self.memory = Memory(receivers)
         self.memory.declare("alarmed", np.zeros((receivers, count), dtype=np.bool_))
         self.memory.declare("ratio", np.zeros((receivers, count)))
 
     def begin(self) -> None:
-        """Begin new episodes in all receivers."""
+        """Start new episodes in all receivers."""
         super().begin()
         for detector in self.detectors:
             detector.reset()
 
-    def see(self, batch: Batch) -> None:
+    def update(self, simulator: Monitored) -> None:
         """Let every detector judge the epoch."""
-        self.look(batch.epoch)
-
-    def look(self, epoch: Epoch) -> None:
-        """Let every detector judge an epoch."""
         alarmed, ratio = self.memory["alarmed"], self.memory["ratio"]
         for k, detector in enumerate(self.detectors):
-            verdict = detector.judge(epoch)
+            verdict = detector.judge(simulator.epoch)
             alarmed[:, k] |= verdict.alarm.any(axis=1)
             ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
 
     def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
-        """Take over receivers of another batch."""
+        """Take over receivers of another simulator."""
         super().copy_rows(to, other, rows)
         for mine, theirs in zip(self.detectors, other.detectors, strict=True):
             mine.memory.copy_rows(to, theirs.memory, rows)
+
+
+def needed_monitors(terms: Iterable[Any]) -> list[Monitor]:
+    """Monitors that terms rely on: one of each class that their attribute `needs` lists."""
+    kinds = dict.fromkeys(kind for term in terms for kind in getattr(term, "needs", ()))
+    return [kind() for kind in kinds]
 
 
 def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:

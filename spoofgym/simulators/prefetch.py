@@ -17,18 +17,16 @@ import os
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .base import Simulator
 from .link import Link, StoppedError
 
-if TYPE_CHECKING:
-    from .engine import Batch
-
 WarmUp = Callable[
-    [Sequence[np.random.Generator], Callable[[], Any]], "tuple[Batch, NDArray[np.bool_]]"
+    [Sequence[np.random.Generator], Callable[[], Any]], "tuple[Simulator, NDArray[np.bool_]]"
 ]
 LEAST_AT_ONCE, MOST_AT_ONCE = 16, 64
 """Receivers of one piece of work: enough to be worth it, unless they are waited for, and not so
@@ -49,7 +47,7 @@ class NextEpisodes:
 
     def __init__(
         self,
-        waiting: Batch,
+        waiting: Simulator,
         warm_up: WarmUp,
     ) -> None:
         self._waiting, self._warm_up = waiting, warm_up
@@ -165,7 +163,7 @@ class NextEpisodes:
         same = np.array([self._sources[row] is rng for row, rng in pairs], dtype=np.bool_)
         return same & (self._stock[rows] >= least)
 
-    def take(self, rows: NDArray[np.intp], into: Batch) -> NDArray[np.bool_]:
+    def take(self, rows: NDArray[np.intp], into: Simulator) -> NDArray[np.bool_]:
         """Let some receivers begin the episodes that wait for them.
 
         Returns (b,) bool, alarms of the warm-ups.

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..receiver import NavState, Recording
-from .engine import Batch
-from .setup import Setup
+from .base import run_serially
+from .tightly_coupled import TightlyCoupledSetup
 
 FloatArray = NDArray[np.float64]
 
 
 def record_run(
-    setup: Setup,
+    setup: TightlyCoupledSetup,
     rng: np.random.Generator,
     *,
     epochs: int | None = None,
@@ -25,7 +25,7 @@ def record_run(
 
     Parameters
     ----------
-    setup : Setup
+    setup : TightlyCoupledSetup
         World, victim, attack and timeline.  Its detector is not asked, since a recording has no
         place for weights.
     rng : Generator
@@ -48,9 +48,9 @@ def record_run(
     count = setup.onset + setup.steps if epochs is None else epochs
     if not 1 <= count < setup.world.epochs:
         raise ValueError(f"`epochs` must be 1 to {setup.world.epochs - 1}, got {count}")
-    batch = Batch(setup, 1, lambda work, receivers: work(0, receivers))
-    batch.begin([rng])
-    state, measured = batch.buffers.state, batch.buffers.measured
+    victim = setup.simulator(1, run_serially)
+    victim.begin([rng])
+    state, measured = victim.buffers.state, victim.buffers.measured
     initial = NavState(
         position_e=state.position_e[0],
         velocity_e=state.velocity_e[0],
@@ -61,16 +61,16 @@ def record_run(
     samples, ranges, rates, satellites, motions, position_e = [], [], [], [], [], []
     for k in range(count):
         if command is None or k < setup.onset:
-            batch.advance()
+            victim.advance()
         else:
-            batch.advance_attacked(command(k - setup.onset))
+            victim.predict(command(k - setup.onset))
         seen = measured.visible[0]
-        samples.append(batch.buffers.measured_samples(0))
+        samples.append(victim.buffers.measured_samples(0))
         ranges.append(np.where(seen, measured.pseudorange[0], np.nan))
         rates.append(np.where(seen, measured.range_rate[0], np.nan))
         satellites.append(measured.satellite_position[0].copy())
         motions.append(measured.satellite_velocity[0].copy())
-        batch.update(None)
+        victim.update(None)
         position_e.append(state.position_e[0].copy())
     end = setup.world.epoch_end[count]
     imu = np.concatenate(samples)

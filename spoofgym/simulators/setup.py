@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,7 @@ from numpy.typing import NDArray
 from .._registry import build_record, check_choice
 from ..detectors import Detector, make_detector
 from .domain import Bounds, Domain
-
-if TYPE_CHECKING:
-    from .base import Simulator
-    from .monitors import Monitor
+from .monitors import Monitor
 
 FloatArray = NDArray[np.float64]
 MOST_EPOCHS = 100_000
@@ -190,6 +187,7 @@ class Setup(ABC):
     interval_s: float
     epoch_time: FloatArray
     bounds: Bounds
+    epochs_each: int
     target_heading_deg: float | str
     world: Any = None
 
@@ -282,8 +280,8 @@ class Setup(ABC):
         return None
 
     @abstractmethod
-    def simulator(self, receivers: int, run: Run) -> Simulator:
-        """B receivers of this victim, not begun yet."""
+    def simulator(self, receivers: int, run: Run) -> Any:
+        """`Simulator` of B receivers of this victim, not begun yet."""
 
     def command(
         self, before: FloatArray, action: FloatArray, epoch: int | NDArray[np.int64]

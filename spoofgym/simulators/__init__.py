@@ -1,0 +1,12 @@
+"""B receivers of a victim in step: the world, the filter and the detector, without Gymnasium.
+
+A `Setup` is computed once; its `simulator` runs B receivers; an `Engine` adds threads, prefetched
+warm-ups and clean twins.
+"""
+
+from .base import Simulator as Simulator
+from .domain import Domain as Domain
+from .engine import Engine as Engine
+from .setup import Setup as Setup
+from .setup import Timeline as Timeline
+from .tightly_coupled import TightlyCoupledSetup as TightlyCoupledSetup

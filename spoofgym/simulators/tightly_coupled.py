@@ -1,0 +1,585 @@
+"""Tightly coupled GNSS/INS receivers: 17 states, pseudoranges and range rates, any attack."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._registry import build_record, check_choice
+from ..attacks import Attack, AttackContext, make_attack
+from ..detectors import Detector, DetectorContext
+from ..receiver import TightlyCoupled, _kernels
+from ..receiver.epoch import Epoch, epoch_view
+from ..receiver.state import ReceiverBuffers
+from ..sim.noise import padded
+from ..sim.scenario import Scenario, make_scenario
+from ..sim.sensors import SOURCES, SensorBuffers
+from ..sim.world import World
+from ._kernels import displace, local_motion
+from .base import Rows, Simulator, detector_name
+from .combinations import Combinations, worlds_of
+from .domain import Choice, Domain
+from .frame import EpisodeLayout, FrameData, SkyData
+from .setup import Run, Setup, Timeline
+
+FloatArray = NDArray[np.float64]
+DEFAULT_ATTACK = "false-position"
+DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
+RECEIVERS: dict[str, dict[str, Any]] = {
+    "paper": {"tuning": "paper"},
+    "matched": {"tuning": "matched"},
+}
+"""Victims by name: the noise that they assume as the papers print it, or as the world has it."""
+FIRST_FIX = 4
+"""Satellites that a first fix takes."""
+PIECE = 64
+"""Epochs of single receivers that are run between two chances to wait: less than a millisecond."""
+AXES = ("north", "east", "down")
+
+
+class TightlyCoupledSetup(Setup):
+    """World, victim, attack and detector of tightly coupled receivers.
+
+    Parameters
+    ----------
+    scenario : str, mapping or Scenario
+        Flight, errors and sensors: a name in `SCENARIOS`, or a dict of its settings.
+    detector : str, mapping or Detector, optional
+        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied; the
+        EWMA chart with weights (m = 0.3) by default.
+    attack : str, mapping or Attack
+        A name in `ATTACKS` or `THREATS`, a dict with a name and settings, or an object, which is
+        copied.
+    receiver : str, mapping or TightlyCoupled, optional
+        ``"paper"`` or ``"matched"``, or settings of the victim; its grade is that of the scenario's
+        sensors by default.
+    timeline : mapping or Timeline, optional
+        Lengths of warm-up, attack window and time to alert.
+    domain : mapping or Domain, optional
+        What differs from episode to episode beside the noise; nothing by default.
+    target_heading_deg : float or {"random", "worst"}
+        Direction in which displacement counts, clockwise from north; drawn for every episode, and
+        observed; or that in which it is largest.
+    decision_interval_s : float, optional
+        Time between decisions, a multiple of the interval between epochs, of which the attack
+        window holds a whole number; every epoch by default.
+    between : {"hold", "linear"}
+        What is commanded at the epochs between: the decision that was taken, or the line from the
+        one before to it, which is reached when the next is due.
+
+    Attributes
+    ----------
+    world : World
+        All worlds of the domain, one after the other.
+    combinations : Combinations
+        Of world, sensors and errors.
+
+    Raises
+    ------
+    ValueError
+        When a setting is unknown or out of range, or the run is shorter than the episode.
+    """
+
+    kind: ClassVar[str] = "tightly-coupled"
+    whose: ClassVar[str] = "a tightly coupled receiver"
+    domain_names: ClassVar[frozenset[str]] = frozenset(vars(Domain()))
+    threaded: ClassVar[bool] = True
+    ratio_is_largest: ClassVar[bool] = False
+    motion_names = tuple(f"{what}_{axis}" for what in ("position", "velocity") for axis in AXES)
+    error_names = AXES
+    scales: Mapping[str, float] = {  # noqa: RUF012  (read only)
+        "displacement_m": 100.0,
+        "position_m": 10_000.0,
+        "velocity_mps": 100.0,
+        "error_m": 100.0,
+    }
+    world: World
+
+    def __init__(
+        self,
+        *,
+        scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
+        detector: str | Mapping[str, Any] | Detector | None = None,
+        attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
+        receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
+        timeline: Mapping[str, float] | Timeline | None = None,
+        domain: Mapping[str, Any] | Domain | None = None,
+        target_heading_deg: float | str = 90.0,
+        decision_interval_s: float | None = None,
+        between: str = "hold",
+    ) -> None:
+        self.scenario = make_scenario(scenario)
+        self.name = self.scenario.name
+        self._aim(target_heading_deg, domain)
+        self.receiver = _victim(receiver, self.scenario, self.domain)
+        self.attack = make_attack(attack)
+        self._phase(
+            DEFAULT_DETECTOR if detector is None else detector,
+            build_record("timeline", Timeline, timeline),
+            self.scenario.epoch_interval_s,
+            decision_interval_s,
+            between,
+        )
+        worlds = worlds_of(self.scenario, self.domain)
+        first, last = self._starts(worlds[0].epochs, worlds[0].name)
+        self.combinations = Combinations(
+            worlds, self.scenario, self.receiver, self.domain, self.length, last + self.length
+        )
+        self.world = self.combinations.world
+        self.epoch_time = self.world.epoch_time
+        self.bounds = self._bounds(
+            self.combinations.worlds,
+            self.combinations.grades,
+            self.combinations.errors,
+            first,
+            last,
+        )
+        self.epochs_each = self.world.epochs // self.bounds.worlds
+        slots = [f"slot{s:02d}" for s in range(self.world.channels)]
+        self.weight_names = tuple(slots)
+        self.geometry_names = (
+            *(f"sight_{axis}_{slot}" for slot in slots for axis in AXES),
+            *(f"visible_{slot}" for slot in slots),
+        )
+        self._check_first_fixes()
+
+    @property
+    def combination_names(self) -> dict[str, Sequence[str]]:
+        """Names of the grades and errors of the domain."""
+        return self.combinations.names
+
+    @property
+    def onsets(self) -> NDArray[np.int64] | None:
+        """(K,) onset of the episodes that each epoch is part of; None where the start is drawn."""
+        if self.bounds.first != self.bounds.last:
+            return None
+        epochs = np.arange(self.world.epochs)
+        starts: NDArray[np.int64] = epochs - epochs % self.epochs_each
+        return starts + self.bounds.first + self.onset
+
+    def motion_table(self, per_position: float, per_velocity: float) -> NDArray[np.float32] | None:
+        """(K, 6) motion of the target at every epoch, where each belongs to one onset."""
+        if self.onsets is None:
+            return None
+        world = self.world
+        table = np.empty((world.epochs, 6), dtype=np.float32)
+        local_motion(
+            world.position_e,
+            world.velocity_e,
+            world.C_en,
+            np.arange(world.epochs),
+            self.onsets,
+            per_position,
+            per_velocity,
+            table,
+        )
+        return table
+
+    def geometry_table(self) -> FloatArray:
+        """(K, 4n) unit vectors to the satellites in local axes, then 1 or 0 for visible or not."""
+        world = self.world
+        sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
+        sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
+        sight = np.einsum("kji,knj->kni", world.C_en, sight) * world.visible[:, :, None]
+        return np.hstack([sight.reshape(world.epochs, -1), world.visible])
+
+    def simulator(self, receivers: int, run: Run) -> TightlyCoupledSimulator:
+        """B receivers, not begun yet."""
+        return TightlyCoupledSimulator(self, receivers, run)
+
+    def _check_first_fixes(self) -> None:
+        bounds, each = self.bounds, self.epochs_each
+        seen = self.world.visible.sum(axis=1).reshape(bounds.worlds, each)
+        few = np.argwhere(seen[:, bounds.first : bounds.last + 1] < FIRST_FIX)
+        if len(few):
+            world, epoch = few[0]
+            time = self.world.epoch_time[bounds.first + epoch]
+            raise ValueError(
+                f"a first fix needs {FIRST_FIX} satellites; world {world} of the domain has fewer "
+                f"at {time:g} s"
+            )
+
+
+def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
+    """Victim by name or settings."""
+    if isinstance(given, str):
+        check_choice("receiver", given, RECEIVERS)
+        given = RECEIVERS[given]
+    victim = build_record("receiver", TightlyCoupled, given, {"grade": scenario.imu})
+    if isinstance(given, Mapping) and any(g != victim.grade for g in domain.imu):
+        if "grade" in given:
+            raise ValueError(
+                f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it "
+                f"draws from the domain's `imu` {', '.join(domain.imu)}: leave out one"
+            )
+    return victim
+
+
+class TightlyCoupledSimulator(Simulator):
+    """B tightly coupled receivers; kernels work on slices of them, possibly in threads.
+
+    Attributes
+    ----------
+    buffers : ReceiverBuffers
+        Estimates and measurements.
+    sensors : SensorBuffers
+        Errors of the sensors.
+    attack : Attack
+        Bound; ``attack.memory`` has the commanded displacement and rate.
+    """
+
+    setup: TightlyCoupledSetup
+
+    def _allocate(self) -> None:
+        world, receivers = self.setup.world, self.receivers
+        self.buffers = ReceiverBuffers(receivers, world.channels, world.most_samples)
+        self.sensors = SensorBuffers(receivers, world.channels)
+        self._imu_noise = padded(6 * world.most_samples)
+        self._gnss_noise = padded(2 * world.channels)
+        self.epoch = epoch_view(self.buffers)
+        self._command: FloatArray | None = None
+        self._everyone = np.arange(receivers)
+        self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
+        self.attack = copy.deepcopy(self.setup.attack)
+        self.attack.bind(AttackContext(receivers, world))
+
+    def _context(self) -> DetectorContext:
+        setup = self.setup
+        return DetectorContext(
+            self.receivers,
+            setup.world.channels,
+            setup.interval_s,
+            setup.combinations.largest_variance,
+            setup.world.satellite_ids,
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """State without the view of the epoch, which a copy makes of its own buffers."""
+        return {name: value for name, value in self.__dict__.items() if name != "epoch"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over the state, and view the epoch."""
+        self.__dict__.update(state)
+        self.epoch = epoch_view(self.buffers)
+
+    @property
+    def epochs(self) -> NDArray[np.int64]:
+        """(B,) the epoch of the world that each receiver is at."""
+        return self.sensors.epoch
+
+    @property
+    def coasting(self) -> NDArray[np.bool_]:
+        """(B,) bool, whether the last epoch had too few satellites for an update."""
+        return self.buffers.measured.coasting
+
+    @property
+    def commanded_displacement(self) -> FloatArray:
+        """(B, a) displacement that the spoofer has commanded so far [m]."""
+        displacement: FloatArray = self.attack.memory["displacement"]
+        return displacement
+
+    @property
+    def commanded_rate(self) -> FloatArray:
+        """(B, a) its rate [m/s]."""
+        rate: FloatArray = self.attack.memory["rate"]
+        return rate
+
+    def _draw(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.uint64]:
+        self.sensors.draw_keys(self._everyone, rngs)
+        return self.sensors.keys[SOURCES.index("domain")]
+
+    def _start(self, choice: Choice) -> None:
+        """Draw the errors; first fix, attitude, empty memories."""
+        setup, b, first = self.setup, self.receivers, self.memory["first"]
+        combinations = setup.combinations
+        self.sensors.epoch[:] = first
+        self.memory["combination"][:] = combinations.index(
+            choice.world, choice.grade, choice.error
+        )
+        self.attack.memory.reset()
+        spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
+        self.attack.begin(self._everyone, spoofer_keys, self.onset)
+        self._start_combinations()
+        self._measure_first()
+        channels, position_e = setup.world.channels, setup.world.position_e[first]
+        buffers = self.buffers
+        _kernels.first_fix(buffers.floats, buffers.flags, position_e, b, channels, 0, b)
+        state = buffers.state
+        state.C_eb[:] = combinations.first_C_eb(choice.grade, first)
+        state.accel_bias_b[:] = 0.0
+        state.gyro_bias_b[:] = 0.0
+
+    def _start_combinations(self) -> None:
+        """Draw the errors, and give the victims what they assume."""
+        indices = self.memory["combination"]
+        state, measured = self.buffers.state, self.buffers.measured
+        for index in np.unique(indices).tolist():
+            its, rows = self.setup.combinations[index], np.flatnonzero(indices == index)
+            self.sensors.begin(rows, its.grade, its.errors, its.bias_sd)
+            measured.noise_variance[rows] = its.noise_variance
+            self.buffers.noise_psd[rows] = its.noise_psd
+            state.covariance[rows] = its.covariance
+
+    def _measure_first(self) -> None:
+        world, buffers, sensors = self.setup.world, self.buffers, self.sensors
+        _kernels.measure(
+            sensors.floats,
+            sensors.keys,
+            sensors.epoch,
+            buffers.floats,
+            buffers.flags,
+            buffers.block,
+            buffers.samples,
+            world.run,
+            world.epoch_time,
+            world.epoch_end,
+            world.satellites,
+            self.receivers,
+            world.channels,
+            self._imu_noise,
+            self._gnss_noise,
+            0,
+            0,
+            self.receivers,
+        )
+
+    def _epochs(self, what: int, count: int, lo: int, hi: int) -> None:
+        buffers, sensors = self.buffers, self.sensors
+        world, receiver = self.setup.world, self.setup.receiver
+        _kernels.run_epochs(
+            buffers.floats,
+            buffers.flags,
+            buffers.block,
+            buffers.samples,
+            self.weights,
+            sensors.floats,
+            sensors.keys,
+            sensors.epoch,
+            world.run,
+            world.epoch_time,
+            world.epoch_end,
+            world.satellites,
+            self.receivers,
+            world.channels,
+            self._imu_noise,
+            self._gnss_noise,
+            receiver.covariance_code,
+            receiver.min_satellites,
+            receiver.orthonormalize,
+            what,
+            count,
+            lo,
+            hi,
+        )
+
+    def _advance(self, lo: int, hi: int) -> None:
+        self._epochs(_kernels.MEASURE + _kernels.PREDICT, 1, lo, hi)
+
+    def _update(self, lo: int, hi: int) -> None:
+        self._epochs(_kernels.UPDATE, 1, lo, hi)
+
+    def _attack_and_advance(self, lo: int, hi: int) -> None:
+        sensors = self.sensors.state
+        self.attack.command(
+            self._command, self.sensors.epoch, sensors.range_offset, sensors.rate_offset, lo, hi
+        )
+        if self.attack.replaces_errors:
+            sensors.authentic[lo:hi] = self.attack.memory["authentic"][lo:hi]
+        if self.clean is not None:
+            spared = lo + np.flatnonzero(self.clean[lo:hi])
+            sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
+            sensors.authentic[spared] = 1.0
+        self._epochs(_kernels.MEASURE + _kernels.PREDICT, 1, lo, hi)
+
+    def _measure(self, command: FloatArray | None) -> None:
+        self._command = command
+        self._run(self._attack_and_advance, self.receivers)
+
+    def _form_epoch(self) -> Epoch:
+        return self.epoch
+
+    def _correct(self, weights: FloatArray | None) -> None:
+        self._run(self._update, self.receivers)
+
+    def predict(self, command: FloatArray | None) -> Epoch:
+        """First half of an epoch under attack; the epoch's arrays follow the buffers."""
+        self._command = command
+        self._run(self._attack_and_advance, self.receivers)
+        return self.epoch
+
+    def advance(self) -> Epoch:
+        """First half of an epoch without attack: measure, mechanize, predict."""
+        self._run(self._advance, self.receivers)
+        return self.epoch
+
+    def update(self, weights: FloatArray | None) -> None:
+        """Second half of an epoch: the update with the weighted gain."""
+        self.weights = self.ones if weights is None else weights
+        self._run(self._update, self.receivers)
+
+    def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
+        """Run clean epochs without a detector, several in one kernel call."""
+        self.weights = self.ones
+        what = _kernels.MEASURE + _kernels.PREDICT + _kernels.UPDATE
+        piece = count if between is None else max(1, PIECE // self.receivers)
+        for start in range(0, count, max(piece, 1)):
+            if between is not None:
+                between()
+            self._run(partial(self._epochs, what, min(piece, count - start)), self.receivers)
+
+    def live_epochs(
+        self,
+        count: int,
+        *,
+        holding: bool = False,
+        between: Callable[[], None] | None = None,
+    ) -> NDArray[np.bool_]:
+        """Run epochs with the detector; an update and the next epoch share one turn of threads."""
+        self._command = None
+        first = self._attack_and_advance if holding else self._advance
+
+        def onwards(lo: int, hi: int) -> None:
+            """Update of one epoch, and measurements of the next."""
+            self._update(lo, hi)
+            first(lo, hi)
+
+        alarms = np.zeros((count, self.receivers), dtype=np.bool_)
+        for k in range(count):
+            if between is not None:
+                between()
+            self._run(onwards if k else first, self.receivers)
+            verdict = self.judge()
+            alarms[k] = verdict.alarm.any(axis=1)
+            self.weights = self.ones if verdict.weights is None else verdict.weights
+        if count:
+            self._run(self._update, self.receivers)
+        return alarms
+
+    def error_n(self) -> FloatArray:
+        """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""
+        world = self.setup.world
+        error_e = self.buffers.state.position_e - world.position_e[self.epochs]
+        # a sum of products, since the bits of a matrix product depend on the size of the batch
+        result: FloatArray = (error_e[:, :, None] * world.C_en[self.onset]).sum(axis=1)
+        return result
+
+    def displacement(self, origin: FloatArray, twin: Self | None, out: FloatArray) -> None:
+        """Write the displacement that counts, in one kernel."""
+        world, epochs = self.setup.world, self.sensors.epoch
+        displace(
+            self.buffers.state.position_e,
+            world.position_e if twin is None else twin.buffers.state.position_e,
+            epochs if twin is None else self._everyone,
+            world.C_en,
+            self.memory["onset"],
+            self.memory["heading"],
+            self.setup.target_heading_deg == "worst",
+            origin,
+            out,
+        )
+
+    def motion(
+        self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
+    ) -> None:
+        """Write true position since the onset and true velocity in local axes there, scaled."""
+        world = self.setup.world
+        local_motion(
+            world.position_e,
+            world.velocity_e,
+            world.C_en,
+            self.epochs,
+            self.onset,
+            per_position,
+            per_velocity,
+            out,
+        )
+
+    def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
+        """Take over receivers of another simulator, with all that they remember."""
+        pairs: list[tuple[Any, Any]] = [
+            (self.buffers.state, other.buffers.state),
+            (self.buffers.measured, other.buffers.measured),
+            (self.sensors.state, other.sensors.state),
+        ]
+        for mine, theirs in pairs:
+            for target, source in zip(mine, theirs, strict=True):
+                target[to] = source[rows]
+        self.buffers.noise_psd[to] = other.buffers.noise_psd[rows]
+        self.buffers.block[:, to] = other.buffers.block[:, rows]
+        self.sensors.keys[:, to] = other.sensors.keys[:, rows]
+        self.sensors.epoch[to] = other.sensors.epoch[rows]
+        self.attack.memory.copy_rows(to, other.attack.memory, rows)
+        super().copy_rows(to, other, rows)
+
+    # --- pictures and recordings ---------------------------------------------------------------
+
+    def _local(self, vector_e: FloatArray) -> FloatArray:
+        """North and east parts, in the axes at the first receiver's onset, of (..., 3) in ECEF."""
+        local: FloatArray = (vector_e @ self.setup.world.C_en[int(self.onset[0])])[..., :2]
+        return local
+
+    def layout(self) -> EpisodeLayout:
+        """What stays the same in a picture of the first receiver's episode."""
+        setup, onset = self.setup, int(self.onset[0])
+        track = setup.world.position_e[onset : onset + setup.steps + setup.hold + 1]
+        return EpisodeLayout(
+            title=f"{setup.name}: {setup.attack.label} against {detector_name(setup.detector)}",
+            track_ne=self._local(track - setup.world.position_e[onset]),
+            interval_s=setup.interval_s,
+            steps=setup.steps,
+            attack_s=setup.steps * setup.interval_s,
+            hold_s=setup.hold * setup.interval_s,
+            onset_s=float(setup.world.epoch_time[onset]),
+            commands_position=self._displacement_ne() is not None,
+            has_sky=True,
+        )
+
+    def _displacement_ne(self) -> FloatArray | None:
+        """(2,) what the first receiver's spoofer has commanded; None where it is no position."""
+        axes = [name.rsplit("_", 1)[0] for name in self.setup.action_names]
+        if not set(axes) <= set(AXES):
+            return None
+        moved = dict(zip(axes, self.commanded_displacement[0], strict=True))
+        return np.array([moved.get("north", 0.0), moved.get("east", 0.0)])
+
+    def frame(self) -> FrameData:
+        """The first receiver now, for a picture."""
+        world, epoch = self.setup.world, int(self.epochs[0])
+        truth, offsets = world.position_e[epoch], self.sensors.state
+        spoofed: NDArray[np.bool_] = (offsets.range_offset[0] != 0.0) | (
+            offsets.rate_offset[0] != 0.0
+        )
+        return FrameData(
+            position_ne=self._local(truth - world.position_e[int(self.onset[0])]),
+            error_ne=self._local(self.buffers.state.position_e[0] - truth),
+            displacement_ne=self._displacement_ne(),
+            ratio=float(self.ratio()[0]),
+            sky=SkyData(
+                names=world.satellite_ids,
+                azimuth=world.azimuth[epoch],
+                elevation=world.elevation[epoch],
+                visible=world.visible[epoch],
+                spoofed=spoofed,
+                weight=self.weights[0, : world.channels].copy(),
+            ),
+        )
+
+    def recorded(self) -> dict[str, NDArray[Any]]:
+        """What the attack adds to the measurements."""
+        offsets = self.sensors.state
+        return {"range_offset_m": offsets.range_offset, "rate_offset_mps": offsets.rate_offset}
+
+
+def tightly_coupled(simulator: object, word: str) -> TightlyCoupledSimulator:
+    """The same, where it is of tightly coupled receivers; a ValueError that names what needs it."""
+    if not isinstance(simulator, TightlyCoupledSimulator):
+        whose = getattr(getattr(simulator, "setup", None), "whose", repr(simulator))
+        raise ValueError(
+            f"{word} needs the filter of a tightly coupled receiver, which {whose} does not have"
+        )
+    return simulator
