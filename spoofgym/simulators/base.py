@@ -138,6 +138,10 @@ class Simulator(ABC):
         rate: FloatArray = self.memory["rate"]
         return rate
 
+    def step_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray]:
+        """Epochs, coasting, commanded displacement and rate, for kernels."""
+        return self.epochs, self.coasting, self.commanded_displacement, self.commanded_rate
+
     @abstractmethod
     def motion(
         self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
@@ -328,10 +332,11 @@ class Simulator(ABC):
         )
 
     def command_with(self, command: FloatArray | None) -> FloatArray | None:
-        """Command, 0 for receivers that are left alone."""
-        if command is None or self.clean is None:
-            return command
-        return np.where(self.clean[:, None], 0.0, command)
+        """Command within [-1, 1], 0 for receivers that are left alone."""
+        if command is None:
+            return None
+        within = np.clip(command, -1.0, 1.0)
+        return within if self.clean is None else np.where(self.clean[:, None], 0.0, within)
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         """Take over receivers `rows` of another simulator, with all that they remember."""

@@ -185,10 +185,10 @@ class Engine:
 
     def step(self, command: FloatArray | None) -> Verdict:
         """Both halves with the engine's own detector; the twins follow."""
-        if self._next is None:
-            return self._step(command)
-        with self._next.kept_waiting():
-            return self._step(command)
+        if self._next is not None:
+            with self._next.kept_waiting():
+                return self._step(command)
+        return self._step(command)
 
     def _step(self, command: FloatArray | None) -> Verdict:
         simulator = self.simulator

@@ -279,6 +279,14 @@ class Setup(ABC):
         """(K,) onset of the episodes that each epoch is part of; None where there is no table."""
         return None
 
+    def motion_table(self, per_position: float, per_velocity: float) -> NDArray[np.float32] | None:
+        """(K, len(motion_names)) motion at every epoch, scaled; None where there is no table."""
+        return None
+
+    def geometry_table(self) -> FloatArray | None:
+        """(K, len(geometry_names)) geometry at every epoch; None where there is no table."""
+        return None
+
     @abstractmethod
     def simulator(self, receivers: int, run: Run) -> Any:
         """`Simulator` of B receivers of this victim, not begun yet."""

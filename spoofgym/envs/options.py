@@ -1,4 +1,4 @@
-"""What the caller of ``reset`` asks for, beside the seed."""
+"""What the caller of an environment asks for: seeds, options of a reset, choice of infos."""
 
 from __future__ import annotations
 
@@ -7,9 +7,20 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from .._registry import check_choice
+
+Array = NDArray[Any]
 RESET_MASK = "reset_mask"
+InfoSpec = str | Sequence[str]
+WORDS = ("all", "none")
+AUTORESET_MODES = {
+    "next_step": AutoresetMode.NEXT_STEP,
+    "same_step": AutoresetMode.SAME_STEP,
+    "disabled": AutoresetMode.DISABLED,
+}
 
 
 def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -> None:
@@ -78,3 +89,64 @@ def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dic
             raise ValueError(f"`{name}` must be one value or {count} of them, got {len(values)}")
         chosen[name] = [values[row] for row in rows]
     return chosen
+
+
+def domain_option(options: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """Circumstances that a reset is given instead of drawing them, ``options["domain"]``."""
+    given = (options or {}).get("domain")
+    if given is not None and not isinstance(given, Mapping):
+        raise TypeError(f"the option `domain` of a reset must be a dict, got {given!r}")
+    return given
+
+
+def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
+    """Autoreset mode by name."""
+    if isinstance(given, str):
+        word = given.lower().removeprefix("autoresetmode.")
+        check_choice("autoreset mode", word, AUTORESET_MODES)
+        return AUTORESET_MODES[word]
+    if given not in AUTORESET_MODES.values():
+        raise ValueError(
+            f"`autoreset_mode` must be one of {', '.join(AUTORESET_MODES)}, got {given}"
+        )
+    return given
+
+
+def check_vector_settings(num_envs: int, render_mode: object) -> None:
+    """Raise unless there are receivers, and nothing is to be rendered."""
+    if not isinstance(num_envs, int | np.integer) or isinstance(num_envs, bool):
+        raise ValueError(f"`num_envs` must be a whole number, got {num_envs!r}")
+    if num_envs < 1:
+        raise ValueError(f"`num_envs` must be at least 1, got {num_envs}")
+    if render_mode is not None:
+        raise ValueError(
+            "`render_mode` must be None, there is nothing to render in a vector environment: the "
+            f"single one seeded with seed + i shows receiver i; got {render_mode!r}"
+        )
+
+
+def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
+    """Keys that are asked for."""
+    if isinstance(spec, str):
+        check_choice("choice of infos", spec, WORDS)
+        return None if spec == "all" else frozenset()
+    keys = tuple(spec)
+    for key in keys:
+        check_choice("info", key, valid)
+    return frozenset(keys)
+
+
+def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> Mapping[str, Array]:
+    """Information that is asked for."""
+    if keys is None:
+        return info
+    return {name: array for name, array in info.items() if name in keys}
+
+
+def masked(info: Mapping[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Arrays with the masks of the receivers that have them.  `info` (B,) arrays."""
+    masks = np.empty((len(info), len(mask)), dtype=np.bool_)  # a row each, so that none is shared
+    masks[:] = mask
+    result: dict[str, Any] = dict(info)
+    result.update(zip(["_" + name for name in info], masks, strict=True))
+    return result
