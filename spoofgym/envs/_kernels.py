@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from .._jit import njit
@@ -35,13 +33,14 @@ def within(values, limit):
 def own_command(displacement, rate, per_displacement, per_rate, out):
     """Commanded displacement and rate, scaled.
 
-    `displacement`, `rate` (B, a) [m], [m/s]; `out` (B, o), whose first 2 a columns are written.
+    `displacement`, `rate` (B, a) [m], [m/s]; `per_rate` (a,); `out` (B, o), of which the first
+    2 a columns are written.
     """
     axes = displacement.shape[1]
     for b in range(displacement.shape[0]):
         for i in range(axes):
             out[b, i] = displacement[b, i] * per_displacement
-            out[b, axes + i] = rate[b, i] * per_rate
+            out[b, axes + i] = rate[b, i] * per_rate[i]
 
 
 @njit

@@ -81,9 +81,7 @@ class Core(Protocol):
     ) -> None:
         """Start new episodes of some receivers, all by default; one generator a row."""
 
-    def step(
-        self, action: FloatArray
-    ) -> tuple[StepResult | PlainResult, NDArray[np.float32]]:
+    def step(self, action: FloatArray) -> tuple[StepResult | PlainResult, NDArray[np.float32]]:
         """Run a step with (B, a) actions; result and (B, o) observation."""
 
     def single(self, action: FloatArray) -> SingleStep:
@@ -207,9 +205,7 @@ class SpoofCore:
         if self._passive is not None:
             monitors.append(self._passive.monitor)
         self.setup = setup.altered(monitors=monitors)
-        self.engine = Engine(
-            receivers, self.setup, threads=threads, prefetch=prefetch, twin=twin
-        )
+        self.engine = Engine(receivers, self.setup, threads=threads, prefetch=prefetch, twin=twin)
         self.observer = Observer(seen, self.setup)
         self._origin = np.zeros((receivers, 2))
         self._decided = np.zeros((receivers, len(setup.action_names)))
@@ -379,9 +375,7 @@ class SpoofCore:
             early = self._judge_ends(result, verdict)
         width = len(self.observer.names)
         seen = np.empty(self.receivers * width, dtype=np.float32) if observed else NOTHING_SEEN
-        self._fused(
-            simulator, verdict.alarm, early, engine.warmup_alarm, result, seen, engine.hold
-        )
+        self._fused(simulator, verdict.alarm, early, engine.warmup_alarm, result, seen, engine.hold)
         if not self._compiled:
             self._reward(result, action)
         if not observed:

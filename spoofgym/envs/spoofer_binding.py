@@ -10,6 +10,8 @@ from numbers import Real
 from typing import Any
 
 from .._describe import describe, unlike
+from ..simulators.setup import Setup
+from ..simulators.tightly_coupled import TightlyCoupledSetup
 from ..spoofers import (
     Card,
     ScriptedSpoofer,
@@ -20,8 +22,6 @@ from ..spoofers import (
     shipped,
 )
 from ..spoofers.aim import TARGET, has_heading
-from ..simulators.setup import Setup
-from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .core import SpoofCore
 from .factory import make_setup, settings_of
 from .observer import Observer

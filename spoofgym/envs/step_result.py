@@ -75,7 +75,9 @@ class StepResult:
         self.numbers: FloatArray = np.empty((layout.numbers + 3) * layout.receivers)
         self.extra: Info = {}
         b = layout.receivers
-        self.displacement = self.numbers[_kernels.DISPLACEMENT * b : (_kernels.DISPLACEMENT + 1) * b]
+        self.displacement = self.numbers[
+            _kernels.DISPLACEMENT * b : (_kernels.DISPLACEMENT + 1) * b
+        ]
 
     def __reduce__(self) -> tuple[type[StepResult], tuple[InfoLayout]]:
         """A copy is blank: its rows are views of its own arrays."""

@@ -10,7 +10,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from .core import Core
 from .env import BROKEN_OFF, C
 from .options import (
     RESET_MASK,

@@ -364,9 +364,7 @@ class Simulator(ABC):
         return largest
 
 
-def _merge(
-    mine: Verdict | None, theirs: Verdict, to: Rows, rows: Rows, receivers: int
-) -> Verdict:
+def _merge(mine: Verdict | None, theirs: Verdict, to: Rows, rows: Rows, receivers: int) -> Verdict:
     """Verdict with some rows of another."""
     merged: list[Any] = []
     for k, source in enumerate(theirs):

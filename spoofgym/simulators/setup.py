@@ -128,7 +128,6 @@ class RateCommands:
         return self.names
 
 
-
 class Setup(ABC):
     """World, victim, commands, detector, phases and decisions, computed once and shared.
 

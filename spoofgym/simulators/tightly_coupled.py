@@ -324,9 +324,7 @@ class TightlyCoupledSimulator(Simulator):
         setup, b, first = self.setup, self.receivers, self.memory["first"]
         combinations = setup.combinations
         self.sensors.epoch[:] = first
-        self.memory["combination"][:] = combinations.index(
-            choice.world, choice.grade, choice.error
-        )
+        self.memory["combination"][:] = combinations.index(choice.world, choice.grade, choice.error)
         self.attack.memory.reset()
         spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
         self.attack.begin(self._everyone, spoofer_keys, self.onset)
@@ -424,9 +422,7 @@ class TightlyCoupledSimulator(Simulator):
         self.weights = self.ones if weights is None else weights
         if self._serial:
             b = self.receivers
-            _kernels.run_epochs(
-                *self._before, self.weights, *self._after, _kernels.UPDATE, 1, 0, b
-            )
+            _kernels.run_epochs(*self._before, self.weights, *self._after, _kernels.UPDATE, 1, 0, b)
         else:
             self._run(self._update, self.receivers)
 

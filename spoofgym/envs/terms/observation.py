@@ -223,9 +223,7 @@ class TargetMotion:
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write position and velocity over their scales."""
-        snapshot.simulator.motion(
-            1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps, out
-        )
+        snapshot.simulator.motion(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps, out)
 
 
 @dataclass(frozen=True)
@@ -402,6 +400,7 @@ OBSERVATION_TERMS: dict[str, type[ObservationTerm]] = {
     "divergence-spent": DivergenceSpent,
 }
 """Terms by name; one's own may be added."""
+
 
 def default_terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
     """Terms that a level of knowledge allows, with the scales of the victim.

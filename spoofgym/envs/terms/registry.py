@@ -12,9 +12,9 @@ from typing import Any
 from ..._describe import describe
 from ..._registry import build, check_choice
 from .action import ACTION_TERMS, ActionTerm
-from .termination import END_TERMS, EndTerm
 from .observation import OBSERVATION_TERMS, ObservationTerm
 from .reward import REWARD_TERMS, RewardTerm
+from .termination import END_TERMS, EndTerm
 
 TERMS: dict[str, dict[str, type[Any]]] = {
     "observation": OBSERVATION_TERMS,

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ...detectors import Detector
 from ..core import WatchSpec
 from ..factory import composable, compose
+from ..options import mask_of
 from ..recorder import EpochRecorder
 from ..terms.termination import AtStealthBudget
-from ..options import mask_of
 
 Array = NDArray[Any]
 Envs = VectorEnv[Array, Array, Array]
