@@ -72,17 +72,17 @@ def first_estimate(
 ) -> None:
     """Begin at the truth, apart from the errors of the alignment.
 
-    `state`: position, velocity and attitude are written; `position_e`, `velocity_e`, `C_eb` (3,),
-    (3,) and (3, 3) truth; `error` (B, 15) in the order of the states; the biases are not looked at.
+    `state`: position, velocity and attitude are written; `position_e`, `velocity_e`, `C_eb` (B, 3),
+    (B, 3) and (B, 3, 3) truth; `error` (B, 15) in the order of the states; the biases are not looked at.
     """
     C_el = np.empty((3, 3))
     x = np.empty(15)
     for b in range(error.shape[0]):
         for i in range(3):
-            state.position_e[b, i] = position_e[i]
-            state.velocity_e[b, i] = velocity_e[i]
+            state.position_e[b, i] = position_e[b, i]
+            state.velocity_e[b, i] = velocity_e[b, i]
             for j in range(3):
-                state.C_eb[b, i, j] = C_eb[i, j]
+                state.C_eb[b, i, j] = C_eb[b, i, j]
         for i in range(15):
             x[i] = -error[b, i] if i < 9 else 0.0
         feed_back(state, b, x, C_el)

@@ -172,8 +172,8 @@ class LooseReceivers:
     ) -> None:
         """Begin at a true state, apart from the errors of the alignment.
 
-        `position_e`, `velocity_e`, `C_eb` (3,), (3,) and (3, 3) truth; `error` (B, 15) errors, in
-        the order of the states; the biases are not looked at.
+        `position_e`, `velocity_e`, `C_eb` (B, 3), (B, 3) and (B, 3, 3) truth; `error` (B, 15)
+        errors, in the order of the states; the biases are not looked at.
         """
         first_estimate(self.state, position_e, velocity_e, C_eb, error)
 

@@ -29,7 +29,6 @@ Deviations from `song2021`, sections 2.3 and 4.1:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -106,30 +105,22 @@ class FixErrors:
         return math.exp(-interval_s / self.correlation_time_s)
 
 
-def draw_keys(
-    rngs: Sequence[np.random.Generator],
-) -> tuple[NDArray[np.uint64], FloatArray]:
-    """Keys of all noise of new episodes.
+def episode_keys(episode: np.random.SeedSequence) -> tuple[NDArray[np.uint64], FloatArray]:
+    """Keys of all noise of a new episode.
 
-    `rngs`: one per receiver; one child is spawned of each; returns `keys` (B, 2, 2) of each of
-    `SOURCES`; `phase` (B, 2) part of a count at which the left and the right encoder begin, in [0,
-    1).
+    Returns `keys` (2, 2) of each of `SOURCES`; `phase` (2,) part of a count at which the left and
+    the right encoder start, in [0, 1).
     """
     words = 2 * len(SOURCES)
-    keys = np.empty((len(rngs), len(SOURCES), 2), dtype=np.uint64)
-    phase = np.empty((len(rngs), 2))
-    for row, rng in enumerate(rngs):
-        episode = rng.bit_generator.seed_seq.spawn(1)[0]  # type: ignore[attr-defined]
-        state = episode.generate_state(words + 2, np.uint64)
-        keys[row] = state[:words].reshape(-1, 2)
-        phase[row] = (state[words:] >> np.uint64(11)) * 2.0**-53
-    return keys, phase
+    state = episode.generate_state(words + 2, np.uint64)
+    return state[:words].reshape(-1, 2), (state[words:] >> np.uint64(11)) * 2.0**-53
 
 
 @njit
 def measure_odometry(
     keys: NDArray[np.uint64],
     epoch: NDArray[np.int64],
+    first: NDArray[np.int64],
     left: FloatArray,
     right: FloatArray,
     yaw: FloatArray,
@@ -144,19 +135,20 @@ def measure_odometry(
 ) -> None:
     """Dead reckoning since the last epoch.
 
-    `keys` (B, 2, 2), as `draw_keys` gives them; `epoch` (B,) the epoch that is measured; `left`,
-    `right`, `yaw` (N+1,) way of the wheels [m] and true heading [rad] at every sample; `phase`
-    (B, 2) phases of the encoders; `noise` (`BLOCK`,), work space; `last_yaw` (B,) measured heading
-    of the last sample [rad], overwritten; `increment` (B, 2) north and east [m], written; 0 at
-    epoch 0.
+    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
+    that at which the episode starts; `left`, `right`, `yaw` (N+1,) way of the wheels [m] and true
+    heading [rad] at every sample; `phase` (B, 2) phases of the encoders; `noise` (`BLOCK`,), work
+    space; `last_yaw` (B,) measured heading of the last sample [rad], overwritten; `increment`
+    (B, 2) north and east [m], written; 0 at the start.
     """
     for b in range(epoch.shape[0]):
         k = epoch[b]
         normals(keys[b, 0, 0], keys[b, 0, 1], k, noise)
         north, east = 0.0, 0.0
         before = last_yaw[b]
-        if k == 0:
-            before = yaw[0] - hard_iron * math.sin(yaw[0]) + yaw_sd * noise[0]
+        if k == first[b]:
+            now = yaw[k * samples]
+            before = now - hard_iron * math.sin(now) + yaw_sd * noise[0]
         else:
             for s in range(samples):
                 i = (k - 1) * samples + s
@@ -177,6 +169,7 @@ def measure_odometry(
 def measure_fix(
     keys: NDArray[np.uint64],
     epoch: NDArray[np.int64],
+    first: NDArray[np.int64],
     position_ne: FloatArray,
     available: NDArray[np.bool_],
     correlated_sd: float,
@@ -192,23 +185,23 @@ def measure_fix(
     .. math:: g_k = p_k + c_k + w_k + d_k, \qquad
         c_k = \beta c_{k-1} + \sqrt{1 - \beta^2} \, \sigma_c \, \epsilon_k
 
-    `keys` (B, 2, 2), as `draw_keys` gives them; `epoch` (B,) the epoch that is measured;
-    `position_ne` (K, 2) true position at every epoch [m]; `available` (K,) whether there is a fix
-    at all; `offset` (B, 2) what the spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated`
-    (B, 2) Gauss-Markov error [m], overwritten; `fix` (B, 2) north and east [m], written; NaN where
-    there is none.
+    `keys` (B, 2, 2) of each of `SOURCES`; `epoch`, `first` (B,) the epoch that is measured, and
+    that at which the episode starts; `position_ne` (K, 2) true position at every epoch [m];
+    `available` (L,) whether there is a fix at all, from the start on; `offset` (B, 2) what the
+    spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated` (B, 2) Gauss-Markov error [m],
+    overwritten; `fix` (B, 2) north and east [m], written; NaN where there is none.
     """
     drive = math.sqrt(1.0 - decay * decay)
     for b in range(epoch.shape[0]):
         k = epoch[b]
         normals(keys[b, 1, 0], keys[b, 1, 1], k, noise)
         for axis in range(2):
-            if k == 0:
+            if k == first[b]:
                 correlated[b, axis] = correlated_sd * noise[axis]
             else:
                 fresh = drive * correlated_sd * noise[axis]
                 correlated[b, axis] = decay * correlated[b, axis] + fresh
             error = correlated[b, axis] + white_sd * noise[2 + axis]
             fix[b, axis] = position_ne[k, axis] + error + offset[b, axis]
-            if not available[k]:
+            if not available[k - first[b]]:
                 fix[b, axis] = math.nan

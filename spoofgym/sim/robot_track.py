@@ -78,6 +78,11 @@ class RobotLoop:
         if not 0.0 <= self.speed_mps <= MOST_SPEED:
             raise ValueError(f"`speed_mps` must be in [0, {MOST_SPEED:g}], got {self.speed_mps}")
 
+    @property
+    def lap_s(self) -> float:
+        """Time of a lap; 0 for a robot at rest."""
+        return float(self._pieces()[0].sum()) / self.speed_mps if self.speed_mps else 0.0
+
     def _pieces(self) -> tuple[FloatArray, FloatArray]:
         """(8,) length and turn of the sides and corners of a lap."""
         r = self.corner_radius_m

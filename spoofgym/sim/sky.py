@@ -7,6 +7,7 @@ than where the antenna is.  All noise is white.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -109,6 +110,25 @@ def make_sky(
         np.ascontiguousarray(states.position_e[:, chosen]),
         np.ascontiguousarray(states.velocity_e[:, chosen]),
         tuple(constellation.satellite_ids[j] for j in chosen),
+    )
+
+
+def chain_skies(skies: Sequence[Sky]) -> Sky:
+    """Sky in which the epochs of some skies of one place and length follow one another.
+
+    Times start again with each; `velocity_e` is that of the first.  Satellites are named by their
+    slots where they differ.
+    """
+    first = skies[0]
+    if len(skies) == 1:
+        return first
+    if any(sky.satellite_ids != first.satellite_ids for sky in skies):
+        first = first._replace(
+            satellite_ids=tuple(f"slot{s:02d}" for s in range(len(first.satellite_ids)))
+        )
+    names = ("time", "position_e", "satellite_position_e", "satellite_velocity_e")
+    return first._replace(
+        **{name: np.concatenate([getattr(sky, name) for sky in skies]) for name in names}
     )
 
 

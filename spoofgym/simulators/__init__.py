@@ -7,6 +7,9 @@ warm-ups and clean twins.
 from .base import Simulator as Simulator
 from .domain import Domain as Domain
 from .engine import Engine as Engine
+from .loosely_coupled import LooselyCoupledSetup as LooselyCoupledSetup
 from .setup import Setup as Setup
 from .setup import Timeline as Timeline
+from .snapshot_positioning import SnapshotSetup as SnapshotSetup
 from .tightly_coupled import TightlyCoupledSetup as TightlyCoupledSetup
+from .wheeled_robot import WheeledRobotSetup as WheeledRobotSetup

@@ -1,15 +1,13 @@
-"""The wheeled robot: dead reckoning and GNSS on a closed course, as a small environment.
+"""Wheeled robots on a closed course: dead reckoning, and GNSS positions that a spoofer displaces.
 
-The spoofer moves the position that the robot's GNSS receiver reports, by rates of an offset in
-north and east.  The victim is the credible Kalman filter, and the detector decides which fixes it
-believes.  With a high limit of the rate an offset jumps within one fix.
+The victim is the credible Kalman filter, and the detector decides which fixes it believes.  With a
+high limit of the rate a displacement jumps within one fix.
 
 Source: `song2021`; the physics is in `sim.robot_track`, `sim.odometry` and `receiver.credible`.
 """
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -17,9 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._memory import Memory
 from .._registry import build_record
-from ..detectors import Detector, DetectorContext, Verdict, make_detector
+from ..detectors import Detector, DetectorContext
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
 from ..receiver.epoch import Epoch
 from ..sim.noise import BLOCK
@@ -28,46 +25,86 @@ from ..sim.odometry import (
     SOURCES,
     FixErrors,
     Odometer,
-    draw_keys,
+    episode_keys,
     measure_fix,
     measure_odometry,
 )
 from ..sim.robot_track import RobotLoop
-from . import robot_observation
-from .plant import Plant, bound
-from .setup import Timeline
-from .sight import Sight
+from .domain import Choice, Domain
+from .rates import RateSimulator, check_positive
+from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
 
 FloatArray = NDArray[np.float64]
-
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "acna", "variant": "production"}
 DEFAULT_TIMELINE = {"warmup_s": 60.0, "live_s": 60.0, "attack_s": 150.0, "time_to_alert_s": 10.0}
-SPARE_EPOCHS = 2
-"""Epochs that a finished receiver may run until it is reset."""
 
 
-class RobotPlant(Plant):
-    """B wheeled robots, each on its own run of the course.
+class WheeledRobotSetup(Setup):
+    """Course, victim and detector of wheeled robots.
 
-    - `detector`: as `make_detector` takes it; ``acna`` in production by default;
-    - `timeline`: settings of `Timeline`; 60 s of warm-up with the detector live, 150 s of attack
-      and 10 s of time to alert by default;
-    - `interval_s`: time between fixes, a multiple of the encoders' sample interval;
-    - `rate_limit_mps`: rate of the offset in north and in east that an action of 1 commands;
-    - `displacement_scale_m`: displacement, and error of the estimate, that is observed as 1;
-    - `position_scale_m`, `velocity_scale_mps`: motion of the target since the onset, and its
-      velocity, that are observed as 1;
-    - `loop`, `odometer`, `fix_errors`, `receiver`: settings of `RobotLoop`, `Odometer`, `FixErrors`
-      and `CredibleFilter`;
-    - `interruptions_s`: start and end of the times without a fix, counted from the start of the
-      episode.
+    Parameters
+    ----------
+    detector : str, mapping or Detector, optional
+        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied;
+        ``acna`` in production by default.
+    timeline : mapping or Timeline, optional
+        Lengths of warm-up, attack window and time to alert; by default 60 s with the detector
+        live, 150 s and 10 s.
+    interval_s : float
+        Time between fixes, a multiple of the encoders' sample interval.
+    rate_limit_mps : float
+        Rate of the displacement to the north and to the east that a command of 1 means.
+    displacement_scale_m : float
+        Displacement, and error of the estimate, that is observed as 1.
+    position_scale_m, velocity_scale_mps : float
+        Motion of the target since the onset, and its velocity, that are observed as 1.
+    loop : mapping or RobotLoop, optional
+        The course.
+    odometer : mapping or Odometer, optional
+        Encoders and heading.
+    fix_errors : mapping or FixErrors, optional
+        GNSS position errors.
+    receiver : mapping or CredibleFilter, optional
+        Settings of the victim.
+    interruptions_s : sequence of pairs of float
+        Start and end of the times without a fix, counted from the start of the episode.
+    domain : mapping or Domain, optional
+        What differs from episode to episode beside the noise: `start_s`, the time on the course
+        at which the robot is switched on; None as the latest is one lap after the earliest.
+        Nothing by default.
+    target_heading_deg : float or {"random", "worst"}
+        Direction in which displacement counts, clockwise from north; drawn for every episode; or
+        that in which it is largest.
+    decision_interval_s : float, optional
+        Time between decisions, a multiple of `interval_s`, of which the attack window holds a whole
+        number; every epoch by default.
+    between : {"hold", "linear"}
+        What is commanded at the epochs between two decisions.
+
+    Attributes
+    ----------
+    track : RobotTrack
+        Truth at every sample of the encoders.
+    true_position_ne, true_velocity_ne : ndarray
+        (K, 2) truth at every epoch, north and east [m], [m/s].
+    available : ndarray
+        (K,) bool, whether there is a fix, from the start of an episode on.
+
+    Raises
+    ------
+    ValueError
+        When a setting is unknown or out of range.
     """
 
     kind: ClassVar[str] = "robot"
+    whose: ClassVar[str] = "a wheeled robot"
+    has: ClassVar[frozenset[str]] = frozenset({"gnss_position", "auxiliary_position"})
+    domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
+    motion_names = ("position_north", "position_east", "velocity_north", "velocity_east")
+    weight_names = ("fix",)
 
     def __init__(
         self,
-        receivers: int,
         *,
         detector: str | Mapping[str, Any] | Detector | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
@@ -81,31 +118,42 @@ class RobotPlant(Plant):
         fix_errors: Mapping[str, float] | FixErrors | None = None,
         receiver: Mapping[str, float] | CredibleFilter | None = None,
         interruptions_s: Sequence[Sequence[float]] = (),
+        domain: Mapping[str, Any] | Domain | None = None,
+        target_heading_deg: float | str = 90.0,
+        decision_interval_s: float | None = None,
+        between: str = "hold",
     ) -> None:
-        for name, value in (
-            ("interval_s", interval_s),
-            ("rate_limit_mps", rate_limit_mps),
-            ("displacement_scale_m", displacement_scale_m),
-            ("position_scale_m", position_scale_m),
-            ("velocity_scale_mps", velocity_scale_mps),
-        ):
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
-        self.interval_s, self.rate_limit_mps = interval_s, rate_limit_mps
-        self.displacement_scale_m, self.position_scale_m = displacement_scale_m, position_scale_m
-        self.velocity_scale_mps = velocity_scale_mps
+        check_positive(
+            interval_s=interval_s,
+            rate_limit_mps=rate_limit_mps,
+            displacement_scale_m=displacement_scale_m,
+            position_scale_m=position_scale_m,
+            velocity_scale_mps=velocity_scale_mps,
+        )
+        self.name = self.kind
+        self.attack = RateCommands(
+            self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2
+        )
+        self.scales = {
+            "displacement_m": displacement_scale_m,
+            "position_m": position_scale_m,
+            "velocity_mps": velocity_scale_mps,
+            "error_m": displacement_scale_m,
+        }
         self.loop = build_record("loop", RobotLoop, loop)
         self.odometer = build_record("odometer", Odometer, odometer)
         self.fix_errors = build_record("fix_errors", FixErrors, fix_errors)
-        self.filter = build_record("receiver", CredibleFilter, receiver)
-        self.timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
-        self.quiet, self.live, self.steps, self.hold = self.timeline.epochs(interval_s)
-        self.onset = self.quiet + self.live
-        self.action_names = ("north_rate", "east_rate")
-        self.unbound = make_detector(DEFAULT_DETECTOR if detector is None else detector)
+        self.receiver = build_record("receiver", CredibleFilter, receiver)
+        self._aim(target_heading_deg, domain)
+        self._phase(
+            DEFAULT_DETECTOR if detector is None else detector,
+            build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE),
+            float(interval_s),
+            decision_interval_s,
+            between,
+        )
         self._drive()
         self._interrupt(interruptions_s)
-        self._populate(receivers)
 
     def _drive(self) -> None:
         """Truth of the run, at the encoders' samples and at the epochs."""
@@ -116,17 +164,24 @@ class RobotPlant(Plant):
                 f"`interval_s` must be 1 to {MOST_SAMPLES} times the sample interval of the "
                 f"odometer, {self.odometer.sample_interval_s}, got {self.interval_s}"
             )
-        self.epochs = self.onset + self.steps + self.hold + 1 + SPARE_EPOCHS
-        samples = (self.epochs - 1) * self.samples
+        early, late = self.domain.start_s
+        late = early + self.loop.lap_s if late is None else late
+        if not late <= MOST_EPOCHS * self.interval_s:
+            raise ValueError(
+                f"`start_s` must be within 0 and {MOST_EPOCHS * self.interval_s:g} s, got "
+                f"{self.domain.start_s}"
+            )
+        self.epochs_each = self.length + math.floor(late / self.interval_s + 1e-6) + 1
+        self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, "the course"))
+        self.epoch_time = np.arange(self.epochs_each) * self.interval_s
+        samples = (self.epochs_each - 1) * self.samples
         self.track = self.loop.track(samples, self.odometer.sample_interval_s)
-        self._left, self._right = self.track.wheels(self.odometer.wheel_base_m)
+        self.wheels = self.track.wheels(self.odometer.wheel_base_m)
         self.true_position_ne = np.ascontiguousarray(self.track.position_ne[:: self.samples])
         self.true_velocity_ne = np.ascontiguousarray(self.track.velocity_ne[:: self.samples])
 
     def _interrupt(self, interruptions_s: Sequence[Sequence[float]]) -> None:
-        """Epochs that have a fix; the first one has, since the filter begins there."""
-        time = np.arange(self.epochs) * self.interval_s
-        self.available = np.ones(self.epochs, dtype=np.bool_)
+        """Epochs that have a fix; the first one has, since the filter starts there."""
         pairs = np.array(interruptions_s, dtype=np.float64)
         if pairs.size == 0:
             pairs = np.empty((0, 2))
@@ -136,82 +191,54 @@ class RobotPlant(Plant):
                 "`interruptions_s` must be pairs (begin, end) with 0 < begin < end, got "
                 f"{interruptions_s}"
             )
-        for pair in pairs:
-            self.available &= (time < pair[0]) | (time >= pair[1])
+        time = np.arange(self.length + 1)[:, None] * self.interval_s
+        self.available = ((time < pairs[:, 0]) | (time >= pairs[:, 1])).all(axis=1)
 
-    def _populate(self, receivers: int) -> None:
-        """Memory, filters and detector of B receivers."""
-        if receivers < 1:
-            raise ValueError(f"`receivers` must be at least 1, got {receivers}")
-        b = self.receivers = receivers
-        self.memory = Memory(b)
-        self.memory.declare("epoch", np.zeros(b, dtype=np.int64))
-        self.memory.declare("keys", np.zeros((b, len(SOURCES), 2), dtype=np.uint64))
-        self.memory.declare("phase", np.zeros((b, 2)))
-        self.memory.declare("yaw", np.zeros(b))
-        self.memory.declare("correlated", np.zeros((b, AXES)))
-        self.memory.declare("fix", np.zeros((b, AXES)))
-        self.memory.declare("offset", np.zeros((b, AXES)))
-        self.memory.declare("rate", np.zeros((b, AXES)))
-        self.memory.declare("ratio", np.zeros(b))
-        self.memory.declare("weight", np.ones(b))
-        self.batch = CredibleBatch(self.filter, self.memory, self.interval_s)
+    def simulator(self, receivers: int, run: Run) -> WheeledRobotSimulator:
+        """B robots, not begun yet."""
+        return WheeledRobotSimulator(self, receivers, run)
+
+
+class WheeledRobotSimulator(RateSimulator):
+    """B wheeled robots; `filters` are theirs, `increment` (B, 2) is their dead reckoning [m]."""
+
+    setup: WheeledRobotSetup
+
+    def _allocate(self) -> None:
+        super()._allocate()
+        b, memory, setup = self.receivers, self.memory, self.setup
+        memory.declare("keys", np.zeros((b, len(SOURCES), 2), dtype=np.uint64))
+        memory.declare("phase", np.zeros((b, 2)))
+        memory.declare("yaw", np.zeros(b))
+        memory.declare("correlated", np.zeros((b, AXES)))
+        memory.declare("fix", np.zeros((b, AXES)))
+        self.filters = CredibleBatch(setup.receiver, memory, setup.interval_s)
         self.increment = np.zeros((b, AXES))
         self._noise = np.empty(BLOCK)
-        variance = np.full(AXES, self.filter.noise_variance)
-        self.detector = bound(
-            self.unbound,
-            DetectorContext(b, 0, self.interval_s, variance, ()),
-            self.live + self.steps + self.hold,
-            "a wheeled robot",
-            frozenset({"gnss_position", "auxiliary_position"}),
-        )
 
-    def spawn(self, receivers: int) -> RobotPlant:
-        """Another batch of the same settings."""
-        twin = copy.copy(self)
-        twin._populate(receivers)
-        return twin
+    def _context(self) -> DetectorContext:
+        variance = np.full(AXES, self.setup.receiver.noise_variance)
+        return DetectorContext(self.receivers, 0, self.setup.interval_s, variance, ())
 
-    def begin(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.bool_]:
-        """Begin new episodes, and run their clean warm-up.
+    def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
+        self.memory["keys"][row], self.memory["phase"][row] = episode_keys(episode)
 
-        Returns (B,) bool, whether the detector alarmed before the onset.
-        """
-        self.memory.reset()
-        self.detector.reset()
-        self.memory["keys"], self.memory["phase"] = draw_keys(rngs)
-        self._measure()
-        self.batch.begin(self.memory["fix"])
-        for _ in range(self.quiet):
-            self._predict()
-            self.batch.update(None)
-        alarmed = np.zeros(self.receivers, dtype=np.bool_)
-        for _ in range(self.live):
-            np.logical_or(alarmed, self._judge(self._predict()), out=alarmed)
-        return alarmed
+    def _start(self, choice: Choice) -> None:
+        self.memory["epoch"][:] = self.memory["first"]
+        self._observe()
+        self.filters.begin(self.memory["fix"])
 
-    def advance(self, action: FloatArray | None) -> NDArray[np.bool_]:
-        """Run one epoch under attack.
-
-        `action` (B, 2) in [-1, 1]; None holds the rate; returns (B,) bool, whether the detector
-        alarms.
-        """
-        memory = self.memory
-        if action is not None:
-            memory["rate"] = np.multiply(action, self.rate_limit_mps, dtype=np.float64)
-        memory["offset"] = memory["offset"] + memory["rate"] * self.interval_s
-        return self._judge(self._predict())
-
-    def _measure(self) -> None:
-        memory, odometer, errors = self.memory, self.odometer, self.fix_errors
+    def _observe(self) -> None:
+        """Measure dead reckoning and fix of the epoch."""
+        memory, setup = self.memory, self.setup
+        odometer, errors = setup.odometer, setup.fix_errors
         measure_odometry(
             memory["keys"],
             memory["epoch"],
-            self._left,
-            self._right,
-            self.track.yaw,
-            self.samples,
+            memory["first"],
+            *setup.wheels,
+            setup.track.yaw,
+            setup.samples,
             odometer.count_m,
             math.radians(odometer.hard_iron_deg),
             math.radians(odometer.yaw_noise_deg),
@@ -223,86 +250,57 @@ class RobotPlant(Plant):
         measure_fix(
             memory["keys"],
             memory["epoch"],
-            self.true_position_ne,
-            self.available,
+            memory["first"],
+            setup.true_position_ne,
+            setup.available,
             errors.correlated_sd_m,
-            errors.decay(self.interval_s),
+            errors.decay(setup.interval_s),
             errors.white_sd_m,
-            memory["offset"],
+            memory["displacement"],
             self._noise,
             memory["correlated"],
             memory["fix"],
         )
 
-    def _predict(self) -> Epoch:
-        epoch = self.memory["epoch"] + 1
-        if epoch.max() >= self.epochs:
-            raise RuntimeError(
-                f"an episode has {self.onset + self.steps + self.hold} epochs, and receivers "
-                f"{np.flatnonzero(epoch >= self.epochs).tolist()} are past its end; begin anew"
-            )
-        self.memory["epoch"] = epoch
-        self._measure()
-        return self.batch.predict(self.time_s(), self.increment, self.memory["fix"])
+    def _measure(self, command: FloatArray | None) -> None:
+        self._move(command)
+        self.memory["epoch"] = self.memory["epoch"] + 1
+        self._observe()
+        self.epoch = self.filters.predict(self.time_s(), self.increment, self.memory["fix"])
 
-    def _judge(self, epoch: Epoch) -> NDArray[np.bool_]:
-        verdict: Verdict = self.detector.judge(epoch)
-        self.batch.update(verdict.weights)
-        self.memory["ratio"] = (verdict.statistic / verdict.threshold).max(axis=1)
-        if verdict.weights is not None:
-            self.memory["weight"] = verdict.weights.mean(axis=1)
-        return np.asarray(verdict.alarm.any(axis=1))
+    def _form_epoch(self) -> Epoch:
+        return self.epoch
 
-    def error_ne(self) -> FloatArray:
-        """Error of the estimate: (B, 2) north, east [m]."""
-        estimate = self.memory["position"][:, :AXES]
-        error: FloatArray = estimate - self.true_position_ne[self.memory["epoch"]]
+    def _correct(self, weights: FloatArray | None) -> None:
+        self.filters.update(weights)
+
+    @property
+    def coasting(self) -> NDArray[np.bool_]:
+        """(B,) bool, whether the last epoch had no fix."""
+        missing: NDArray[np.bool_] = ~self.setup.available[self.epochs - self.memory["first"]]
+        return missing
+
+    def error_n(self) -> FloatArray:
+        """(B, 2) error of the estimate: north, east [m]."""
+        error: FloatArray = (
+            self.memory["position"][:, :AXES] - self.setup.true_position_ne[self.epochs]
+        )
         return error
 
-    def route_ne(self) -> FloatArray:
-        """True way of an episode.
+    def observed_weights(self) -> FloatArray:
+        """(B, 1) mean weight of the last fix."""
+        mean: FloatArray = self.weights.mean(axis=1, keepdims=True)
+        return mean
 
-        Returns (K, 2) from the onset to the end of the time to alert, north, east [m].
-        """
-        way = self.true_position_ne[self.onset : self.onset + self.steps + self.hold + 1]
-        return np.asarray(way - way[0])
+    def motion(
+        self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
+    ) -> None:
+        """Write true position since the onset and true velocity, scaled."""
+        setup, truth = self.setup, self.setup.true_position_ne
+        out[:, :AXES] = per_position * (truth[self.epochs] - truth[self.onset])
+        out[:, AXES:] = per_velocity * setup.true_velocity_ne[self.epochs]
 
-    def sight(self) -> Sight:
-        """The first receiver as it is."""
-        memory, truth = self.memory, self.true_position_ne
-        return Sight(
-            position_ne=truth[memory["epoch"][0]] - truth[self.onset],
-            error_ne=self.error_ne()[0],
-            displacement_ne=memory["offset"][0].copy(),
-            ratio=float(memory["ratio"][0]),
-            sky=None,
-        )
-
-    def time_s(self) -> FloatArray:
-        """Time since the start of the episode: (B,) [s]."""
-        time: FloatArray = self.memory["epoch"] * self.interval_s
-        return time
-
-    def observation(self, knowledge: str) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-        """What a level of knowledge observes.
-
-        Returns `names` (o,) one per element; `low`, `high` (o,) finite bounds.
-        """
-        return robot_observation.elements(knowledge)
-
-    def observe(self, knowledge: str, out: NDArray[np.float32]) -> None:
-        """Write the observation; clipping follows.  `out` (B, o), written."""
-        memory = self.memory
-        epoch = memory["epoch"]
-        since = (epoch - self.onset) / self.steps
-        truth = self.true_position_ne
-        values = robot_observation.Values(
-            displacement=memory["offset"] / self.displacement_scale_m,
-            rate=memory["rate"] / self.rate_limit_mps,
-            time=np.stack([since, 1.0 - since], axis=1),
-            position=(truth[epoch] - truth[self.onset]) / self.position_scale_m,
-            velocity=self.true_velocity_ne[epoch] / self.velocity_scale_mps,
-            verdict=np.stack([memory["ratio"], memory["weight"]], axis=1),
-            error=self.error_ne() / self.displacement_scale_m,
-        )
-        robot_observation.write(values, out)
+    def _ground_ne(self, epochs: slice) -> FloatArray:
+        truth = self.setup.true_position_ne
+        ground: FloatArray = truth[epochs] - truth[self.onset[0]]
+        return ground

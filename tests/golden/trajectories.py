@@ -17,7 +17,7 @@ import numpy as np
 
 from spoofgym import duel_v0
 from spoofgym.sim.noise import normals, threefry
-from spoofgym.sim.odometry import draw_keys
+from spoofgym.sim.odometry import episode_keys
 from spoofgym.sim.sensors import SOURCES, SensorBuffers
 
 FOLDER = Path(__file__).with_name("trajectories")
@@ -119,7 +119,7 @@ def noise_keys(seed: int) -> np.ndarray:
     for _ in range(2):
         sensors.draw_keys(np.array([0]), rngs)
         keys.append(sensors.keys.reshape(len(SOURCES), 2).copy())
-    odometry, _ = draw_keys([np.random.default_rng(seed)])
+    odometry, _ = episode_keys(np.random.SeedSequence(seed).spawn(1)[0])
     return np.concatenate([*keys, odometry.reshape(-1, 2)])
 
 

@@ -47,7 +47,13 @@ def fly(receivers, epochs, seed=0, weights=None, **tuning):
     rng = np.random.default_rng(seed)
     settings = LooselyCoupled(self_tuning=tuning)
     batch = LooseReceivers(settings, Memory(receivers), WORLD.samples, WORLD.imu_interval_s)
-    batch.begin(WORLD.position_e[0], WORLD.velocity_e[0], WORLD.C_eb[0], np.zeros((receivers, 15)))
+    first = np.zeros(receivers, dtype=np.int64)
+    batch.begin(
+        WORLD.position_e[first],
+        WORLD.velocity_e[first],
+        WORLD.C_eb[first],
+        np.zeros((receivers, 15)),
+    )
     log = []
     for k in range(1, epochs + 1):
         n = WORLD.samples

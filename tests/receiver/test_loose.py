@@ -84,7 +84,7 @@ def test_errors_grow_as_the_transition_says(case):
     bias = CASES[case][3] * BIASES
     first[9:] = bias
     batch = receivers(1)
-    batch.begin(WORLD.position_e[0], WORLD.velocity_e[0], WORLD.C_eb[0], first[None])
+    batch.begin(WORLD.position_e[:1], WORLD.velocity_e[:1], WORLD.C_eb[:1], first[None])
     x, apart, size = first.copy(), [], []
     for k in range(1, 301):
         feed(batch, WORLD, k, bias)
@@ -111,7 +111,7 @@ def at_rest(seconds):
 def test_what_stands_still_stays_still(corrected):
     world = at_rest(60.0)
     batch = receivers(1, world=world)
-    batch.begin(world.position_e[0], world.velocity_e[0], world.C_eb[0], np.zeros((1, STATES)))
+    batch.begin(world.position_e[:1], world.velocity_e[:1], world.C_eb[:1], np.zeros((1, STATES)))
     for k in range(1, world.epochs):
         feed(batch, world, k)
         batch.predict()
@@ -124,7 +124,10 @@ def test_what_stands_still_stays_still(corrected):
 def test_perfect_measurements_take_the_initial_errors_away():
     batch = receivers(2)
     sd = batch.settings.initial_sd() / 3.0
-    batch.begin(WORLD.position_e[0], WORLD.velocity_e[0], WORLD.C_eb[0], np.array([sd, -sd]))
+    first = [0, 0]
+    batch.begin(
+        WORLD.position_e[first], WORLD.velocity_e[first], WORLD.C_eb[first], np.array([sd, -sd])
+    )
     for k in range(1, 301):
         feed(batch, WORLD, k)
         batch.predict()
@@ -169,7 +172,7 @@ def test_covariance_kernels_are_their_matrix_equations():
 
 def test_a_rejected_fix_changes_nothing():
     batch = receivers(1)
-    batch.begin(WORLD.position_e[0], WORLD.velocity_e[0], WORLD.C_eb[0], np.zeros((1, STATES)))
+    batch.begin(WORLD.position_e[:1], WORLD.velocity_e[:1], WORLD.C_eb[:1], np.zeros((1, STATES)))
     feed(batch, WORLD, 1)
     batch.fix_e += 50.0
     batch.predict()

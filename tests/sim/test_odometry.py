@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.sim.noise import BLOCK
-from spoofgym.sim.odometry import FixErrors, Odometer, draw_keys, measure_fix, measure_odometry
+from spoofgym.sim.odometry import FixErrors, Odometer, episode_keys, measure_fix, measure_odometry
 from spoofgym.sim.robot_track import RobotLoop
 
 SAMPLES = 10
@@ -14,6 +14,12 @@ SAMPLES = 10
 
 def generators(count, first=0):
     return [np.random.default_rng(first + i) for i in range(count)]
+
+
+def draw_keys(rngs):
+    """Keys and phases of the next episodes."""
+    episodes = [episode_keys(rng.bit_generator.seed_seq.spawn(1)[0]) for rng in rngs]
+    return tuple(np.array(each) for each in zip(*episodes, strict=True))
 
 
 def dead_reckoning(odometer, epochs, receivers=1, loop=None):
@@ -27,6 +33,7 @@ def dead_reckoning(odometer, epochs, receivers=1, loop=None):
         measure_odometry(
             keys,
             np.full(receivers, k),
+            np.zeros(receivers, dtype=np.int64),
             left,
             right,
             track.yaw,
@@ -85,6 +92,7 @@ def fixes(errors, epochs, receivers, offset=0.0, available=None):
         measure_fix(
             keys,
             np.full(receivers, k),
+            np.zeros(receivers, dtype=np.int64),
             np.tile([1.0, -2.0], (epochs, 1)),
             np.ones(epochs, dtype=np.bool_) if available is None else available,
             errors.correlated_sd_m,
