@@ -49,7 +49,7 @@ SPLITS = {"training": 0, "calibration": 1, "evaluation": 2, "bootstrap": 3}
 
 
 def seed_sequences(
-    entropy: int, split: str, scenario: str, runs: int
+    entropy: int, split: str, scenario: str, runs: int, first: int = 0
 ) -> list[np.random.SeedSequence]:
     """Seeds of the runs of a split; the first ones are the same for any number of runs.
 
@@ -63,15 +63,18 @@ def seed_sequences(
         Its name; other scenarios have other noise.
     runs : int
         Number of runs.
+    first : int
+        Run to start with.
 
     Returns
     -------
     list of SeedSequence
-        One for each run, fresh.
+        One for each run from `first` to ``runs - 1``, fresh.
     """
     key = zlib.crc32(scenario.encode())
     return [
-        np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run)) for run in range(runs)
+        np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run))
+        for run in range(first, runs)
     ]
 
 
@@ -280,7 +283,7 @@ class Suite:
         setup.detector = make("detector", DETECTORS, Detector, detector.spec)
         return setup
 
-    def generators(self, split: str, runs: int) -> list[np.random.Generator]:
+    def generators(self, split: str, runs: int, first: int = 0) -> list[np.random.Generator]:
         """Sources of chance of the runs of a split.
 
         Parameters
@@ -289,13 +292,15 @@ class Suite:
             One of `SPLITS`.
         runs : int
             Number of runs.
+        first : int
+            Run to start with.
 
         Returns
         -------
         list of Generator
             Fresh ones.
         """
-        seeds = seed_sequences(self.entropy, split, self.world.name, runs)
+        seeds = seed_sequences(self.entropy, split, self.world.name, runs, first)
         return [np.random.Generator(np.random.PCG64(seed)) for seed in seeds]
 
     @cached_property
