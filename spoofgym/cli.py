@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 TRACEBACK_VARIABLE = "SPOOFGYM_TRACEBACK"
+LARGEST_RUNS = 1_000_000
+"""More are a slip of the keyboard."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
@@ -123,6 +125,7 @@ TrainingOption = Annotated[
     int,
     typer.Option(
         min=2,
+        max=LARGEST_RUNS,
         help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
     ),
 ]
@@ -138,6 +141,12 @@ TaskOption = Annotated[
     typer.Option(
         help="Task of spoofgym-bench-v1, T1 to T6, which sets scenario, receiver, attack, times "
         "and detectors; see `spoofgym tasks`."
+    ),
+]
+RunOption = Annotated[
+    int,
+    typer.Option(
+        "--run", min=0, max=LARGEST_RUNS - 1, help="Which of the benchmark's evaluation runs."
     ),
 ]
 OutOption = Annotated[Path, typer.Option(help="Folder of the results.")]
@@ -342,9 +351,7 @@ def run(
     spoofer: Annotated[
         str, typer.Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")
     ] = "ramp",
-    number: Annotated[
-        int, typer.Option("--run", min=0, help="Which of the benchmark's evaluation runs.")
-    ] = 0,
+    number: RunOption = 0,
     out: Annotated[Path, typer.Option(help="File of the picture.")] = Path("episode.png"),
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     as_json: JsonOption = False,
@@ -402,9 +409,7 @@ def render(
     spoofer: Annotated[
         str, typer.Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")
     ] = "ramp",
-    number: Annotated[
-        int, typer.Option("--run", min=0, help="Which of the benchmark's evaluation runs.")
-    ] = 0,
+    number: RunOption = 0,
     out: Annotated[
         Path, typer.Option(help="File of the moving picture, .gif or .mp4 (needs FFmpeg).")
     ] = Path("run.gif"),
@@ -562,7 +567,10 @@ def bench(
         ),
     ] = None,
     seeds: Annotated[
-        int, typer.Option(min=2, help="Evaluation runs of every cell, the same for all.")
+        int,
+        typer.Option(
+            min=2, max=LARGEST_RUNS, help="Evaluation runs of every cell, the same for all."
+        ),
     ] = 200,
     out: OutOption = Path("results"),
     overwrite: Annotated[

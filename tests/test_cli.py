@@ -252,6 +252,36 @@ def test_perf_measures_both_environments() -> None:
     assert all(0.0 < each["engine_us"] < each["env_us"] for each in found["overhead"])
 
 
+@pytest.mark.parametrize(
+    ("command", "option", "largest"),
+    [
+        ("run", "--run", 999_999),
+        ("render", "--run", 999_999),
+        ("bench", "--seeds", 1_000_000),
+        ("tune", "--training-seeds", 1_000_000),
+    ],
+)
+def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: int) -> None:
+    result = call(command, option, "99999999999")
+    assert result.exit_code == 2
+    assert f"Invalid value for '{option}'" in result.stderr
+    assert str(largest) in result.stderr
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize("duration", ["nan", "inf", "-1", "1e9"])
+def test_perf_refuses_a_duration_that_never_ends(duration: str) -> None:
+    said = refused("perf", "--duration", duration)
+    assert f"must be 0 to 3600 s, got {float(duration):g} s" in said
+
+
+def test_a_late_run_is_that_of_a_long_campaign() -> None:
+    suite = small_suite()
+    one = suite.generators("evaluation", 900, 899)
+    assert len(one) == 1
+    assert one[0].random() == suite.generators("evaluation", 900)[899].random()
+
+
 def test_run_draws_one_attack() -> None:
     result = call("run", *SHORT, "--spoofer", "step:size_m=20", "--out", "a.png", "--json")
     assert result.exit_code == 0, result.output

@@ -28,7 +28,7 @@ def play_frames(
     player, observer = make_bound_spoofer(spoofer.spec, setup, 1)
     game: Game = make_game(1, setup, end_at_alarm=False, threads=1)
     screen = Screen("rgb_array", GameRecorder(game))
-    game.reset([suite.generators("evaluation", run + 1)[run]])
+    game.reset(suite.generators("evaluation", run + 1, run))
     screen.begin({name: array[0] for name, array in game.begin_info().items()})
     yield screen.frame()
     for step in range(1, setup.steps + 1):

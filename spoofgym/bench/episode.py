@@ -111,7 +111,7 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
     player, observer = make_bound_spoofer(spoofer.spec, setup, 2)
     engine = Engine(2, setup, threads=1)
     batch = engine.batch
-    batch.begin([suite.generators("evaluation", run + 1)[run] for _ in range(2)])
+    batch.begin([suite.generators("evaluation", run + 1, run)[0] for _ in range(2)])
     batch.quiet_epochs(setup.quiet)
     batch.clean = np.array([not player.transmits, True])
     epochs = setup.steps + setup.hold

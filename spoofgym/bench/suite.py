@@ -49,15 +49,16 @@ SPLITS = {"training": 0, "calibration": 1, "evaluation": 2, "bootstrap": 3}
 
 
 def seed_sequences(
-    entropy: int, split: str, scenario: str, runs: int
+    entropy: int, split: str, scenario: str, runs: int, first: int = 0
 ) -> list[np.random.SeedSequence]:
     """Seeds of the runs of a split; the first ones are the same for any number of runs.
 
-    `entropy`: of the campaign, at least 0.
+    `entropy`: of the campaign, at least 0; `first`: run to start with.
     """
     key = zlib.crc32(scenario.encode())
     return [
-        np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run)) for run in range(runs)
+        np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run))
+        for run in range(first, runs)
     ]
 
 
@@ -253,9 +254,9 @@ class Suite:
         setup.detector = make("detector", DETECTORS, Detector, detector.spec)
         return setup
 
-    def generators(self, split: str, runs: int) -> list[np.random.Generator]:
-        """Sources of chance of the runs of a split."""
-        seeds = seed_sequences(self.entropy, split, self.world.name, runs)
+    def generators(self, split: str, runs: int, first: int = 0) -> list[np.random.Generator]:
+        """Sources of chance of the runs of a split, from `first` on."""
+        seeds = seed_sequences(self.entropy, split, self.world.name, runs, first)
         return [np.random.Generator(np.random.PCG64(seed)) for seed in seeds]
 
     @cached_property
