@@ -197,22 +197,21 @@ def test_campaigns_do_not_mix(tmp_path: Path) -> None:
     assert set(contents(tmp_path)) == {"config.json"}
 
 
-def test_of_two_that_begin_in_one_moment_one_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    look = ResultsFolder._content
+def test_of_two_that_begin_in_one_moment_one_is_refused(tmp_path: Path) -> None:
+    class Late:
+        """A suite that another one overtakes, when it has seen that the folder is empty."""
 
-    def late(folder: ResultsFolder) -> list[Path]:
-        found = look(folder)
-        monkeypatch.setattr(ResultsFolder, "_content", look)
-        with monkeypatch.context() as patch:
-            patch.setattr(Path, "is_file", lambda _: False)
-            ResultsFolder(tmp_path).open(small_suite(entropy=1))
-        return found
+        digest = small_suite().digest
 
-    monkeypatch.setattr(ResultsFolder, "_content", late)
-    with pytest.raises(ValueError, match=r"another campaign \(different: entropy"):
-        ResultsFolder(tmp_path).open(small_suite())
+        @property
+        def config(self) -> dict[str, Any]:
+            if not (tmp_path / "config.json").exists():
+                ResultsFolder(tmp_path).open(small_suite(entropy=1))
+            return small_suite().config
+
+    late: Any = Late()
+    with pytest.raises(ValueError, match=r"another campaign \(different: entropy\)"):
+        ResultsFolder(tmp_path).open(late)
     assert ResultsFolder(tmp_path).config()["entropy"] == 1
 
 
