@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._pictures import BLUE, GREEN, GREY, ORANGE, figure_class, style
+from .._pictures import BLUE, GREEN, GREY, ORANGE, figure_class, save_figure, style
 from ..earth.frames import ecef_to_geodetic
 from ..envs.engine import Engine
 from .entries import Entry
@@ -170,8 +170,7 @@ def draw_episode(episode: Episode, path: Path) -> None:
         f"run {episode.run}",
         fontsize=13,
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
+    save_figure(figure, path, dpi=130)
 
 
 def _draw_flight(ax: Any, episode: Episode) -> None:

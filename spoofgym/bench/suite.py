@@ -6,6 +6,8 @@ import copy
 import dataclasses
 import hashlib
 import math
+import uuid
+import warnings
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from .._describe import outside_sources
 from ..attacks import ATTACKS, Attack, make_attack
 from ..detectors import DETECTORS, Detector
 from ..envs.attach import spoofer_context as spoofer_context
@@ -42,7 +45,7 @@ from .entries import (
 from .shipped import fitting
 from .specs import describe, digest_of, make, spec_of
 
-FORMAT = 3
+FORMAT = 4
 """Of the results; those of another one are not scored."""
 SPLITS = {"training": 0, "calibration": 1, "evaluation": 2, "bootstrap": 3}
 """First element of the spawn keys; runs of different splits share no noise."""
@@ -261,11 +264,28 @@ class Suite:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """Everything that the results depend on, JSON-able."""
+        """Everything that the results depend on, JSON-able.
+
+        What comes from outside of spoofgym is there by digests of its sources.  Where one can't be
+        read, a number of this suite alone is in its place, so that no other one takes up its
+        results; this is warned of.
+        """
         setup = self._setup
+        judges = [make("detector", DETECTORS, Detector, e.spec) for e in self.detector_entries]
+        players = [build_spoofer(entry.untuned) for entry in self.spoofer_entries]
+        world = (self.world, setup.receiver, setup.attack, setup.timeline, setup.domain)
+        outside = outside_sources(*judges, *players, *world)
+        unknown = [
+            f"the source of {name} can't be read: its results are never taken up again"
+            for name, digest in outside.items()
+            if digest is None
+        ]
+        for line in unknown:
+            warnings.warn(line, UserWarning, stacklevel=2)
         return {
             "format": FORMAT,
             "versions": versions(),
+            "outside": {name: d or f"unknown, {uuid.uuid4().hex}" for name, d in outside.items()},
             "scenario": describe(self.world),
             "receiver": describe(setup.receiver),
             "attack": spec_of("attack", ATTACKS, setup.attack),
@@ -281,7 +301,7 @@ class Suite:
             "splits": dict(SPLITS),
             "tuning": dataclasses.asdict(self.tuning),
             "alert_limit_m": float(self.alert_limit_m),
-            "notes": [*self.notes, *self._oracle_notes, *self.left_out],
+            "notes": [*self.notes, *self._oracle_notes, *self.left_out, *unknown],
         }
 
     @cached_property
