@@ -46,8 +46,8 @@ def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
         if (
             type(statistic) is type(threshold) is type(alarm) is np.ndarray
             and statistic.shape == threshold.shape == alarm.shape == shape
-            and statistic.dtype is threshold.dtype is FLOAT
-            and alarm.dtype is BOOL
+            and statistic.dtype == threshold.dtype == FLOAT
+            and alarm.dtype == BOOL
             and statistic.flags.carray
             and threshold.flags.carray
             and (
@@ -55,7 +55,7 @@ def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
                 or (
                     type(weights) is np.ndarray
                     and weights.shape == (b, m)
-                    and weights.dtype is FLOAT
+                    and weights.dtype == FLOAT
                     and weights.flags.carray
                 )
             )
