@@ -23,12 +23,38 @@ def judged(detector: Detector, epoch: Epoch) -> Verdict:
     """Let a bound detector judge an epoch, and check its verdict as `checked` does.
 
     A new victim asks its detector through this function alone.
+
+    Parameters
+    ----------
+    detector : Detector
+        Bound.
+    epoch : Epoch
+        Of as many receivers.
+
+    Returns
+    -------
+    Verdict
+        What the detector said.
     """
     return checked(detector.judge(epoch), detector, epoch)
 
 
 def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
-    """The same verdict, of a detector on an epoch, if it is sound.
+    """Check a verdict.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        What was said.
+    detector : Detector
+        Who said it; bound.
+    epoch : Epoch
+        Of what.
+
+    Returns
+    -------
+    Verdict
+        The same.
 
     Raises
     ------
@@ -44,7 +70,8 @@ def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
         b, m = epoch.innovation.shape
         shape = (b, (epoch.visible.shape[1] or m) if detector.scope == "channel" else 1)
         if (
-            type(statistic) is type(threshold) is type(alarm) is np.ndarray
+            type(statistic) is type(threshold) is np.ndarray
+            and type(alarm) is np.ndarray
             and statistic.shape == threshold.shape == alarm.shape == shape
             and statistic.dtype == threshold.dtype == FLOAT
             and alarm.dtype == BOOL
@@ -67,7 +94,20 @@ def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
 
 
 def checked_weights(weights: FloatArray, epoch: Epoch) -> FloatArray:
-    """The same weights, of nobody's verdict, if they are sound; errors are those of `checked`."""
+    """Check weights that come without a verdict; errors are those of `checked`.
+
+    Parameters
+    ----------
+    weights : ndarray
+        To update with.
+    epoch : Epoch
+        The one that the update belongs to.
+
+    Returns
+    -------
+    ndarray
+        The same.
+    """
     _examine_part("an update", epoch, "weights", weights, epoch.innovation.shape, "")
     return weights
 

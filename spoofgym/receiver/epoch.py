@@ -133,5 +133,16 @@ def _sealed(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
-    """Copy of an array in bytes that can't be changed, which costs hardly more than a view."""
+    """Copy of an array in bytes that can't be changed, which costs hardly more than a view.
+
+    Parameters
+    ----------
+    array : ndarray
+        Any shape and type.
+
+    Returns
+    -------
+    ndarray
+        C-contiguous, read-only for good.
+    """
     return np.ndarray(array.shape, array.dtype, array.tobytes())
