@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from .._memory import Memory
 from ..attacks import AttackContext
 from ..detectors import Detector, DetectorContext, PooledDetector, Verdict
+from ..detectors.verdicts import checked_weights, judged
 from ..receiver import _kernels
 from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import LANES, ReceiverBuffers
@@ -275,7 +276,7 @@ class Batch:
 
     def judge(self) -> Verdict:
         """Let the detector judge the epoch."""
-        self.verdict = self.detector.judge(self.epoch)
+        self.verdict = judged(self.detector, self.epoch)
         for witness in self.witnesses:
             witness.see(self)
         return self.verdict
@@ -285,7 +286,11 @@ class Batch:
 
         `weights` (B, 2n) in [0, 1], C-contiguous; None for all 1.
         """
-        self.weights = self.ones if weights is None else weights
+        if weights is None:
+            weights = self.ones
+        elif self.verdict is None or weights is not self.verdict.weights:
+            checked_weights(weights, self.epoch)
+        self.weights = weights
         self._run(self._update, self.receivers)
 
     def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:

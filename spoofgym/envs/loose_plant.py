@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .._memory import Memory
 from .._registry import build_record, check_choice
 from ..detectors import Detector, DetectorContext, make_detector
+from ..detectors.verdicts import judged
 from ..receiver.loose import LooselyCoupled, LooseReceivers
 from ..sim.loose_world import SOURCES, InertialErrors, first_errors, flown_world, measure
 from ..sim.noise import padded
@@ -209,7 +210,7 @@ class LoosePlant(Plant):
 
     def _judge(self) -> NDArray[np.bool_]:
         memory = self.memory
-        verdict = self.detector.judge(self._victims.epoch(self.time_s()))
+        verdict = judged(self.detector, self._victims.epoch(self.time_s()))
         memory["statistic"][:] = verdict.statistic.max(axis=1)
         memory["ratio"][:] = (verdict.statistic / verdict.threshold).max(axis=1)
         if verdict.weights is not None:

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from .._registry import build_record
-from ..detectors import Detector, DetectorContext, Verdict, make_detector
+from ..detectors import Detector, DetectorContext, make_detector
+from ..detectors.verdicts import judged
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
 from ..receiver.epoch import Epoch
 from ..sim.noise import BLOCK
@@ -246,7 +247,7 @@ class RobotPlant(Plant):
         return self.batch.predict(self.time_s(), self.increment, self.memory["fix"])
 
     def _judge(self, epoch: Epoch) -> NDArray[np.bool_]:
-        verdict: Verdict = self.detector.judge(epoch)
+        verdict = judged(self.detector, epoch)
         self.batch.update(verdict.weights)
         self.memory["ratio"] = (verdict.statistic / verdict.threshold).max(axis=1)
         if verdict.weights is not None:

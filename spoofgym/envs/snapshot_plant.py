@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from .._memory import Memory
 from .._registry import build_record, check_choice
 from ..detectors import Detector, DetectorContext, Verdict, make_detector
-from ..receiver.epoch import Epoch
+from ..detectors.verdicts import judged
+from ..receiver.epoch import Epoch, frozen
 from ..receiver.snapshot import (
     EXPECTED_CLOCK_SD_M,
     EXPECTED_POSITION_SD_M,
@@ -139,7 +140,7 @@ class SnapshotPlant(Plant):
         self._innovation, self._cov = np.empty((b, 2 * n)), np.empty((b, 2 * n, 2 * n))
         self._design, self._status = np.empty((b, 2 * n, 4)), np.zeros(b, dtype=np.int64)
         belief = np.diag(np.square([*[EXPECTED_POSITION_SD_M] * 3, EXPECTED_CLOCK_SD_M]))
-        self._constant = {
+        constant: dict[str, NDArray[Any]] = {
             "interval": np.full(b, self.interval_s),
             "predicted_cov": np.tile(belief, (b, 1, 1)),
             "transition": np.tile(np.eye(4), (b, 1, 1)),
@@ -148,6 +149,7 @@ class SnapshotPlant(Plant):
             "visible": np.ones((b, n), dtype=np.bool_),
             "predicted_velocity": np.zeros((b, 3)),
         }
+        self._constant = {name: frozen(array) for name, array in constant.items()}
 
     def spawn(self, receivers: int) -> SnapshotPlant:
         """Another batch of the same settings, not begun yet."""
@@ -245,7 +247,6 @@ class SnapshotPlant(Plant):
             self._design,
         )
         arrays = {
-            **self._constant,
             "time": self.sky.time[memory["epoch"]],
             "innovation": self._innovation,
             "innovation_cov": self._cov,
@@ -255,10 +256,8 @@ class SnapshotPlant(Plant):
             "satellite_velocity": self.sky.satellite_velocity_e[memory["epoch"]],
             "predicted_position": memory["position_e"],
         }
-        views = {name: array.view() for name, array in arrays.items()}
-        for view in views.values():
-            view.flags.writeable = False
-        return self.detector.judge(Epoch(**views))
+        seen = {name: frozen(array) for name, array in arrays.items()}
+        return judged(self.detector, Epoch(**seen, **self._constant))
 
     def _fix(self) -> None:
         """New fix with the detector's weights; where there is none, the last one stays."""

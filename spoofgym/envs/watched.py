@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..detectors import Detector, DetectorContext, Verdict
 from ..detectors.pool import JointMemory
+from ..detectors.verdicts import judged
 from ..receiver.epoch import Epoch
 from .witness import Watch
 
@@ -54,7 +55,7 @@ class WatchedDetector(Detector):
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Let all of them judge."""
-        verdict = self.loop.judge(epoch)
+        verdict = judged(self.loop, epoch)
         self.watch.look(epoch)
         return verdict
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..detectors import DETECTORS, Detector
+from ..detectors.verdicts import judged
 from ..receiver.epoch import Epoch
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ class Watch(Witness):
         """Let every detector judge an epoch."""
         alarmed, ratio = self.memory["alarmed"], self.memory["ratio"]
         for k, detector in enumerate(self.detectors):
-            verdict = detector.judge(epoch)
+            verdict = judged(detector, epoch)
             alarmed[:, k] |= verdict.alarm.any(axis=1)
             ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
 
