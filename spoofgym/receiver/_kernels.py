@@ -24,8 +24,9 @@ def mechanize(state, measured, block, samples, imu_interval, group, hi, work):
 
     Lanes without a receiver repeat the last one, so that a receiver takes the same path in any
     batch.  Their number comes from the array: LLVM would unroll a loop of a known length instead of
-    vectorizing it.  `work` is component by component: C_eb (9), velocity (3), position (3), accelerometer
-    and gyro bias (6), sums of specific force and angular rate (6), last specific force (3), dt.
+    vectorizing it.  `work` is component by component: C_eb (9), velocity (3), position (3),
+    accelerometer and gyro bias (6), sums of specific force and angular rate (6), last specific
+    force (3), dt.
     """
     lanes, most = samples.shape[2] // 6, 0
     for lane in range(lanes):
