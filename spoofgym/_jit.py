@@ -36,8 +36,8 @@ COMPILED_LAYERS = ("earth", "sim", "attacks", "receiver", "detectors", "envs")
 """Packages with compiled code, each of which calls only those before it (import-linter's order)."""
 KEPT_DIGESTS = 16
 CHECKSUM_SIZE = 16
-FASTMATH = {"contract", "arcp", "nsz"}
-"""Relaxed rules of floating point; ``reassoc`` is left out, see the notes of `njit`."""
+FASTMATH = {"arcp", "nsz"}
+"""Relaxed rules of floating point; not ``contract``, not ``reassoc``: see the notes of `njit`."""
 
 
 def layer_of(module: str) -> int:
@@ -219,12 +219,14 @@ def njit(function: F) -> F:
     Notes
     -----
     The relaxed floating-point rules leave NaN and infinity alone, since inputs are screened for
-    them.  Sums are not regrouped (``reassoc``): LLVM optimizes a function once by itself and once
-    more within each caller, and would group otherwise each time.  Which of these copies runs
-    depends on what the process has loaded first, so that one that compiles, whose callees are all
-    loaded, would end in other last bits than one that finds the callers in the cache.  There is no
-    ``parallel``: after a parallel region of GNU OpenMP a forked child dies, and
-    Gymnasium's ``AsyncVectorEnv`` with it.
+    them.  Two rules are left out, so that a receiver has the same bits in any batch, thread and
+    process of one machine.  With ``contract``, a multiplication and an addition may become one
+    operation with one rounding: LLVM chooses them in the body of a vectorized loop otherwise than
+    in its remainder, and how many receivers the body holds depends on the processor.  With
+    ``reassoc``, sums may be regrouped: LLVM optimizes a function once by itself and once more
+    within each caller, and would group otherwise each time.  Which of these copies runs depends on
+    what the process has loaded first.  There is no ``parallel``: after a parallel region of GNU
+    OpenMP a forked child dies, and Gymnasium's ``AsyncVectorEnv`` with it.
     """
     return _compile(function, forceinline=False)
 
