@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._pictures import BLUE, GREEN, GREY, ORANGE, figure_class, style
+from .._registry import whole_number
 from ..earth.frames import ecef_to_geodetic
 from ..envs.engine import Engine
 from .entries import Entry
@@ -135,6 +136,7 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
     Episode
         What happened.
     """
+    run = whole_number("`run`", run)
     setup = suite.setup(detector)
     player, observer = make_bound_spoofer(spoofer.spec, setup, 2)
     engine = Engine(2, setup, threads=1)

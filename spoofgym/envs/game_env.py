@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .played import Played
 from .rendering import RENDER_MODES, Recorder, Screen
-from .resets import check_seed, warn_unknown
+from .resets import checked_seed, warn_unknown
 from .spaces import action_space, checked_action, observation_space
 
 Observation = NDArray[np.float32]
@@ -116,8 +116,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
             Whether the warm-up alarmed, and the time.
         """
         warn_unknown(options, ("domain",))
-        check_seed(seed)
-        super().reset(seed=seed)
+        super().reset(seed=checked_seed(seed))
         self.game.reset([self.np_random], given=told_domain(options))
         self._begun = self._running = True
         info = _of_one(self.game.begin_info())

@@ -175,7 +175,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         elif not self._rngs and not mask.all():
             raise ValueError("the first reset must be that of all receivers")
         seeds = seeds_of(seed, self.num_envs)
-        super().reset(seed=seed if isinstance(seed, int) else None)
+        super().reset(seed=seeds[0] if isinstance(seed, int | np.integer) else None)
         if not self._rngs:
             self._rngs = [np.random.default_rng(s) for s in seeds]
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,13 @@ def test_it_is_the_run_of_that_number(suite: Suite, episode: Episode) -> None:
     assert summary["undetected_displacement_m"] == pytest.approx(expected, abs=1e-4)
     assert summary["warmup_alarm"] == start.warmup_alarm[3]
     assert summary["peak_ratio"] == pytest.approx(attacked.peak[3], abs=1e-4)
+
+
+def test_a_number_may_be_one_of_numpy(suite: Suite, episode: Episode) -> None:
+    again = play_episode(suite, episode.detector, episode.spoofer, run=np.int64(3))
+    assert json.dumps(again.summary()) == json.dumps(episode.summary())
+    with pytest.raises(ValueError, match="`run` must be a whole number of at least 0, got -1"):
+        play_episode(suite, episode.detector, episode.spoofer, run=-1)
 
 
 def test_the_twin_is_not_attacked(episode: Episode) -> None:

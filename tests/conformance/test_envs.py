@@ -158,6 +158,19 @@ def test_the_spec_goes_through_json(name):
     np.testing.assert_array_equal(many.reset(seed=3)[0][0], seen)
 
 
+@pytest.mark.parametrize("name", IDS)
+def test_a_seed_may_be_one_of_numpy(name):
+    env, envs = gym.make(name, **short(name)), gym.make_vec(name, num_envs=2, **short(name))
+    expected = env.reset(seed=3)[0]
+    np.testing.assert_array_equal(env.reset(seed=np.int64(3))[0], expected)
+    assert env.unwrapped.np_random_seed == 3
+    each = envs.reset(seed=3)[0]
+    for seed in (np.uint16(3), [np.int64(3), 4], np.array([3, 4])):
+        np.testing.assert_array_equal(envs.reset(seed=seed)[0], each)
+    envs.reset(seed=np.int64(3))
+    assert envs.np_random_seed == 3
+
+
 CASES = [(name, {}) for name in IDS] + [(MAIN, kwargs) for kwargs in VARIANTS.values()]
 
 
