@@ -476,7 +476,8 @@ def run_epochs(
         Slice of receivers; `lo` is a multiple of the number of lanes.
     """
     for _ in range(count):
-        if what & MEASURE:
+        advance = what & MEASURE  # no literal 1, for which `measure` would be compiled once more
+        if advance:
             measure(
                 sensor_floats,
                 keys,
@@ -493,7 +494,7 @@ def run_epochs(
                 channels,
                 padded_imu,
                 padded_gnss,
-                1,
+                advance,
                 lo,
                 hi,
             )

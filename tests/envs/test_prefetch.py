@@ -312,7 +312,9 @@ def test_a_thread_may_close_its_owner(setup):
 
 def test_an_environment_that_is_not_closed_lets_the_interpreter_end():
     code = f"""
+from spoofgym import _jit
 from spoofgym.envs.vector_env import SpoofVectorEnv
+_jit.NOTICE_S = float("inf")
 envs = SpoofVectorEnv(40, threads=1, timeline={TIMELINE})
 envs.reset(seed=1)
 """
