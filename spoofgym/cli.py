@@ -356,7 +356,9 @@ def run(
     number: Annotated[
         int, typer.Option("--run", min=0, help="Which of the benchmark's evaluation runs.")
     ] = 0,
-    out: Annotated[Path, typer.Option(help="File of the picture.")] = Path("episode.png"),
+    out: Annotated[Path, typer.Option(help="File of the picture; .png without an ending.")] = Path(
+        "episode.png"
+    ),
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     as_json: JsonOption = False,
     scenario: ScenarioOption = "zhong2025",
@@ -397,8 +399,7 @@ def run(
     episode = play_episode(suite, suite.detector_entries[0], player, number)
     summary = episode.summary()
     if picture:
-        draw_episode(episode, out)
-        summary["picture"] = str(out)
+        summary["picture"] = str(draw_episode(episode, out))
     if as_json:
         _print_json({**summary, "input": None if real is None else real.reports})
         return

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import pytest
 from typer.testing import CliRunner, Result
 
@@ -84,6 +85,17 @@ def test_list_names_all_there_is() -> None:
     told = [row["name"] for row in found["detectors"] if row["oracle"]]
     assert told == ["oracle-ramp", "oracle-step"]
     assert (ramp["tunable"], ramp["knowledge"]) == ("rate_mps", "blind")
+    settings = {row["name"]: row["settings"] for row in found["envs"]}
+    for name, told in settings.items():
+        assert told.items() >= json.loads(json.dumps(gym.spec(name).kwargs)).items()
+    plain = settings["spoofgym/TightlyCoupled-v0"]
+    assert plain["target_heading_deg"] == 90.0
+    assert {**plain, **settings["spoofgym/RandomStart-v0"]} == {
+        **plain,
+        "domain": {"start_s": [0.0, None]},
+        "target_heading_deg": "random",
+    }
+    assert "target_heading_deg=random" in " ".join(call("list", "envs").output.split())
     table = call("list", "detectors").output
     assert "snapshot-chi2" in table
     assert "[oracle, told what no receiver knows]" in " ".join(table.split())
@@ -259,6 +271,9 @@ def test_run_draws_one_attack() -> None:
     assert summary["spoofer"]["size_m"] == 20
     assert summary["largest_error_m"] > 1.0
     assert Path("a.png").is_file()
+    named = call("run", *SHORT, "--spoofer", "step:size_m=20", "--out", "run1")
+    assert "run1.png" in named.stdout.split()
+    assert Path("run1.png").is_file()
     plain = call("run", *SHORT, "--no-picture")
     assert "undetected_displacement_m" in plain.output
     assert not Path("episode.png").exists()

@@ -184,7 +184,7 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
     )
 
 
-def draw_episode(episode: Episode, path: Path) -> None:
+def draw_episode(episode: Episode, path: Path) -> Path:
     """Picture of an episode: the flight, the displacement, the statistic, the error.
 
     Parameters
@@ -192,8 +192,14 @@ def draw_episode(episode: Episode, path: Path) -> None:
     episode : Episode
         What happened.
     path : Path
-        Where to write the picture; its ending tells the format.
+        Where to write the picture; its ending tells the format, PNG without one.
+
+    Returns
+    -------
+    Path
+        The file.
     """
+    path = path if path.suffix else path.with_suffix(".png")
     figure = figure_class()(figsize=(11.0, 8.2), layout="constrained")
     axes = figure.subplots(2, 2)
     for ax in axes.flat:
@@ -210,6 +216,7 @@ def draw_episode(episode: Episode, path: Path) -> None:
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
+    return path
 
 
 def _draw_flight(ax: Any, episode: Episode) -> None:

@@ -62,8 +62,9 @@ def test_it_can_be_drawn(tmp_path: Path, attack: str) -> None:
     suite = small_suite(detectors=(Ewma(false_alarm=0.5),), spoofers=("step",), attack=attack)
     drawn = play_episode(suite, suite.detector_entries[0], suite.spoofer_entries[1])
     assert drawn.summary()["alarm"]
-    draw_episode(drawn, tmp_path / "new" / "picture.png")
-    assert (tmp_path / "new" / "picture.png").stat().st_size > 10_000
+    written = draw_episode(drawn, tmp_path / "new" / "picture")
+    assert written == tmp_path / "new" / "picture.png"
+    assert written.stat().st_size > 10_000
 
 
 def test_its_spoofing_intervals_are_those_of_its_alarms(episode: Episode) -> None:
