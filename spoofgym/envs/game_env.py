@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from .played import Played
@@ -39,6 +41,15 @@ def refuse_rendering(render_mode: object) -> None:
         )
 
 
+def with_length(spec: EnvSpec | None, game: Played) -> EnvSpec | None:
+    """A spec with a limit of one step more than an episode has.
+
+    With the length itself `gymnasium.make` would wrap an environment made from the spec in a
+    `TimeLimit` that truncates at the last step, which the episode ends by itself.
+    """
+    return None if spec is None else replace(spec, max_episode_steps=game.episode_steps + 1)
+
+
 class GameEnv(gym.Env[Observation, Observation], Generic[G]):
     """Environment of one receiver.
 
@@ -66,6 +77,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         "render_modes": list(RENDER_MODES),
         "render_fps": 2,
     }
+    _spec: EnvSpec | None = None
 
     def __init__(self, game: G, render_mode: str | None = None) -> None:
         self.render_mode = render_mode
@@ -89,6 +101,15 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         self.observation_space = observation_space(game)
         self.action_space = action_space(game)
         self._begun = self._running = False
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gymnasium.make` made it from; ``max_episode_steps`` is an episode's and one."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        self._spec = with_length(given, self.game)
 
     @property
     def begun(self) -> bool:
