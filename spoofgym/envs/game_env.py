@@ -42,11 +42,9 @@ def refuse_rendering(render_mode: object) -> None:
 
 
 def with_length(spec: EnvSpec | None, game: Played) -> EnvSpec | None:
-    """A spec with a limit of one step more than an episode has.
-
-    With the length itself `gymnasium.make` would wrap an environment made from the spec in a
-    `TimeLimit` that truncates at the last step, which the episode ends by itself.
-    """
+    """The spec with a limit of one step more than an episode has."""
+    # with the length itself `gymnasium.make` would wrap what it makes from the spec in a
+    # `TimeLimit` that truncates at the last step, where the episode ends by itself
     return None if spec is None else replace(spec, max_episode_steps=game.episode_steps + 1)
 
 
@@ -109,6 +107,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
 
     @spec.setter
     def spec(self, given: EnvSpec | None) -> None:
+        """Fill in the limit."""
         self._spec = with_length(given, self.game)
 
     @property

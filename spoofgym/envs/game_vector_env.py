@@ -168,6 +168,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
 
     @spec.setter
     def spec(self, given: EnvSpec | None) -> None:
+        """Fill in the limit."""
         if given is not None:  # the limit has a field of its own, from which `make_vec` takes it
             kwargs = {key: given.kwargs[key] for key in given.kwargs if key != "max_episode_steps"}
             given = replace(given, kwargs=kwargs)
