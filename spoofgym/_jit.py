@@ -12,11 +12,13 @@ against others the folder has to be this user's own, as the files are unpickled.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import shutil
 import stat
 import sys
 import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,6 +29,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 import platformdirs
+from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -38,6 +41,43 @@ KEPT_DIGESTS = 16
 CHECKSUM_SIZE = 16
 FASTMATH = {"arcp", "nsz"}
 """Relaxed rules of floating point; not ``contract``, not ``reassoc``: see the notes of `njit`."""
+
+NOTICE_S = 2.0
+NOTICE = "spoofgym: compiling for this machine, once; takes about a minute"
+
+
+class _Notice(event.Listener):  # type: ignore[misc]
+    """Says once, on stderr, what takes so long: when `NOTICE_S` have gone into compiling."""
+
+    said = False
+
+    def __init__(self) -> None:
+        self._depth, self._spent, self._since = 0, 0.0, math.inf
+
+    def on_start(self, happened: event.Event) -> None:
+        """Count from the outermost function, where it is one of the package."""
+        of = happened.data["dispatcher"].py_func.__module__
+        if self._depth == 0 and of.partition(".")[0] == __package__:
+            self._since = time.monotonic()
+        self._depth += 1
+        self._look()
+
+    def on_end(self, happened: event.Event) -> None:
+        """Keep what the outermost function took."""
+        self._look()
+        self._depth -= 1
+        if self._depth == 0:
+            self._spent += max(time.monotonic() - self._since, 0.0)
+            self._since = math.inf
+
+    def _look(self) -> None:
+        spent = self._spent + time.monotonic() - self._since
+        if spent >= NOTICE_S and not self.said:
+            self.said = True
+            print(NOTICE, file=sys.stderr, flush=True)
+
+
+event.register("numba:compile", _Notice())
 
 
 def layer_of(module: str) -> int:

@@ -352,7 +352,9 @@ def run(
         str, typer.Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")
     ] = "ramp",
     number: RunOption = 0,
-    out: Annotated[Path, typer.Option(help="File of the picture.")] = Path("episode.png"),
+    out: Annotated[Path, typer.Option(help="File of the picture; .png without an ending.")] = Path(
+        "episode.png"
+    ),
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     as_json: JsonOption = False,
     scenario: ScenarioOption = "zhong2025",
@@ -393,8 +395,7 @@ def run(
     episode = play_episode(suite, suite.detector_entries[0], player, number)
     summary = episode.summary()
     if picture:
-        draw_episode(episode, out)
-        summary["picture"] = str(out)
+        summary["picture"] = str(draw_episode(episode, out))
     if as_json:
         _print_json({**summary, "input": None if real is None else real.reports})
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -48,6 +49,14 @@ def _window_of_the_tests() -> Iterator[None]:
     matplotlib = sys.modules.get("matplotlib")
     if matplotlib is not None and matplotlib.get_backend() != WINDOW:
         matplotlib.use(WINDOW)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _no_word_of_compiling() -> None:
+    """In which test the notice would appear on stderr depends on the machine and the order."""
+    from spoofgym import _jit
+
+    _jit.NOTICE_S = math.inf
 
 
 @pytest.fixture(scope="session")

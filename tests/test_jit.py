@@ -6,10 +6,12 @@ import os
 import shutil
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import numba
 import pytest
+from numba.core import event
 
 from spoofgym import _jit
 from spoofgym.earth import wgs84
@@ -126,6 +128,57 @@ def test_compiling_leaves_numba_s_own_settings_alone():
             assert decorated is double
         assert decorated(2.0) == 4.0
     assert before == numba.config.CACHE_DIR
+
+
+NOTICED = """
+import sys
+import numba
+from spoofgym import _jit
+_jit.NOTICE_S = 0.0
+numba.njit(lambda x: x)(1.0)
+print("compiled one of the user's", file=sys.stderr)
+from spoofgym.earth import wgs84
+for _ in range(2):
+    wgs84.gravity(6378137.0, 0.0, 0.0)
+wgs84.gravity(6378137, 0, 0)  # of whole numbers it is another function
+"""
+
+
+def test_compiling_is_said_once_on_stderr_and_loading_is_not(tmp_path):
+    environment = os.environ | {_jit.CACHE_VARIABLE: str(tmp_path)}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", NOTICED],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stderr.splitlines()
+        for _ in range(2)
+    ]
+    assert said == [["compiled one of the user's", _jit.NOTICE], ["compiled one of the user's"]]
+
+
+def test_compiling_is_said_when_it_has_taken_two_seconds_in_all(monkeypatch, capsys):
+    monkeypatch.setattr(_jit, "NOTICE_S", 2.0)
+    clock = 0.0
+    monkeypatch.setattr(_jit, "time", types.SimpleNamespace(monotonic=lambda: clock))
+    notice = _jit._Notice()
+    ours, theirs = {"dispatcher": wgs84.gravity}, {"dispatcher": numba.njit(lambda x: x)}
+    # who compiles, how long, and whether it has been said afterwards
+    for compiled, seconds, said in ((theirs, 5.0, ""), (ours, 1.5, ""), (ours, 0.25, "")):
+        notice.on_start(event.Event("numba:compile", event.EventStatus.START, compiled))
+        clock += seconds
+        notice.on_end(event.Event("numba:compile", event.EventStatus.END, compiled))
+        clock += 60.0  # in which nothing is compiled
+        assert capsys.readouterr().err == said
+    notice.on_start(event.Event("numba:compile", event.EventStatus.START, ours))
+    clock += 0.3
+    notice.on_start(event.Event("numba:compile", event.EventStatus.START, theirs))  # called by it
+    assert capsys.readouterr().err == f"{_jit.NOTICE}\n"
+    notice.on_end(event.Event("numba:compile", event.EventStatus.END, theirs))
+    assert capsys.readouterr().err == ""
 
 
 SCRIPT = """

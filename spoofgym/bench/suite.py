@@ -20,6 +20,7 @@ import numpy as np
 
 from .. import __version__
 from .._describe import outside_sources
+from .._registry import whole_number
 from ..attacks import ATTACKS, Attack, make_attack
 from ..detectors import DETECTORS, Detector
 from ..envs.attach import spoofer_context as spoofer_context
@@ -95,16 +96,12 @@ class Tuning:
     def __post_init__(self) -> None:
         """Check the numbers."""
         for name, least in (("runs", 2), ("sift_runs", 1), ("values", 3), ("refined", 2)):
-            _check_count(f"tuning.{name}", getattr(self, name), least)
+            count = whole_number(f"`tuning.{name}`", getattr(self, name), least)
+            object.__setattr__(self, name, count)
         if not 0.0 <= self.budget < 1.0:
             raise ValueError(f"`tuning.budget` must be in [0, 1), got {self.budget}")
         if not (math.isfinite(self.margin) and self.margin >= 0.0):
             raise ValueError(f"`tuning.margin` must be finite and >= 0, got {self.margin}")
-
-
-def _check_count(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise ValueError(f"`{name}` must be a whole number of at least {least}, got {value!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,8 +161,8 @@ class Suite:
 
     def __post_init__(self) -> None:
         """Check names and settings; no receiver is simulated yet."""
-        _check_count("runs", self.runs, 2)
-        _check_count("entropy", self.entropy, 0)
+        for name, least in (("runs", 2), ("entropy", 0)):
+            object.__setattr__(self, name, whole_number(f"`{name}`", getattr(self, name), least))
         if not (math.isfinite(self.alert_limit_m) and self.alert_limit_m > 0.0):
             raise ValueError(f"`alert_limit_m` must be finite and > 0, got {self.alert_limit_m}")
         for entries in (self.detector_entries, self.spoofer_entries):

@@ -185,6 +185,11 @@ class Game(Stepwise):
         return self.actor.names
 
     @property
+    def episode_steps(self) -> int:
+        """Decisions of the attack window."""
+        return self.setup.steps // self.setup.repeat
+
+    @property
     def begin_names(self) -> tuple[str, ...]:
         """Keys of `begin_info`."""
         return BEGIN_NAMES if self._watch is None else (*BEGIN_NAMES, *self._watch.begin_names)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from .played import Played
 from .rendering import RENDER_MODES, Recorder, Screen
-from .resets import check_seed, warn_unknown
+from .resets import checked_seed, warn_unknown
 from .spaces import action_space, checked_action, observation_space
 
 Observation = NDArray[np.float32]
@@ -26,6 +28,13 @@ def refuse_rendering(render_mode: object) -> None:
         raise ValueError(
             f"`render_mode` must be None, there is nothing to render; got {render_mode!r}"
         )
+
+
+def with_length(spec: EnvSpec | None, game: Played) -> EnvSpec | None:
+    """The spec with a limit of one step more than an episode has."""
+    # with the length itself `gymnasium.make` would wrap what it makes from the spec in a
+    # `TimeLimit` that truncates at the last step, where the episode ends by itself
+    return None if spec is None else replace(spec, max_episode_steps=game.episode_steps + 1)
 
 
 class GameEnv(gym.Env[Observation, Observation], Generic[G]):
@@ -55,6 +64,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         "render_modes": list(RENDER_MODES),
         "render_fps": 2,
     }
+    _spec: EnvSpec | None = None
 
     def __init__(self, game: G, render_mode: str | None = None) -> None:
         self.render_mode = render_mode
@@ -74,6 +84,16 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         self._begun = self._running = False
 
     @property
+    def spec(self) -> EnvSpec | None:
+        """What `gymnasium.make` made it from; ``max_episode_steps`` is an episode's and one."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        """Fill in the limit."""
+        self._spec = with_length(given, self.game)
+
+    @property
     def begun(self) -> bool:
         """Whether it has been reset."""
         return self._begun
@@ -83,8 +103,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode: warm-up, then the onset.  Returns `observation` (o,) float32."""
         warn_unknown(options, ("domain",))
-        check_seed(seed)
-        super().reset(seed=seed)
+        super().reset(seed=checked_seed(seed))
         self.game.reset([self.np_random], given=told_domain(options))
         self._begun = self._running = True
         info = _of_one(self.game.begin_info())

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Generic
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from .._registry import check_choice
-from .game_env import G, told_domain
+from .._registry import check_choice, whole_number
+from .game_env import G, told_domain, with_length
 from .infos import InfoSpec, chosen, info_keys, masked
 from .played import Turn
 from .resets import RESET_MASK, mask_of, of_rows, seeds_of, warn_unknown
@@ -24,6 +26,7 @@ AUTORESET_MODES = {
     "same_step": SAME_STEP,
     "disabled": AutoresetMode.DISABLED,
 }
+LIMIT = "`max_episode_steps`"
 Array = NDArray[Any]
 
 
@@ -65,6 +68,13 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         ``reset`` is called with a mask.
     infos : {"all", "none"} or sequence of str
         Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
+    max_episode_steps : int, optional
+        As `gymnasium.make_vec` hands it on from a spec: more than an episode has.
+
+    Raises
+    ------
+    ValueError
+        When `max_episode_steps` would cut an episode short.
 
     Attributes
     ----------
@@ -79,9 +89,22 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         "render_fps": 2,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
+    _spec: EnvSpec | None = None
     closed = True  # until there is a game: older Gymnasium closes what has failed to be made
 
-    def __init__(self, game: G, autoreset_mode: AutoresetMode, infos: InfoSpec = "all") -> None:
+    def __init__(
+        self,
+        game: G,
+        autoreset_mode: AutoresetMode,
+        infos: InfoSpec = "all",
+        max_episode_steps: int | None = None,
+    ) -> None:
+        limit = max_episode_steps
+        if limit is not None and whole_number(LIMIT, limit) <= game.episode_steps:
+            raise ValueError(
+                f"{LIMIT} must be more than the {game.episode_steps} steps that an "
+                f"episode has, got {limit}; the end term 'at-steps' cuts it short"
+            )
         self.autoreset_mode = autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": autoreset_mode}
         self.render_mode = None
@@ -102,6 +125,19 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         self._rngs: list[np.random.Generator] = []
         self._over = np.ones(self.num_envs, dtype=np.bool_)
         self._all = np.ones(self.num_envs, dtype=np.bool_)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gymnasium.make_vec` made it from; ``max_episode_steps`` is an episode's and one."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        """Fill in the limit."""
+        if given is not None:  # the limit has a field of its own, from which `make_vec` takes it
+            kwargs = {key: given.kwargs[key] for key in given.kwargs if key != "max_episode_steps"}
+            given = replace(given, kwargs=kwargs)
+        self._spec = with_length(given, self.game)
 
     @property
     def begun(self) -> bool:
@@ -127,7 +163,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         elif not self._rngs and not mask.all():
             raise ValueError("the first reset must be that of all receivers")
         seeds = seeds_of(seed, self.num_envs)
-        super().reset(seed=seed if isinstance(seed, int) else None)
+        super().reset(seed=seeds[0] if isinstance(seed, int | np.integer) else None)
         if not self._rngs:
             self._rngs = [np.random.default_rng(s) for s in seeds]
         else:

@@ -154,6 +154,8 @@ class PlantVectorEnv(GameVectorEnv[PlantGame]):
         called with ``options={"reset_mask": ...}``.
     infos : {"all", "none"} or sequence of str
         Which information is handed out, by its keys; `final_obs` and `final_info` always are.
+    max_episode_steps : int, optional
+        Of `gymnasium.make_vec`, from a spec: more than an episode has, and without effect.
     detector, timeline, knowledge, action, reward, end, watch, alarm_penalty_m, end_at_alarm
         As in `PlantEnv`.
     target_heading_deg, render_mode, **settings
@@ -181,6 +183,7 @@ class PlantVectorEnv(GameVectorEnv[PlantGame]):
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         infos: InfoSpec = "all",
+        max_episode_steps: int | None = None,
         detector: str | Mapping[str, Any] | Detector | None = None,
         timeline: Mapping[str, float] | Timeline | None = None,
         knowledge: str = "tracking",
@@ -209,4 +212,4 @@ class PlantVectorEnv(GameVectorEnv[PlantGame]):
             target_heading_deg=target_heading_deg,
         )
         self.given_detector: Any = detector
-        super().__init__(game, mode, infos)
+        super().__init__(game, mode, infos, max_episode_steps)

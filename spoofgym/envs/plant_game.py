@@ -147,6 +147,11 @@ class PlantGame(Stepwise):
         return self._actor.names
 
     @property
+    def episode_steps(self) -> int:
+        """Epochs of the attack window."""
+        return self.plant.steps
+
+    @property
     def step_count(self) -> NDArray[np.int64]:
         """(B,) commands given in the running episodes."""
         return self.books.step_count

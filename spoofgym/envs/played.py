@@ -73,6 +73,10 @@ class Played(Protocol):
         """Name of every element of an action."""
 
     @property
+    def episode_steps(self) -> int:
+        """Most steps of an episode."""
+
+    @property
     def begin_names(self) -> tuple[str, ...]:
         """Keys of `begin_info`."""
 

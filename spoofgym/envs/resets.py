@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._registry import whole_number
+
 RESET_MASK = "reset_mask"
 
 
@@ -46,24 +48,18 @@ def seeds_of(seed: Any, receivers: int) -> list[int | None]:
     """Seed of every receiver.  Returns None where the stream of the receiver goes on."""
     if seed is None:
         return [None] * receivers
-    if isinstance(seed, int | np.integer):
-        check_seed(seed)
-        return [int(seed) + i for i in range(receivers)]
     if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
-        check_seed(seed)
-    seeds = list(seed)
+        first = whole_number("a seed", seed)
+        return [first + i for i in range(receivers)]
+    seeds = [checked_seed(each) for each in seed]
     if len(seeds) != receivers:
         raise ValueError(f"`seed` must have {receivers} elements, got {len(seeds)}")
-    for each in seeds:
-        check_seed(each)
     return seeds
 
 
-def check_seed(seed: Any) -> None:
-    """Raise unless there is such a seed."""
-    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
-    if seed is not None and not (whole and seed >= 0):
-        raise ValueError(f"a seed must be a whole number, at least 0, got {seed!r}")
+def checked_seed(seed: Any) -> int | None:
+    """A seed as Python's own int, or None; raises where it is neither."""
+    return None if seed is None else whole_number("a seed", seed)
 
 
 def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:

@@ -48,7 +48,8 @@ class SpoofEnv(GameEnv[Game]):
     in ``info["warmup_alarm"]``; nothing is drawn again for it.
 
     **End.** `terminated` after the last command of the attack window (300 by default), or at an
-    alarm. `truncated` never, unless an end term does it.
+    alarm. `truncated` never, unless an end term does it: ``env.spec.max_episode_steps`` is one step
+    more than there can be.
 
     Parameters
     ----------

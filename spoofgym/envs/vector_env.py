@@ -32,6 +32,8 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
         called with ``options={"reset_mask": ...}``.
     infos : {"all", "none"} or sequence of str
         Which information is handed out, by its keys; `final_obs` and `final_info` always are.
+    max_episode_steps : int, optional
+        Of `gymnasium.make_vec`, from a spec: more than an episode has, and without effect.
     threads : int, optional
         Threads of the engine; as many as processors by default.
     prefetch : bool
@@ -68,6 +70,7 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         infos: InfoSpec = "all",
+        max_episode_steps: int | None = None,
         threads: int | None = None,
         prefetch: bool = True,
         scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
@@ -119,4 +122,4 @@ class SpoofVectorEnv(GameVectorEnv[Game]):
             twin=twin,
         )
         self.given_detector: Any = detector
-        super().__init__(game, mode, infos)
+        super().__init__(game, mode, infos, max_episode_steps)

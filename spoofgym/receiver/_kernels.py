@@ -397,7 +397,8 @@ def run_epochs(
     and root rates, as `World.run`; only the lengths are needed without `MEASURE`.
     """
     for _ in range(count):
-        if what & MEASURE:
+        advance = what & MEASURE  # no literal 1, for which `measure` would be compiled once more
+        if advance:
             measure(
                 sensor_floats,
                 keys,
@@ -414,7 +415,7 @@ def run_epochs(
                 channels,
                 padded_imu,
                 padded_gnss,
-                1,
+                advance,
                 lo,
                 hi,
             )
