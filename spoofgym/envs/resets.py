@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 RESET_MASK = "reset_mask"
-HALFWAY = "an interrupt or error has left the last step or reset halfway: call reset() before step()"
+HALFWAY = (
+    "an interrupt or error has left the last step or reset halfway: call reset() before step()"
+)
 
 
 @contextmanager
