@@ -22,7 +22,8 @@ from .tune import TuningResult
 
 CONFIG, TABLE, SUMMARY, PICTURE = "config.json", "results.md", "summary.json", "campaign.png"
 CELLS, TUNINGS = "cells", "tuning"
-OWN = (CONFIG, TABLE, SUMMARY, PICTURE, CELLS, TUNINGS)
+OWN = (CELLS, TUNINGS, TABLE, SUMMARY, PICTURE, CONFIG)
+"""In the order in which they are removed: what says whose results they are comes last."""
 
 
 class ResultsFolder:
@@ -74,7 +75,7 @@ class ResultsFolder:
 
     def _clear(self) -> None:
         """Remove what a campaign writes, and nothing else."""
-        for name in reversed(OWN):  # what says whose the rest is goes last
+        for name in OWN:
             item = self.path / name
             if item.is_dir():
                 shutil.rmtree(item)

@@ -254,6 +254,7 @@ class Game(Stepwise):
     ) -> None:
         """Begin new episodes, and run their warm-up up to the onset."""
         where = self._rows if rows is None else rows
+        self._kept.drop(where)
         self.engine.reset(rngs, rows, given)
         self.books.reset(where)
         self._given[where] = 0.0
