@@ -70,7 +70,7 @@ class Core(Protocol):
         """Least and largest observation, (o,) each."""
 
     @property
-    def decisions(self) -> int:
+    def episode_steps(self) -> int:
         """Steps of an episode that nothing ends early."""
 
     def reset(
@@ -234,7 +234,7 @@ class SpoofCore:
         return self.observer.low, self.observer.high
 
     @property
-    def decisions(self) -> int:
+    def episode_steps(self) -> int:
         """Steps of an episode that nothing ends early."""
         return self.setup.steps // self.setup.repeat
 
@@ -321,6 +321,8 @@ class SpoofCore:
         where = self._everyone if rows is None else rows
         self.engine.reset(rngs, rows, given)
         self.score.reset(where)
+        if self._done is not None:  # an interrupted decision may have left some
+            self._done.drop(where)
         self._decided[where] = 0.0
         self._map.aim(self.heading_rad)
         if self.engine.twin is None:
@@ -480,6 +482,10 @@ class _DoneRows:
             for copy, simulator in self._pairs:
                 simulator.copy_rows(rows, copy, rows)
             self._kept[:] = False
+
+    def drop(self, rows: Rows) -> None:
+        """Forget receivers that start a new episode."""
+        self._kept[rows] = False
 
 
 class PassiveInfo:

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from .core import Core
-from .options import check_seed, domain_option, warn_unknown
+from .options import HALFWAY, checked_seed, domain_option, warn_unknown, whole_reset
 from .rendering import RENDER_MODES, Recorder, Screen
 from .spaces import action_space, checked_action, observation_space
 
 Observation = NDArray[np.float32]
 C = TypeVar("C", bound=Core)
-NOT_RESET = "no episode has started"
-OVER = "the episode is over"
-BROKEN_OFF = "a step was broken off"
+NOT_RESET, OVER = "no episode has started", "the episode is over"
+
+
+def with_length(spec: EnvSpec | None, core: Core) -> EnvSpec | None:
+    """The spec with a limit of one step more than an episode has."""
+    # with the length itself `gymnasium.make` would wrap what it makes from the spec in a
+    # `TimeLimit` that truncates at the last step, where the episode ends by itself
+    return None if spec is None else replace(spec, max_episode_steps=core.episode_steps + 1)
 
 
 class CoreEnv(gym.Env[Observation, Observation], Generic[C]):
@@ -48,6 +55,8 @@ class CoreEnv(gym.Env[Observation, Observation], Generic[C]):
         "render_fps": 2,
     }
 
+    _spec: EnvSpec | None = None
+
     def __init__(self, core: C, render_mode: str | None = None) -> None:
         self.render_mode = render_mode
         self._screen: Screen | None = None
@@ -64,6 +73,17 @@ class CoreEnv(gym.Env[Observation, Observation], Generic[C]):
         self.observation_space = observation_space(core)
         self.action_space = action_space(core)
         self._stopped: str | None = NOT_RESET
+        self._halfway = False
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gymnasium.make` made it from; ``max_episode_steps`` is an episode's and one."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        """Fill in the limit."""
+        self._spec = with_length(given, self.core)
 
     @property
     def begun(self) -> bool:
@@ -91,10 +111,9 @@ class CoreEnv(gym.Env[Observation, Observation], Generic[C]):
             Whether the warm-up alarmed, and the time.
         """
         warn_unknown(options, ("domain",))
-        check_seed(seed)
-        super().reset(seed=seed)
-        self._stopped = BROKEN_OFF
-        self.core.reset([self.np_random], given=domain_option(options))
+        super().reset(seed=checked_seed(seed))
+        with whole_reset(self):
+            self.core.reset([self.np_random], given=domain_option(options))
         self._stopped = None
         info = {name: array.item() for name, array in self.core.reset_info().items()}
         if self._screen is not None:
@@ -123,8 +142,11 @@ class CoreEnv(gym.Env[Observation, Observation], Generic[C]):
         if self._stopped is not None:
             raise RuntimeError(f"{self._stopped}: call reset() before step()")
         given = checked_action(action, self._action_shape, self.action_names)
-        self._stopped = BROKEN_OFF
+        if self._halfway:
+            raise RuntimeError(HALFWAY)
+        self._halfway = True
         result = self.core.single(given[None])
+        self._halfway = False
         self._stopped = OVER if result[2] or result[3] else None
         if self._screen is not None:
             self._screen.add(result[4])

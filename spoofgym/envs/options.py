@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from .._registry import check_choice
+from .._registry import check_choice, whole_number
 
 Array = NDArray[Any]
 RESET_MASK = "reset_mask"
@@ -21,6 +22,21 @@ AUTORESET_MODES = {
     "same_step": AutoresetMode.SAME_STEP,
     "disabled": AutoresetMode.DISABLED,
 }
+HALFWAY = (
+    "an interrupt or error has left the last step or reset halfway: call reset() before step()"
+)
+
+
+@contextmanager
+def whole_reset(env: Any) -> Iterator[None]:
+    """Take an environment as halfway until its reset has ended; as before, if it is refused."""
+    before, env._halfway = env._halfway, True
+    try:
+        yield
+    except Exception:
+        env._halfway = before
+        raise
+    env._halfway = False
 
 
 def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -> None:
@@ -57,24 +73,18 @@ def seeds_of(seed: Any, receivers: int) -> list[int | None]:
     """Seed of every receiver.  Returns None where the stream of the receiver goes on."""
     if seed is None:
         return [None] * receivers
-    if isinstance(seed, int | np.integer):
-        check_seed(seed)
-        return [int(seed) + i for i in range(receivers)]
     if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
-        check_seed(seed)
-    seeds = list(seed)
+        first = whole_number("a seed", seed)
+        return [first + i for i in range(receivers)]
+    seeds = [checked_seed(each) for each in seed]
     if len(seeds) != receivers:
         raise ValueError(f"`seed` must have {receivers} elements, got {len(seeds)}")
-    for each in seeds:
-        check_seed(each)
     return seeds
 
 
-def check_seed(seed: Any) -> None:
-    """Raise unless there is such a seed."""
-    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
-    if seed is not None and not (whole and seed >= 0):
-        raise ValueError(f"a seed must be a whole number, at least 0, got {seed!r}")
+def checked_seed(seed: Any) -> int | None:
+    """A seed as Python's own int, or None; raises where it is neither."""
+    return None if seed is None else whole_number("a seed", seed)
 
 
 def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._files import write_file
+from .._files import remove_stale_parts, write_file
 from ..detectors import Verdict
 from .core import SpoofCore
 from .terms.termination import EpochState
@@ -43,6 +43,7 @@ class EpochRecorder:
             raise ValueError(f"`folder` {str(folder)!r} can't be made: {error}") from error
         if not os.access(self.folder, os.W_OK | os.X_OK):
             raise ValueError(f"nothing can be written into the `folder` {str(folder)!r}")
+        remove_stale_parts(self.folder)
         self._episode = np.zeros(receivers, dtype=np.int64)
         for path in self.folder.glob("*.parquet"):
             found = PATTERN.fullmatch(path.name)

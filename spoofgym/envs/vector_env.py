@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Generic
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -23,10 +25,12 @@ from .options import (
     of_rows,
     seeds_of,
     warn_unknown,
+    whole_reset,
 )
 from .spaces import action_space, checked_action, observation_space
 from .step_result import PlainResult, StepResult
 
+LIMIT = "`max_episode_steps`"
 NEXT_STEP, SAME_STEP = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP
 
 
@@ -42,6 +46,13 @@ class CoreVectorEnv(VectorEnv[Array, Array, Array], Generic[C]):
         ``reset`` is called with a mask.
     infos : {"all", "none"} or sequence of str
         Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
+    max_episode_steps : int, optional
+        As `gymnasium.make_vec` hands it on from a spec: more than an episode has.
+
+    Raises
+    ------
+    ValueError
+        When `max_episode_steps` would cut an episode short.
 
     Attributes
     ----------
@@ -58,7 +69,21 @@ class CoreVectorEnv(VectorEnv[Array, Array, Array], Generic[C]):
     }
     closed = True  # until there is a game: older Gymnasium closes what has failed to be made
 
-    def __init__(self, core: C, autoreset_mode: AutoresetMode, infos: InfoSpec = "all") -> None:
+    _spec: EnvSpec | None = None
+
+    def __init__(
+        self,
+        core: C,
+        autoreset_mode: AutoresetMode,
+        infos: InfoSpec = "all",
+        max_episode_steps: int | None = None,
+    ) -> None:
+        limit = max_episode_steps
+        if limit is not None and whole_number(LIMIT, limit) <= core.episode_steps:
+            raise ValueError(
+                f"{LIMIT} must be more than the {core.episode_steps} steps that an "
+                f"episode has, got {limit}; the end term 'at-steps' cuts it short"
+            )
         self.autoreset_mode = autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": autoreset_mode}
         self.render_mode = None
@@ -77,9 +102,22 @@ class CoreVectorEnv(VectorEnv[Array, Array, Array], Generic[C]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._keys = info_keys(self._infos, core.info_names)
         self._rngs: list[np.random.Generator] = []
-        self._broken_off = False
+        self._halfway = False
         self._over = np.ones(self.num_envs, dtype=np.bool_)
         self._all = np.ones(self.num_envs, dtype=np.bool_)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gymnasium.make_vec` made it from; ``max_episode_steps`` is an episode's and one."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        """Fill in the limit."""
+        if given is not None:  # the limit has a field of its own, from which `make_vec` takes it
+            kwargs = {key: given.kwargs[key] for key in given.kwargs if key != "max_episode_steps"}
+            given = replace(given, kwargs=kwargs)
+        self._spec = with_length(given, self.core)
 
     @property
     def begun(self) -> bool:
@@ -104,8 +142,10 @@ class CoreVectorEnv(VectorEnv[Array, Array, Array], Generic[C]):
             mask = self._all.copy()
         elif not self._rngs and not mask.all():
             raise ValueError("the first reset must be that of all receivers")
+        elif self._halfway and not mask.all():
+            raise ValueError("the reset after an interrupted step must be that of all receivers")
         seeds = seeds_of(seed, self.num_envs)
-        super().reset(seed=seed if isinstance(seed, int) else None)
+        super().reset(seed=seeds[0] if isinstance(seed, int | np.integer) else None)
         if not self._rngs:
             self._rngs = [np.random.default_rng(s) for s in seeds]
         else:
@@ -114,15 +154,12 @@ class CoreVectorEnv(VectorEnv[Array, Array, Array], Generic[C]):
                 for rng, s, fresh in zip(self._rngs, seeds, mask, strict=True)
             ]
         given = domain_option(options)
-        if self._broken_off and not mask.all():
-            raise ValueError(f"{BROKEN_OFF}: the next reset must be that of all receivers")
-        self._broken_off = True
-        if mask.all():
-            self.core.reset(self._rngs, given=given)
-            self._over[:] = False
-        else:
-            self._restart(mask, given)
-        self._broken_off = False
+        with whole_reset(self):
+            if mask.all():
+                self.core.reset(self._rngs, given=given)
+                self._over[:] = False
+            else:
+                self._restart(mask, given)
         return self.core.observe(), self._masked(self.core.reset_info(), mask)
 
     def _restart(self, mask: NDArray[np.bool_], given: Mapping[str, Any] | None = None) -> None:
@@ -157,17 +194,17 @@ class CoreVectorEnv(VectorEnv[Array, Array, Array], Generic[C]):
         """
         if not self._rngs:
             raise RuntimeError("call reset() before step()")
-        if self._broken_off:
-            raise RuntimeError(f"{BROKEN_OFF}: call reset() before step()")
+        if self._halfway:
+            raise RuntimeError(HALFWAY)
         given = checked_action(actions, self._action_shape, self.action_names)
         self._check_none_over()
-        self._broken_off = True
+        self._halfway = True
         mode = self.autoreset_mode
         if mode is NEXT_STEP:
             result = self._next_step(given)
         else:
             result = self._same_step(given) if mode is SAME_STEP else self._plain_step(given)
-        self._broken_off = False
+        self._halfway = False
         return result
 
     def _check_none_over(self) -> None:

@@ -77,6 +77,7 @@ class VictimVectorEnv(CoreVectorEnv[SpoofCore]):
         threads: int | None = None,
         prefetch: bool | None = None,
         render_mode: None = None,
+        max_episode_steps: int | None = None,
         **settings: Any,
     ) -> None:
         mode = autoreset_mode_of(autoreset_mode)
@@ -90,7 +91,7 @@ class VictimVectorEnv(CoreVectorEnv[SpoofCore]):
             whose=type(self).__name__,
         )
         self.given_detector: Any = settings.get("detector")
-        super().__init__(core, mode, infos)
+        super().__init__(core, mode, infos, max_episode_steps)
 
 
 class SpoofEnv(VictimEnv):
@@ -123,7 +124,8 @@ class SpoofEnv(VictimEnv):
     in ``info["warmup_alarm"]``; nothing is drawn again for it.
 
     **End.** `terminated` after the last command of the attack window (300 by default), or at an
-    alarm. `truncated` never, unless an end term does it.
+    alarm. `truncated` never, unless an end term does it: ``env.spec.max_episode_steps`` is one step
+    more than there can be.
 
     Parameters
     ----------
@@ -217,6 +219,8 @@ class SpoofVectorEnv(VictimVectorEnv):
         size of the batch: such a one cannot be reproduced with it; see `Engine`.
     render_mode : None
         There is nothing to render.
+    max_episode_steps : int, optional
+        Of `gymnasium.make_vec`, from a spec: more than an episode has, and without effect.
     **settings
         As in `SpoofEnv`.
 

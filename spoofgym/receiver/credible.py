@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 from .._jit import njit
 from .._memory import Memory
-from .epoch import Epoch
+from .epoch import Epoch, frozen
 
 FloatArray = NDArray[np.float64]
 AXES = 2
@@ -233,10 +233,7 @@ class CredibleBatch:
             "gnss_position": self.gnss_position,
             "auxiliary_position": memory["odometry"],
         }
-        for name, array in arrays.items():
-            arrays[name] = array.view()
-            arrays[name].flags.writeable = False
-        return Epoch(**self._fixed, **arrays)
+        return Epoch(**self._fixed, **{name: frozen(array) for name, array in arrays.items()})
 
     def update(self, weights: FloatArray | None) -> None:
         """Second half of an epoch.  `weights` (B, 2) of a verdict; None for ones."""
@@ -267,6 +264,4 @@ def _empty_fields(b: int, interval_s: float) -> Mapping[str, NDArray[Any]]:
         "visible": np.zeros((b, 0), dtype=np.bool_),
         "predicted_velocity": np.zeros((b, 3)),
     }
-    for array in fields.values():
-        array.flags.writeable = False
-    return fields
+    return {name: frozen(array) for name, array in fields.items()}

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..detectors import DETECTORS, Detector, DetectorContext, PooledDetector, Verdict
+from ..detectors.verdicts import checked_weights, judged
 from ..receiver.epoch import Epoch
 from .domain import Choice, draw, given_choice
 from .frame import EpisodeLayout, FrameData
@@ -251,13 +252,15 @@ class Simulator(ABC):
 
     def judge(self) -> Verdict:
         """Let the detector judge the epoch, and the monitors look at it."""
-        self.verdict = self.detector.judge(self.epoch)
+        self.verdict = judged(self.detector, self.epoch)
         for monitor in self.monitors:
             monitor.update(self)
         return self.verdict
 
     def update(self, weights: FloatArray | None) -> None:
         """Second half of an epoch; `weights` (B, m) in [0, 1], C-contiguous, None for ones."""
+        if weights is not None and (self.verdict is None or weights is not self.verdict.weights):
+            checked_weights(weights, self.epoch)
         self.weights = self.ones if weights is None else weights
         self._correct(weights)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .._registry import build_record, check_choice
 from ..attacks import Attack, AttackContext, make_attack
 from ..detectors import Detector, DetectorContext
+from ..detectors.verdicts import checked_weights
 from ..receiver import TightlyCoupled, _kernels
 from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import LANES, ReceiverBuffers
@@ -419,6 +420,8 @@ class TightlyCoupledSimulator(Simulator):
 
     def update(self, weights: FloatArray | None) -> None:
         """Second half of an epoch: the update with the weighted gain."""
+        if weights is not None and (self.verdict is None or weights is not self.verdict.weights):
+            checked_weights(weights, self.epoch)
         self.weights = self.ones if weights is None else weights
         if self._serial:
             b = self.receivers
