@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from .env import BROKEN_OFF, C
+from .env import C
 from .options import (
     RESET_MASK,
     Array,

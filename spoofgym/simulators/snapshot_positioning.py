@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .._registry import build_record
 from ..detectors import Detector, DetectorContext
-from ..receiver.epoch import Epoch
+from ..receiver.epoch import Epoch, frozen
 from ..receiver.snapshot import (
     EXPECTED_CLOCK_SD_M,
     EXPECTED_POSITION_SD_M,
@@ -97,7 +97,7 @@ class SnapshotSetup(Setup):
     )
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"position_{axis}" for axis in AXES[:3])
-    scales: Mapping[str, float] = {  # noqa: RUF012  (read only)
+    scales: Mapping[str, float] = {
         "displacement_m": 100.0,
         "position_m": 10_000.0,
         "velocity_mps": 100.0,
@@ -219,7 +219,7 @@ class SnapshotSimulator(RateSimulator):
         self._innovation, self._cov = np.empty((b, 2 * n)), np.empty((b, 2 * n, 2 * n))
         self._design = np.empty((b, 2 * n, 4))
         belief = np.diag(np.square([*[EXPECTED_POSITION_SD_M] * 3, EXPECTED_CLOCK_SD_M]))
-        self._constant = {
+        constant = {
             "interval": np.full(b, self.setup.interval_s),
             "predicted_cov": np.tile(belief, (b, 1, 1)),
             "transition": np.tile(np.eye(4), (b, 1, 1)),
@@ -228,6 +228,7 @@ class SnapshotSimulator(RateSimulator):
             "visible": np.ones((b, n), dtype=np.bool_),
             "predicted_velocity": np.zeros((b, 3)),
         }
+        self._constant = {name: frozen(array) for name, array in constant.items()}
 
     def _context(self) -> DetectorContext:
         setup, n = self.setup, len(self.setup.weight_names)
@@ -287,7 +288,6 @@ class SnapshotSimulator(RateSimulator):
             self._design,
         )
         arrays = {
-            **self._constant,
             "time": self.time_s(),
             "innovation": self._innovation,
             "innovation_cov": self._cov,
@@ -297,10 +297,8 @@ class SnapshotSimulator(RateSimulator):
             "satellite_velocity": self.setup.sky.satellite_velocity_e[memory["epoch"]],
             "predicted_position": memory["position_e"],
         }
-        views = {name: array.view() for name, array in arrays.items()}
-        for view in views.values():
-            view.flags.writeable = False
-        return Epoch(**views)
+        seen = {name: frozen(array) for name, array in arrays.items()}
+        return Epoch(**seen, **self._constant)
 
     def _correct(self, weights: FloatArray | None) -> None:
         """Make a fix; where there is none, the last one stays."""

@@ -94,7 +94,7 @@ class TightlyCoupledSetup(Setup):
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"{what}_{axis}" for what in ("position", "velocity") for axis in AXES)
     error_names = AXES
-    scales: Mapping[str, float] = {  # noqa: RUF012  (read only)
+    scales: Mapping[str, float] = {
         "displacement_m": 100.0,
         "position_m": 10_000.0,
         "velocity_mps": 100.0,
