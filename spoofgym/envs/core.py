@@ -341,7 +341,7 @@ class SpoofCore:
         return displacement
 
     def step(self, action: FloatArray) -> tuple[StepResult, NDArray[np.float32]]:
-        """One decision of all receivers, (B, k) in [-1, 1]; what it brought, and (B, o) observed."""
+        """One decision of all receivers, (B, k) in [-1, 1]; its result and (B, o) observed."""
         if self._passive is not None:
             self._passive_memory["alarmed"][:] = False
         if self.setup.repeat > 1:

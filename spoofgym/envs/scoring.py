@@ -89,8 +89,8 @@ class DisplacementScore:
 class FusedStep:
     """An epoch's score, information, reward and simple observation in one kernel.
 
-    `parts` are the keys of the rewards that `shares` (r, 4) give as in `rewards.shares_of`; `table`,
-    `command` and `per_rate` as in `Observer`; an episode ends after `window` epochs.
+    `parts` are the keys of the rewards that `shares` (r, 4) give as in `reward.shares_of`; `table`,
+    `command` and `per_rate` are those of `Observer`; an episode ends after `window` epochs.
     """
 
     def __init__(

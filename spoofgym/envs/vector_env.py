@@ -12,8 +12,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from .env import C
+from .._registry import whole_number
+from .env import C, with_length
 from .options import (
+    HALFWAY,
     RESET_MASK,
     Array,
     InfoSpec,

@@ -99,8 +99,8 @@ class SpoofEnv(VictimEnv):
 
     **Description.** An aircraft flies with a 17-state tightly coupled GNSS/INS filter, whose
     detector tests the innovations.  After a clean warm-up the spoofer counterfeits the
-    satellites, and moves the position that they imply, one command per GNSS epoch.  It wants the filter's
-    position to go astray without an alarm.  All of it is simulated at the level of measurements.
+    satellites, and moves the position that they imply, one command per GNSS epoch.  It wants the
+    filter's position to go astray without an alarm.  All is simulated at measurement level.
 
     **Action.** `Box(-1, 1, (a,), float32)`, one element for every commanded axis or channel: 1 is
     the attack's limit of acceleration (0.05 m/s^2 by default) or of rate (5 m/s).  By default north
@@ -274,7 +274,7 @@ class LooselyCoupledEnv(VictimEnv):
     **End.** `terminated` after the last command of the attack window, or at an alarm.  `truncated`
     never, unless an end term does it.
 
-    **Arguments.** The settings of `LooselyCoupledSetup` and, beside those of the victim, of `SpoofEnv`.
+    **Arguments.** The settings of `LooselyCoupledSetup` and of `SpoofCore`.
 
     Examples
     --------
@@ -294,7 +294,7 @@ class LooselyCoupledEnv(VictimEnv):
 
 
 class LooselyCoupledVectorEnv(VictimVectorEnv):
-    """Vector environment of `LooselyCoupledEnv`; its own arguments are those of `SpoofVectorEnv`."""
+    """Vector environment of `LooselyCoupledEnv`; arguments of its own as in `SpoofVectorEnv`."""
 
     setup_type: ClassVar[type[Setup]] = LooselyCoupledSetup
 
@@ -332,8 +332,8 @@ class SnapshotEnv(VictimEnv):
     **End.** `terminated` after the last command of the attack window, or at an alarm.  `truncated`
     never, unless an end term does it.
 
-    **Arguments.** The settings of `SnapshotSetup` and, beside those of the victim, of `SpoofEnv`.  The detector
-    is ``srv-raim`` by default.
+    **Arguments.** The settings of `SnapshotSetup` and of `SpoofCore`.  The detector is
+    ``srv-raim`` by default.
 
     Examples
     --------
@@ -353,7 +353,7 @@ class SnapshotEnv(VictimEnv):
 
 
 class SnapshotVectorEnv(VictimVectorEnv):
-    """Vector environment of `SnapshotEnv`; its own arguments are those of `SpoofVectorEnv`."""
+    """Vector environment of `SnapshotEnv`; arguments of its own as in `SpoofVectorEnv`."""
 
     setup_type: ClassVar[type[Setup]] = SnapshotSetup
 
@@ -388,7 +388,7 @@ class WheeledRobotEnv(VictimEnv):
     **End.** `terminated` after the last command of the attack window, or at an alarm.  `truncated`
     never, unless an end term does it.
 
-    **Arguments.** The settings of `WheeledRobotSetup` and, beside those of the victim, of `SpoofEnv`.  The detector is
+    **Arguments.** The settings of `WheeledRobotSetup` and of `SpoofCore`.  The detector is
     ``acna`` in its production variant by default.
 
     Examples
@@ -409,6 +409,6 @@ class WheeledRobotEnv(VictimEnv):
 
 
 class WheeledRobotVectorEnv(VictimVectorEnv):
-    """Vector environment of `WheeledRobotEnv`; its own arguments are those of `SpoofVectorEnv`."""
+    """Vector environment of `WheeledRobotEnv`; arguments of its own as in `SpoofVectorEnv`."""
 
     setup_type: ClassVar[type[Setup]] = WheeledRobotSetup

@@ -34,7 +34,7 @@ class Monitored(Protocol):
 
 
 class Monitor(ABC):
-    """What looks at the epochs of a simulator.  `memory`: all that it remembers of every receiver."""
+    """What looks at the epochs of a simulator; `memory` is all that it remembers of receivers."""
 
     memory: Memory
 

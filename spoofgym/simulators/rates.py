@@ -1,4 +1,4 @@
-"""Receivers whose position a spoofer displaces by rates, one an axis: what the small victims share."""
+"""What victims share whose position a spoofer displaces by rates, one an axis."""
 
 from __future__ import annotations
 

@@ -213,12 +213,19 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
         check_choice("receiver", given, RECEIVERS)
         given = RECEIVERS[given]
     victim = build_record("receiver", TightlyCoupled, given, {"grade": scenario.imu})
-    if isinstance(given, Mapping) and any(g != victim.grade for g in domain.imu):
-        if "grade" in given:
-            raise ValueError(
-                f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it "
-                f"draws from the domain's `imu` {', '.join(domain.imu)}: leave out one"
-            )
+    if (
+        isinstance(given, Mapping)
+        and "grade" in given
+        and {victim.grade}
+        < {
+            victim.grade,
+            *domain.imu,
+        }
+    ):
+        raise ValueError(
+            f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it draws "
+            f"from the domain's `imu` {', '.join(domain.imu)}: leave out one"
+        )
     return victim
 
 

@@ -309,7 +309,7 @@ class StatisticRatio:
 
 @dataclass(frozen=True)
 class GainWeight:
-    """The detector's weight on the pseudorange of every slot, or on a position; 1 from a monitor."""
+    """The detector's weight on every pseudorange, or on the position; 1 from a monitor."""
 
     knowledge: ClassVar[str] = "oracle"
 
