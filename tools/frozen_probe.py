@@ -46,10 +46,12 @@ VARIANTS: dict[str, dict[str, Any]] = {
 DUELS: dict[str, dict[str, Any]] = {
     "": {},
     "+weighted": {"payoff": "weighted", "threshold": 0.7, "timeline": SHORT},
-    "+channel": {"statistic": "channel", "timeline": SHORT, "attack_probability": 1.0},
+    "+channel": {"statistic": "channel", "timeline": SHORT, "threshold": 0.9},
     "+interval": {"decision_interval_s": 1.0, "between": "linear", "timeline": SHORT},
     "+domain": {"domain": WORLDS, "target_heading_deg": "random", "timeline": SHORT},
 }
+TURNS = {"spoofer_0": 0, "detector_0": 2}
+"""As which receiver of a batch an agent of the duel acts."""
 NO_SB3 = ("DetectorView", "SpooferView", "LooselyCoupled", "Snapshot", "WheeledRobot")
 """Ids that stable-baselines3's adapter does not make."""
 IMPORTS = {
@@ -182,14 +184,14 @@ class Player:
         module, _, name = self.imports[use].partition(":")
         return getattr(importlib.import_module(module), name)
 
-    def action(self, step: int, shape: tuple[int, ...]) -> Array:
+    def action(self, step: int, shape: tuple[int, ...], turn: int = 0) -> Array:
         """Receivers take turns: a whole mild episode then a hard push, random, pushes in between.
 
         So episodes last until their time is over, or are ended by an alarm.
         """
-        rows = np.arange(shape[0])[:, None] if len(shape) > 1 else np.array(0)
-        ramp, push = np.zeros(shape), np.zeros(shape)
-        ramp[..., 1 % shape[-1]], push[..., 1 % shape[-1]] = 0.02, 1.0
+        rows = np.arange(shape[0])[:, None] if len(shape) > 1 else np.array(turn)
+        ramp, push = np.zeros(shape), np.ones(shape)
+        ramp[..., 1 % shape[-1]] = 0.02
         first = ramp if step < MILD_STEPS else push
         third = push if step // 40 % 2 else ramp
         chosen = np.choose(rows % 3, [first, self.rng.uniform(-1.0, 1.0, shape), third])
@@ -295,7 +297,10 @@ class Player:
         self._describe_duel(env)
         self.keep_reset(-1, *env.reset(seed=SEED))
         for step in range(STEPS):
-            actions = {a: self.action(step, env.action_space(a).shape) for a in env.agents}
+            actions = {
+                agent: self.action(step, env.action_space(agent).shape, TURNS[agent])
+                for agent in env.agents
+            }
             self.keep(step, *env.step(actions))
             if not env.agents:
                 self.record.ends += 1
@@ -314,7 +319,8 @@ class Player:
             ):
                 self.record.add(turn // 2, (key, agent), value)
             over = result[2] or result[3]
-            env.step(None if over else self.action(turn // 2, env.action_space(agent).shape))
+            shape = env.action_space(agent).shape
+            env.step(None if over else self.action(turn // 2, shape, TURNS[agent]))
             if not env.agents:
                 self.record.ends += 1
                 env.reset()
