@@ -9,6 +9,7 @@ the working tree alone.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import fnmatch
 import hashlib
 import json
@@ -42,6 +43,8 @@ KEPT_RESULTS = 4
 ROUNDS = 31
 QUICK_FORMS = (("single", None), ("same_step", 3))
 """What ``--quick`` plays of every id; of the main one, and of the duel, it plays all."""
+ELEMENTS = {"final_obs": "observation", "terminal_observation": "observation"}
+"""Keys whose elements have the names of another."""
 Array = np.ndarray[Any, Any]
 Columns = dict[tuple[str, ...], "Column"]
 
@@ -161,7 +164,8 @@ def load_record(file: Path) -> Columns:
         for i, each in enumerate(about["columns"]):
             values, path = stored[f"c{i}"], tuple(each["path"])
             whole = Column(np.array(each["steps"]), values, tuple(each["types"]))
-            names = next((about["names"][key] for key in about["names"] if key in path), None)
+            keys = (ELEMENTS.get(part, part) for part in path)
+            names = next((about["names"][key] for key in keys if key in about["names"]), None)
             if names is None or not values.ndim or values.shape[-1] != len(names):
                 columns[path] = whole
                 continue
@@ -181,8 +185,8 @@ def unequal(old: Array, new: Array, rtol: float) -> Array:
         finite = np.abs(old[np.isfinite(old)])
         limit = rtol * (finite.max() if finite.size else 0.0)
         with np.errstate(invalid="ignore"):
-            return ~((old == new) | (np.abs(old - new) <= limit) | nan)
-    return ~(((old == new) & (np.signbit(old) == np.signbit(new))) | nan)
+            return np.asarray(~((old == new) | (np.abs(old - new) <= limit) | nan))
+    return np.asarray(~(((old == new) & (np.signbit(old) == np.signbit(new))) | nan))
 
 
 def compare(case: Case, old: Columns, new: Columns, scope: Scope, rtol: float) -> list[Difference]:
@@ -233,23 +237,23 @@ def _compare_column(key: str, old: Column, new: Column, rtol: float, differs: An
         for c in (old, new)
     ]
     if kinds[0] != kinds[1]:
-        return differs(None, key, " ".join(kinds[0]), " ".join(kinds[1]))
-    if not np.array_equal(old.steps, new.steps):
+        differs(None, key, " ".join(kinds[0]), " ".join(kinds[1]))
+    elif not np.array_equal(old.steps, new.steps):
         alone = np.setxor1d(old.steps, new.steps)
         first = int(alone[0]) if alone.size else None
         there = ["there" if first in c.steps else "missing" for c in (old, new)]
         if first is None:
             there = [f"{len(c.steps)} times" for c in (old, new)]
-        return differs(first, key, *there, max(len(alone), 1))
-    if old.values.shape != new.values.shape:
-        return differs(None, key, f"shape {old.values.shape[1:]}", f"shape {new.values.shape[1:]}")
-    wrong = np.argwhere(unequal(old.values, new.values, rtol))
-    if len(wrong):
-        at = tuple(wrong[0])
-        place = "".join(f"[{i}]" for i in at[1:])
-        pair = [repr(c.values[at].item()) for c in (old, new)]
-        differs(int(old.steps[at[0]]), key + place, *pair, len(wrong))
-    return None
+        differs(first, key, *there, max(len(alone), 1))
+    elif old.values.shape != new.values.shape:
+        differs(None, key, f"shape {old.values.shape[1:]}", f"shape {new.values.shape[1:]}")
+    else:
+        wrong = np.argwhere(unequal(old.values, new.values, rtol))
+        if len(wrong):
+            at = tuple(wrong[0])
+            place = "".join(f"[{i}]" for i in at[1:])
+            pair = [repr(c.values[at].item()) for c in (old, new)]
+            differs(int(old.steps[at[0]]), key + place, *pair, len(wrong))
 
 
 # --- trees -----------------------------------------------------------------------------------
@@ -275,11 +279,14 @@ def old_tree(commit: str, keep: bool) -> Iterator[Path]:
     """Git worktree of a commit: temporary, or one that is kept with its compiled code."""
     if keep:
         tree = cache_folder() / "trees" / commit[:16]
-        if not (tree / ".complete").exists():
-            shutil.rmtree(tree, ignore_errors=True)
-            git("worktree", "prune")
-            git("worktree", "add", "--detach", str(tree), commit)
-            (tree / ".complete").touch()
+        tree.parent.mkdir(parents=True, exist_ok=True)
+        with tree.with_suffix(".lock").open("w") as lock:  # another run may want it, too
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (tree / ".complete").exists():
+                shutil.rmtree(tree, ignore_errors=True)
+                git("worktree", "prune")
+                git("worktree", "add", "--detach", str(tree), commit)
+                (tree / ".complete").touch()
         yield tree
         return
     folder = tempfile.mkdtemp(prefix="spoofgym-frozen-")

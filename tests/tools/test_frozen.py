@@ -164,6 +164,13 @@ def test_elements_of_an_observation_are_named_and_mapped(tmp_path):
     assert found(more, names, Scope(added={"new": "said why"})) == []
 
 
+@pytest.mark.parametrize("key", ["final_obs", "terminal_observation"])
+def test_elements_of_a_last_observation_have_the_same_names(tmp_path, key):
+    values = np.array([None, np.float32([1.0, 2.0])], dtype=object)
+    columns = recorded(tmp_path, [{key: values}], {"observation": ["east", "north"]})
+    assert columns[("info", key, "[1]", "north")].values.tolist() == [2.0]
+
+
 def test_scopes_are_ids_and_patterns_without_variants():
     names = Names(
         renamed={"*": {"a": "b"}, "spoofgym/Snap*": {"c": "d"}},
@@ -207,7 +214,10 @@ def test_the_name_map_is_checked(tmp_path, text, message):
 
 
 def test_the_name_map_of_the_repository_can_be_read():
-    Names.load(frozen.NAMES)
+    scope = Names.load(frozen.NAMES).of("bench")
+    assert scope.is_added(("json", "campaign"))
+    assert scope.is_dropped(("json", "campaign"))
+    assert not scope.is_added(("json", "cells", "[0]", "runs"))
 
 
 def test_every_id_has_every_form():
