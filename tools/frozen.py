@@ -317,19 +317,24 @@ class Child:
 
     def ask(self, **request: Any) -> dict[str, Any]:
         """Answer to a request."""
-        stdin, stdout = self._process.stdin, self._process.stdout
-        assert stdin is not None
-        assert stdout is not None
-        try:
-            stdin.write(json.dumps({**request, "imports": self.imports}) + "\n")
-            stdin.flush()
-            line = stdout.readline()
-        except BrokenPipeError:
-            line = ""
+        self.send(**request)
+        return self.receive()
+
+    def send(self, **request: Any) -> None:
+        """Make a request, whose answer has to be received."""
+        assert self._process.stdin is not None
+        self._request = request
+        with contextlib.suppress(BrokenPipeError):  # seen when the answer is missing
+            self._process.stdin.write(json.dumps({**request, "imports": self.imports}) + "\n")
+            self._process.stdin.flush()
+
+    def receive(self) -> dict[str, Any]:
+        """Answer to what has been sent."""
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
         if not line:
-            raise RuntimeError(
-                f"the probe of {self.tree} ended with {self._process.wait()} at {request}"
-            )
+            status = self._process.wait()
+            raise RuntimeError(f"the probe of {self.tree} ended with {status} at {self._request}")
         reply: dict[str, Any] = json.loads(line)
         return reply
 
@@ -420,11 +425,6 @@ def missing_cases(
     return [case for case in old if case in new], found
 
 
-def run_case(child: Child, case: Case, out: Path) -> dict[str, Any]:
-    """Play a case unless its record is there."""
-    return {} if out.exists() else child.ask(do="run", case=case, out=str(out))
-
-
 def old_cases(folder: Path, child: Child | None) -> list[Case]:
     """Cases of the old tree, kept beside its records."""
     file = folder / "cases.json"
@@ -490,14 +490,16 @@ def examine(
         task = progress.add_task("cases", total=len(both))
         for case in both:
             progress.update(task, description=case.name)
-            file = file_of(folder, case)
-            if not file.exists():
-                old = old or start_old()
-            replies = {"old": run_case(old, case, file) if old else {}}
-            replies["new"] = run_case(new, case, file_of(out, case))
+            files = {"old": file_of(folder, case), "new": file_of(out, case)}
+            children = {"new": new}
+            if not files["old"].exists():
+                children["old"] = old = old or start_old()
+            for name, child in children.items():  # both at the same time
+                child.send(do="run", case=case, out=str(files[name]))
+            replies = {name: child.receive() for name, child in children.items()}
             report.ends += replies["new"].get("ends", 0)
-            report.differences += judge(case, file, file_of(out, case), replies, names, rtol)
-            file_of(out, case).unlink(missing_ok=True)
+            report.differences += judge(case, files, replies, names, rtol)
+            files["new"].unlink(missing_ok=True)
             report.cases.append(case.name)
             progress.advance(task)
         if rounds:
@@ -507,17 +509,18 @@ def examine(
 
 def judge(
     case: Case,
-    old: Path,
-    new: Path,
+    files: dict[str, Path],
     replies: dict[str, dict[str, Any]],
     names: Names,
     rtol: float,
 ) -> list[Difference]:
     """Differences of one case, an error in either tree among them."""
-    errors = [replies[tree].get("error", "plays") for tree in ("old", "new")]
+    errors = [replies.get(tree, {}).get("error", "plays") for tree in ("old", "new")]
     if errors != ["plays", "plays"]:
         return [Difference(*case, None, "error", *errors)]
-    return compare(case, load_record(old), load_record(new), names.of(case.id), rtol)
+    return compare(
+        case, load_record(files["old"]), load_record(files["new"]), names.of(case.id), rtol
+    )
 
 
 app = typer.Typer(add_completion=False, context_settings={"help_option_names": ["-h", "--help"]})

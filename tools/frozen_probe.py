@@ -192,6 +192,7 @@ class Player:
         rows = np.arange(shape[0])[:, None] if len(shape) > 1 else np.array(turn)
         ramp, push = np.zeros(shape), np.ones(shape)
         ramp[..., 1 % shape[-1]] = 0.02
+        push[..., 0] = step % 20 == 0  # a detector's statistic: an alarm at every step takes long
         first = ramp if step < MILD_STEPS else push
         third = push if step // 40 % 2 else ramp
         chosen = np.choose(rows % 3, [first, self.rng.uniform(-1.0, 1.0, shape), third])
@@ -362,7 +363,8 @@ class Stopwatch:
         if what not in self._envs:
             import gymnasium as gym
 
-            batch, given = SPEEDS[what], {"detector": "never", "end_at_alarm": False}
+            batch = SPEEDS[what]
+            given: dict[str, Any] = {"detector": "never", "end_at_alarm": False}
             self._envs[what] = (
                 gym.make(MAIN, disable_env_checker=True, **given).unwrapped
                 if batch is None

@@ -194,12 +194,12 @@ def test_ids_of_one_tree_alone_have_to_be_declared():
     assert frozen.missing_cases([both, old], [both, new], names) == ([both], [])
 
 
-def test_an_error_of_either_tree_is_a_difference(tmp_path):
+def test_an_error_of_either_tree_is_a_difference():
     replies = {"old": {}, "new": {"error": "ValueError: no"}}
-    (found,) = frozen.judge(CASE, tmp_path, tmp_path, replies, Names(), 0.0)
+    (found,) = frozen.judge(CASE, {}, replies, Names(), 0.0)
     assert (found.old, found.new) == ("plays", "ValueError: no")
     same = {tree: {"error": "ValueError: no"} for tree in ("old", "new")}
-    assert frozen.judge(CASE, tmp_path, tmp_path, same, Names(), 0.0)
+    assert frozen.judge(CASE, {}, same, Names(), 0.0)
 
 
 @pytest.mark.parametrize(
