@@ -414,8 +414,7 @@ class SpoofCore:
     def _report_more(self, result: StepResult) -> None:
         """Report of a step what kernels do not."""
         if self.setup.attack.capture is not None:
-            captured = self.engine.simulator.attack.memory["captured"]
-            result.extra["captured_channels"] = captured.sum(axis=1)
+            result.extra["captured_channels"] = self.engine.simulator.captured_channels()
         if self._passive is not None:
             result.extra.update(self._passive.step_info(self._passive_memory))
 

@@ -151,7 +151,7 @@ class TightlyCoupledSetup(Setup):
         self._check_first_fixes()
 
     @property
-    def combination_names(self) -> dict[str, Sequence[str]]:
+    def combination_names(self) -> Mapping[str, Sequence[str]]:
         """Names of the grades and errors of the domain."""
         return self.combinations.names
 
@@ -325,7 +325,8 @@ class TightlyCoupledSimulator(Simulator):
 
     def _draw(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.uint64]:
         self.sensors.draw_keys(self._everyone, rngs)
-        return self.sensors.keys[SOURCES.index("domain")]
+        keys: NDArray[np.uint64] = self.sensors.keys[SOURCES.index("domain")]
+        return keys
 
     def _start(self, choice: Choice) -> None:
         """Draw the errors; first fix, attitude, empty memories."""
@@ -529,6 +530,11 @@ class TightlyCoupledSimulator(Simulator):
         self.sensors.epoch[to] = other.sensors.epoch[rows]
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
         super().copy_rows(to, other, rows)
+
+    def captured_channels(self) -> NDArray[np.int64]:
+        """(B,) channels that follow the counterfeit signals."""
+        captured: NDArray[np.int64] = self.attack.memory["captured"].sum(axis=1)
+        return captured
 
     # --- pictures and recordings ---------------------------------------------------------------
 

@@ -173,7 +173,7 @@ class WheeledRobotSetup(Setup):
             )
         self.epochs_each = self.length + math.floor(late / self.interval_s + 1e-6) + 1
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, "the course"))
-        self.epoch_time = np.arange(self.epochs_each) * self.interval_s
+        self.epoch_time = np.arange(self.epochs_each, dtype=np.float64) * self.interval_s
         samples = (self.epochs_each - 1) * self.samples
         self.track = self.loop.track(samples, self.odometer.sample_interval_s)
         self.wheels = self.track.wheels(self.odometer.wheel_base_m)
@@ -192,7 +192,9 @@ class WheeledRobotSetup(Setup):
                 f"{interruptions_s}"
             )
         time = np.arange(self.length + 1)[:, None] * self.interval_s
-        self.available = ((time < pairs[:, 0]) | (time >= pairs[:, 1])).all(axis=1)
+        self.available: NDArray[np.bool_] = np.all(
+            (time < pairs[:, 0]) | (time >= pairs[:, 1]), axis=1
+        )
 
     def simulator(self, receivers: int, run: Run) -> WheeledRobotSimulator:
         """B robots, not begun yet."""

@@ -70,7 +70,7 @@ def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
 
 def _unit(setup: Setup) -> str:
     """What an element commands: ``acceleration`` or ``rate``."""
-    return setup.attack.control
+    return str(setup.attack.control)
 
 
 @dataclass(frozen=True)
