@@ -48,7 +48,8 @@ class Simulator(ABC):
         B.
     memory : Memory
         ``first`` and ``onset`` (B,) epochs at which the episode starts, and after which the attack
-        does; ``key`` (B, 2) of the episode's domain; ``direction`` (B, 2) north and east part of the target direction; and the victim's.
+        does; ``heading`` (B,) and ``direction`` (B, 2) of the target; ``key`` (B, 2) of the
+        episode's domain; and the victim's.
     detector : Detector
         In the loop, bound.
     monitors : list of Monitor
