@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from .bench.suite import Suite
     from .sim.scenario import Scenario
 
+_signals: list[int] = []
+"""What has asked the program to end."""
 P = ParamSpec("P")
 R = TypeVar("R")
 TRACEBACK_VARIABLE = "SPOOFGYM_TRACEBACK"
@@ -297,7 +300,9 @@ class _Bar:
         self.task = self.bar.add_task("compiling, a minute the first time", total=total)
 
     def advance(self, amount: float, now: str) -> None:
-        """Show it."""
+        """Show it; end here where an interrupt was lost, as in a destructor."""
+        if _signals:
+            raise KeyboardInterrupt
         if amount > 0.0:
             self.bar.update(self.task, advance=amount, description=now)
 
@@ -878,6 +883,18 @@ def _report(folder: Any, as_json: bool, reports: Any) -> None:
     typer.echo(f"written: {', '.join(str(path) for path in written)}")
 
 
+def _interrupt(number: int, _: Any) -> None:
+    _signals.append(number)
+    raise KeyboardInterrupt
+
+
 def main() -> None:
-    """Run the command line."""
-    app()
+    """Run the command line; Ctrl-C and SIGTERM end it in order, with 130 and 143."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as in the background of a shell
+            signal.signal(number, _interrupt)
+    try:
+        app()
+    finally:
+        if _signals:
+            sys.exit(128 + _signals[0])

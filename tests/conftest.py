@@ -31,6 +31,7 @@ LONG = (
     "docs/test_train_your_own.py",
     "train/",
     "test_cli.py",
+    "test_interrupts.py",
     "baselines/",
     "papers/",
     "conformance/test_detectors.py",
@@ -39,6 +40,11 @@ LONG = (
 # Before anything imports matplotlib: Gymnasium's checks open windows, and there may be no display.
 WINDOW = "module://tests.window"
 os.environ["MPLBACKEND"] = WINDOW
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let one try more moments than usual at which a campaign is interrupted."""
+    parser.addoption("--interrupts", type=int, default=20, help="moments of an interrupt")
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,8 @@ from .tune import TuningResult
 
 CONFIG, TABLE, SUMMARY, PICTURE = "config.json", "results.md", "summary.json", "campaign.png"
 CELLS, TUNINGS = "cells", "tuning"
-OWN = (CONFIG, TABLE, SUMMARY, PICTURE, CELLS, TUNINGS)
+OWN = (CELLS, TUNINGS, TABLE, SUMMARY, PICTURE, CONFIG)
+"""In the order in which they are removed: what says whose results they are comes last."""
 
 
 class ResultsFolder:

@@ -599,12 +599,20 @@ class Engine:
             `domain.CHOICES`.
         """
         where = self._everyone if rows is None else rows
+        self._workers.settle()
         if given:
             # before anything has been begun
             nothing = draw(self.setup.bounds, np.zeros((len(where), 2), dtype=np.uint64))
             interval = self.setup.scenario.epoch_interval_s
             told(given, nothing, self.setup.bounds, self.setup.cases.names, interval)
-        self._reset(rngs, where, given)
+        try:
+            self._reset(rngs, where, given)
+        except Exception:
+            raise
+        except BaseException:  # an interrupt may have left the books of the next episodes halfway
+            if self._next is not None:
+                self._next.forget()
+            raise
         if self.twin is not None:
             self.twin.copy_rows(where, self.batch, where)
 

@@ -287,6 +287,7 @@ class Game(Stepwise):
             As in `Engine.reset`.
         """
         where = self._rows if rows is None else rows
+        self._kept.drop(where)
         self.engine.reset(rngs, rows, given)
         self.books.reset(where)
         self._given[where] = 0.0

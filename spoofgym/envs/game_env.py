@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .played import Played
 from .rendering import RENDER_MODES, Recorder, Screen
-from .resets import check_seed, warn_unknown
+from .resets import HALFWAY, check_seed, warn_unknown, whole_reset
 from .spaces import action_space, checked_action, observation_space
 
 Observation = NDArray[np.float32]
@@ -88,7 +88,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         self._action_shape = (len(self.action_names),)
         self.observation_space = observation_space(game)
         self.action_space = action_space(game)
-        self._begun = self._running = False
+        self._begun = self._running = self._halfway = False
 
     @property
     def begun(self) -> bool:
@@ -118,7 +118,8 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         warn_unknown(options, ("domain",))
         check_seed(seed)
         super().reset(seed=seed)
-        self.game.reset([self.np_random], given=told_domain(options))
+        with whole_reset(self):
+            self.game.reset([self.np_random], given=told_domain(options))
         self._begun = self._running = True
         info = _of_one(self.game.begin_info())
         if self._screen is not None:
@@ -144,11 +145,15 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         info : dict
             Parts of the reward, alarm, displacement, time.
         """
+        if self._halfway:
+            raise RuntimeError(HALFWAY)
         if not self._running:
             why = "the episode is over" if self._begun else "no episode has begun"
             raise RuntimeError(f"{why}: call reset() before step()")
         given = checked_action(action, self._action_shape, self.action_names)
+        self._halfway = True
         told = self.game.alone(given[None])
+        self._halfway = False
         _, _, terminated, truncated, info = told
         self._running = not (terminated or truncated)
         if self._screen is not None:

@@ -14,7 +14,7 @@ from .._registry import check_choice
 from .game_env import G, told_domain
 from .infos import InfoSpec, chosen, info_keys, masked
 from .played import Turn
-from .resets import RESET_MASK, mask_of, of_rows, seeds_of, warn_unknown
+from .resets import HALFWAY, RESET_MASK, mask_of, of_rows, seeds_of, warn_unknown, whole_reset
 from .spaces import action_space, checked_action, observation_space
 from .tally import Tally
 
@@ -137,6 +137,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         self._rngs: list[np.random.Generator] = []
         self._over = np.ones(self.num_envs, dtype=np.bool_)
         self._all = np.ones(self.num_envs, dtype=np.bool_)
+        self._halfway = False
 
     @property
     def begun(self) -> bool:
@@ -174,6 +175,8 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
             mask = self._all.copy()
         elif not self._rngs and not mask.all():
             raise ValueError("the first reset must be that of all receivers")
+        elif self._halfway and not mask.all():
+            raise ValueError("the reset after an interrupted step must be that of all receivers")
         seeds = seeds_of(seed, self.num_envs)
         super().reset(seed=seed if isinstance(seed, int) else None)
         if not self._rngs:
@@ -184,11 +187,12 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
                 for rng, s, begins in zip(self._rngs, seeds, mask, strict=True)
             ]
         given = told_domain(options)
-        if mask.all():
-            self.game.reset(self._rngs, given=given)
-            self._over[:] = False
-        else:
-            self._restart(mask, given)
+        with whole_reset(self):
+            if mask.all():
+                self.game.reset(self._rngs, given=given)
+                self._over[:] = False
+            else:
+                self._restart(mask, given)
         return self.game.observe(), self._masked(self.game.begin_info(), mask)
 
     def _restart(self, mask: NDArray[np.bool_], given: Mapping[str, Any] | None = None) -> None:
@@ -235,18 +239,24 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         """
         if not self._rngs:
             raise RuntimeError("call reset() before step()")
+        if self._halfway:
+            raise RuntimeError(HALFWAY)
         given = checked_action(actions, self._action_shape, self.action_names)
         mode = self.autoreset_mode
-        if mode is NEXT_STEP:
-            return self._next_step(given)
-        return self._same_step(given) if mode is SAME_STEP else self._plain_step(given)
-
-    def _plain_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        if np.count_nonzero(self._over):
+        if mode is AutoresetMode.DISABLED and np.count_nonzero(self._over):
             raise RuntimeError(
                 f"the episodes of receivers {', '.join(map(str, np.flatnonzero(self._over)))} are "
                 f"over: call reset(options={{'{RESET_MASK}': ...}}) before step()"
             )
+        self._halfway = True
+        if mode is NEXT_STEP:
+            told = self._next_step(given)
+        else:
+            told = self._same_step(given) if mode is SAME_STEP else self._plain_step(given)
+        self._halfway = False
+        return told
+
+    def _plain_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         turn, observation = self.game.turn(given)
         reward, terminated, truncated, info = self._told(turn)
         self._over = terminated | truncated

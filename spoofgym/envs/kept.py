@@ -49,3 +49,7 @@ class Kept:
         for copy, batch in zip(self._copies, self._batches, strict=True):
             batch.copy_rows(rows, copy, rows)
         self._aside[:] = False
+
+    def drop(self, rows: NDArray[np.intp]) -> None:
+        """Forget receivers that begin a new episode; an interrupted decision may have left some."""
+        self._aside[rows] = False

@@ -3,13 +3,29 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 RESET_MASK = "reset_mask"
+HALFWAY = (
+    "an interrupt or error has left the last step or reset halfway: call reset() before step()"
+)
+
+
+@contextmanager
+def whole_reset(env: Any) -> Iterator[None]:
+    """Take an environment as halfway until its reset has ended; as before, if it is refused."""
+    before, env._halfway = env._halfway, True
+    try:
+        yield
+    except Exception:
+        env._halfway = before
+        raise
+    env._halfway = False
 
 
 def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -> None:

@@ -218,6 +218,7 @@ def test_nothing_is_begun_before_a_failure_has_been_told(setup, monkeypatch):
 
 
 def test_an_interrupted_wait_leaves_no_urgency(setup, monkeypatch):
+    monkeypatch.setattr("spoofgym.envs.link.JOIN_S", 0.01)
     game, rngs = game_of(setup, True), generators()
     go_on = threading.Event()
     episodes = game.engine._next
