@@ -171,7 +171,9 @@ class Duel:
         engine, batch, ledger = self.game.engine, self.game.engine.batch, self.ledger
         limit = self.threshold.values.copy()
         verdict = self.agent.verdict(action, limit, batch.epoch.visible, batch.epoch.interval)
-        batch.verdict = checked(verdict, self.agent, batch.epoch)
+        # the threshold is the game's, and infinite where no alarm is wanted
+        checked(verdict._replace(threshold=verdict.statistic), self.agent, batch.epoch)
+        batch.verdict = verdict
         engine.update(verdict)
         alarm = np.asarray(verdict.alarm.any(axis=1))
         displacement = self.game.displacement()
