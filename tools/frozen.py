@@ -47,7 +47,7 @@ QUICK_FORMS = (("single", None), ("same_step", 3))
 ELEMENTS = {"final_obs": "observation", "terminal_observation": "observation"}
 """Keys whose elements have the names of another."""
 PARTS = "\x1f"
-"""Between the parts of a path within a pattern: an id, which is one part, has a slash of its own."""
+"""Between the parts of a path within a pattern; an id is one part, with a slash of its own."""
 SHOWN = 10
 """Differences of a case that are printed; with ``--json`` all are."""
 Array = np.ndarray[Any, Any]
@@ -452,11 +452,11 @@ def paired_speed(old: Child, new: Child, rounds: int, progress: Progress) -> dic
         pairs = []
         for k in range(-1, rounds):  # the first round warms up
             order = (old, new) if k % 2 else (new, old)
-            told = {child.tree: child.ask(do="speed", what=what) for child in order}
+            answers = {child.tree: child.ask(do="speed", what=what) for child in order}
             for child in order:
-                if "error" in told[child.tree]:
-                    raise RuntimeError(f"{child.tree}: {told[child.tree]['traceback']}")
-            pairs.append([1e6 * told[child.tree]["seconds"] for child in (old, new)])
+                if "error" in answers[child.tree]:
+                    raise RuntimeError(f"{child.tree}: {answers[child.tree]['traceback']}")
+            pairs.append([1e6 * answers[child.tree]["seconds"] for child in (old, new)])
             progress.advance(task)
         times = np.array(pairs[1:])
         low, middle, high = np.percentile(times[:, 1] - times[:, 0], [25, 50, 75])
@@ -492,6 +492,7 @@ def examine(
             compiled = tree.parent / "compiled" if not keep else tree.parent.parent / "compiled"
             child = Child(tree, {}, compiled)
             stack.callback(child.close)
+            child.cases()  # imports the package, and sees to it that it is that of the tree
             return child
 
         old = None if (folder / "cases.json").exists() else start_old()
@@ -570,16 +571,20 @@ def main(
     commit = git("rev-parse", "--verify", f"{against}^{{commit}}")
     console = Console(stderr=True, quiet=json_)
     timed = (not quick and only is None) if speed is None else speed
-    with Progress(console=console, transient=True) as progress:
-        report = examine(
-            commit,
-            Names.load(NAMES),
-            lambda case: is_wanted(case, quick, only),
-            rtol=rtol,
-            keep=keep,
-            rounds=rounds if timed else 0,
-            progress=progress,
-        )
+    try:
+        with Progress(console=console, transient=True) as progress:
+            report = examine(
+                commit,
+                Names.load(NAMES),
+                lambda case: is_wanted(case, quick, only),
+                rtol=rtol,
+                keep=keep,
+                rounds=rounds if timed else 0,
+                progress=progress,
+            )
+    except RuntimeError as error:  # of a probe: nothing has been compared to the end
+        print(error, file=sys.stderr)
+        raise typer.Exit(2) from error
     if not report.cases and not report.differences:
         raise typer.BadParameter(f"no case is like {only!r}", param_hint="--only")
     if json_:
