@@ -80,7 +80,7 @@ def test_what_is_no_source_does_not_count(tree):
 def test_the_decorator_and_numba_s_version_count_for_all(tree, monkeypatch):
     before = digests()
     path = tree / "_jit.py"
-    path.write_text(path.read_text().replace('"contract"', '"fast"'))
+    path.write_text(path.read_text().replace('"arcp"', '"fast"'))
     assert changed(before) == list(_jit.COMPILED_LAYERS)
     before = digests()
     monkeypatch.setattr(numba, "__version__", "0.0.0")
