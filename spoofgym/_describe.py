@@ -15,23 +15,7 @@ import numpy as np
 
 
 def describe(value: Any) -> Any:
-    """Settings as JSON: records by their fields, arrays by a digest.
-
-    Parameters
-    ----------
-    value : object
-        Numbers, words, dates, paths, sequences, mappings, dataclasses, arrays.
-
-    Returns
-    -------
-    object
-        JSON-able, the same for equal settings.
-
-    Raises
-    ------
-    TypeError
-        When there is no telling.
-    """
+    """Settings as JSON: records by their fields, arrays by a digest."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
@@ -66,37 +50,13 @@ def _describe_parts(value: Any) -> Any:
 
 
 def digest_of(config: Any) -> str:
-    """Digest of a configuration, whatever the order of its keys.
-
-    Parameters
-    ----------
-    config : object
-        JSON-able.
-
-    Returns
-    -------
-    str
-        16 hexadecimal digits.
-    """
+    """Digest of a configuration, whatever the order of its keys."""
     text = json.dumps(config, sort_keys=True, allow_nan=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def unlike(card: Any, here: Any, where: str = "") -> list[str]:
-    """Where settings differ from those on a card.
-
-    Parameters
-    ----------
-    card, here : object
-        JSON-able.
-    where : str
-        Name of what is compared.
-
-    Returns
-    -------
-    list of str
-        Lines of a dotted name with both values.
-    """
+    """Where settings differ from those on a card."""
     if isinstance(card, Mapping) and isinstance(here, Mapping):
         names = [*card, *(name for name in here if name not in card)]
         lines = []

@@ -7,15 +7,7 @@ from pathlib import Path
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file as a whole: to a temporary name beside it, which is renamed.
-
-    Parameters
-    ----------
-    path : Path
-        Its folder is made where it is missing; a file of that name is replaced.
-    content : bytes
-        All of it.
-    """
+    """Write a file as a whole: to a temporary name beside it, which is renamed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:

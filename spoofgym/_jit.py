@@ -74,18 +74,7 @@ event.register("numba:compile", _Notice())
 
 
 def layer_of(module: str) -> int:
-    """Place of a module in `COMPILED_LAYERS`.
-
-    Parameters
-    ----------
-    module : str
-        Dotted name.
-
-    Returns
-    -------
-    int
-        Index of its package; that of the last layer for anything else.
-    """
+    """Place of a module in `COMPILED_LAYERS`."""
     parts = module.split(".")
     package = parts[1] if len(parts) > 1 else ""
     last = len(COMPILED_LAYERS) - 1
@@ -95,15 +84,7 @@ def layer_of(module: str) -> int:
 def source_digest(layer: int) -> str:
     """Digest of the numba version and of every source file that a layer's code can come from.
 
-    Parameters
-    ----------
-    layer : int
-        Index in `COMPILED_LAYERS`; the layers below count, those above do not.
-
-    Returns
-    -------
-    str
-        16 hexadecimal digits.
+    `layer`: index in `COMPILED_LAYERS`; the layers below count, those above do not.
     """
     root = Path(__file__).parent
     digest = hashlib.sha256(numba.__version__.encode())
@@ -161,11 +142,6 @@ def cache_parent() -> Path:
 
     ``SPOOFGYM_CACHE_DIR`` overrides the user's cache folder.  When the folder can't be written,
     one warning is issued and a temporary folder of this user is taken.
-
-    Returns
-    -------
-    Path
-        A writable folder.
     """
     wanted = os.environ.get(CACHE_VARIABLE)
     parent = Path(wanted) if wanted else Path(platformdirs.user_cache_dir("spoofgym")) / "numba"
@@ -183,18 +159,7 @@ def cache_parent() -> Path:
 
 @lru_cache(maxsize=len(COMPILED_LAYERS))
 def cache_folder(layer: int) -> Path:
-    """Folder of one layer's compiled code.
-
-    Parameters
-    ----------
-    layer : int
-        Index in `COMPILED_LAYERS`.
-
-    Returns
-    -------
-    Path
-        Named by the digest of the sources.
-    """
+    """Folder of one layer's compiled code."""
     folder = cache_parent() / f"{COMPILED_LAYERS[layer]}-{source_digest(layer)}"
     folder.mkdir(parents=True, exist_ok=True)
     _prune(cache_parent(), folder)
@@ -248,15 +213,5 @@ def inlined(function: F) -> F:
     """Compile as `njit` does, and let every caller take the body in.
 
     For physics of a few scalars: a loop with a call in it is not vectorized.
-
-    Parameters
-    ----------
-    function : callable
-        A function of scalars.
-
-    Returns
-    -------
-    callable
-        The compiled function.
     """
     return _compile(function, forceinline=True)

@@ -37,20 +37,7 @@ class Memory(dict[str, NDArray[Any]]):
         return self._initial
 
     def declare(self, name: str, initial: NDArray[Any]) -> None:
-        """Add an array.
-
-        Parameters
-        ----------
-        name : str
-            Its name.
-        initial : ndarray
-            (B, ...) values at the begin of an episode.
-
-        Raises
-        ------
-        ValueError
-            When the leading axis is not the number of receivers.
-        """
+        """Add an array.  `initial` (B, ...) values at the start of an episode."""
         array = np.array(initial)
         if array.ndim == 0 or array.shape[0] != self.receivers:
             raise ValueError(
@@ -61,13 +48,7 @@ class Memory(dict[str, NDArray[Any]]):
         self[name] = array.copy()
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Restore the values of the begin.
-
-        Parameters
-        ----------
-        mask : ndarray, optional
-            (B,) bool, which receivers; all by default.
-        """
+        """Restore the initial values."""
         for name, initial in self._initial.items():
             if mask is None:
                 self[name] = initial.copy()
@@ -79,14 +60,7 @@ class Memory(dict[str, NDArray[Any]]):
     def copy_rows(self, to: NDArray[np.intp], other: Memory, rows: NDArray[np.intp]) -> None:
         """Take over rows of another memory of the same names.
 
-        Parameters
-        ----------
-        to : ndarray
-            Rows of this memory that are overwritten.
-        other : Memory
-            With the same names.
-        rows : ndarray
-            As many rows of the other memory.
+        `to`: rows of this memory that are overwritten.
         """
         for name in self._initial:
             merged = np.array(self[name])

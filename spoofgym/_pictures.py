@@ -29,18 +29,7 @@ GRID = "#dddddd"
 
 
 def figure_class() -> type[Figure]:
-    """Matplotlib's figure.
-
-    Returns
-    -------
-    type
-        `matplotlib.figure.Figure`.
-
-    Raises
-    ------
-    ImportError
-        When matplotlib is not installed; says how to install it.
-    """
+    """Matplotlib's figure."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -49,13 +38,7 @@ def figure_class() -> type[Figure]:
 
 
 def style(ax: Axes) -> None:
-    """Leave out what frames a panel, and lay a grid beneath it.
-
-    Parameters
-    ----------
-    ax : Axes
-        The panel.
-    """
+    """Leave out what frames a panel, and lay a grid beneath it."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(True, color=GRID, lw=0.6)
     ax.set_axisbelow(True)

@@ -16,22 +16,7 @@ T = TypeVar("T")
 
 
 def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
-    """Raise unless a name is one of the valid ones.
-
-    Parameters
-    ----------
-    word : str
-        What is named, for the message.
-    value : str
-        The name.
-    valid : iterable of str
-        Valid names.
-
-    Raises
-    ------
-    ValueError
-        Lists the valid names, and the nearest one.
-    """
+    """Raise unless a name is one of the valid ones."""
     names = sorted(valid)
     if value not in names:
         near = difflib.get_close_matches(str(value), names, n=1)
@@ -53,30 +38,7 @@ def build(
 ) -> T:
     """Object by name, by name and settings, or a copy of an object.
 
-    Parameters
-    ----------
-    word : str
-        What it is, for messages.
-    kinds : mapping
-        Dataclasses by name.
-    base : type
-        Their base class.
-    spec : str, dict or object
-        A name; ``{"name": ..., "setting": value, ...}``; or an object, which is copied.
-    more : iterable of str
-        Further names that the caller knows of, for messages.
-
-    Returns
-    -------
-    object
-        A new one.
-
-    Raises
-    ------
-    ValueError
-        When the name or a setting is unknown, the valid ones are listed; or a setting is missing.
-    TypeError
-        When `spec` is something else.
+    `spec`: a name; ``{"name": ..., "setting": value, ...}``; or an object, which is copied.
     """
     kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
     if isinstance(spec, kind):
@@ -109,20 +71,7 @@ def build(
 
 
 def check_plain_settings(kind: type, settings: Mapping[str, Any]) -> None:
-    """Raise where a number or a truth value is something else; ranges are for the class to check.
-
-    Parameters
-    ----------
-    kind : type
-        Dataclass that will be made; fields of other types than these are passed over.
-    settings : mapping
-        Its settings by name.
-
-    Raises
-    ------
-    ValueError
-        Names the setting, the value and what it must be.
-    """
+    """Raise where a number or truth value is something else; ranges are for the class to check."""
     for field in dataclasses.fields(kind):
         if field.name not in settings:
             continue
@@ -151,28 +100,8 @@ def build_record(
 ) -> T:
     """Record from its settings.
 
-    Parameters
-    ----------
-    word : str
-        Argument that takes the record, for messages.
-    kind : type
-        The record's dataclass.
-    given : dict, record or None
-        Settings by name; a record, which is handed back; None for no settings.
-    defaults : mapping, optional
-        Settings that hold where `given` does not say them; those of the dataclass by default.
-
-    Returns
-    -------
-    record
-        Checked by its class.
-
-    Raises
-    ------
-    ValueError
-        When a setting is unknown; the valid ones are listed.
-    TypeError
-        When `given` is something else.
+    `given`: settings by name; a record, which is handed back; None for no settings; `defaults`:
+    settings that hold where `given` does not say them; those of the dataclass by default.
     """
     if isinstance(given, kind):
         return given
@@ -193,15 +122,7 @@ def build_record(
 def is_number(value: object) -> bool:
     """Whether a setting is a real number, and no truth value.
 
-    Parameters
-    ----------
-    value : object
-        Of the user.
-
-    Returns
-    -------
-    bool
-        True for infinite ones and NaN, too.
+    Returns True for infinite ones and NaN, too.
     """
     return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
 
@@ -220,20 +141,7 @@ def whole_number(name: str, value: Any, least: int = 0) -> int:
 def check_keywords(
     whose: Callable[..., Any] | str, given: Iterable[str], valid: Iterable[str]
 ) -> None:
-    """Raise unless keyword arguments are known, as Python does where they have no ``**``.
-
-    Parameters
-    ----------
-    whose : callable or str
-        What takes them, or its name; the other arguments of a callable are valid, too.
-    given, valid : iterable of str
-        Names of those that are given, and of those that it takes by ``**``.
-
-    Raises
-    ------
-    TypeError
-        Lists the valid names, and the nearest one.
-    """
+    """Raise unless keyword arguments are known, as Python does where they have no ``**``."""
     names = {*valid}
     if not isinstance(whose, str):
         own = inspect.signature(whose).parameters.values()

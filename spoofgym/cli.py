@@ -144,18 +144,7 @@ OutOption = Annotated[Path, typer.Option(help="Folder of the results.")]
 
 
 def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
-    """Print what users did wrong in one line, and leave with exit code 2.
-
-    Parameters
-    ----------
-    function : callable
-        A command.
-
-    Returns
-    -------
-    callable
-        The command.
-    """
+    """Print what users did wrong in one line, and leave with exit code 2."""
 
     @functools.wraps(function)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -29,19 +29,12 @@ BUDGET = 0.05
 class Task:
     """One task.
 
-    Parameters
-    ----------
-    key : str
-        ``"T1"`` and so on.
-    title : str
-        What it asks for, in a line.
-    settings : dict
-        Keyword arguments of `SpoofEnv`, JSON-able, but for the detector.
-    detectors : tuple
-        Whom the spoofer meets, as `make_detector` takes them; more than one are a pool, from which
-        every episode draws, and the spoofer is not told which it is.
-    alert_limit_m : float or None
-        Error that the navigation must not exceed unnoticed, where the task names one.
+    - `title`: what it asks for, in a line;
+    - `settings`: keyword arguments of `SpoofEnv`, JSON-able, but for the detector;
+    - `detectors`: whom the spoofer meets, as `make_detector` takes them; more than one are a pool,
+      from which every episode draws, and the spoofer does not know which it is;
+    - `alert_limit_m`: error that the navigation must not exceed unnoticed, where the task names
+      one.
     """
 
     key: str
@@ -194,20 +187,7 @@ def task_of(key: str) -> Task:
 def normalised(score: float, ramp: float, profile: float) -> float:
     """Part of the way from the best ramp to the optimised profile.
 
-    Parameters
-    ----------
-    score, ramp, profile : float
-        Mean undetected displacements [m].
-
-    Returns
-    -------
-    float
-        0 for the ramp, 1 for the profile.
-
-    Raises
-    ------
-    ValueError
-        When the profile is no better than the ramp.
+    `score`, `ramp`, `profile`: mean undetected displacements [m].
     """
     if not profile > ramp:
         raise ValueError(

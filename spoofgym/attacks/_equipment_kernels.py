@@ -23,16 +23,8 @@ MOVING = 64
 def first_deviates(keys, onsets, size, drawn):
     """Deviates of the begin of some episodes.
 
-    Parameters
-    ----------
-    keys : ndarray
-        (b, 2) of the attack's noise.
-    onsets : ndarray
-        (b,) epochs.
-    size : int
-        Number to draw, a multiple of the block.
-    drawn : ndarray
-        (b, d), written, d at most `size`.
+    `keys` (b, 2) of the attack's noise; `onsets` (b,) epochs; `drawn` (b, d), written, d at most
+    `size`.
     """
     noise = np.empty(size)
     for b in range(keys.shape[0]):
@@ -51,16 +43,7 @@ def wander_step(state, sd, beta, tau, first, second):
 
     with :math:`x = \beta \tau`; Q enters by its Cholesky factor.
 
-    Parameters
-    ----------
-    state : ndarray
-        (2,) value and rate, overwritten.
-    sd, beta : float
-        Standard deviation, and one over the correlation time.
-    tau : float
-        Interval [s].
-    first, second : float
-        Standard normal deviates.
+    `state` (2,) value and rate, overwritten; `tau`: interval [s].
     """
     x = beta * tau
     a = math.exp(-x)
@@ -83,16 +66,7 @@ def delayed(k, delay, epoch_time, position_e, velocity_e, out):
     Between epochs the position is the cubic that fits position and velocity at both ends; before
     the first epoch of the run it moves straight on.
 
-    Parameters
-    ----------
-    k : int
-        Epoch.
-    delay : float
-        How long ago [s].
-    epoch_time, position_e, velocity_e : ndarray
-        Truth, of `World`.
-    out : ndarray
-        (6,), written.
+    `delay`: how long ago [s]; `out` (6,), written.
     """
     time = epoch_time[k] - delay
     j = k
@@ -136,28 +110,10 @@ def advance(
 ):
     """Error of the known position and clock of every spoofer at the coming epoch.
 
-    Parameters
-    ----------
-    keys : ndarray
-        (B, 2) of the attack's noise.
-    epochs : ndarray
-        (B,) epoch that each receiver is at.
-    epoch_time, position_e, velocity_e : ndarray
-        Truth, of `World`.
-    sd, beta, delay : float
-        Of the tracking error [m], [1/s], [s].
-    phase_psd, frequency_psd : float
-        Of the clock.
-    bias : ndarray
-        (B, 3) constant error, ECEF [m].
-    wander : ndarray
-        (B, 3, 2) wandering error and its rate, ECEF; advanced.
-    clock : ndarray
-        (B, 2) offset [m] and drift [m/s]; advanced.
-    target_error : ndarray
-        (B, 6), written: position [m] and velocity [m/s], ECEF.
-    lo, hi : int
-        Slice of receivers.
+    `keys` (B, 2) of the attack's noise; `epochs` (B,) epoch that each receiver is at; `sd`, `beta`,
+    `delay`: of the tracking error [m], [1/s], [s]; `bias` (B, 3) constant error, ECEF [m]; `wander`
+    (B, 3, 2) wandering error and its rate, ECEF; advanced; `clock` (B, 2) offset [m] and drift
+    [m/s]; advanced; `target_error` (B, 6), written: position [m] and velocity [m/s], ECEF.
     """
     noise = np.empty(MOVING)
     for b in range(lo, hi):
@@ -204,36 +160,11 @@ def transmit(
 ):
     """Make of perfect offsets what the receivers get: captured or not, with clock and errors.
 
-    Parameters
-    ----------
-    keys, onsets, epochs : ndarray
-        (B, 2) of the attack's noise, (B,) epochs of the onset, (B,) of the receivers.
-    epoch_time, satellites : ndarray
-        Truth, of `World`.
-    chosen : ndarray
-        (n,) bool, channels that are counterfeited.
-    coherent : bool
-        Whether range rates are counterfeited.
-    delay, alignment : float
-        Of the capture [s], [m].
-    clock : ndarray
-        (B, 2) of the spoofer.
-    replaced : bool
-        Whether counterfeit signals bring errors of their own.
-    code_sd, rate_sd : float
-        Their white noise.
-    bias : ndarray
-        (B, n) their constants [m].
-    size : int
-        Deviates to draw, at least 2n.
-    captured : ndarray
-        (B, n) bool, which channels follow the counterfeit signal; advanced.
-    authentic : ndarray
-        (B, 2n), written: part of the authentic errors that stays.
-    d_range, d_rate : ndarray
-        (B, n), overwritten.
-    lo, hi : int
-        Slice of receivers.
+    `keys`, `onsets`, `epochs` (B, 2) of the attack's noise, (B,) epochs of the onset, (B,) of the
+    receivers; `chosen` (n,) bool, channels that are counterfeited; `clock` (B, 2) of the spoofer;
+    `bias` (B, n) their constants [m]; `captured` (B, n) bool, which channels follow the counterfeit
+    signal; advanced; `authentic` (B, 2n), written: part of the authentic errors that stays;
+    `d_range`, `d_rate` (B, n), overwritten.
     """
     noise = np.zeros(size)
     n = chosen.shape[0]

@@ -14,22 +14,8 @@ from ..earth.ranging import range_and_rate
 def kinematic_step(action, hold, tau, vector, by_rate, unit_scale, rate_limit, displacement, rate):
     """Move the commanded offsets of one receiver to the end of an interval, in place.
 
-    Parameters
-    ----------
-    action : ndarray
-        (a,) in [-1, 1].
-    hold : bool
-        Whether to keep the rate, and leave the action alone.
-    tau : float
-        Length of the interval [s].
-    vector : bool
-        Whether limits apply to the length of the vector, or to each element for itself.
-    by_rate : bool
-        Whether an action commands the rate, or the acceleration.
-    unit_scale, rate_limit : float
-        What an action of 1 commands, and the limit of the rate.
-    displacement, rate : ndarray
-        (a,), overwritten [m], [m/s].
+    `action` (a,) in [-1, 1]; `tau`: length of the interval [s]; `displacement`, `rate` (a,),
+    overwritten [m], [m/s].
     """
     axes = displacement.shape[0]
     if hold:
@@ -92,26 +78,10 @@ def false_position(
     Both ranges are computed by the same instructions; without displacement and rate the offset is
     exactly zero.
 
-    Parameters
-    ----------
-    action, hold, by_rate, unit_scale, rate_limit, displacement, rate
-        As in `kinematic_step`, with a leading axis of receivers.
-    to_ecef : ndarray
-        (B, a, 3) commanded axes in ECEF axes.
-    target_error : ndarray
-        (B, 6) what the spoofer's idea of the true antenna is wrong by, ECEF [m], [m/s].
-    coherent : bool
-        Whether range rates follow.
-    epochs : ndarray
-        (B,) epoch that each receiver is at; the next one is measured.
-    epoch_time, satellites, position_e, velocity_e : ndarray
-        Truth, of `World`.
-    captured : ndarray
-        (n,) bool, which channels are the spoofer's.
-    d_range, d_rate : ndarray
-        (B, n), written: offsets [m], [m/s].
-    lo, hi : int
-        Slice of receivers.
+    `to_ecef` (B, a, 3) commanded axes in ECEF axes; `target_error` (B, 6) what the spoofer's idea
+    of the true antenna is wrong by, ECEF [m], [m/s]; `epochs` (B,) epoch that each receiver is at;
+    the next one is measured; `captured` (n,) bool, which channels are the spoofer's; `d_range`,
+    `d_rate` (B, n), written: offsets [m], [m/s].
     """
     for b in range(lo, hi):
         k = epochs[b] + 1
@@ -177,20 +147,9 @@ def per_channel(
 ):
     """Command the offset of every captured channel for itself.
 
-    Parameters
-    ----------
-    action, hold, by_rate, unit_scale, rate_limit, displacement, rate
-        As in `kinematic_step`, with a leading axis of receivers.
-    slots : ndarray
-        (a,) slot of each commanded channel.
-    coherent : bool
-        Whether range rates follow.
-    epochs, epoch_time : ndarray
-        (B,) epoch that each receiver is at, and (K,) times of the epochs [s].
-    d_range, d_rate : ndarray
-        (B, n), written: offsets [m], [m/s].
-    lo, hi : int
-        Slice of receivers.
+    `slots` (a,) slot of each commanded channel; `epochs`, `epoch_time` (B,) epoch that each
+    receiver is at, and (K,) times of the epochs [s]; `d_range`, `d_rate` (B, n), written: offsets
+    [m], [m/s].
     """
     for b in range(lo, hi):
         k = epochs[b] + 1
@@ -214,20 +173,9 @@ def add_displaced(shift, satellites, position_e, velocity_e, captured, coherent,
     Both ranges are computed by the same instructions; without displacement and rate the offset is
     exactly zero.
 
-    Parameters
-    ----------
-    shift : ndarray
-        (6,) displacement and its rate, ECEF [m], [m/s].
-    satellites : ndarray
-        (n, 8) truth of the epoch.
-    position_e, velocity_e : ndarray
-        (3,) true antenna.
-    captured : ndarray
-        (n,) bool, which channels are the spoofer's.
-    coherent : bool
-        Whether range rates follow.
-    d_range, d_rate : ndarray
-        (n,), added to [m], [m/s].
+    `shift` (6,) displacement and its rate, ECEF [m], [m/s]; `satellites` (n, 8) truth of the epoch;
+    `position_e`, `velocity_e` (3,) true antenna; `captured` (n,) bool, which channels are the
+    spoofer's; `d_range`, `d_rate` (n,), added to [m], [m/s].
     """
     still = True
     for i in range(6):
@@ -275,22 +223,9 @@ def displaced_ranges(
 ):
     """Add to all receivers' offsets those of antennas that are displaced from the true ones.
 
-    Parameters
-    ----------
-    shift : ndarray
-        (B, 6) displacement and its rate, ECEF [m], [m/s].
-    coherent : bool
-        Whether range rates follow.
-    epochs : ndarray
-        (B,) epoch that each receiver is at; the next one is measured.
-    satellites, position_e, velocity_e : ndarray
-        Truth, of `World`.
-    captured : ndarray
-        (n,) bool, which channels are the spoofer's.
-    d_range, d_rate : ndarray
-        (B, n), added to [m], [m/s].
-    lo, hi : int
-        Slice of receivers.
+    `shift` (B, 6) displacement and its rate, ECEF [m], [m/s]; `epochs` (B,) epoch that each
+    receiver is at; the next one is measured; `captured` (n,) bool, which channels are the
+    spoofer's; `d_range`, `d_rate` (B, n), added to [m], [m/s].
     """
     for b in range(lo, hi):
         k = epochs[b] + 1
@@ -316,11 +251,6 @@ def one_sided_step(action, hold, tau, by_rate, unit_scale, rate_limit, displacem
     .. math:: w = \sqrt{a^2 \tau^2 + 2 a \max(D + v \tau / 2, 0)} - a \tau
 
     or, where rates are commanded, :math:`w = D / \tau`.
-
-    Parameters
-    ----------
-    action, hold, tau, by_rate, unit_scale, rate_limit, displacement, rate
-        As in `kinematic_step`, of one element.
     """
     offset, old = displacement[0], rate[0]
     u = min(max(action[0], -1.0), 1.0)
@@ -363,26 +293,10 @@ def meaconer(
 ):
     """Command the delay of a replay, and write the offsets of the meaconer's antenna and its delay.
 
-    Parameters
-    ----------
-    action, hold, by_rate, unit_scale, rate_limit, displacement, rate
-        As in `kinematic_step`, with a leading axis of receivers, and one element.
-    antenna : ndarray
-        (B, 3) from the target's to the meaconer's antenna at the onset, ECEF [m].
-    follows : bool
-        Whether it stays at the target's side, or where it was on the Earth.
-    coherent : bool
-        Whether range rates follow.
-    onsets, epochs : ndarray
-        (B,) epoch of the onset, and epoch that each receiver is at; the next one is measured.
-    epoch_time, satellites, position_e, velocity_e : ndarray
-        Truth, of `World`.
-    captured : ndarray
-        (n,) bool, which channels are the spoofer's.
-    d_range, d_rate : ndarray
-        (B, n), written: offsets [m], [m/s].
-    lo, hi : int
-        Slice of receivers.
+    `antenna` (B, 3) from the target's to the meaconer's antenna at the onset, ECEF [m]; `onsets`,
+    `epochs` (B,) epoch of the onset, and epoch that each receiver is at; the next one is measured;
+    `captured` (n,) bool, which channels are the spoofer's; `d_range`, `d_rate` (B, n), written:
+    offsets [m], [m/s].
     """
     shift = np.zeros(6)
     for b in range(lo, hi):

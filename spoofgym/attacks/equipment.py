@@ -25,16 +25,10 @@ class Equipment:
     velocity is wrong by, in ECEF axes; ``captured`` (B, n) bool; ``authentic`` (B, 2n), the part
     of the authentic errors that stays, pseudoranges first; and what these are made of.
 
-    Parameters
-    ----------
-    errors : CounterfeitErrors or None
-        None where the authentic errors stay.
-    tracking : TrackingError or None
-        None for a spoofer that knows.
-    clock : SpooferClock or None
-        None for a perfect one.
-    capture : Capture or None
-        None where all channels are captured at the onset, however far.
+    - `errors`: None where the authentic errors stay;
+    - `tracking`: None for a spoofer that knows;
+    - `clock`: None for a perfect one;
+    - `capture`: None where all channels are captured at the onset, however far.
     """
 
     errors: CounterfeitErrors | None = None
@@ -48,15 +42,7 @@ class Equipment:
         return self == Equipment()
 
     def declare(self, memory: Memory, channels: int) -> None:
-        """Declare its part of a memory.
-
-        Parameters
-        ----------
-        memory : Memory
-            Of the attack.
-        channels : int
-            n.
-        """
+        """Declare its part of a memory."""
         b = memory.receivers
         memory.declare("target_error", np.zeros((b, 6)))
         if self.perfect:
@@ -76,17 +62,7 @@ class Equipment:
         keys: NDArray[np.uint64],
         onsets: NDArray[np.int64],
     ) -> None:
-        """Draw what an episode begins with.
-
-        Parameters
-        ----------
-        memory : Memory
-            Of the attack, reset.
-        world : World
-            Truth.
-        rows, keys, onsets : ndarray
-            As in `Attack.begin`.
-        """
+        """Draw what an episode starts with."""
         if self.perfect:
             return
         tracking = self.tracking if self.tracking is not None else TrackingError()
@@ -108,16 +84,7 @@ class Equipment:
     ) -> None:
         """Error of the known position, and clock, at the coming epoch.
 
-        Parameters
-        ----------
-        memory : Memory
-            Of the attack.
-        world : World
-            Truth.
-        epochs : ndarray
-            (B,) the epoch that each receiver is at.
-        lo, hi : int
-            Slice of receivers.
+        `epochs` (B,) the epoch that each receiver is at.
         """
         if self.tracking is None and self.clock is None:
             return
@@ -156,22 +123,8 @@ class Equipment:
     ) -> None:
         """Add clock and errors to the perfect offsets, where channels are captured.
 
-        Parameters
-        ----------
-        memory : Memory
-            Of the attack.
-        world : World
-            Truth.
-        chosen : ndarray
-            (n,) bool, channels that are counterfeited.
-        coherent : bool
-            Whether range rates are counterfeited.
-        epochs : ndarray
-            (B,) the epoch that each receiver is at.
-        d_range, d_rate : ndarray
-            (B, n), overwritten [m], [m/s].
-        lo, hi : int
-            Slice of receivers.
+        `chosen` (n,) bool, channels that are counterfeited; `epochs` (B,) the epoch that each
+        receiver is at; `d_range`, `d_rate` (B, n), overwritten [m], [m/s].
         """
         if self.perfect:
             return

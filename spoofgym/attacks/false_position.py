@@ -52,28 +52,11 @@ class FalsePosition(Attack):
         return "false-position"
 
     def action_names(self, world: World) -> tuple[str, ...]:
-        """Name of every element of an action.
-
-        Parameters
-        ----------
-        world : World
-            Not needed here.
-
-        Returns
-        -------
-        tuple of str
-            For example ``("north_acceleration", "east_acceleration")``.
-        """
+        """Name of every element of an action."""
         return tuple(f"{AXES[letter]}_{self.control}" for letter in self.axes)
 
     def bind(self, context: AttackContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : AttackContext
-            Sizes and world.
-        """
+        """Prepare for a batch of receivers."""
         super().bind(context)
         self._columns = ["ned".index(letter) for letter in self.axes]
         self.memory.declare("to_ecef", np.zeros((context.receivers, len(self.axes), 3)))
@@ -81,13 +64,7 @@ class FalsePosition(Attack):
     def begin(
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
     ) -> None:
-        """Take the axes at the true position when the attack begins.
-
-        Parameters
-        ----------
-        rows, keys, onsets : ndarray
-            As in `Attack`.
-        """
+        """Take the axes at the true position when the attack begins."""
         super().begin(rows, keys, onsets)
         axes = self.world.C_en[onsets][:, :, self._columns]
         self.memory["to_ecef"][rows] = axes.transpose(0, 2, 1)
@@ -103,16 +80,8 @@ class FalsePosition(Attack):
     ) -> None:
         """Take one command, and write what it adds to the measurements of the coming epoch.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, a) in [-1, 1]; None holds the rate.
-        epochs : ndarray
-            (B,) the epoch that each receiver is at.
-        d_range, d_rate : ndarray
-            (B, n), written [m], [m/s].
-        lo, hi : int
-            Slice of receivers to work on.
+        `action` (B, a) in [-1, 1]; None holds the rate; `epochs` (B,) the epoch that each receiver
+        is at; `d_range`, `d_rate` (B, n), written [m], [m/s].
         """
         world = self.world
         self._prepare(epochs, lo, hi)

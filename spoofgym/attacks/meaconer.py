@@ -63,41 +63,18 @@ class Meaconer(Attack):
         return super().idle_is_clean and self.follows and self.antenna_m == (0.0, 0.0, 0.0)
 
     def action_names(self, world: World) -> tuple[str, ...]:
-        """Name of the one element of an action.
-
-        Parameters
-        ----------
-        world : World
-            Not needed here.
-
-        Returns
-        -------
-        tuple of str
-            ``("delay_acceleration",)`` or ``("delay_rate",)``.
-        """
+        """Name of the one element of an action."""
         return (f"delay_{self.control}",)
 
     def bind(self, context: AttackContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : AttackContext
-            Sizes and world.
-        """
+        """Prepare for a batch of receivers."""
         super().bind(context)
         self.memory.declare("antenna", np.zeros((context.receivers, 3)))
 
     def begin(
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
     ) -> None:
-        """Place the antenna beside the target.
-
-        Parameters
-        ----------
-        rows, keys, onsets : ndarray
-            As in `Attack`.
-        """
+        """Place the antenna beside the target."""
         super().begin(rows, keys, onsets)
         self.memory["antenna"][rows] = (self.world.C_en[onsets] * self.antenna_m).sum(axis=2)
 
@@ -112,16 +89,9 @@ class Meaconer(Attack):
     ) -> None:
         """Take one command, and write what it adds to the measurements of the coming epoch.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, 1) in [-1, 1]; None holds the rate, until the delay would fall below zero.
-        epochs : ndarray
-            (B,) the epoch that each receiver is at.
-        d_range, d_rate : ndarray
-            (B, n), written [m], [m/s].
-        lo, hi : int
-            Slice of receivers to work on.
+        `action` (B, 1) in [-1, 1]; None holds the rate, until the delay would fall below zero;
+        `epochs` (B,) the epoch that each receiver is at; `d_range`, `d_rate` (B, n), written [m],
+        [m/s].
         """
         world, memory = self.world, self.memory
         self._prepare(epochs, lo, hi)

@@ -140,25 +140,7 @@ class Capture:
 
 
 def checked_vector(name: str, value: tuple[float, ...]) -> tuple[float, float, float]:
-    """Three finite numbers.
-
-    Parameters
-    ----------
-    name : str
-        For the message.
-    value : sequence of float
-        Given.
-
-    Returns
-    -------
-    tuple of float
-        (3,).
-
-    Raises
-    ------
-    ValueError
-        When it is something else.
-    """
+    """Three finite numbers: (3,)."""
     message = f"`{name}` must be three finite numbers: north, east, down; got {value!r}"
     try:
         numbers = tuple(float(x) for x in value)

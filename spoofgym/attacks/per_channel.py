@@ -36,28 +36,14 @@ class PerChannel(Attack):
     def action_names(self, world: World) -> tuple[str, ...]:
         """Name of every element of an action.
 
-        Parameters
-        ----------
-        world : World
-            Names its slots.
-
-        Returns
-        -------
-        tuple of str
-            For example ``("S05_acceleration", ...)``, in the order of the slots.
+        Returns for example ``("S05_acceleration", ...)``, in the order of the slots.
         """
         mask = self.captured(world)
         ids = [name for name, taken in zip(world.satellite_ids, mask, strict=True) if taken]
         return tuple(f"{name}_{self.control}" for name in ids)
 
     def bind(self, context: AttackContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : AttackContext
-            Sizes and world.
-        """
+        """Prepare for a batch of receivers."""
         super().bind(context)
         self._slots = np.flatnonzero(self.mask)
 
@@ -72,16 +58,8 @@ class PerChannel(Attack):
     ) -> None:
         """Take one command, and write what it adds to the measurements of the coming epoch.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, a) in [-1, 1]; None holds the rate.
-        epochs : ndarray
-            (B,) the epoch that each receiver is at.
-        d_range, d_rate : ndarray
-            (B, n), written [m], [m/s].
-        lo, hi : int
-            Slice of receivers to work on.
+        `action` (B, a) in [-1, 1]; None holds the rate; `epochs` (B,) the epoch that each receiver
+        is at; `d_range`, `d_rate` (B, n), written [m], [m/s].
         """
         world = self.world
         self._prepare(epochs, lo, hi)

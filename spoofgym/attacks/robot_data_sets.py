@@ -31,14 +31,8 @@ SLOW_MEAN, SLOW_VARIANCE = 0.5, 0.05
 class RobotDataSet:
     """A run of the robot, and the attacks on it.
 
-    Parameters
-    ----------
-    speed_mps : float
-        0 for a robot that stands.
-    jump_s, slow_s : tuple of pairs
-        Begin (excluded) and end (included) of the jumps and of the slow changes.
-    duration_s : float
-        Length of the run.
+    `speed_mps`: 0 for a robot at rest; `jump_s`, `slow_s`: start (excluded) and end (included)
+    of the jumps and of the slow changes.
     """
 
     speed_mps: float = 0.5
@@ -56,36 +50,12 @@ class RobotDataSet:
                 )
 
     def epochs(self, window: Window, interval_s: float = 1.0) -> NDArray[np.intp]:
-        """Fixes that lie in a window.
-
-        Parameters
-        ----------
-        window : tuple
-            Begin (excluded) and end (included) [s].
-        interval_s : float
-            Time between fixes; the first one counts as 0, at this time.
-
-        Returns
-        -------
-        ndarray
-            Indices.
-        """
+        """Fixes that lie in a window.  `window`: start (excluded) and end (included) [s]."""
         time = (np.arange(round(self.duration_s / interval_s)) + 1.0) * interval_s
         return np.flatnonzero((time > window[0]) & (time <= window[1]))
 
     def attacked(self, interval_s: float = 1.0) -> NDArray[np.bool_]:
-        """Which fixes are attacked.
-
-        Parameters
-        ----------
-        interval_s : float
-            Time between fixes.
-
-        Returns
-        -------
-        ndarray
-            (K,) bool.
-        """
+        """Which fixes are attacked."""
         attacked = np.zeros(round(self.duration_s / interval_s), dtype=np.bool_)
         for window in (*self.jump_s, *self.slow_s):
             attacked[self.epochs(window, interval_s)] = True
@@ -94,17 +64,8 @@ class RobotDataSet:
     def offsets(self, rngs: Sequence[np.random.Generator], interval_s: float = 1.0) -> FloatArray:
         """Draw what is added to the fixes.
 
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per receiver.
-        interval_s : float
-            Time between fixes; the slow change is per second.
-
-        Returns
-        -------
-        ndarray
-            (K, B, 2) north, east [m].
+        `interval_s`: time between fixes; the slow change is per second; returns (K, B, 2) north,
+        east [m].
         """
         offsets = np.zeros((round(self.duration_s / interval_s), len(rngs), 2))
         for b, rng in enumerate(rngs):

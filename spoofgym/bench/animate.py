@@ -21,21 +21,7 @@ def play_frames(
 ) -> Iterator[NDArray[np.uint8]]:
     """Play one of the evaluation runs, and draw it; an alarm does not end it.
 
-    Parameters
-    ----------
-    suite : Suite
-        Scenario, receiver, attack, timeline and seed.
-    detector, spoofer : Entry
-        Who plays.
-    run : int
-        Which of the evaluation runs; the same as in `play_episode`.
-    every : int
-        A frame for every so many steps; there is one for the onset and one for the end, too.
-
-    Yields
-    ------
-    ndarray
-        (H, W, 3) uint8.
+    Yields (H, W, 3) uint8.
     """
     run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
     setup = suite.setup(detector)
@@ -54,20 +40,5 @@ def play_frames(
 
 
 def frame_count(suite: Suite, detector: Entry, every: int = 1) -> int:
-    """How many frames `play_frames` yields.
-
-    Parameters
-    ----------
-    suite : Suite
-        Scenario and timeline.
-    detector : Entry
-        Who watches.
-    every : int
-        A frame for every so many steps.
-
-    Returns
-    -------
-    int
-        At least 2.
-    """
+    """How many frames `play_frames` yields."""
     return 1 + -(-suite.setup(detector).steps // every)

@@ -27,49 +27,20 @@ BUDGET, MARGIN = 0.05, 2.0
 
 
 class Excess(NamedTuple):
-    """How much more often than without attack an alarm came.
-
-    Attributes
-    ----------
-    value : float
-        As a part of the runs.
-    error : float
-        Its standard error.
-    """
+    """How much more often than without attack an alarm came.  `value`: as a part of the runs."""
 
     value: float
     error: float
 
     def keeps(self, budget: float, margin: float) -> bool:
-        """Whether a budget is kept.
-
-        Parameters
-        ----------
-        budget : float
-            As a part of the runs.
-        margin : float
-            Distance from it, in standard errors.
-
-        Returns
-        -------
-        bool
-            True within the budget.
-        """
+        """Whether a budget is kept."""
         return self.value + margin * self.error <= budget + 1e-9
 
 
 def excess_of(alarm: ArrayLike, clean_alarm: ArrayLike) -> Excess:
     """Excess of alarms over those without attack.
 
-    Parameters
-    ----------
-    alarm, clean_alarm : array_like
-        (R,) bool, of the same runs.
-
-    Returns
-    -------
-    Excess
-        With its standard error.
+    `alarm`, `clean_alarm` (R,) bool, of the same runs.
     """
     paired = np.asarray(alarm, dtype=np.float64) - np.asarray(clean_alarm, dtype=np.float64)
     return Excess(float(paired.mean()), float(paired.std()) / math.sqrt(len(paired)))
@@ -78,17 +49,8 @@ def excess_of(alarm: ArrayLike, clean_alarm: ArrayLike) -> Excess:
 def reach(budget: float, margin: float, error: float) -> float:
     """Excess that a search or a training aims at, so that what is chosen from it keeps the margin.
 
-    Parameters
-    ----------
-    budget, margin : float
-        Of the choice.
-    error : float
-        Standard error of an excess near the budget, on as many runs as the choice will be made on.
-
-    Returns
-    -------
-    float
-        At least a fifth of the budget, since there is nothing to find far below it.
+    `error`: standard error of an excess near the budget, on as many runs as the choice will be made
+    on; returns at least a fifth of the budget, since there is nothing to find far below it.
     """
     return max(budget - margin * error, 0.2 * budget)
 
@@ -107,18 +69,8 @@ def largest_within(
     the step over the edge is then halved.  Where alarms come the more often the larger the factor
     is, the edge lies within ``step ** (1 / 2 ** halvings)`` of the largest one that kept it.
 
-    Parameters
-    ----------
-    keeps : callable
-        Tries a factor, and tells whether it keeps the budget; it has to remember what it tried.
-    first : float
-        Factor to begin at, above 0.
-    step : float
-        Ratio of neighbouring factors of the walk, above 1.
-    walks : int
-        Most steps; without the edge among them nothing is halved.
-    halvings : int
-        How often the step over the edge is halved.
+    `first`: factor to begin at, above 0; `step`: ratio of neighbouring factors of the walk, above
+    1.
     """
     within, at = keeps(first), first
     for _ in range(walks):
@@ -132,14 +84,7 @@ def largest_within(
 def halve(keeps: Callable[[float], bool], low: float, high: float, halvings: int) -> None:
     """Try factors between one that keeps the budget and one that does not, halving their ratio.
 
-    Parameters
-    ----------
-    keeps : callable
-        As in `largest_within`.
-    low, high : float
-        The one that keeps it, above 0, and the one that does not.
-    halvings : int
-        How many are tried.
+    `low`, `high`: the one that keeps it, above 0, and the one that does not.
     """
     for _ in range(halvings):
         middle = math.sqrt(low * high)

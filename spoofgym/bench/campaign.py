@@ -21,47 +21,18 @@ class Progress(Protocol):
     """Who is told how far a campaign is."""
 
     def advance(self, amount: float, now: str) -> None:
-        """Some work is done.
-
-        Parameters
-        ----------
-        amount : float
-            In runs from the onset to the end.
-        now : str
-            What is being done.
-        """
+        """Some work is done."""
 
 
 class Silent:
     """Nobody is told."""
 
     def advance(self, amount: float, now: str) -> None:
-        """Ignore it.
-
-        Parameters
-        ----------
-        amount : float
-            Work done.
-        now : str
-            What is being done.
-        """
+        """Ignore it."""
 
 
 def expected_work(suite: Suite, folder: ResultsFolder) -> float:
-    """Work that is left, roughly.
-
-    Parameters
-    ----------
-    suite : Suite
-        What is run.
-    folder : ResultsFolder
-        What is finished.
-
-    Returns
-    -------
-    float
-        In runs from the onset to the end.
-    """
+    """Work that is left, roughly."""
     total = 0.0
     for detector in suite.detector_entries:
         cells, searches = _open(suite, folder, detector)
@@ -75,18 +46,7 @@ def expected_work(suite: Suite, folder: ResultsFolder) -> float:
 
 
 def search_work(suite: Suite) -> float:
-    """Work of one search, roughly.
-
-    Parameters
-    ----------
-    suite : Suite
-        Settings of the search.
-
-    Returns
-    -------
-    float
-        In runs from the onset to the end.
-    """
+    """Work of one search, roughly."""
     settings = suite.tuning
     return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
 
@@ -151,26 +111,7 @@ def _search(
 def training_start(
     suite: Suite, detector: Entry, threads: int | None, told: Progress
 ) -> tuple[WarmStart, Runs]:
-    """Training runs of a detector at the onset, and what they do without attack.
-
-    Parameters
-    ----------
-    suite : Suite
-        Seeds and settings.
-    detector : Entry
-        Which detector.
-    threads : int or None
-        As in `Engine`.
-    told : Progress
-        Who is told.
-
-    Returns
-    -------
-    start : WarmStart
-        At the onset.
-    clean : Runs
-        Without attack.
-    """
+    """Training runs of a detector at the onset, and what they do without attack."""
     runs = suite.tuning.runs
     now = f"{detector.label}: training runs"
     told.advance(0.0, now)
@@ -188,26 +129,7 @@ def search(
     clean: Runs,
     told: Progress,
 ) -> TuningResult:
-    """Search for the setting of one spoofer.
-
-    Parameters
-    ----------
-    suite : Suite
-        Settings of the search.
-    detector, entry : Entry
-        Which detector and which spoofer.
-    start : WarmStart
-        Training runs.
-    clean : Runs
-        The same without attack.
-    told : Progress
-        Who is told.
-
-    Returns
-    -------
-    TuningResult
-        The choice.
-    """
+    """Search for the setting of one spoofer."""
     now = f"{detector.label}: tuning {entry.label}"
     left = search_work(suite)
 
@@ -261,21 +183,9 @@ def _cells(
 def knowledge_of(entry: Entry, setup: Setup, detector: Entry) -> dict[str, Any]:
     """What a spoofer knows: while it attacks, and when it was designed.
 
-    Parameters
-    ----------
-    entry : Entry
-        Which spoofer.
-    setup : Setup
-        World, victim and attack.
-    detector : Entry
-        Which detector it plays against.
-
-    Returns
-    -------
-    dict
-        ``run_time``; ``design_time``; ``detector``, the label of the one that it was made for,
-        None where it was made for none, or has no card that tells; ``transfer``, what is another
-        one here than where it was made.
+    Returns ``run_time``; ``design_time``; ``detector``, the label of the one that it was made for,
+    None where it was made for none, or has no card that says so; ``transfer``, what is another one
+    here than where it was made.
     """
     settings = {key: value for key, value in entry.spec.items() if key != entry.tuned}
     spoofer = build_spoofer(settings)

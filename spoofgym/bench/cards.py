@@ -23,18 +23,7 @@ SHOWN = 60
 
 
 def find_card(name: str) -> Card:
-    """Card by the name of a shipped spoofer, or by a file.
-
-    Parameters
-    ----------
-    name : str
-        Shipped name; path of a card, ``.json``; or of a policy, ``.onnx``, with the card beside it.
-
-    Returns
-    -------
-    Card
-        As it was written.
-    """
+    """Card by the name of a shipped spoofer, or by a file."""
     path = Path(name)
     if path.suffix in {".json", ".onnx"}:
         return Card.load(path.with_suffix(".json"))
@@ -42,18 +31,7 @@ def find_card(name: str) -> Card:
 
 
 def score_text(score: dict[str, Any]) -> str:
-    """One score in a line.
-
-    Parameters
-    ----------
-    score : dict
-        Of a card.
-
-    Returns
-    -------
-    str
-        Such as ``ewma: 31.2 m (29.8 to 32.6), alarms 20.4 % (clean 17.6 %)``.
-    """
+    """One score in a line."""
     mean, low, high = (score[key] for key in ("undetected_displacement_m", "low", "high"))
     rate, clean = 100.0 * score["alarm_rate"], 100.0 * score["clean_alarm_rate"]
     return (
@@ -63,18 +41,7 @@ def score_text(score: dict[str, Any]) -> str:
 
 
 def score_rows(card: Card) -> list[tuple[str, ...]]:
-    """Rows of the table of scores, in the order of `SCORES_HEAD`.
-
-    Parameters
-    ----------
-    card : Card
-        Of a spoofer.
-
-    Returns
-    -------
-    list of tuple
-        Text.
-    """
+    """Rows of the table of scores, in the order of `SCORES_HEAD`."""
     return [
         (
             score.detector,
@@ -90,18 +57,7 @@ def score_rows(card: Card) -> list[tuple[str, ...]]:
 
 
 def card_rows(card: Card) -> list[tuple[str, str]]:
-    """What else a card tells, field by field.
-
-    Parameters
-    ----------
-    card : Card
-        Of a spoofer.
-
-    Returns
-    -------
-    list of tuple
-        Name and text; long lists are cut.
-    """
+    """What else is on a card, field by field."""
     conditions, file = card.conditions, card.file
     limits = f"{conditions.rate_limit_mps:g} m/s"
     if conditions.control == "acceleration":

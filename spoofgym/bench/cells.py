@@ -28,18 +28,13 @@ _NUMBERS = (
 class Cell:
     """All runs of a detector and a spoofer.
 
-    Parameters
-    ----------
-    head : dict
-        Labels, settings and lengths, JSON-able.
-    records : dict
-        (R,) arrays: ``warmup_alarm`` bool; ``first_alarm`` epoch from 1 on, 0 for none;
-        ``alarm_epochs`` how many; ``undetected_displacement_m``; ``largest_error_m`` and
-        ``final_error_m`` of the command phase, alarmed or not; ``navigation_rms_m`` distance from
-        the truth; ``peak_ratio`` of statistic to threshold.
-    series : dict
-        By epoch: ``time_s`` since the onset, ``alarmed`` part of the runs, ``error_m`` percentiles
-        over all runs.
+    - `head`: labels, settings and lengths, JSON-able;
+    - `records` (R,) arrays: ``warmup_alarm`` bool; ``first_alarm`` epoch from 1 on, 0 for none;
+      ``alarm_epochs`` how many; ``undetected_displacement_m``; ``largest_error_m`` and
+      ``final_error_m`` of the command phase, alarmed or not; ``navigation_rms_m`` distance from the
+      truth; ``peak_ratio`` of statistic to threshold;
+    - `series`: by epoch: ``time_s`` since the onset, ``alarmed`` part of the runs, ``error_m``
+      percentiles over all runs.
     """
 
     head: dict[str, Any]
@@ -87,18 +82,7 @@ class Cell:
 
     @classmethod
     def from_lines(cls, lines: list[str]) -> Cell:
-        """Inverse of `to_lines`.
-
-        Parameters
-        ----------
-        lines : list of str
-            JSON lines.
-
-        Returns
-        -------
-        Cell
-            With the same content.
-        """
+        """Inverse of `to_lines`."""
         parts = [json.loads(line) for line in lines]
         kinds = [part.pop("kind") for part in parts]
         if kinds[:1] != ["cell"] or kinds[-1:] != ["series"] or {*kinds[1:-1]} != {"run"}:
@@ -115,24 +99,7 @@ def make_cell(
     attacked: Runs,
     twin: Runs,
 ) -> Cell:
-    """Score the runs of a cell.
-
-    Parameters
-    ----------
-    setup : Setup
-        World and timeline.
-    head : dict
-        Labels and settings.
-    warmup_alarm : ndarray
-        (R,) bool, alarms before the onset.
-    attacked, twin : Runs
-        With the same detector and the same seeds; the same ones for the ``none`` cell.
-
-    Returns
-    -------
-    Cell
-        To be written.
-    """
+    """Score the runs of a cell.  `warmup_alarm` (R,) bool, alarms before the onset."""
     interval = setup.scenario.epoch_interval_s
     error = induced_error(setup, attacked, twin)
     commanded = error[: setup.steps]

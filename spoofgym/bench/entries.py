@@ -25,15 +25,7 @@ DEFAULT_SPOOFERS: tuple[Spec, ...] = (
 
 @dataclass(frozen=True)
 class Entry:
-    """A detector or a spoofer of a campaign.
-
-    Parameters
-    ----------
-    label : str
-        Short name in results.
-    spec : dict
-        Name and all settings.
-    """
+    """A detector or a spoofer of a campaign."""
 
     label: str
     spec: Spec
@@ -44,34 +36,12 @@ class Entry:
         return next((key for key, value in self.spec.items() if value == TUNED), None)
 
     def with_value(self, value: float) -> Spec:
-        """Settings with the tuned one at a value.
-
-        Parameters
-        ----------
-        value : float
-            Of the tuned setting.
-
-        Returns
-        -------
-        dict
-            For `make_spoofer`.
-        """
+        """Settings with the tuned one at a value."""
         return {**self.spec, str(self.tuned): value}
 
 
 def build_spoofer(spec: Any) -> Spoofer:
-    """Spoofer of a campaign, not bound yet.
-
-    Parameters
-    ----------
-    spec : str, mapping or Spoofer
-        As `make_spoofer` takes it; the name may also be ``module:Class``.
-
-    Returns
-    -------
-    Spoofer
-        A new one.
-    """
+    """Spoofer of a campaign, not bound yet."""
     resolved = resolve(spec)
     name = resolved["name"] if isinstance(resolved, Mapping) and "name" in resolved else resolved
     if isinstance(name, str) and ":" not in name:
@@ -81,42 +51,14 @@ def build_spoofer(spec: Any) -> Spoofer:
 
 
 def detector_entry(spec: str | Mapping[str, Any] | Detector) -> Entry:
-    """Detector of a campaign.
-
-    Parameters
-    ----------
-    spec : str, mapping or Detector
-        As `make_detector` takes it; the name may be ``module:Class``.
-
-    Returns
-    -------
-    Entry
-        With all its settings.
-    """
+    """Detector of a campaign."""
     detector: Detector = make("detector", DETECTORS, Detector, spec)
     full = spec_of("detector", DETECTORS, detector)
     return Entry(label_of(full, _default("detector", DETECTORS, type(detector))), full)
 
 
 def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
-    """Spoofer of a campaign.
-
-    Parameters
-    ----------
-    spec : str, mapping or Spoofer
-        As `make_spoofer` takes it; the name may be ``module:Class``, and the tunable setting may
-        be ``"tuned"``.
-
-    Returns
-    -------
-    Entry
-        With all its settings; for a learned one the digest of its file is among them.
-
-    Raises
-    ------
-    ValueError
-        When another setting than the tunable one is to be tuned.
-    """
+    """Spoofer of a campaign."""
     settings: Any = dict(spec) if isinstance(spec, Mapping) else spec
     tuned = (
         [key for key, value in settings.items() if value == TUNED] if settings is not spec else []
@@ -145,35 +87,13 @@ def _default(word: str, kinds: Mapping[str, type[Any]], kind: type[Any]) -> Spec
 
 
 def oracle_labels(entries: tuple[Entry, ...]) -> list[str]:
-    """Labels of the detectors that are told the attack.
-
-    Parameters
-    ----------
-    entries : tuple of Entry
-        Detectors.
-
-    Returns
-    -------
-    list of str
-        Those whose class says so.
-    """
+    """Labels of the detectors that know the attack."""
     made = [(entry, make("detector", DETECTORS, Detector, entry.spec)) for entry in entries]
     return [entry.label for entry, detector in made if detector.oracle]
 
 
 def refuse_oracles(entries: tuple[Entry, ...]) -> None:
-    """Raise where a detector is told the attack.
-
-    Parameters
-    ----------
-    entries : tuple of Entry
-        Detectors.
-
-    Raises
-    ------
-    ValueError
-        Names them, and says why and how they are allowed.
-    """
+    """Raise where a detector knows the attack."""
     labels = oracle_labels(entries)
     if labels:
         raise ValueError(
@@ -185,18 +105,7 @@ def refuse_oracles(entries: tuple[Entry, ...]) -> None:
 
 
 def check_labels(entries: tuple[Entry, ...]) -> None:
-    """Raise where two entries would share their files.
-
-    Parameters
-    ----------
-    entries : tuple of Entry
-        Detectors, or spoofers.
-
-    Raises
-    ------
-    ValueError
-        Names the labels.
-    """
+    """Raise where two entries would share their files."""
     files = [slug(entry.label) for entry in entries]
     twice = [entry for entry in entries if files.count(slug(entry.label)) > 1]
     if twice:

@@ -31,28 +31,15 @@ class Episode:
     Times are since the onset, negative in the last part of the warm-up; L epochs of it and K from
     the onset to the end are kept.
 
-    Parameters
-    ----------
-    suite : Suite
-        Scenario, receiver, attack, timeline and seed.
-    detector, spoofer : Entry
-        Who plays.
-    run : int
-        Which of the evaluation runs.
-    time : ndarray
-        (L + K,) [s].
-    ratio : ndarray
-        (L + K, 2) largest ratio of a statistic to its threshold, attacked and twin.
-    alarm : ndarray
-        (L + K, 2) bool.
-    error_n : ndarray
-        (K, 2, 3) distance from the truth, north, east, down [m].
-    displacement : ndarray
-        (K, a) commanded displacement [m].
-    channels : tuple of str
-        (a,) what is displaced.
-    onset_epoch : int
-        Epoch of the world after which the attack begins.
+    - `suite`: scenario, receiver, attack, timeline and seed;
+    - `run`: which of the evaluation runs;
+    - `time` (L + K,) [s];
+    - `ratio` (L + K, 2) largest ratio of a statistic to its threshold, attacked and twin;
+    - `alarm` (L + K, 2) bool;
+    - `error_n` (K, 2, 3) distance from the truth, north, east, down [m];
+    - `displacement` (K, a) commanded displacement [m];
+    - `channels` (a,) what is displaced;
+    - `onset_epoch`: epoch of the world after which the attack begins.
     """
 
     suite: Suite
@@ -120,22 +107,7 @@ class Episode:
 
 
 def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) -> Episode:
-    """Play one of the evaluation runs, attacked and not, side by side.
-
-    Parameters
-    ----------
-    suite : Suite
-        Scenario, receiver, attack, timeline and seed.
-    detector, spoofer : Entry
-        Who plays.
-    run : int
-        Which of the evaluation runs.
-
-    Returns
-    -------
-    Episode
-        What happened.
-    """
+    """Play one of the evaluation runs, attacked and not, side by side."""
     run = whole_number("`run`", run)
     setup = suite.setup(detector)
     player, observer = make_bound_spoofer(spoofer.spec, setup, 2)
@@ -185,20 +157,7 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
 
 
 def draw_episode(episode: Episode, path: Path) -> Path:
-    """Picture of an episode: the flight, the displacement, the statistic, the error.
-
-    Parameters
-    ----------
-    episode : Episode
-        What happened.
-    path : Path
-        Where to write the picture; its ending tells the format, PNG without one.
-
-    Returns
-    -------
-    Path
-        The file.
-    """
+    """Flight, displacement, statistic and error; returns the file, PNG without an ending."""
     path = path if path.suffix else path.with_suffix(".png")
     figure = figure_class()(figsize=(11.0, 8.2), layout="constrained")
     axes = figure.subplots(2, 2)

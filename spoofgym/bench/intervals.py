@@ -12,14 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 class Interval(NamedTuple):
     """One stretch of alarms without a gap.
 
-    Attributes
-    ----------
-    receiver, channel : int
-        Whose; channel 0 of a test of the whole receiver.
-    onset_s : float
-        Time of the first epoch with an alarm.
-    end_s : float
-        Time of the first epoch without one; infinite where the record ends before.
+    - `receiver`, `channel`: whose; channel 0 of a test of the whole receiver;
+    - `onset_s`: time of the first epoch with an alarm;
+    - `end_s`: time of the first epoch without one; infinite where the record ends before.
     """
 
     receiver: int
@@ -38,25 +33,8 @@ def spoofing_intervals(
 ) -> list[Interval]:
     """Spoofing intervals of every receiver and channel.
 
-    Parameters
-    ----------
-    alarm : ndarray
-        (K, B, c) bool, alarms of K epochs, as verdicts have them.
-    time_s : array_like
-        (K,) time of every epoch, increasing.
-    bridge_s : float
-        Gaps up to this length, from the first epoch without an alarm to the next one with an
-        alarm, do not end an interval.
-
-    Returns
-    -------
-    list of Interval
-        By receiver, channel and onset.
-
-    Raises
-    ------
-    ValueError
-        When shapes do not fit, times do not increase, or `bridge_s` is out of range.
+    `alarm` (K, B, c) bool, alarms of K epochs, as verdicts have them; `time_s` (K,) time of every
+    epoch, increasing.
 
     Examples
     --------

@@ -16,18 +16,7 @@ from .specs import describe, settings_of
 
 
 def summary_of(thing: Any) -> str:
-    """First sentence of a docstring.
-
-    Parameters
-    ----------
-    thing : object
-        With a docstring.
-
-    Returns
-    -------
-    str
-        One line.
-    """
+    """First sentence of a docstring."""
     text = inspect.getdoc(thing) or ""
     paragraph = " ".join(text.split("\n\n")[0].split())
     return paragraph.split(". ")[0].rstrip(".") if paragraph else ""
@@ -129,22 +118,7 @@ card tells."""
 
 
 def table_of(kind: str, rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[list[str]]]:
-    """Table of one of `KINDS`.
-
-    Parameters
-    ----------
-    kind : str
-        Which one.
-    rows : list of dict
-        What it lists.
-
-    Returns
-    -------
-    head : tuple of str
-        Names of the columns.
-    body : list of list of str
-        Text.
-    """
+    """Table of one of `KINDS`."""
     if kind == "shipped":
         head = ("name", "what it is", "knows at run time", "was designed on", "reached")
         keys = ("name", "summary", "knowledge", "designed_on")

@@ -22,10 +22,7 @@ RESAMPLES = 2000
 class Estimate(NamedTuple):
     """A number and the interval around it.
 
-    Attributes
-    ----------
-    value, low, high : float
-        Estimate and interval; NaN where there is nothing to estimate from.
+    `value`, `low`, `high`: estimate and interval; NaN where there is nothing to estimate from.
     """
 
     value: float
@@ -53,21 +50,9 @@ def undetected_displacement(
     with the first alarm at epoch a and h epochs to alert: what was induced within h epochs before
     the alarm, or at it, does not count.
 
-    Parameters
-    ----------
-    error : array_like
-        (K, R) induced error at the epochs 1 to K after the onset [m]; what comes after the alarm
-        may be NaN.
-    first_alarm : array_like
-        (R,) epoch of the first alarm after the onset, from 1 on; 0 where there is none up to
-        epoch K + h.
-    time_to_alert : int
-        h.
-
-    Returns
-    -------
-    ndarray
-        (R,) [m].
+    `error` (K, R) induced error at the epochs 1 to K after the onset [m]; what comes after the
+    alarm may be NaN; `first_alarm` (R,) epoch of the first alarm after the onset, from 1 on; 0
+    where there is none up to epoch K + h; returns (R,) [m].
     """
     e = np.asarray(error, dtype=np.float64)
     alarm = np.asarray(first_alarm)
@@ -81,18 +66,6 @@ def wilson(events: int, trials: int, confidence: float = CONFIDENCE) -> Estimate
 
     .. math:: \frac{1}{1 + z^2/n} \left( \hat p + \frac{z^2}{2n}
         \pm z \sqrt{\frac{\hat p (1 - \hat p)}{n} + \frac{z^2}{4 n^2}} \right)
-
-    Parameters
-    ----------
-    events, trials : int
-        Counts, 0 <= events <= trials.
-    confidence : float
-        Of the interval.
-
-    Returns
-    -------
-    Estimate
-        Proportion.
     """
     if trials == 0:
         return NOTHING
@@ -110,18 +83,6 @@ def clopper_pearson(events: float, trials: float, confidence: float = CONFIDENCE
     r"""Proportion with the exact interval, by quantiles of the beta distribution.
 
     .. math:: B_{\alpha/2}(k, n - k + 1), \quad B_{1 - \alpha/2}(k + 1, n - k)
-
-    Parameters
-    ----------
-    events, trials : float
-        k and n; effective counts need not be whole.
-    confidence : float
-        1 minus alpha.
-
-    Returns
-    -------
-    Estimate
-        Proportion.
     """
     if trials == 0:
         return NOTHING
@@ -146,19 +107,7 @@ def clustered_proportion(
     Without any event, or without anything else, the design effect is unknown, and only the runs
     count, n = R.  Korn and Graubard's small correction by quantiles of t is left out.
 
-    Parameters
-    ----------
-    events : array_like
-        (R,) epochs with an alarm in each run.
-    trials : int
-        Epochs of a run, K.
-    confidence : float
-        Of the interval.
-
-    Returns
-    -------
-    Estimate
-        Proportion of epochs, with the interval of `clopper_pearson` for n epochs.
+    `events` (R,) epochs with an alarm in each run.
     """
     per_run = np.asarray(events, dtype=np.float64)
     runs = len(per_run)
@@ -185,22 +134,10 @@ def restricted_mean_delay(
     with d detections at time :math:`t_i` among the n runs that were still undetected and watched;
     S is the part of the runs that has not been detected yet.
 
-    Parameters
-    ----------
-    delay : array_like
-        (R,) time of the detection, or the time up to which the run was watched.
-    detected : array_like
-        (R,) bool, which of the two it is.
-    horizon : float
-        H, a delay counts as at most this.
-    weights : array_like, optional
-        (..., R) how often each run counts, such as `counts_of` bootstrap samples; once by
-        default.
-
-    Returns
-    -------
-    ndarray
-        (...,) in the unit of the delays; NaN where no run counts.
+    `delay` (R,) time of the detection, or the time up to which the run was watched; `detected` (R,)
+    bool, which of the two it is; `horizon`: H, a delay counts as at most this; `weights` (..., R)
+    how often each run counts, such as `counts_of` bootstrap samples; once by default; returns
+    (...,) in the unit of the delays; NaN where no run counts.
     """
     t = np.minimum(np.asarray(delay, dtype=np.float64), horizon)
     seen = np.asarray(detected, dtype=np.bool_)
@@ -221,19 +158,7 @@ def restricted_mean_delay(
 def resamples(runs: int, rng: np.random.Generator, count: int = RESAMPLES) -> NDArray[np.int64]:
     """Bootstrap samples of runs; the same for all cells of a campaign, so that they stay paired.
 
-    Parameters
-    ----------
-    runs : int
-        R.
-    rng : Generator
-        Source of chance.
-    count : int
-        Number of samples, S.
-
-    Returns
-    -------
-    ndarray
-        (S, R) indices of runs.
+    Returns (S, R) indices of runs.
     """
     return rng.integers(0, runs, size=(count, runs))
 
@@ -241,15 +166,7 @@ def resamples(runs: int, rng: np.random.Generator, count: int = RESAMPLES) -> ND
 def counts_of(samples: NDArray[np.int64]) -> FloatArray:
     """How often each run is in each bootstrap sample.
 
-    Parameters
-    ----------
-    samples : ndarray
-        (S, R) of `resamples`.
-
-    Returns
-    -------
-    ndarray
-        (S, R).
+    `samples` (S, R) of `resamples`; returns (S, R).
     """
     rows, runs = samples.shape
     flat = samples + runs * np.arange(rows)[:, None]
@@ -261,19 +178,8 @@ def bootstrap_mean(
 ) -> Estimate:
     """Mean over runs with its percentile interval.
 
-    Parameters
-    ----------
-    values : array_like
-        (R,) one of each run; a difference between two cells is paired this way.
-    samples : ndarray
-        (S, R) of `resamples`.
-    confidence : float
-        Of the interval.
-
-    Returns
-    -------
-    Estimate
-        Mean.
+    `values` (R,) one of each run; a difference between two cells is paired this way; `samples`
+    (S, R) of `resamples`.
     """
     x = np.asarray(values, dtype=np.float64)
     return percentiles(float(x.mean()), x[samples].mean(axis=1), confidence)
@@ -282,19 +188,7 @@ def bootstrap_mean(
 def percentiles(value: float, drawn: FloatArray, confidence: float = CONFIDENCE) -> Estimate:
     """Percentile interval of a bootstrap.
 
-    Parameters
-    ----------
-    value : float
-        The estimate of all runs.
-    drawn : ndarray
-        (S,) estimates of the samples; NaN of those that hold nothing to estimate from.
-    confidence : float
-        Of the interval.
-
-    Returns
-    -------
-    Estimate
-        The value between the percentiles.
+    `drawn` (S,) estimates of the samples; NaN of those that hold nothing to estimate from.
     """
     known = drawn[np.isfinite(drawn)]
     if math.isnan(value) or not len(known):
@@ -309,20 +203,8 @@ def exceedance(
 ) -> list[Estimate]:
     """Probability that a value exceeds each level, with Wilson's interval.
 
-    Parameters
-    ----------
-    values : array_like
-        (R,), such as undetected displacements: then it is the probability of hazardously
-        misleading information by alert limit.
-    levels : array_like
-        (L,).
-    confidence : float
-        Of the intervals.
-
-    Returns
-    -------
-    list of Estimate
-        (L,).
+    `values` (R,), such as undetected displacements: then it is the probability of hazardously
+    misleading information by alert limit; `levels` (L,); returns (L,).
     """
     x = np.asarray(values, dtype=np.float64)
     return [

@@ -24,12 +24,7 @@ SMALLEST_M = 0.05
 class Look:
     """How one spoofer is drawn: what it is by marker and dashes, which one by colour.
 
-    Parameters
-    ----------
-    colour, marker, dashes : str
-        As matplotlib takes them.
-    width : float
-        Of lines; thinner for later ones, so that earlier ones show beneath them.
+    `width`: of lines; thinner for later ones, so that earlier ones show beneath them.
     """
 
     colour: str
@@ -39,18 +34,7 @@ class Look:
 
 
 def looks(spoofers: list[dict[str, Any]]) -> dict[str, Look]:
-    """How the spoofers of a campaign are drawn.
-
-    Parameters
-    ----------
-    spoofers : list of dict
-        Entries of its configuration.
-
-    Returns
-    -------
-    dict
-        By label, in their order, without ``none``.
-    """
+    """How the spoofers of a campaign are drawn."""
     played = [entry for entry in spoofers if entry["label"] != "none"]
     found = {}
     for i, entry in enumerate(played):
@@ -74,17 +58,7 @@ def _log_metres(ax: Axes) -> None:
 
 
 def draw_means(ax: Axes, scores: dict[str, dict[str, Any]], look: dict[str, Look]) -> None:
-    """Mean displacement of every spoofer, below each other on one linear scale.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where to draw.
-    scores : dict
-        Scores of the cells of a detector, by spoofer.
-    look : dict
-        Of every spoofer.
-    """
+    """Mean displacement of every spoofer, below each other on one linear scale."""
     style(ax)
     names = list(look)
     for row, name in enumerate(names):
@@ -129,21 +103,7 @@ def draw_trade(
     budget: float,
     look: dict[str, Look],
 ) -> None:
-    """Mean displacement against the alarm rate: points of the cells, lines of the searches.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where to draw.
-    scores : dict
-        Scores of the cells of a detector, by spoofer.
-    searches : list of dict
-        For the settings of the tuned ones.
-    budget : float
-        Allowed excess over the clean alarm rate.
-    look : dict
-        Of every spoofer.
-    """
+    """Mean displacement against the alarm rate: points of the cells, lines of the searches."""
     style(ax)
     clean = scores.get("none")
     if clean is not None:
@@ -194,19 +154,7 @@ def draw_trade(
 def draw_exceedance(
     ax: Axes, cells: dict[str, Cell], look: dict[str, Look], limit_m: float
 ) -> None:
-    """Probability that the undetected displacement exceeds a limit.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where to draw.
-    cells : dict
-        Of a detector, by spoofer.
-    look : dict
-        Of every spoofer.
-    limit_m : float
-        Alert limit that is marked.
-    """
+    """Probability that the undetected displacement exceeds a limit."""
     style(ax)
     ax.axvline(limit_m, color=GREY, lw=1, ls=":")
     ax.annotate(
@@ -235,17 +183,7 @@ def draw_exceedance(
 
 
 def draw_course(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> None:
-    """Induced error over time, and when most runs have alarmed.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where to draw.
-    cells : dict
-        Of a detector, by spoofer.
-    look : dict
-        Of every spoofer.
-    """
+    """Induced error over time, and when most runs have alarmed."""
     style(ax)
     alpha = 0.15 if len(cells) <= 4 else 0.07
     for label, cell in cells.items():

@@ -29,21 +29,7 @@ def vector_speed(
 ) -> dict[str, Any]:
     """Steps a second of the vector environment, all receivers together.
 
-    Parameters
-    ----------
-    num_envs : int
-        Receivers.
-    threads : int, optional
-        Of the engine; as many as it finds worth while by default.
-    duration_s : float
-        Shortest time of the loop.
-    **settings
-        Of the environment, instead of those of `SETTINGS`.
-
-    Returns
-    -------
-    dict
-        ``num_envs``, ``threads``, ``steps_per_s``, ``steps``, ``episodes``, ``duration_s``.
+    `threads`: of the engine; as many as it finds worth while by default.
     """
     import gymnasium as gym
 
@@ -75,20 +61,7 @@ def vector_speed(
 
 
 def single_speed(duration_s: float = 5.0, **settings: Any) -> dict[str, Any]:
-    """Steps a second of the single environment, resets included.
-
-    Parameters
-    ----------
-    duration_s : float
-        Shortest time of the loop, which ends with an episode.
-    **settings
-        Of the environment, instead of those of `SETTINGS`.
-
-    Returns
-    -------
-    dict
-        ``steps_per_s``, ``steps``, ``episodes``, ``duration_s``.
-    """
+    """Steps a second of the single environment, resets included."""
     import gymnasium as gym
 
     env = gym.make(ENV, **{**SETTINGS, **settings})
@@ -122,20 +95,6 @@ def overhead(num_envs: int = 64, rounds: int = 5, **settings: Any) -> dict[str, 
 
     Engine and environment run the same commands from the same seed by turns, on one thread and in
     processor time, so that a busy machine counts little.
-
-    Parameters
-    ----------
-    num_envs : int
-        Receivers; 1 takes the single environment.
-    rounds : int
-        Turns of each; the least time counts.
-    **settings
-        Of the environment, instead of those of `SETTINGS`.
-
-    Returns
-    -------
-    dict
-        ``num_envs``, ``engine_us``, ``env_us``, ``overhead_us`` and ``overhead_percent`` of a step.
     """
     import gymnasium as gym
 
@@ -170,13 +129,7 @@ def overhead(num_envs: int = 64, rounds: int = 5, **settings: Any) -> dict[str, 
 
 
 def machine() -> dict[str, Any]:
-    """What it was measured on.
-
-    Returns
-    -------
-    dict
-        Processors, their kind, and Python.
-    """
+    """What it was measured on."""
     try:
         usable = len(os.sched_getaffinity(0))
     except AttributeError:

@@ -29,20 +29,7 @@ LABELS = (
 
 
 def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
-    """Draw the picture of a campaign into its folder.
-
-    Parameters
-    ----------
-    folder : ResultsFolder
-        With finished cells.
-    summary : dict
-        Of `summarize`.
-
-    Returns
-    -------
-    Path
-        The picture.
-    """
+    """Draw the picture of a campaign into its folder."""
     look = looks(folder.config()["spoofers"])
     detectors = [row["detector"] for row in summary["detectors"]]
     columns = max(min(len(detectors), COLUMNS), 1)

@@ -27,14 +27,9 @@ from ..sim.track_fit import fit_track
 class RealInput:
     """A scenario from files, and how it came about.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Flight and satellites of the files.
-    lines : tuple of str
-        For people: what was dropped, how near the flight is to the fixes, what was assumed.
-    reports : dict
-        The same for machines: ``track``, ``fit``, ``ephemeris``, ``time``.
+    - `scenario`: flight and satellites of the files;
+    - `lines`: for people: what was dropped, how near the flight is to the fixes, what was assumed;
+    - `reports`: the same for machines: ``track``, ``fit``, ``ephemeris``, ``time``.
     """
 
     scenario: Scenario
@@ -53,27 +48,10 @@ def real_scenario(
 ) -> RealInput:
     """Scenario of a recorded flight under the satellites of a navigation file.
 
-    Parameters
-    ----------
-    track : path-like
-        Recorded track, see `spoofgym.io.tracks.read_track`.
-    ephemeris : path-like
-        RINEX navigation file, see `spoofgym.io.rinex.read_navigation`.
-    from_s : float, optional
-        Start [s] after the first row of the track; by default that of the longest airborne stretch
-        without a gap.
-    duration_s : float, optional
-        Duration [s]; by default ten minutes, or what the stretch offers.
-    day : date, optional
-        Day of the flight; by default its own if the ephemerides are of it, else that of the
-        ephemerides, at the same time of day.
-    **settings
-        Further settings of `Scenario`.
-
-    Returns
-    -------
-    RealInput
-        Scenario and reports.
+    `from_s`: start [s] after the first row of the track; by default that of the longest airborne
+    stretch without a gap; `duration_s`: duration [s]; by default ten minutes, or what the stretch
+    offers; `day`: day of the flight; by default its own if the ephemerides are of it, else that of
+    the ephemerides, at the same time of day.
     """
     fixes, cleaning = clean_track(read_track(track), from_s=from_s, duration_s=duration_s)
     flight, fit = fit_track(fixes)
@@ -119,38 +97,14 @@ def real_scenario(
 
 
 def ephemeris_day(ephemerides: Ephemerides) -> date:
-    """Day that most of the records are of.
-
-    Parameters
-    ----------
-    ephemerides : Ephemerides
-        Broadcast records.
-
-    Returns
-    -------
-    date
-        In GPS time.
-    """
+    """Day that most of the records are of."""
     days = np.floor(ephemerides.time_of_ephemeris / 86_400.0).astype(np.int64)
     found, counts = np.unique(days, return_counts=True)
     return (GPS_EPOCH + timedelta(days=int(found[counts.argmax()]))).date()
 
 
 def screening_lines(name: str, report: ScreeningReport) -> list[str]:
-    """Sentences on a navigation file.
-
-    Parameters
-    ----------
-    name : str
-        Of the file.
-    report : ScreeningReport
-        What was found in it.
-
-    Returns
-    -------
-    list of str
-        For people.
-    """
+    """Sentences on a navigation file."""
     lines = [
         f"{name}: {report.records} GPS records, {report.duplicates} copies dropped, "
         f"{report.unhealthy} marked unhealthy and not used, {report.rejected} rejected for "

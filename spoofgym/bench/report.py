@@ -30,20 +30,7 @@ def _cell(text: str) -> str:
 
 
 def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
-    """Report of a campaign.
-
-    Parameters
-    ----------
-    config : dict
-        Of the campaign.
-    summary : dict
-        Of `summarize`.
-
-    Returns
-    -------
-    str
-        Markdown.
-    """
+    """Report of a campaign."""
     lines = [f"# Campaign: {summary['scenario']}", "", *_setting(config, summary), ""]
     if summary["missing"]:
         lines += [f"**Not finished**: {', '.join(summary['missing'])}.", ""]

@@ -32,17 +32,7 @@ SCRIPTED = ("none", "step", *RAMPS)
 def excess_alarms(cell: Cell, clean: Cell, samples: NDArray[np.int64]) -> Estimate:
     """How many more of the runs alarm under attack than without, run by run.
 
-    Parameters
-    ----------
-    cell, clean : Cell
-        Attacked, and the ``none`` cell of the same detector.
-    samples : ndarray
-        (S, R) bootstrap samples of the runs.
-
-    Returns
-    -------
-    Estimate
-        As a part of the runs.
+    `samples` (S, R) bootstrap samples of the runs.
     """
     return bootstrap_mean(cell.alarmed.astype(np.float64) - clean.alarmed, samples)
 
@@ -50,17 +40,8 @@ def excess_alarms(cell: Cell, clean: Cell, samples: NDArray[np.int64]) -> Estima
 def bootstrap_ratio(values: ArrayLike, others: ArrayLike, samples: NDArray[np.int64]) -> Estimate:
     """Ratio of two means over the same runs, with its percentile interval.
 
-    Parameters
-    ----------
-    values, others : array_like
-        (R,) above and below the line, one of each run.
-    samples : ndarray
-        (S, R) bootstrap samples of the runs.
-
-    Returns
-    -------
-    Estimate
-        Unknown where the mean below the line is 0.
+    `values`, `others` (R,) above and below the line, one of each run; `samples` (S, R) bootstrap
+    samples of the runs; returns unknown where the mean below the line is 0.
     """
     x, y = (np.asarray(v, dtype=np.float64) for v in (values, others))
     if not y.mean():
@@ -75,22 +56,9 @@ def footing(
 ) -> dict[str, Any]:
     """Alarm rate of a cell, and whether it keeps the budget.
 
-    Parameters
-    ----------
-    cell : Cell
-        Attacked, or clean.
-    clean : Cell or None
-        The ``none`` cell of the same detector; None while it is not finished.
-    budget : float
-        Allowed excess over the clean alarm rate, as a part of the runs.
-    samples : ndarray
-        (S, R) bootstrap samples of the runs.
-
-    Returns
-    -------
-    dict
-        ``alarm_rate``; ``alarm_excess`` over the clean rate, paired; ``within_budget`` by the
-        excess itself, not its interval.  Both None without clean runs.
+    `clean`: the ``none`` cell of the same detector; None while it is not finished; `samples` (S, R)
+    bootstrap samples of the runs; returns ``alarm_rate``; ``alarm_excess`` over the clean rate,
+    paired; ``within_budget`` by the excess itself, not its interval.  Both None without clean runs.
     """
     found: dict[str, Any] = {"alarm_rate": wilson(int(cell.alarmed.sum()), cell.runs).as_json()}
     if clean is None:
@@ -105,22 +73,11 @@ def compare_rivals(
 ) -> list[dict[str, Any]]:
     """Every spoofer that is not scripted, against the best ramp and the best profile.
 
-    Parameters
-    ----------
-    cells : iterable of Cell
-        Finished ones, of all detectors.
-    budget : float
-        Allowed excess of the alarm rate over the clean one.
-    samples : ndarray
-        (S, R) bootstrap samples of the runs, the same for all.
-
-    Returns
-    -------
-    list of dict
-        For every detector that has such a spoofer: ``detector``; ``best_ramp`` and
-        ``best_profile`` with their scores, None where there is none, and ``made_for_it``, whether
-        they were made for all that the campaign is about; ``comparisons`` with ``ratio`` and
-        ``difference_m`` ``over_ramp`` and ``over_profile``.
+    `samples` (S, R) bootstrap samples of the runs, the same for all; returns for every detector
+    that has such a spoofer: ``detector``; ``best_ramp`` and ``best_profile`` with their scores,
+    None where there is none, and ``made_for_it``, whether they were made for all that the campaign
+    is about; ``comparisons`` with ``ratio`` and ``difference_m`` ``over_ramp`` and
+    ``over_profile``.
     """
     by_detector: dict[str, list[Cell]] = {}
     for cell in cells:

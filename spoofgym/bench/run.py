@@ -25,16 +25,11 @@ DROP_EVERY, DROP_PART = 10, 0.25
 class Runs(NamedTuple):
     """What happened in the K epochs from the onset of the attack to the end of the hold.
 
-    Attributes
-    ----------
-    position_e : ndarray
-        (K, R, 3) estimated antenna after each epoch, ECEF [m]; NaN once a run has been dropped.
-    alarm : ndarray
-        (K, R) bool, whether any channel alarmed.
-    peak : ndarray
-        (R,) largest ratio of a statistic to its threshold.
-    onset : ndarray
-        (R,) epoch of the world after which the attack began.
+    - `position_e` (K, R, 3) estimated antenna after each epoch, ECEF [m]; NaN once a run has been
+      dropped;
+    - `alarm` (K, R) bool, whether any channel alarmed;
+    - `peak` (R,) largest ratio of a statistic to its threshold;
+    - `onset` (R,) epoch of the world after which the attack began.
     """
 
     position_e: FloatArray
@@ -43,18 +38,7 @@ class Runs(NamedTuple):
     onset: NDArray[np.int64]
 
     def first(self, count: int) -> Runs:
-        """Some of the runs.
-
-        Parameters
-        ----------
-        count : int
-            How many, from the first on.
-
-        Returns
-        -------
-        Runs
-            Views.
-        """
+        """Some of the runs."""
         return Runs(
             self.position_e[:, :count],
             self.alarm[:, :count],
@@ -63,18 +47,7 @@ class Runs(NamedTuple):
         )
 
     def take(self, rows: NDArray[np.intp]) -> Runs:
-        """Chosen runs, some of them more than once if so wanted.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which ones.
-
-        Returns
-        -------
-        Runs
-            Copies.
-        """
+        """Chosen runs, some of them more than once if so wanted."""
         return Runs(
             self.position_e[:, rows], self.alarm[:, rows], self.peak[rows], self.onset[rows]
         )
@@ -92,19 +65,8 @@ class WarmStart:
     The warm-up is clean, so that it is the same for every spoofer: a run from here has the same
     bits as one with a warm-up of its own.
 
-    Parameters
-    ----------
-    setup : Setup
-        World, victim, attack, detector and timeline.
-    rngs : sequence of Generator
-        One per receiver.
-    threads : int, optional
-        As in `Engine`.
-
-    Attributes
-    ----------
-    warmup_alarm : ndarray
-        (R,) bool, false alarms before the attack.
+    `setup`: world, victim, attack, detector and timeline; `warmup_alarm` (R,) bool, false alarms
+    before the attack.
     """
 
     def __init__(
@@ -116,33 +78,11 @@ class WarmStart:
         self.warmup_alarm = self._engine.warmup_alarm.copy()
 
     def first(self, count: int) -> WarmStart:
-        """Some of the receivers, with the bits that they have among all.
-
-        Parameters
-        ----------
-        count : int
-            How many, from the first on.
-
-        Returns
-        -------
-        WarmStart
-            A smaller one.
-        """
+        """Some of the receivers, with the bits that they have among all."""
         return self.take(np.arange(min(count, self.receivers)))
 
     def take(self, rows: NDArray[np.intp]) -> WarmStart:
-        """Chosen receivers, some of them more than once if so wanted.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which ones.
-
-        Returns
-        -------
-        WarmStart
-            With the bits that they have among all.
-        """
+        """Chosen receivers, some of them more than once if so wanted."""
         part = copy.copy(self)
         part.receivers = len(rows)
         part._engine = self.extract(self._engine, rows)
@@ -150,30 +90,11 @@ class WarmStart:
         return part
 
     def engine(self) -> Engine:
-        """All receivers at the onset.
-
-        Returns
-        -------
-        Engine
-            A new one.
-        """
+        """All receivers at the onset."""
         return self.extract(self._engine, np.arange(self.receivers))
 
     def extract(self, engine: Engine, rows: NDArray[np.intp]) -> Engine:
-        """Some receivers of an engine as they stand.
-
-        Parameters
-        ----------
-        engine : Engine
-            Of the same setup; left as it is.
-        rows : ndarray
-            Which receivers.
-
-        Returns
-        -------
-        Engine
-            A new one.
-        """
+        """Some receivers of an engine as they are."""
         part = Engine(len(rows), self.setup, threads=self._threads)
         part.batch.copy_rows(np.arange(len(rows)), engine.batch, rows)
         if engine.batch.clean is not None:
@@ -189,25 +110,7 @@ def play(
     drop_alarmed: bool = False,
     tick: Callable[[float], None] | None = None,
 ) -> Runs:
-    """Let a spoofer attack all runs, from the onset to the end of the hold.
-
-    Parameters
-    ----------
-    start : WarmStart
-        Where the runs begin.
-    spec : str, dict or Spoofer
-        The spoofer.
-    drop_alarmed : bool
-        Whether to drop runs that have alarmed, whose undetected displacement is settled.  The
-        others have the same bits either way.
-    tick : callable, optional
-        Told after every epoch by how much of the cell the work has advanced.
-
-    Returns
-    -------
-    Runs
-        What happened.
-    """
+    """Let a spoofer attack all runs, from the onset to the end of the hold."""
     setup = start.setup
     epochs, everyone = setup.steps + setup.hold, start.receivers
     position_e = np.full((epochs, everyone, 3), np.nan)
@@ -248,29 +151,7 @@ def play(
 
 
 def command(spoofer: Spoofer, observer: Observer, engine: Engine, step: int) -> NDArray[np.float64]:
-    """Action of a spoofer, checked.
-
-    Parameters
-    ----------
-    spoofer : Spoofer
-        Bound.
-    observer : Observer
-        What it sees.
-    engine : Engine
-        The receivers.
-    step : int
-        Commands given since the onset.
-
-    Returns
-    -------
-    ndarray
-        (B, a) float64, C-contiguous.
-
-    Raises
-    ------
-    ValueError
-        When the shape is wrong, or an element is not finite or outside [-1, 1].
-    """
+    """Action of a spoofer, checked: (B, a) float64, C-contiguous."""
     steps = np.full(engine.receivers, step, dtype=np.int64)
     seen = observer.observe(Snapshot(engine.setup, engine.batch, steps))
     action = np.ascontiguousarray(spoofer.act(seen), dtype=np.float64)
@@ -291,17 +172,8 @@ def command(spoofer: Spoofer, observer: Observer, engine: Engine, step: int) -> 
 def epochs_of(setup: Setup, onset: NDArray[np.int64]) -> NDArray[np.int64]:
     """Epochs of the world at which runs are after their onset.
 
-    Parameters
-    ----------
-    setup : Setup
-        Timeline.
-    onset : ndarray
-        (R,) of `Runs`.
-
-    Returns
-    -------
-    ndarray
-        (K, R), from the first epoch under attack to the end of the hold.
+    `onset` (R,) of `Runs`; returns (K, R), from the first epoch under attack to the end of the
+    hold.
     """
     epochs: NDArray[np.int64] = onset + 1 + np.arange(setup.steps + setup.hold)[:, None]
     return epochs
@@ -310,17 +182,8 @@ def epochs_of(setup: Setup, onset: NDArray[np.int64]) -> NDArray[np.int64]:
 def to_local(vector_e: FloatArray, frames: FloatArray) -> FloatArray:
     """Vectors of every epoch in its local axes.
 
-    Parameters
-    ----------
-    vector_e : ndarray
-        (K, R, 3) ECEF axes.
-    frames : ndarray
-        (K, R, 3, 3) to ECEF from local axes.
-
-    Returns
-    -------
-    ndarray
-        (K, R, 3) north, east, down.
+    `vector_e` (K, R, 3) ECEF axes; `frames` (K, R, 3, 3) to ECEF from local axes; returns (K, R, 3)
+    north, east, down.
     """
     # sums written out: the bits of a matrix product depend on the number of runs
     parts = [vector_e[:, :, i, None] * frames[:, :, i, :] for i in range(3)]
@@ -328,59 +191,20 @@ def to_local(vector_e: FloatArray, frames: FloatArray) -> FloatArray:
 
 
 def induced_error(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
-    """Horizontal distance of the attacked solution from its clean twin.
-
-    Parameters
-    ----------
-    setup : Setup
-        World and timeline.
-    attacked, twin : Runs
-        With the same detector and the same seeds.
-
-    Returns
-    -------
-    ndarray
-        (K, R) [m].
-    """
+    """Horizontal distance of the attacked solution from its clean twin: (K, R) [m]."""
     frames = setup.world.C_en[epochs_of(setup, twin.onset)]
     apart = to_local(attacked.position_e - twin.position_e, frames)
     return np.hypot(apart[..., 0], apart[..., 1])
 
 
 def navigation_error(setup: Setup, runs: Runs) -> FloatArray:
-    """Horizontal distance of the solution from the truth.
-
-    Parameters
-    ----------
-    setup : Setup
-        World and timeline.
-    runs : Runs
-        Of it.
-
-    Returns
-    -------
-    ndarray
-        (K, R) [m].
-    """
+    """Horizontal distance of the solution from the truth: (K, R) [m]."""
     epochs = epochs_of(setup, runs.onset)
     apart = to_local(runs.position_e - setup.world.position_e[epochs], setup.world.C_en[epochs])
     return np.hypot(apart[..., 0], apart[..., 1])
 
 
 def displacement_of(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
-    """Undetected displacement of every run.
-
-    Parameters
-    ----------
-    setup : Setup
-        World and timeline.
-    attacked, twin : Runs
-        With the same detector and the same seeds.
-
-    Returns
-    -------
-    ndarray
-        (R,) [m].
-    """
+    """Undetected displacement of every run: (R,) [m]."""
     error = induced_error(setup, attacked, twin)[: setup.steps]
     return undetected_displacement(error, attacked.first_alarm, setup.hold)

@@ -15,20 +15,7 @@ from .specs import describe, spec_of
 
 
 def fitting(context_of: Callable[[str], SpooferContext]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Shipped spoofers whose actions and observations mean in a campaign what they meant.
-
-    Parameters
-    ----------
-    context_of : callable
-        What a spoofer is told in the campaign, by its knowledge at run time.
-
-    Returns
-    -------
-    names : tuple of str
-        Those that fit.
-    notes : tuple of str
-        One line for each of the others: what differs.
-    """
+    """Shipped spoofers whose actions and observations mean in a campaign what they meant."""
     names, notes = [], []
     for name in shipped():
         card = card_of(name)
@@ -41,18 +28,7 @@ def fitting(context_of: Callable[[str], SpooferContext]) -> tuple[tuple[str, ...
 
 
 def card_behind(spoofer: Spoofer) -> Card | None:
-    """Card of a spoofer.
-
-    Parameters
-    ----------
-    spoofer : Spoofer
-        With a card of its own, as learned ones have; or with the settings of a shipped one.
-
-    Returns
-    -------
-    Card or None
-        None where there is none.
-    """
+    """Card of a spoofer."""
     card = getattr(spoofer, "card", None)
     if isinstance(card, Card):
         return card
@@ -64,24 +40,7 @@ def card_behind(spoofer: Spoofer) -> Card | None:
 
 
 def transferred(card: Card, setup: Setup, detector: Entry) -> tuple[str, list[str]]:
-    """What a spoofer was made for, and what is another one in a campaign.
-
-    Parameters
-    ----------
-    card : Card
-        Of the spoofer.
-    setup : Setup
-        Of the campaign.
-    detector : Entry
-        Which the spoofer plays against.
-
-    Returns
-    -------
-    label : str
-        Of the detector that it was optimised against, as campaigns have it.
-    differences : list of str
-        Among ``detector``, ``attack``, ``scenario``, ``receiver`` and ``timeline``.
-    """
+    """What a spoofer was made for, and what is another one in a campaign."""
     made = setup_of_card(card)
     label = detector_entry(made.detector).label
     found = [] if label == detector.label else ["detector"]

@@ -23,22 +23,6 @@ _COMMAS = r",(?![^\[\]]*\])"
 def parse_spec(text: str) -> Spec:
     """Name and settings from the text of a command line.
 
-    Parameters
-    ----------
-    text : str
-        ``name``, ``name:setting=value,setting=value``, or JSON ``{"name": ..., "setting": ...}``.
-        The name may be ``module:Class``.
-
-    Returns
-    -------
-    dict
-        With a ``name``.
-
-    Raises
-    ------
-    ValueError
-        When it is none of these.
-
     Examples
     --------
     >>> parse_spec("ewma:smoothing=0.2,weight_scale=none")
@@ -81,25 +65,7 @@ def _value(text: str) -> Any:
 
 
 def load_class(path: str, base: Callable[..., T]) -> type[T]:
-    """Class of a module that is not part of spoofgym.
-
-    Parameters
-    ----------
-    path : str
-        ``module:Class``.
-    base : type
-        What it must be derived from.
-
-    Returns
-    -------
-    type
-        The class.
-
-    Raises
-    ------
-    ValueError
-        When there is no such module or class, or it is of another kind.
-    """
+    """Class of a module that is not part of spoofgym.  `base`: what it must be derived from."""
     kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
     module_name, _, name = path.partition(":")
     try:
@@ -117,21 +83,7 @@ def load_class(path: str, base: Callable[..., T]) -> type[T]:
 def make(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: Any) -> T:
     """Object by name and settings; the name may be ``module:Class``.
 
-    Parameters
-    ----------
-    word : str
-        What it is, for messages.
-    kinds : mapping
-        Registered classes by name.
-    base : type
-        Their base class.
-    spec : str, dict or object
-        As `parse_spec` returns it, or an object, which is copied.
-
-    Returns
-    -------
-    object
-        A new one.
+    `spec`: as `parse_spec` returns it, or an object, which is copied.
     """
     if isinstance(spec, str):
         spec = {"name": spec}
@@ -146,27 +98,7 @@ def make(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: 
 
 
 def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
-    """Name and all settings of an object, from which `make` makes an equal one.
-
-    Parameters
-    ----------
-    word : str
-        What it is, for messages.
-    kinds : mapping
-        Registered classes by name.
-    thing : object
-        Keeps every argument of its constructor under the same name, as dataclasses do.
-
-    Returns
-    -------
-    dict
-        JSON-able.
-
-    Raises
-    ------
-    TypeError
-        When its settings can't be written down.
-    """
+    """Name and all settings of an object, from which `make` makes an equal one."""
     kind = type(thing)
     registered = {cls: name for name, cls in kinds.items()}
     name = registered.get(kind, f"{kind.__module__}:{kind.__qualname__}")
@@ -182,15 +114,7 @@ def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
 def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
     """Settings of a class or function, with their defaults.
 
-    Parameters
-    ----------
-    kind : callable
-        With named arguments.
-
-    Returns
-    -------
-    dict
-        Default by name; `inspect.Parameter.empty` where there is none.
+    Returns default by name; `inspect.Parameter.empty` where there is none.
     """
     parameters = inspect.signature(kind).parameters.values()
     spread = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -198,20 +122,7 @@ def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
 
 
 def label_of(spec: Spec, default: Spec | None) -> str:
-    """Short name: what differs from the default settings stands in brackets.
-
-    Parameters
-    ----------
-    spec : dict
-        Name and settings.
-    default : dict or None
-        The same with default settings.
-
-    Returns
-    -------
-    str
-        Such as ``ewma(weight_scale=none)``; ``ramp(tuned)`` where the changed setting is tuned.
-    """
+    """Short name: what differs from the default settings is in brackets."""
     settings = {key: value for key, value in spec.items() if key != "name"}
     if default is not None:
         settings = {key: v for key, v in settings.items() if default.get(key, v) != v}
@@ -233,16 +144,5 @@ def _short(value: Any) -> str:
 
 
 def slug(label: str) -> str:
-    """File name of a label.
-
-    Parameters
-    ----------
-    label : str
-        Any.
-
-    Returns
-    -------
-    str
-        Letters, digits, dots, underscores, equals signs and hyphens.
-    """
+    """File name of a label."""
     return re.sub(r"[^A-Za-z0-9._=]+", "-", label).strip("-.")

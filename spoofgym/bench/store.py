@@ -31,20 +31,7 @@ class ResultsFolder:
         self.path = Path(path)
 
     def open(self, suite: Suite, *, overwrite: bool = False) -> None:
-        """Begin a campaign, or go on with it.
-
-        Parameters
-        ----------
-        suite : Suite
-            What is run.
-        overwrite : bool
-            Whether to remove the results of another campaign.
-
-        Raises
-        ------
-        ValueError
-            When the folder holds other results, or is no folder of results.
-        """
+        """Begin a campaign, or go on with it."""
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"{self.path} is not a folder; choose another one with --out")
         config = self.path / CONFIG
@@ -81,18 +68,7 @@ class ResultsFolder:
                 item.unlink(missing_ok=True)
 
     def config(self) -> dict[str, Any]:
-        """Configuration that is written there.
-
-        Returns
-        -------
-        dict
-            As `Suite.config`.
-
-        Raises
-        ------
-        ValueError
-            When there is none.
-        """
+        """Configuration that is written there."""
         config = self.path / CONFIG
         if not config.is_file():
             raise ValueError(f"{self.path} holds no results of a campaign: there is no {CONFIG}")
@@ -111,44 +87,16 @@ class ResultsFolder:
         return self.path / TUNINGS / f"{slug(detector)}--{slug(spoofer)}.json"
 
     def has_cell(self, detector: str, spoofer: str) -> bool:
-        """Whether a cell is finished.
-
-        Parameters
-        ----------
-        detector, spoofer : str
-            Labels.
-
-        Returns
-        -------
-        bool
-            True if its file is there.
-        """
+        """Whether a cell is finished."""
         return self._cell_path(detector, spoofer).is_file()
 
     def put_cell(self, cell: Cell) -> None:
-        """Write a finished cell.
-
-        Parameters
-        ----------
-        cell : Cell
-            Replaces one of the same labels.
-        """
+        """Write a finished cell."""
         text = "\n".join(cell.to_lines()) + "\n"
         self._write(self._cell_path(cell.detector, cell.spoofer), text)
 
     def cell(self, detector: str, spoofer: str) -> Cell:
-        """Read a finished cell.
-
-        Parameters
-        ----------
-        detector, spoofer : str
-            Labels.
-
-        Returns
-        -------
-        Cell
-            What was written.
-        """
+        """Read a finished cell."""
         path = self._cell_path(detector, spoofer)
         try:
             return Cell.from_lines(path.read_text(encoding="utf-8").splitlines())
@@ -156,49 +104,19 @@ class ResultsFolder:
             raise ValueError(f"{path} is damaged ({error}); delete it and run again") from error
 
     def put_tuning(self, result: TuningResult) -> None:
-        """Write a finished search.
-
-        Parameters
-        ----------
-        result : TuningResult
-            Replaces one of the same labels.
-        """
+        """Write a finished search."""
         text = json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n"
         self._write(self._tuning_path(result.detector, result.spoofer), text)
 
     def tuning(self, detector: str, spoofer: str) -> TuningResult | None:
-        """Read a finished search.
-
-        Parameters
-        ----------
-        detector, spoofer : str
-            Labels.
-
-        Returns
-        -------
-        TuningResult or None
-            None when there is none.
-        """
+        """Read a finished search."""
         path = self._tuning_path(detector, spoofer)
         if not path.is_file():
             return None
         return TuningResult.from_dict(json.loads(path.read_text(encoding="utf-8")))
 
     def put_text(self, name: str, text: str) -> Path:
-        """Write a report.
-
-        Parameters
-        ----------
-        name : str
-            Of the file.
-        text : str
-            Its content.
-
-        Returns
-        -------
-        Path
-            Where it is.
-        """
+        """Write a report."""
         self._write(self.path / name, text)
         return self.path / name
 
@@ -215,20 +133,7 @@ class ResultsFolder:
 
 
 def differences(mine: Any, yours: Any, where: str = "") -> list[str]:
-    """Settings that differ between two configurations.
-
-    Parameters
-    ----------
-    mine, yours : object
-        JSON-able.
-    where : str
-        Name of what is compared.
-
-    Returns
-    -------
-    list of str
-        Their names, dotted.
-    """
+    """Settings that differ between two configurations."""
     if isinstance(mine, dict) and isinstance(yours, dict):
         names = [*mine, *(key for key in yours if key not in mine)]
         found = []

@@ -54,21 +54,7 @@ def seed_sequences(
 ) -> list[np.random.SeedSequence]:
     """Seeds of the runs of a split; the first ones are the same for any number of runs.
 
-    Parameters
-    ----------
-    entropy : int
-        Of the campaign, at least 0.
-    split : str
-        One of `SPLITS`.
-    scenario : str
-        Its name; other scenarios have other noise.
-    runs : int
-        Number of runs.
-
-    Returns
-    -------
-    list of SeedSequence
-        One for each run, fresh.
+    `entropy`: of the campaign, at least 0.
     """
     key = zlib.crc32(scenario.encode())
     return [
@@ -222,11 +208,6 @@ class Suite:
         """Raise where a spoofer does not fit the attack, before anything is played.
 
         Spoofers that ignore a target direction that is drawn are warned of.
-
-        Raises
-        ------
-        ValueError
-            Tells what differs.
         """
         bound = []
         for entry in self.spoofer_entries:
@@ -263,35 +244,14 @@ class Suite:
     def setup(self, detector: Entry) -> Setup:
         """What all receivers share, with one of the detectors.
 
-        Parameters
-        ----------
-        detector : Entry
-            Which one.
-
-        Returns
-        -------
-        Setup
-            World and all else are shared with the other ones.
+        World and all else are shared.
         """
         setup = copy.copy(self._setup)
         setup.detector = make("detector", DETECTORS, Detector, detector.spec)
         return setup
 
     def generators(self, split: str, runs: int) -> list[np.random.Generator]:
-        """Sources of chance of the runs of a split.
-
-        Parameters
-        ----------
-        split : str
-            One of `SPLITS`.
-        runs : int
-            Number of runs.
-
-        Returns
-        -------
-        list of Generator
-            Fresh ones.
-        """
+        """Sources of chance of the runs of a split."""
         seeds = seed_sequences(self.entropy, split, self.world.name, runs)
         return [np.random.Generator(np.random.PCG64(seed)) for seed in seeds]
 
@@ -327,24 +287,7 @@ class Suite:
 
 
 def make_bound_spoofer(spec: Any, setup: Setup, receivers: int) -> tuple[Spoofer, Observer]:
-    """Spoofer that is ready for a batch, and what it observes.
-
-    Parameters
-    ----------
-    spec : str, dict or Spoofer
-        As `make_spoofer` takes it; the name may be ``module:Class``.
-    setup : Setup
-        World and attack.
-    receivers : int
-        B.
-
-    Returns
-    -------
-    spoofer : Spoofer
-        Bound and reset.
-    observer : Observer
-        All that its level of knowledge allows.
-    """
+    """Spoofer that is ready for a batch, and what it observes."""
     spoofer = build_spoofer(spec)
     observer = Observer(default_terms(setup, spoofer.knowledge), setup)
     spoofer.bind(spoofer_context(setup, receivers, observer))
@@ -353,13 +296,7 @@ def make_bound_spoofer(spec: Any, setup: Setup, receivers: int) -> tuple[Spoofer
 
 
 def versions() -> dict[str, str]:
-    """What results depend on besides the settings.
-
-    Returns
-    -------
-    dict
-        Versions of spoofgym, of the packages that compute, and a digest of spoofgym's sources.
-    """
+    """What results depend on besides the settings."""
     root = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):

@@ -95,18 +95,7 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
 
 
 def bootstrap_samples(config: dict[str, Any]) -> NDArray[np.int64]:
-    """The same samples of runs for all cells.
-
-    Parameters
-    ----------
-    config : dict
-        Of the campaign.
-
-    Returns
-    -------
-    ndarray
-        (S, R).
-    """
+    """The same samples of runs for all cells: (S, R)."""
     seed = seed_sequences(config["entropy"], "bootstrap", config["scenario"]["name"], 1)[0]
     return resamples(config["runs"], np.random.Generator(np.random.PCG64(seed)), RESAMPLES)
 
@@ -114,15 +103,7 @@ def bootstrap_samples(config: dict[str, Any]) -> NDArray[np.int64]:
 def score_detector(clean: Cell) -> dict[str, Any]:
     """False alarms of a detector, from its runs without attack.
 
-    Parameters
-    ----------
-    clean : Cell
-        The ``none`` cell.
-
-    Returns
-    -------
-    dict
-        Per run and per epoch of the window, and in the warm-up; RMS distance from the truth.
+    Returns per run and per epoch of the window, and in the warm-up; RMS distance from the truth.
     """
     records = clean.records
     warm = int(records["warmup_alarm"].sum())
@@ -146,19 +127,8 @@ def score_cell(
 ) -> dict[str, Any]:
     """Scores of one cell.
 
-    Parameters
-    ----------
-    cell : Cell
-        All runs.
-    samples, counts : ndarray
-        (S, R) bootstrap samples, and how often each run is in them.
-    limits : sequence of float
-        Of the P_HMI curve [m].
-
-    Returns
-    -------
-    dict
-        JSON-able.
+    `samples`, `counts` (S, R) bootstrap samples, and how often each run is in them; `limits`: of
+    the P_HMI curve [m].
     """
     records, horizon = cell.records, cell.window * cell.interval_s
     displacement = records["undetected_displacement_m"]

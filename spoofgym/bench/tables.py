@@ -39,35 +39,15 @@ OVER = ", over budget"
 
 
 def percent(estimate: dict[str, Any]) -> str:
-    """Proportion with its interval, in per cent.
-
-    Parameters
-    ----------
-    estimate : dict
-        ``value``, ``low``, ``high``.
-
-    Returns
-    -------
-    str
-        Such as ``16.5 (12.0 to 22.3)``.
-    """
+    """Proportion with its interval, in per cent."""
     return interval({key: None if x is None else 100.0 * x for key, x in estimate.items()}, 1)
 
 
 def interval(estimate: dict[str, Any], digits: int | None = None) -> str:
     """Number with its interval.
 
-    Parameters
-    ----------
-    estimate : dict
-        ``value``, ``low``, ``high``; None where unknown.
-    digits : int, optional
-        After the point; as many as suit the size by default.
-
-    Returns
-    -------
-    str
-        Such as ``12.6 (11.9 to 13.2)``, ``-`` where unknown.
+    `estimate`: ``value``, ``low``, ``high``; None where unknown; `digits`: after the point; as many
+    as suit the size by default.
     """
     value, low, high = (estimate[key] for key in ("value", "low", "high"))
     if value is None:
@@ -78,18 +58,7 @@ def interval(estimate: dict[str, Any], digits: int | None = None) -> str:
 
 
 def number(value: float) -> str:
-    """Number without its interval, with as many digits as suit its size.
-
-    Parameters
-    ----------
-    value : float
-        Any.
-
-    Returns
-    -------
-    str
-        Such as ``12.6``.
-    """
+    """Number without its interval, with as many digits as suit its size."""
     return f"{value:.{_digits(abs(value))}f}"
 
 
@@ -98,18 +67,7 @@ def _digits(size: float) -> int:
 
 
 def setting_of(cell: dict[str, Any]) -> str:
-    """What a spoofer was set to.
-
-    Parameters
-    ----------
-    cell : dict
-        Scores of a cell.
-
-    Returns
-    -------
-    str
-        Its settings but the heading.
-    """
+    """What a spoofer was set to."""
     parts = [
         _setting(key, value)
         for key, value in cell["spoofer_settings"].items()
@@ -133,16 +91,8 @@ def _setting(key: str, value: Any) -> str:
 def made_for(cell: dict[str, Any]) -> str:
     """Which detector a spoofer was made for.
 
-    Parameters
-    ----------
-    cell : dict
-        Scores of a cell.
-
-    Returns
-    -------
-    str
-        Its label, marked where this is another detector, receiver, scenario, timeline or attack;
-        what the spoofer says of itself where that is all there is; ``-`` for none.
+    Returns its label, marked where this is another detector, receiver, scenario, timeline or
+    attack; what the spoofer says of itself where that is all there is; ``-`` for none.
     """
     knowledge = cell["knowledge"]
     if knowledge["detector"] is None:
@@ -157,50 +107,18 @@ def made_for(cell: dict[str, Any]) -> str:
 def alarms(rate: dict[str, Any], within_budget: bool | None) -> str:
     """Alarm rate, marked where it is over the budget.
 
-    Parameters
-    ----------
-    rate : dict
-        ``value``, ``low``, ``high``.
-    within_budget : bool or None
-        None where it is not known.
-
-    Returns
-    -------
-    str
-        In per cent.
+    `within_budget`: None where it is not known.
     """
     return percent(rate) + (OVER if within_budget is False else "")
 
 
 def attacks_head(summary: dict[str, Any]) -> tuple[str, ...]:
-    """Head of the table of attacks.
-
-    Parameters
-    ----------
-    summary : dict
-        Of `summarize`.
-
-    Returns
-    -------
-    tuple of str
-        `ATTACKS_HEAD`, and the alert limit.
-    """
+    """Head of the table of attacks."""
     return (*ATTACKS_HEAD, f"P(> {summary['alert_limit_m']:g} m) [%]")
 
 
 def attack_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of attacks, in the order of `attacks_head`.
-
-    Parameters
-    ----------
-    summary : dict
-        Of `summarize`.
-
-    Returns
-    -------
-    list of tuple
-        Text.
-    """
+    """Rows of the table of attacks, in the order of `attacks_head`."""
     rows: list[tuple[str, ...]] = []
     for cell in summary["cells"]:
         clean = cell["spoofer"] == "none"
@@ -221,18 +139,7 @@ def attack_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def clean_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of false alarms, in the order of `CLEAN_HEAD`.
-
-    Parameters
-    ----------
-    summary : dict
-        Of `summarize`.
-
-    Returns
-    -------
-    list of tuple
-        Text.
-    """
+    """Rows of the table of false alarms, in the order of `CLEAN_HEAD`."""
     return [
         (
             row["detector"],
@@ -246,18 +153,7 @@ def clean_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def rival_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of spoofers compared, in the order of `RIVALS_HEAD`.
-
-    Parameters
-    ----------
-    summary : dict
-        Of `summarize`.
-
-    Returns
-    -------
-    list of tuple
-        Text.
-    """
+    """Rows of the table of spoofers compared, in the order of `RIVALS_HEAD`."""
     rows: list[tuple[str, ...]] = []
     for group in summary["rivals"]:
         for row in group["comparisons"]:
@@ -279,18 +175,7 @@ def _alarms(row: dict[str, Any]) -> tuple[str, str]:
 
 
 def reference_lines(summary: dict[str, Any]) -> list[str]:
-    """Which ramp and which profile the spoofers are compared with.
-
-    Parameters
-    ----------
-    summary : dict
-        Of `summarize`.
-
-    Returns
-    -------
-    list of str
-        One line for each detector and reference.
-    """
+    """Which ramp and which profile the spoofers are compared with."""
     lines = []
     for group in summary["rivals"]:
         for word in ("ramp", "profile"):
@@ -309,17 +194,6 @@ def reference_lines(summary: dict[str, Any]) -> list[str]:
 
 
 def knowledge_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of what the spoofers know: name, at run time, at design time.
-
-    Parameters
-    ----------
-    summary : dict
-        Of `summarize`.
-
-    Returns
-    -------
-    list of tuple
-        Text.
-    """
+    """Rows of the table of what the spoofers know: name, at run time, at design time."""
     known = {cell["spoofer"]: cell["knowledge"] for cell in summary["cells"]}
     return [(name, told["run_time"], told["design_time"]) for name, told in known.items()]

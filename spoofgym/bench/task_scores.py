@@ -14,42 +14,14 @@ FILE = "task_scores_v1.json"
 
 
 def stored_scores() -> dict[str, dict[str, Any]]:
-    """Scores by the keys of the tasks.
-
-    Returns
-    -------
-    dict
-        For every task that has been scored: ``undetected_displacement_m`` and ``alarm_excess`` of
-        ``none``, ``ramp``, ``profile`` and ``ppo``, ``normalised`` of the last, ``runs``, and
-        ``spoofers``, which ones they are.
-    """
+    """Scores by the keys of the tasks."""
     text = files(__package__).joinpath(FILE).read_text(encoding="utf-8")
     found: dict[str, dict[str, Any]] = json.loads(text)
     return found
 
 
 def task_scores(key: str, report: dict[str, Any], ppo: str | None) -> dict[str, Any]:
-    """Scores of a task by the report of a campaign that has played it.
-
-    Parameters
-    ----------
-    key : str
-        Of the task.
-    report : dict
-        What ``spoofgym bench --task KEY --json`` prints.
-    ppo : str or None
-        Label of the learned spoofer in it.
-
-    Returns
-    -------
-    dict
-        As in `stored_scores`.
-
-    Raises
-    ------
-    ValueError
-        When the report is not of the task's detector alone.
-    """
+    """Scores of a task by the report of a campaign that has played it."""
     cells = report["cells"]
     judges = list(dict.fromkeys(cell["detector"] for cell in cells))
     expected = detector_entry(TASKS[key].detector).label

@@ -36,20 +36,10 @@ RESOLUTION = 1.015
 class Trial:
     """One value on the training runs.
 
-    Parameters
-    ----------
-    value : float
-        Of the setting.
-    runs : int
-        How many.
-    alarm_rate : float
-        Part of the runs with an alarm.
-    undetected_displacement_m : float
-        Mean over all runs.
-    excess, excess_error : float
-        Of the alarm rate over that of the same runs without attack, and its standard error.
-    within_budget : bool
-        Whether the excess is, with the margin where the value can be chosen.
+    - `alarm_rate`: part of the runs with an alarm;
+    - `excess`, `excess_error`: of the alarm rate over that of the same runs without attack, and its
+      standard error;
+    - `within_budget`: whether the excess is, with the margin where the value can be chosen.
     """
 
     value: float
@@ -65,26 +55,14 @@ class Trial:
 class TuningResult:
     """What a search found.
 
-    Parameters
-    ----------
-    detector, spoofer : str
-        Labels.
-    setting : str
-        What was varied.
-    value : float
-        The choice.
-    within_budget : bool
-        Whether there is any value within the budget; if not, the choice is the smallest.
-    budget, margin : float
-        Allowed excess over the clean alarm rate, and standard errors of distance from it.
-    clean_alarm_rate : float
-        Of the training runs without attack.
-    runs : int
-        Training runs.
-    warmup_alarms : int
-        How many of them had a false alarm before the attack; they count like all others.
-    trials : tuple of Trial
-        All that was tried, by value; the choice is among those on all runs.
+    - `within_budget`: whether there is any value within the budget; if not, the choice is the
+      smallest;
+    - `budget`, `margin`: allowed excess over the clean alarm rate, and standard errors of distance
+      from it;
+    - `clean_alarm_rate`: of the training runs without attack;
+    - `warmup_alarms`: how many of them had a false alarm before the attack; they count like all
+      others;
+    - `trials`: all that was tried, by value; the choice is among those on all runs.
     """
 
     detector: str
@@ -110,18 +88,7 @@ class TuningResult:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> TuningResult:
-        """Inverse of `as_dict`.
-
-        Parameters
-        ----------
-        data : dict
-            What it returned.
-
-        Returns
-        -------
-        TuningResult
-            An equal one.
-        """
+        """Inverse of `as_dict`."""
         trials = tuple(Trial(**trial) for trial in data["trials"])
         return cls(**{**data, "trials": trials})
 
@@ -194,28 +161,7 @@ def tune(
     *,
     tick: Tick | None = None,
 ) -> TuningResult:
-    """Search for the value of a spoofer's tunable setting.
-
-    Parameters
-    ----------
-    start : WarmStart
-        Training runs.
-    clean : Runs
-        The same without attack.
-    entry : Entry
-        Spoofer with a setting that is ``"tuned"``.
-    detector : str
-        Label of the detector, for the result.
-    settings : Tuning
-        Of the search.
-    tick : callable, optional
-        Told of the progress, in runs from the onset to the end.
-
-    Returns
-    -------
-    TuningResult
-        Choice and all trials.
-    """
+    """Search for the value of a spoofer's tunable setting."""
     setting = entry.tuned
     if setting is None:
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")

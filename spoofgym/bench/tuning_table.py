@@ -9,37 +9,13 @@ EXCESS_HEAD = ("above clean [points]", "with the margin [points]")
 
 
 def excess_texts(tried: Mapping[str, Any], margin: float) -> tuple[str, str]:
-    """Excess of alarms over the clean rate, and what is compared with the budget.
-
-    Parameters
-    ----------
-    tried : mapping
-        ``excess`` and ``excess_error``, as a part of the runs.
-    margin : float
-        Distance that is kept from the budget, in standard errors.
-
-    Returns
-    -------
-    tuple of str
-        In the order of `EXCESS_HEAD`.
-    """
+    """Excess of alarms over the clean rate, and what is compared with the budget."""
     excess, error = 100 * tried["excess"], 100 * tried["excess_error"]
     return f"{excess:+.1f}", f"{excess + margin * error:+.1f}"
 
 
 def tuning_head(search: dict[str, Any]) -> tuple[str, ...]:
-    """Head of the table of a search.
-
-    Parameters
-    ----------
-    search : dict
-        Of `TuningResult.as_dict`.
-
-    Returns
-    -------
-    tuple of str
-        The first column is the setting.
-    """
+    """Head of the table of a search."""
     told = ("alarm rate [%]", *EXCESS_HEAD, "undetected displacement [m]", "within budget")
     return (search["setting"], "runs", *told)
 
@@ -47,15 +23,7 @@ def tuning_head(search: dict[str, Any]) -> tuple[str, ...]:
 def tuning_rows(search: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table of a search, in the order of `tuning_head`.
 
-    Parameters
-    ----------
-    search : dict
-        Of `TuningResult.as_dict`.
-
-    Returns
-    -------
-    list of tuple
-        Text; a value that was tried on a few runs only is sifted without a margin.
+    Returns text; a value that was tried on a few runs only is sifted without a margin.
     """
     rows: list[tuple[str, ...]] = []
     for trial in search["trials"]:

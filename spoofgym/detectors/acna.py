@@ -84,17 +84,8 @@ def _push(window: FloatArray, value: float) -> None:
 def drift_of(position: FloatArray, prediction: FloatArray, design: FloatArray) -> float:
     """Drift of a fix.
 
-    Parameters
-    ----------
-    position, prediction : ndarray
-        (3,) g and the filter's prediction [m].
-    design : ndarray
-        (m, s) H, all 0 where there is no fix.
-
-    Returns
-    -------
-    float
-        [m], or -1 where there is none.
+    `position`, `prediction` (3,) g and the filter's prediction [m]; `design` (m, s) H, all 0 where
+    there is no fix; returns [m], or -1 where there is none.
     """
     present = False
     for i in range(design.shape[0]):
@@ -112,21 +103,9 @@ def drift_ratio(
 ) -> float:
     """Statistic of a receiver that believes GNSS: the larger one of two ratios.
 
-    Parameters
-    ----------
-    run : ndarray
-        (n_j,) last drifts over the jump threshold; 0 before the first.
-    window : ndarray
-        (n_s,) last drifts [m]; 0 before the first.
-    widened : float
-        What is added to the slow threshold [m].
-    slow_threshold : float
-        Th_s [m].
-
-    Returns
-    -------
-    float
-        Above 1 for an alarm.
+    `run` (n_j,) last drifts over the jump threshold; 0 before the first; `window` (n_s,) last
+    drifts [m]; 0 before the first; `widened`: what is added to the slow threshold [m];
+    `slow_threshold`: Th_s [m].
     """
     least, total = run[0], 0.0
     for i in range(1, run.shape[0]):
@@ -163,29 +142,9 @@ def judge_fixes(
 ) -> None:
     """Judge one fix of every receiver.
 
-    Parameters
-    ----------
-    gnss_position, predicted_position, design, interval : ndarray
-        Of the epoch.
-    jump_threshold, slow_threshold : float
-        Th_j and Th_s [m].
-    held, latched : bool
-        Whether a pending fix is held back; whether an alarm stays until fixes pass.
-    drift_cap : float
-        Largest drift in the slow window [m].
-    readmission_rate, readmission_cap : float
-        c [m/s] and c_max [m].
-    max_exclusion : float
-        Longest exclusion [s].
-    run, window, passes : ndarray
-        (B, n_j), (B, n_s), (B, n_r) memory, overwritten.
-    outage, missing, excluded : ndarray
-        (B,) time without a believed fix, time without any, and time of the present exclusion (-1
-        for none) [s], overwritten.
-    statistic : ndarray
-        (B, 1), written.
-    weights : ndarray
-        (B, m), written: 0 or 1.
+    `run`, `window`, `passes` (B, n_j), (B, n_s), (B, n_r) memory, overwritten; `outage`, `missing`,
+    `excluded` (B,) time without a believed fix, time without any, and time of the present exclusion
+    (-1 for none) [s], overwritten; `statistic` (B, 1), written; `weights` (B, m), written: 0 or 1.
     """
     for b in range(statistic.shape[0]):
         drift = drift_of(gnss_position[b], predicted_position[b], design[b])
@@ -289,13 +248,7 @@ class Acna(Detector):
                 raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin with empty windows.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Begin with empty windows."""
         super().bind(context)
         b = context.receivers
         self.memory.declare("run", np.zeros((b, self.jump_window)))
@@ -308,15 +261,7 @@ class Acna(Detector):
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one fix.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) larger ratio, 1, alarm; (B, m) weights, 0 where the fix is rejected.
+        Returns (B, 1) larger ratio, 1, alarm; (B, m) weights, 0 where the fix is rejected.
         """
         statistic = np.empty((len(epoch.time), 1))
         weights = np.empty(epoch.innovation.shape)

@@ -67,24 +67,10 @@ def largest_average(
 ) -> None:
     """Remember an epoch, and average over all windows.
 
-    Parameters
-    ----------
-    white : ndarray
-        (B, r) whitened innovations.
-    judged : ndarray
-        (B, n) bool.
-    first : int
-        Row of the innovation that row 0 of `white` is.
-    windows : ndarray
-        Lengths in epochs, increasing.
-    past : ndarray
-        (B, W, r) memory, overwritten: whitened innovations of the last W epochs.
-    taken : ndarray
-        (B, W, r) bool, memory, overwritten: rows that were judged.
-    place : ndarray
-        (B,) memory, overwritten: where the next epoch goes.
-    statistic : ndarray
-        (B,) written: largest q of the windows.
+    `white` (B, r) whitened innovations; `judged` (B, n) bool; `past` (B, W, r) memory, overwritten:
+    whitened innovations of the last W epochs; `taken` (B, W, r) bool, memory, overwritten: rows
+    that were judged; `place` (B,) memory, overwritten: where the next epoch goes; `statistic` (B,)
+    written: largest q of the windows.
     """
     receivers, size = white.shape
     n, most = judged.shape[1], past.shape[1]
@@ -155,13 +141,7 @@ class Aime(Detector):
         check_length("bias_window_s", self.bias_window_s)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare thresholds and windows.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare thresholds and windows."""
         super().bind(context)
         first, last = self._rows = rows_of(self.signals, context.channels)
         self._windows = np.array([epochs_of(w, context) for w in self.windows_s], dtype=np.int64)
@@ -179,18 +159,7 @@ class Aime(Detector):
             declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) statistic, threshold and alarm; no weights.
-        """
+        """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
         first, last = self._rows
         innovation, judged = without_bias(epoch, self.memory, self._bias_window)
         white = np.empty((len(judged), last - first))

@@ -54,14 +54,7 @@ FloatArray = NDArray[np.float64]
 def normalized_projection(white: FloatArray, count: int, out: FloatArray) -> None:
     r"""Coordinates of a whitened innovation along orthonormal directions of its common parts.
 
-    Parameters
-    ----------
-    white : ndarray
-        (r, 1 + s) whitened innovation, then the whitened columns of A.
-    count : int
-        Rows that take part.
-    out : ndarray
-        (s,) written.
+    `white` (r, 1 + s) whitened innovation, then the whitened columns of A; `out` (s,) written.
     """
     projected, norm, other, cross, far = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(count):
@@ -90,16 +83,9 @@ def common_part(
 
     .. math:: n = M^{-1} A^T S^{-1} z, \qquad M M^T = A^T S^{-1} A
 
-    Parameters
-    ----------
-    innovation, innovation_cov : ndarray
-        (B, 2n), (B, 2n, 2n).
-    judged : ndarray
-        (B, n) bool, satellites that take part.
-    first, last : int
-        Range of rows.
-    out : ndarray
-        (B, s) written; 0 where nothing is judged, infinite where S is not positive definite.
+    `innovation`, `innovation_cov` (B, 2n), (B, 2n, 2n); `judged` (B, n) bool, satellites that take
+    part; `out` (B, s) written; 0 where nothing is judged, infinite where S is not positive
+    definite.
     """
     receivers, n = judged.shape
     size = last - first
@@ -138,20 +124,10 @@ def window_average(
 
     .. math:: q = \frac{1}{W} \Big|\sum_i n_i\Big|^2
 
-    Parameters
-    ----------
-    part : ndarray
-        (B, s) normalized common part.
-    judged : ndarray
-        (B, n) bool.
-    past : ndarray
-        (B, W, s) memory, overwritten.
-    taken : ndarray
-        (B, W) bool, memory, overwritten: epochs in which anything was judged.
-    place : ndarray
-        (B,) memory, overwritten: where the next epoch goes.
-    statistic : ndarray
-        (B,) written; 0 where nothing is judged now.
+    `part` (B, s) normalized common part; `judged` (B, n) bool; `past` (B, W, s) memory,
+    overwritten; `taken` (B, W) bool, memory, overwritten: epochs in which anything was judged;
+    `place` (B,) memory, overwritten: where the next epoch goes; `statistic` (B,) written; 0 where
+    nothing is judged now.
     """
     window = taken.shape[1]
     for b in range(part.shape[0]):
@@ -206,13 +182,7 @@ class ClockDrift(Detector):
         check_length("bias_window_s", self.bias_window_s)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare threshold and window.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare threshold and window."""
         super().bind(context)
         first, last = self._rows = rows_of(self.signals, context.channels)
         self._signals = (last - first) // context.channels
@@ -228,18 +198,7 @@ class ClockDrift(Detector):
             declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) statistic, threshold and alarm; no weights.
-        """
+        """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
         innovation, judged = without_bias(epoch, self.memory, self._bias_window)
         part = np.empty((len(judged), self._signals))
         common_part(innovation, epoch.innovation_cov, judged, *self._rows, part)

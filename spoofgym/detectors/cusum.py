@@ -51,18 +51,6 @@ def mean_epochs_between_alarms(allowance: float, limit: float) -> float:
 
     .. math:: \frac{e^{2 \kappa b} - 2 \kappa b - 1}{4 \kappa^2}, \qquad b = h + 1.166
 
-    Parameters
-    ----------
-    allowance : float
-        Kappa, above 0.
-    limit : float
-        h.
-
-    Returns
-    -------
-    float
-        Half of a one-sided chart's.
-
     Notes
     -----
     `siegmund1985`; see `thresholds.run_length`.
@@ -83,23 +71,9 @@ def advance_sums(
 ) -> FloatArray:
     """Advance all sums by one epoch.
 
-    Parameters
-    ----------
-    innovation, innovation_cov : ndarray
-        (B, 2n), (B, 2n, 2n).
-    judged : ndarray
-        (B, n) bool; the sums of the others begin anew.
-    first, last : int
-        Range of rows.
-    allowance : float
-        Kappa.
-    above, below : ndarray
-        (B, last - first) memory, overwritten.
-
-    Returns
-    -------
-    ndarray
-        (B, n) largest sum of every satellite.
+    `innovation`, `innovation_cov` (B, 2n), (B, 2n, 2n); `judged` (B, n) bool; the sums of the
+    others start again; `above`, `below` (B, last - first) memory, overwritten; returns (B, n)
+    largest sum of every satellite.
     """
     receivers, n = judged.shape
     out = np.zeros((receivers, n))
@@ -151,13 +125,7 @@ class Cusum(Detector):
         check_length("bias_window_s", self.bias_window_s)
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the sums of all satellites.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Begin the sums of all satellites."""
         super().bind(context)
         first, last = self._rows = rows_of(self.signals, context.channels)
         for name in ("above", "below"):
@@ -169,18 +137,7 @@ class Cusum(Detector):
             declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one epoch.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, n) sums, limits, alarms; no weights.
-        """
+        """Judge one epoch: (B, n) sums, limits, alarms; no weights."""
         innovation, judged = without_bias(epoch, self.memory, self._bias_window)
         statistic = advance_sums(
             innovation,

@@ -70,18 +70,9 @@ def judge_channels(
 ) -> None:
     """Advance all charts by one epoch.
 
-    Parameters
-    ----------
-    innovation, innovation_cov, visible : ndarray
-        (B, 2n), (B, 2n, 2n), (B, n), of the epoch.
-    smoothing, quantile, weight_scale : float
-        Lambda, z and m.
-    average, decay : ndarray
-        (B, n) memory, overwritten.
-    size, threshold : ndarray
-        (B, n), written: statistic and threshold [m].
-    weights : ndarray
-        (B, 2n), written: IGG-III for pseudoranges, 1 for range rates.
+    `innovation`, `innovation_cov`, `visible` (B, 2n), (B, 2n, 2n), (B, n), of the epoch; `average`,
+    `decay` (B, n) memory, overwritten; `size`, `threshold` (B, n), written: statistic and threshold
+    [m]; `weights` (B, 2n), written: IGG-III for pseudoranges, 1 for range rates.
     """
     for b in range(visible.shape[0]):
         for j in range(visible.shape[1]):
@@ -139,13 +130,7 @@ class Ewma(Detector):
         check_limits(self.max_exclusion_s, self.min_satellites)
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the charts of all satellites.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Begin the charts of all satellites."""
         super().bind(context)
         shape = (context.receivers, context.channels)
         self.memory.declare("average", np.zeros(shape))
@@ -158,15 +143,7 @@ class Ewma(Detector):
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, n) size of the averages, thresholds, alarms; (B, 2n) weights, 1 for range rates.
+        Returns (B, n) size of the averages, thresholds, alarms; (B, 2n) weights, 1 for range rates.
         """
         shape = epoch.visible.shape
         size, threshold = np.empty(shape), np.empty(shape)
@@ -202,16 +179,6 @@ class Ewma(Detector):
 
         .. math:: n = \frac{\ln(T / b)}{\ln(1 - \lambda)}
 
-        Parameters
-        ----------
-        offset : float
-            b, what the chart had settled on [m].
-        threshold : float
-            T [m].
-
-        Returns
-        -------
-        float
-            n.
+        `offset`: b, what the chart had settled on [m]; `threshold`: T [m].
         """
         return math.log(threshold / offset) / math.log(1.0 - self.smoothing)

@@ -56,17 +56,7 @@ def step_evidence(n: float, m: float, since: float, before: float) -> float:
 
     .. math:: q = \frac{(m \sum y - n \sum x)^2}{n m (n + m)}
 
-    Parameters
-    ----------
-    n, m : float
-        Epochs since the onset, and of the baseline, at least 1.
-    since, before : float
-        Sums of their values.
-
-    Returns
-    -------
-    float
-        q.
+    `n`, `m`: epochs since the onset, and of the baseline, at least 1.
     """
     difference = m * since - n * before
     return difference * difference / (n * m * (n + m))
@@ -79,19 +69,8 @@ def ramp_evidence(n: float, m: float, moment: float, total: float) -> float:
     .. math:: q = \frac{(\sum_i i y_i - \bar r \sum z)^2}{\sum_i i^2 - (n + m) \bar r^2},
         \qquad \bar r = \frac{n (n + 1)}{2 (n + m)}
 
-    Parameters
-    ----------
-    n, m : float
-        Epochs since the onset, and of the baseline, at least 1.
-    moment : float
-        Sum of i times the i-th value since the onset.
-    total : float
-        Sum of all values.
-
-    Returns
-    -------
-    float
-        q.
+    `n`, `m`: epochs since the onset, and of the baseline, at least 1; `moment`: sum of i times the
+    i-th value since the onset.
     """
     area = 0.5 * n * (n + 1.0)
     # both sides times (n + m), so that one division is enough
@@ -112,21 +91,9 @@ def split_sums(
 ) -> None:
     """Sums on both sides of every onset, from the newest on.
 
-    Parameters
-    ----------
-    ring : ndarray
-        (L,) float32, last values, value k at ``k % L``, 0 where there is none yet.
-    base : float
-        Sum of the at most `baseline` values before the last one.
-    last : int
-        Number of the last value.
-    onsets, baseline : int
-        How many onsets, and the longest baseline, in epochs.
-    ramp : bool
-        Whether a ramp is looked for, else a step.
-    scratch : ndarray
-        (2, W), written: the sum since the onset and that of the baseline; for a ramp the moment
-        since the onset and the sum of all.
+    `ring` (L,) float32, last values, value k at ``k % L``, 0 where there is none yet; `base`: sum
+    of the at most `baseline` values before the last one; `scratch` (2, W), written: the sum since
+    the onset and that of the baseline; for a ramp the moment since the onset and the sum of all.
     """
     length = ring.shape[0]
     now, old = last % length, (last - baseline) % length
@@ -155,23 +122,8 @@ def largest_evidence(
 ) -> float:
     """Largest evidence over all onsets.
 
-    Parameters
-    ----------
-    ages : ndarray
-        (W,) epochs since each onset, 1, 2 and so on.
-    count : int
-        Values so far.
-    onsets, baseline : int
-        How many onsets, and the longest baseline, in epochs.
-    ramp : bool
-        Whether a ramp is looked for, else a step.
-    scratch : ndarray
-        (2, W) as `split_sums` leaves it, overwritten.
-
-    Returns
-    -------
-    float
-        The statistic; 0 where there is no onset.
+    `ages` (W,) epochs since each onset, 1, 2 and so on; `scratch` (2, W) as `split_sums` leaves it,
+    overwritten.
     """
     longest, known = float(baseline), float(count)
     first, second = scratch[0], scratch[1]
@@ -215,28 +167,10 @@ def scan_channels(
 ) -> None:
     """Take in one epoch, and look for changes.
 
-    Parameters
-    ----------
-    innovation, innovation_cov, visible : ndarray
-        Of the epoch.
-    first_row, signals : int
-        First innovation to look at, and how many signals, n rows each.
-    baseline : int
-        Longest baseline, in epochs.
-    ramp : bool
-        Whether ramps are looked for, else steps.
-    ages : ndarray
-        (W,) epochs since each onset, 1, 2 and so on.
-    quantiles : ndarray
-        (n+1,) thresholds by the number of visible satellites.
-    scratch : ndarray
-        (2, W), overwritten.
-    ring, base : ndarray
-        (B, signals * n, L) float32, (B, signals * n) memory, overwritten.
-    count : ndarray
-        (B, n) int64 memory, overwritten.
-    statistic, threshold : ndarray
-        (B, n), written.
+    `ages` (W,) epochs since each onset, 1, 2 and so on; `quantiles` (n+1,) thresholds by the number
+    of visible satellites; `scratch` (2, W), overwritten; `ring`, `base` (B, signals * n, L)
+    float32, (B, signals * n) memory, overwritten; `count` (B, n) int64 memory, overwritten;
+    `statistic`, `threshold` (B, n), written.
     """
     channels = visible.shape[1]
     length = ring.shape[2]
@@ -290,13 +224,7 @@ class _Glr(Detector):
         check_signals(self.signals)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the memory of the last values, and the thresholds.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare the memory of the last values, and the thresholds."""
         super().bind(context)
         receivers, n = context.receivers, context.channels
         self._first_row = n if self.signals == "range_rate" else 0
@@ -320,15 +248,7 @@ class _Glr(Detector):
     def judge(self, epoch: Epoch) -> Verdict:
         """Look for a change before one epoch.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, n) largest evidence of each satellite, thresholds, alarms; no weights.
+        Returns (B, n) largest evidence of each satellite, thresholds, alarms; no weights.
         """
         shape = epoch.visible.shape
         statistic, threshold = np.empty(shape), np.empty(shape)

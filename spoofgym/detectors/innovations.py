@@ -32,18 +32,7 @@ SIGNALS = ("pseudorange", "range_rate", "both")
 
 
 def check_signals(signals: str) -> None:
-    """Raise unless a setting names the innovations to test.
-
-    Parameters
-    ----------
-    signals : str
-        The setting.
-
-    Raises
-    ------
-    ValueError
-        When it is unknown; lists the valid ones.
-    """
+    """Raise unless a setting names the innovations to test."""
     if signals not in SIGNALS:
         raise ValueError(
             f"`signals` must be one of {', '.join(map(repr, SIGNALS))}, got {signals!r}"
@@ -51,20 +40,7 @@ def check_signals(signals: str) -> None:
 
 
 def rows_of(signals: str, channels: int) -> tuple[int, int]:
-    """Rows of the innovation by signal.
-
-    Parameters
-    ----------
-    signals : {"pseudorange", "range_rate", "both"}
-        Which.
-    channels : int
-        n.
-
-    Returns
-    -------
-    first, last : int
-        Rows to take, `last` excluded.
-    """
+    """Rows of the innovation by signal."""
     first = channels if signals == "range_rate" else 0
     return first, channels if signals == "pseudorange" else 2 * channels
 
@@ -72,52 +48,20 @@ def rows_of(signals: str, channels: int) -> tuple[int, int]:
 def check_length(name: str, value: float, least: float = 0.0) -> None:
     """Raise unless a length of time is finite and large enough.
 
-    Parameters
-    ----------
-    name : str
-        Of the setting.
-    value : float
-        What was given [s].
-    least : float
-        Smallest one that is allowed; 0 itself only if `least` is 0.
-
-    Raises
-    ------
-    ValueError
-        When it is out of range.
+    `value`: what was given [s]; `least`: smallest one that is allowed; 0 itself only if `least` is
+    0.
     """
     if not (math.isfinite(value) and value >= least):
         raise ValueError(f"`{name}` must be finite and >= {least:g}, got {value}")
 
 
 def epochs_of(length_s: float, context: DetectorContext) -> int:
-    """Epochs in a length of time.
-
-    Parameters
-    ----------
-    length_s : float
-        Length.
-    context : DetectorContext
-        Has the interval.
-
-    Returns
-    -------
-    int
-        At least 1.
-    """
+    """Epochs in a length of time."""
     return max(1, round(length_s / context.epoch_interval_s))
 
 
 def declare_bias(memory: Memory, context: DetectorContext) -> None:
-    """Prepare the memory for `without_bias`.
-
-    Parameters
-    ----------
-    memory : Memory
-        Of the detector.
-    context : DetectorContext
-        Sizes.
-    """
+    """Prepare the memory for `without_bias`."""
     b, n = context.receivers, context.channels
     memory.declare("bias_epochs", np.zeros((b, n)))
     memory.declare("bias_sum", np.zeros((b, 2 * n)))
@@ -126,22 +70,9 @@ def declare_bias(memory: Memory, context: DetectorContext) -> None:
 def without_bias(epoch: Epoch, memory: Memory, window: int) -> tuple[FloatArray, BoolArray]:
     """Innovations less their mean over a first window.
 
-    Parameters
-    ----------
-    epoch : Epoch
-        The epoch.
-    memory : Memory
-        Prepared by `declare_bias`, if `window` is above 0.
-    window : int
-        N, epochs of every channel that the mean is taken over; 0 leaves the innovations as they
-        are.
-
-    Returns
-    -------
-    innovation : ndarray
-        (B, 2n); 0 where a channel is not to be judged.
-    judged : ndarray
-        (B, n) bool, channels that are visible and calibrated.
+    `memory`: prepared by `declare_bias`, if `window` is above 0; returns `innovation` (B, 2n); 0
+    where a channel is not to be judged; `judged` (B, n) bool, channels that are visible and
+    calibrated.
     """
     if window == 0:
         return epoch.innovation, epoch.visible
@@ -197,23 +128,9 @@ def cholesky_of_rows(
 ) -> int:
     """Cholesky's factor of the rows of one receiver that take part, with inverted diagonal.
 
-    Parameters
-    ----------
-    innovation_cov : ndarray
-        (2n, 2n) S.
-    judged : ndarray
-        (n,) bool.
-    first, last : int
-        Range of rows.
-    rows : ndarray
-        (last - first,) written: rows that take part, in their order.
-    factor : ndarray
-        (last - first, last - first), written in its first rows and columns.
-
-    Returns
-    -------
-    int
-        How many rows take part; -1 where S is not positive definite.
+    `innovation_cov` (2n, 2n) S; `rows` (last - first,) written: rows that take part, in their
+    order; `factor` (last - first, last - first), written in its first rows and columns; returns how
+    many rows take part; -1 where S is not positive definite.
     """
     n = judged.shape[0]
     count = 0
@@ -248,17 +165,9 @@ def whiten(
 
     .. math:: y = L^{-1} z, \qquad S = L L^T
 
-    Parameters
-    ----------
-    innovation, innovation_cov : ndarray
-        (B, 2n), (B, 2n, 2n).
-    judged : ndarray
-        (B, n) bool, channels that take part.
-    first, last : int
-        Rows to take, `last` excluded.
-    out : ndarray
-        (B, last - first), written; 0 for rows that take no part.  Where S is not positive definite
-        they are infinite, so that every test alarms.
+    `innovation`, `innovation_cov` (B, 2n), (B, 2n, 2n); `judged` (B, n) bool, channels that take
+    part; `out` (B, last - first), written; 0 for rows that take no part.  Where S is not positive
+    definite they are infinite, so that every test alarms.
     """
     size = last - first
     rows = np.empty(size, dtype=np.int64)

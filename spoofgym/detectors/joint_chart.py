@@ -66,18 +66,6 @@ def has_dropped(older: float, old: float, newest: float, drop: float) -> bool:
     r"""Whether the newest of three ratios tells the end of an offset.
 
     .. math:: \min(\xi_{k-2}, \xi_{k-1}) - \xi_k > T_3, \qquad \xi_k < 1 - T_3
-
-    Parameters
-    ----------
-    older, old, newest : float
-        Ratios, in their order.
-    drop : float
-        T_3.
-
-    Returns
-    -------
-    bool
-        Whether the offset has ended.
     """
     return min(older, old) - newest > drop and newest < 1.0 - drop
 
@@ -87,16 +75,6 @@ def spread_of(older: float, old: float, newest: float) -> float:
     r"""Largest distance of three ratios from their median.
 
     .. math:: \Delta = \max_i |\xi_i - \operatorname{med}(\xi)|
-
-    Parameters
-    ----------
-    older, old, newest : float
-        Ratios, in their order.
-
-    Returns
-    -------
-    float
-        Delta Y of the paper.
     """
     low = min(older, old, newest)
     high = max(older, old, newest)
@@ -122,22 +100,11 @@ def judge_channels(
 ) -> None:
     """Advance all charts by one epoch.
 
-    Parameters
-    ----------
-    innovation, innovation_cov, visible : ndarray
-        (B, 2n), (B, 2n, 2n), (B, n), of the epoch.
-    smoothing, quantile, drop : float
-        Lambda, z and T_3.
-    literal : bool
-        Whether spoofing ends by the printed rule.
-    average, decay : ndarray
-        (B, n) memory, overwritten.
-    ratios : ndarray
-        (B, n, 2) memory, overwritten: the last ratios, the older one first; 0 before the alarm.
-    spoofed : ndarray
-        (B, n) memory, overwritten: epochs since the alarm began, itself counted; 0 for none.
-    size, threshold : ndarray
-        (B, n), written: statistic and threshold [m].
+    `innovation`, `innovation_cov`, `visible` (B, 2n), (B, 2n, 2n), (B, n), of the epoch; `average`,
+    `decay` (B, n) memory, overwritten; `ratios` (B, n, 2) memory, overwritten: the last ratios, the
+    older one first; 0 before the alarm; `spoofed` (B, n) memory, overwritten: epochs since the
+    alarm began, itself counted; 0 for none; `size`, `threshold` (B, n), written: statistic and
+    threshold [m].
     """
     keep = (1.0 - smoothing) * (1.0 - smoothing)
     for b in range(visible.shape[0]):
@@ -171,17 +138,7 @@ def judge_channels(
 def chart_weights(size: FloatArray, threshold: FloatArray, weight_scale: float) -> FloatArray:
     """IGG-III weights of the pseudoranges; 1 for the range rates.
 
-    Parameters
-    ----------
-    size, threshold : ndarray
-        (B, n) of the charts [m].
-    weight_scale : float
-        m.
-
-    Returns
-    -------
-    ndarray
-        (B, 2n).
+    `size`, `threshold` (B, n) of the charts [m]; returns (B, 2n).
     """
     receivers, n = size.shape
     out = np.ones((receivers, 2 * n))
@@ -244,13 +201,7 @@ class JointChart(Detector):
         check_limits(self.max_exclusion_s, self.min_satellites)
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the charts of all satellites.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Begin the charts of all satellites."""
         super().bind(context)
         shape = (context.receivers, context.channels)
         self.memory.declare("average", np.zeros(shape))
@@ -264,16 +215,8 @@ class JointChart(Detector):
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, n) size of the averages, thresholds, whether each satellite is being spoofed;
-            (B, 2n) weights, 1 for range rates.
+        Returns (B, n) size of the averages, thresholds, whether each satellite is being spoofed;
+        (B, 2n) weights, 1 for range rates.
         """
         shape, memory = epoch.visible.shape, self.memory
         size, threshold = np.empty(shape), np.empty(shape)

@@ -68,23 +68,9 @@ def sum_channels(
 ) -> None:
     """Advance all sums by one epoch.
 
-    Parameters
-    ----------
-    innovation, innovation_cov, visible : ndarray
-        Of the epoch.
-    first_row, signals : int
-        First innovation to look at, and how many signals, n rows each.
-    lag, baseline : int
-        How far back the baseline ends, and its greatest length, in epochs.
-    drift : float
-        Kappa.
-    ring, base, above, below : ndarray
-        (B, signals * n, L) last values, (B, signals * n) sum of the baseline and the two sums;
-        memory, overwritten.
-    count : ndarray
-        (B, n) int64 memory, overwritten.
-    statistic : ndarray
-        (B, n), written.
+    `ring`, `base`, `above`, `below` (B, signals * n, L) last values, (B, signals * n) sum of the
+    baseline and the two sums; memory, overwritten; `count` (B, n) int64 memory, overwritten;
+    `statistic` (B, n), written.
     """
     channels = visible.shape[1]
     length = ring.shape[2]
@@ -155,13 +141,7 @@ class LagCusum(Detector):
         check_signals(self.signals)
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the sums of all satellites.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Begin the sums of all satellites."""
         super().bind(context)
         receivers, n = context.receivers, context.channels
         self._first_row = n if self.signals == "range_rate" else 0
@@ -173,18 +153,7 @@ class LagCusum(Detector):
         self.memory.declare("count", np.zeros((receivers, n), dtype=np.int64))
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Sum up one epoch.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, n) larger sum of each satellite, threshold, alarms; no weights.
-        """
+        """Sum up one epoch: (B, n) larger sum of each satellite, threshold, alarms; no weights."""
         shape = epoch.visible.shape
         statistic = np.empty(shape)
         sum_channels(

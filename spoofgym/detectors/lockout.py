@@ -29,20 +29,7 @@ NEVER = np.iinfo(np.int64).max
 
 
 def check_limits(max_exclusion_s: float | None, min_satellites: int) -> None:
-    """Raise unless the limits are in range.
-
-    Parameters
-    ----------
-    max_exclusion_s : float or None
-        Maximum exclusion time.
-    min_satellites : int
-        Minimum satellite count.
-
-    Raises
-    ------
-    ValueError
-        When one is out of range.
-    """
+    """Raise unless the limits are in range."""
     if max_exclusion_s is not None and not (math.isfinite(max_exclusion_s) and max_exclusion_s > 0):
         raise ValueError(
             f"`max_exclusion_s` must be finite and > 0, or None, got {max_exclusion_s}"
@@ -54,20 +41,7 @@ def check_limits(max_exclusion_s: float | None, min_satellites: int) -> None:
 
 
 def longest_exclusion(max_exclusion_s: float | None, epoch_interval_s: float) -> int:
-    """Maximum exclusion time in epochs.
-
-    Parameters
-    ----------
-    max_exclusion_s : float or None
-        None for no limit.
-    epoch_interval_s : float
-        Time between epochs.
-
-    Returns
-    -------
-    int
-        At least 1.
-    """
+    """Maximum exclusion time in epochs."""
     if max_exclusion_s is None:
         return int(NEVER)
     return max(1, round(max_exclusion_s / epoch_interval_s))
@@ -83,14 +57,8 @@ def readmit_nearest(
 ) -> None:
     """Give weight 1 to the excluded satellites with the smallest ratio of statistic to threshold.
 
-    Parameters
-    ----------
-    statistic, threshold, visible : ndarray
-        (n,) of one receiver.
-    missing : int
-        How many to readmit, if there are as many.
-    weights : ndarray
-        (2n,), overwritten.
+    `statistic`, `threshold`, `visible` (n,) of one receiver; `missing`: how many to readmit, if
+    there are as many; `weights` (2n,), overwritten.
     """
     for _ in range(missing):
         best, least = -1, np.inf
@@ -114,20 +82,9 @@ def limit_exclusions(
 ) -> None:
     """Readmit satellites whose pseudoranges have been left out for too long, or are too few.
 
-    Parameters
-    ----------
-    statistic, threshold : ndarray
-        (B, n) of the epoch.
-    visible : ndarray
-        (B, n) bool.
-    longest : int
-        Maximum exclusion time [epochs].
-    fewest : int
-        Minimum satellite count.
-    excluded : ndarray
-        (B, n) memory: epochs that each satellite has had weight 0 without an alarm; overwritten.
-    weights : ndarray
-        (B, 2n), pseudoranges first, overwritten.
+    `statistic`, `threshold` (B, n) of the epoch; `visible` (B, n) bool; `longest`: maximum
+    exclusion time [epochs]; `excluded` (B, n) memory: epochs that each satellite has had weight 0
+    without an alarm; overwritten; `weights` (B, 2n), pseudoranges first, overwritten.
     """
     n = visible.shape[1]
     for b in range(visible.shape[0]):

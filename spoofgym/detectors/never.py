@@ -22,27 +22,10 @@ class Never(Detector):
     watches: ClassVar[str] = "any"
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare for a batch.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare for a batch."""
         super().bind(context)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Say nothing.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Not looked at but for its size.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) zeros, ones and no alarm.
-        """
+        """Say nothing: (B, 1) zeros, ones and no alarm."""
         shape = (len(epoch.time), 1)
         return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))

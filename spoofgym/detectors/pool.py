@@ -22,17 +22,7 @@ NATURE, OPPONENT = 1, 2
 def uniforms(keys: NDArray[np.uint64], purpose: int) -> FloatArray:
     """Draw one number for every episode, which depends on its key and on the purpose alone.
 
-    Parameters
-    ----------
-    keys : ndarray
-        (b, 2) keys of the episodes, of the source "domain".
-    purpose : int
-        What is drawn; purposes share no chance with each other, or with what else the key draws.
-
-    Returns
-    -------
-    ndarray
-        (b,) uniform in [0, 1).
+    `keys` (b, 2) keys of the episodes, of the source "domain"; returns (b,) uniform in [0, 1).
     """
     words = [
         np.random.SeedSequence([int(k0), int(k1), purpose]).generate_state(1, np.uint64)[0]
@@ -45,22 +35,7 @@ def uniforms(keys: NDArray[np.uint64], purpose: int) -> FloatArray:
 def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray:
     """Probability of every opponent.
 
-    Parameters
-    ----------
-    members : int
-        Opponents in the pool.
-    weights : sequence of float, optional
-        Not negative; all alike by default.
-
-    Returns
-    -------
-    ndarray
-        (K,) sums to 1.
-
-    Raises
-    ------
-    ValueError
-        When there is no opponent, the numbers are not as many, negative, or all 0.
+    `weights`: not negative; all alike by default; returns (K,) sums to 1.
     """
     if members < 1:
         raise ValueError("`pool` must have at least one opponent, got none")
@@ -81,17 +56,8 @@ def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray
 def drawn(keys: NDArray[np.uint64], weights: FloatArray) -> NDArray[np.int64]:
     """Opponent of every episode.
 
-    Parameters
-    ----------
-    keys : ndarray
-        (b, 2) keys of the episodes.
-    weights : ndarray
-        (K,) of `checked_weights`.
-
-    Returns
-    -------
-    ndarray
-        (b,) index into the pool.
+    `keys` (b, 2) keys of the episodes; `weights` (K,) of `checked_weights`; returns (b,) index into
+    the pool.
     """
     found = np.searchsorted(np.cumsum(weights), uniforms(keys, OPPONENT), side="right")
     # rounding of the sum must not lead beyond the last one that can be drawn
@@ -99,28 +65,14 @@ def drawn(keys: NDArray[np.uint64], weights: FloatArray) -> NDArray[np.int64]:
 
 
 class JointMemory(Memory):
-    """A memory that others go along with: they are reset and moved together.
-
-    Parameters
-    ----------
-    receivers : int
-        B.
-    parts : sequence of Memory
-        Of the same receivers.
-    """
+    """A memory that others go along with: they are reset and moved together."""
 
     def __init__(self, receivers: int = 0, parts: Sequence[Memory] = ()) -> None:
         super().__init__(receivers)
         self.parts = tuple(parts)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Restore the values of the begin, in all parts.
-
-        Parameters
-        ----------
-        mask : ndarray, optional
-            (B,) bool, which receivers; all by default.
-        """
+        """Restore the initial values, in all parts."""
         super().reset(mask)
         for part in self.parts:
             part.reset(mask)
@@ -128,14 +80,7 @@ class JointMemory(Memory):
     def copy_rows(self, to: NDArray[np.intp], other: Memory, rows: NDArray[np.intp]) -> None:
         """Take over rows of another memory of the same names and parts.
 
-        Parameters
-        ----------
-        to : ndarray
-            Rows of this memory that are overwritten.
-        other : Memory
-            With the same names and parts.
-        rows : ndarray
-            As many rows of the other memory.
+        `to`: rows of this memory that are overwritten.
         """
         super().copy_rows(to, other, rows)
         theirs: Any = other
@@ -216,13 +161,7 @@ class PooledDetector(Detector):
         self.oracle = any(judge.oracle for judge in self.judges)  # type: ignore[misc]
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare all detectors.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare all detectors."""
         super().bind(context)
         for judge in self.judges:
             judge.bind(context)
@@ -233,25 +172,14 @@ class PooledDetector(Detector):
     def draw(self, keys: NDArray[np.uint64]) -> None:
         """Draw the opponent of every receiver for a new episode.
 
-        Parameters
-        ----------
-        keys : ndarray
-            (B, 2) keys of the episodes.
+        `keys` (B, 2) keys of the episodes.
         """
         self.memory["opponent"] = drawn(keys, self._chances)
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Let every receiver be judged by its own detector.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, c), and weights where any detector of the pool gives some.
+        Returns (B, c), and weights where any detector of the pool gives some.
         """
         merged: Verdict | None = None
         opponent = self.memory["opponent"]

@@ -62,22 +62,8 @@ def residual_statistic(line_of_sight: ArrayLike, offset: ArrayLike) -> float:
 
     .. math:: \mathrm{SSE} = \sqrt{r^T r / (n - 4)}
 
-    Parameters
-    ----------
-    line_of_sight : array_like
-        (n, 3) unit vectors to the satellites.
-    offset : array_like
-        (n,) pseudorange minus predicted range [m]; what isn't finite is left out.
-
-    Returns
-    -------
-    float
-        SSE [m].
-
-    Raises
-    ------
-    ValueError
-        With fewer than 5 satellites, or a singular geometry.
+    `line_of_sight` (n, 3) unit vectors to the satellites; `offset` (n,) pseudorange minus predicted
+    range [m]; what isn't finite is left out; returns SSE [m].
     """
     rows = checked_rows(line_of_sight, offset)
     return math.sqrt(rows.squared_residual / (len(rows.slots) - STATES))
@@ -87,21 +73,8 @@ def residual_statistic(line_of_sight: ArrayLike, offset: ArrayLike) -> float:
 def blame(n: int, table: FloatArray, limit: FloatArray, kept: FloatArray) -> int:
     """The one satellite without which the others agree.
 
-    Parameters
-    ----------
-    n : int
-        Number of satellites.
-    table : ndarray
-        (N + 1, PRODUCTS) products.
-    limit : ndarray
-        Limit of s^2 by number of satellites [m^2].
-    kept : ndarray
-        (1, PRODUCTS) scratch.
-
-    Returns
-    -------
-    int
-        Its row; -1 where even the best one to blame leaves others that do not agree.
+    `table` (N + 1, PRODUCTS) products; `limit`: limit of s^2 by number of satellites [m^2]; `kept`
+    (1, PRODUCTS) scratch.
     """
     best, least = -1, limit[n - 1]
     for i in range(n if n > MIN_SATELLITES else 0):
@@ -130,18 +103,10 @@ def judge_receivers(
 ) -> None:
     """Test all receivers.
 
-    Parameters
-    ----------
-    pseudorange, satellite_position, visible, position : ndarray
-        (B, n), (B, n, 3), (B, n), (B, 3) of the epoch.
-    alarm_limit, limit : ndarray
-        (n + 1,) limits of s^2 [m^2], of the alarm and of agreement.
-    statistic, threshold : ndarray
-        (B, 1), written [m].
-    group : ndarray
-        (B, n), written.
-    weights : ndarray
-        (B, 2n), written.
+    `pseudorange`, `satellite_position`, `visible`, `position` (B, n), (B, n, 3), (B, n), (B, 3) of
+    the epoch; `alarm_limit`, `limit` (n + 1,) limits of s^2 [m^2], of the alarm and of agreement;
+    `statistic`, `threshold` (B, 1), written [m]; `group` (B, n), written; `weights` (B, 2n),
+    written.
     """
     n = visible.shape[1]
     axes, kept = np.eye(3), np.empty((1, PRODUCTS))
@@ -205,13 +170,7 @@ class Raim(Detector):
         check_probability("false_alarm", self.false_alarm)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the limits for every number of satellites.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes and noise.
-        """
+        """Prepare the limits for every number of satellites."""
         super().bind(context)
         n = context.channels
         check_channels(n)
@@ -222,18 +181,7 @@ class Raim(Detector):
         self.memory.declare("group", np.zeros((context.receivers, n), dtype=np.int8))
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) SSE [m], threshold and alarm; (B, 2n) weights with `exclude`.
-        """
+        """Test one epoch: (B, 1) SSE [m], threshold and alarm; (B, 2n) weights with `exclude`."""
         b = len(epoch.time)
         statistic, threshold = np.empty((b, 1)), np.empty((b, 1))
         weights = np.empty((b, 2 * epoch.visible.shape[1]))

@@ -42,18 +42,7 @@ FloatArray = NDArray[np.float64]
 
 @inlined
 def distance(a: FloatArray, b: FloatArray) -> float:
-    """Distance of two positions.
-
-    Parameters
-    ----------
-    a, b : ndarray
-        (3,) [m].
-
-    Returns
-    -------
-    float
-        [m].
-    """
+    """Distance of two positions.  `a`, `b` (3,) [m]; returns [m]."""
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return math.sqrt(x * x + y * y + z * z)
 
@@ -73,18 +62,9 @@ def constrain_fixes(
 ) -> None:
     """Judge one fix of every receiver.
 
-    Parameters
-    ----------
-    gnss_position, auxiliary_position, predicted_position, design : ndarray
-        Of the epoch.
-    limit, readmission : float
-        D and D_r [m].
-    rejecting : ndarray
-        (B,) memory, overwritten.
-    statistic, threshold : ndarray
-        (B, 1), written: the distance that counts at present, and its limit [m].
-    weights : ndarray
-        (B, m), written: 0 or 1.
+    `limit`, `readmission`: D and D_r [m]; `rejecting` (B,) memory, overwritten; `statistic`,
+    `threshold` (B, 1), written: the distance that counts at present, and its limit [m]; `weights`
+    (B, m), written: 0 or 1.
     """
     for b in range(statistic.shape[0]):
         present = False
@@ -130,28 +110,14 @@ class Rio(Detector):
                 raise ValueError(f"`{name}` must be finite and > 0, got {value}")
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin without an alarm.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Begin without an alarm."""
         super().bind(context)
         self.memory.declare("rejecting", np.zeros(context.receivers, dtype=np.bool_))
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one fix.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) distance, limit, alarm; (B, m) weights, 0 where the fix is rejected.
+        Returns (B, 1) distance, limit, alarm; (B, m) weights, 0 where the fix is rejected.
         """
         statistic = np.empty((len(epoch.time), 1))
         threshold = np.empty_like(statistic)

@@ -51,16 +51,8 @@ def add_to_sums(
 ) -> None:
     """Add the squares of an epoch to the sums of all history.
 
-    Parameters
-    ----------
-    white : ndarray
-        (B, r) whitened innovations.
-    judged : ndarray
-        (B, n) bool.
-    each : int
-        Rows of a satellite.
-    total, degrees : ndarray
-        (B,) memory, overwritten: sum of squares, and degrees of freedom.
+    `white` (B, r) whitened innovations; `judged` (B, n) bool; `total`, `degrees` (B,) memory,
+    overwritten: sum of squares, and degrees of freedom.
     """
     for b in range(white.shape[0]):
         for r in range(white.shape[1]):
@@ -83,20 +75,9 @@ def add_to_window(
 ) -> None:
     """Add the squares of an epoch to a window, and sum the window up.
 
-    Parameters
-    ----------
-    white : ndarray
-        (B, r) whitened innovations.
-    judged : ndarray
-        (B, n) bool.
-    each : int
-        Rows of a satellite.
-    squares, counts : ndarray
-        (B, W) memory, overwritten: of the last W epochs.
-    place : ndarray
-        (B,) memory, overwritten: where the next epoch goes.
-    total, degrees : ndarray
-        (B,) written: sums over the window.
+    `white` (B, r) whitened innovations; `judged` (B, n) bool; `squares`, `counts` (B, W) memory,
+    overwritten: of the last W epochs; `place` (B,) memory, overwritten: where the next epoch goes;
+    `total`, `degrees` (B,) written: sums over the window.
     """
     window = squares.shape[1]
     for b in range(white.shape[0]):
@@ -148,13 +129,7 @@ class SequentialChi2(Detector):
         check_length("bias_window_s", self.bias_window_s)
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the sums.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Begin the sums."""
         super().bind(context)
         b = context.receivers
         self._rows = rows_of(self.signals, context.channels)
@@ -174,18 +149,7 @@ class SequentialChi2(Detector):
             declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) statistic, threshold and alarm; no weights.
-        """
+        """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
         first, last = self._rows
         innovation, judged = without_bias(epoch, self.memory, self._bias_window)
         white = np.empty((len(judged), last - first))

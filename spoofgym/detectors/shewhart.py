@@ -63,19 +63,8 @@ def largest_normalized(
 
     .. math:: F_j = \max_r |z_r| / \sqrt{S_{rr}}
 
-    Parameters
-    ----------
-    innovation, innovation_cov : ndarray
-        (B, 2n), (B, 2n, 2n).
-    judged : ndarray
-        (B, n) bool, satellites to test.
-    first, last : int
-        Range of rows.
-
-    Returns
-    -------
-    ndarray
-        (B, n); 0 for the others.
+    `innovation`, `innovation_cov` (B, 2n), (B, 2n, 2n); `judged` (B, n) bool, satellites to test;
+    returns (B, n); 0 for the others.
     """
     receivers, n = judged.shape
     out = np.zeros((receivers, n))
@@ -91,17 +80,7 @@ def largest_normalized(
 def snapshot_weights(statistic: FloatArray, reject: float) -> FloatArray:
     """IGG-III weights of the pseudoranges; 1 for the range rates.
 
-    Parameters
-    ----------
-    statistic : ndarray
-        (B, n).
-    reject : float
-        Statistic from which the weight is 0; it falls from half of that on.
-
-    Returns
-    -------
-    ndarray
-        (B, 2n).
+    `statistic` (B, n); returns (B, 2n).
     """
     receivers, n = statistic.shape
     out = np.ones((receivers, 2 * n))
@@ -154,13 +133,7 @@ class Shewhart(Detector):
         check_limits(self.max_exclusion_s, self.min_satellites)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the threshold.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare the threshold."""
         super().bind(context)
         self._rows = rows_of(self.signals, context.channels)
         tests = 2 if self.signals == "both" else 1
@@ -177,16 +150,8 @@ class Shewhart(Detector):
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, n) innovations in standard deviations, thresholds, alarms; (B, 2n) weights, 1 for
-            range rates.
+        Returns (B, n) innovations in standard deviations, thresholds, alarms; (B, 2n) weights, 1
+        for range rates.
         """
         innovation, judged = without_bias(epoch, self.memory, self._window)
         statistic = largest_normalized(innovation, epoch.innovation_cov, judged, *self._rows)

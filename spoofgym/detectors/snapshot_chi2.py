@@ -61,13 +61,7 @@ class SnapshotChi2(Detector):
         check_length("bias_window_s", self.bias_window_s)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the thresholds for every number of visible satellites.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare the thresholds for every number of visible satellites."""
         super().bind(context)
         n = context.channels
         self._rows = rows_of(self.signals, n)
@@ -80,18 +74,7 @@ class SnapshotChi2(Detector):
             declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) statistic, threshold and alarm; no weights.
-        """
+        """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
         innovation, judged = without_bias(epoch, self.memory, self._window)
         belief = epoch.innovation_cov
         if self._window > 0:

@@ -82,22 +82,10 @@ def judge_receivers(
 ) -> None:
     """Test all receivers, and search where there is an alarm.
 
-    Parameters
-    ----------
-    pseudorange, satellite_position, visible, position : ndarray
-        (B, n), (B, n, 3), (B, n), (B, 3) of the epoch.
-    axes : ndarray
-        (B, 3, 3) from the frame of the search to ECEF.
-    alarm_limit, limit : ndarray
-        Limits of s^2 by number of satellites [m^2], of the alarm and of agreement.
-    vectors : ndarray
-        (V, 4) search vectors.
-    statistic, threshold : ndarray
-        (B, 1), written [m].
-    group : ndarray
-        (B, n), written.
-    weights : ndarray
-        (B, 2n), written.
+    `pseudorange`, `satellite_position`, `visible`, `position` (B, n), (B, n, 3), (B, n), (B, 3) of
+    the epoch; `axes` (B, 3, 3) from the frame of the search to ECEF; `vectors` (V, 4) search
+    vectors; `statistic`, `threshold` (B, 1), written [m]; `group` (B, n), written; `weights`
+    (B, 2n), written.
     """
     n = visible.shape[1]
     slots, order = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
@@ -163,13 +151,7 @@ class SrvRaim(Detector):
         check_choice("frame", self.frame, FRAMES)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the limits for every number of satellites.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes and noise.
-        """
+        """Prepare the limits for every number of satellites."""
         super().bind(context)
         n = context.channels
         check_channels(n)
@@ -183,15 +165,7 @@ class SrvRaim(Detector):
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) SSE of all in view [m], threshold and alarm; (B, 2n) weights with `exclude`.
+        Returns (B, 1) SSE of all in view [m], threshold and alarm; (B, 2n) weights with `exclude`.
         """
         b = len(epoch.time)
         statistic, threshold = np.empty((b, 1)), np.empty((b, 1))

@@ -14,41 +14,13 @@ FloatArray = NDArray[np.float64]
 
 
 def check_probability(name: str, value: float) -> None:
-    """Raise unless a value is a probability between 0 and 1, both excluded.
-
-    Parameters
-    ----------
-    name : str
-        Of the setting, for the message.
-    value : float
-        The value.
-
-    Raises
-    ------
-    ValueError
-        When it is out of range.
-    """
+    """Raise unless a value is a probability between 0 and 1, both excluded."""
     if not 0.0 < value < 1.0:
         raise ValueError(f"`{name}` must lie between 0 and 1, both excluded, got {value}")
 
 
 def check_epochs(name: str, value: int, most: int = 100_000) -> None:
-    """Raise unless a length in epochs is a whole number in range.
-
-    Parameters
-    ----------
-    name : str
-        Of the setting, for the message.
-    value : int
-        The value.
-    most : int
-        Largest one that is allowed; the least is 1.
-
-    Raises
-    ------
-    ValueError
-        When it is out of range, or not whole.
-    """
+    """Raise unless a length in epochs is a whole number in range."""
     if not 1 <= value <= most:
         raise ValueError(f"`{name}` must be 1 to {most} epochs, got {value}")
     if isinstance(value, bool) or int(value) != value:
@@ -60,15 +32,7 @@ def run_length(drift: float, threshold: float) -> float:
 
     .. math:: L = \frac{e^{2 \kappa b} - 2 \kappa b - 1}{2 \kappa^2}, \qquad b = h + 1.166
 
-    Parameters
-    ----------
-    drift, threshold : float
-        Kappa, above 0, and h, of standard normal samples.
-
-    Returns
-    -------
-    float
-        L of a one-sided sum from zero.
+    `drift`, `threshold`: kappa, above 0, and h, of standard normal samples.
 
     Notes
     -----
@@ -81,15 +45,7 @@ def run_length(drift: float, threshold: float) -> float:
 def two_sided_quantile(false_alarm: float) -> float:
     """Quantile that a standard normal deviate exceeds in size with a given probability.
 
-    Parameters
-    ----------
-    false_alarm : float
-        Probability, in (0, 1).
-
-    Returns
-    -------
-    float
-        z of false_alarm / 2.
+    `false_alarm`: probability, in (0, 1).
     """
     return float(-special.ndtri(0.5 * false_alarm))
 
@@ -97,18 +53,9 @@ def two_sided_quantile(false_alarm: float) -> float:
 def chi2_thresholds(false_alarm: float, most: int) -> FloatArray:
     """Chi-square thresholds by degrees of freedom.
 
-    Parameters
-    ----------
-    false_alarm : float
-        Probability of exceeding it, in (0, 1).
-    most : int
-        Largest number of degrees of freedom.
-
-    Returns
-    -------
-    ndarray
-        (most + 1,) threshold for 0 to `most` degrees; with 0 there is nothing to exceed it, and
-        the entry is that of one degree, so that it stays finite.
+    `false_alarm`: probability of exceeding it, in (0, 1); returns (most + 1,) threshold for 0 to
+    `most` degrees; with 0 there is nothing to exceed it, and the entry is that of one degree, so
+    that it stays finite.
     """
     return np.asarray(special.chdtri(np.maximum(np.arange(most + 1), 1), false_alarm))
 
@@ -121,17 +68,7 @@ def igg3_weight(size: float, accept: float, reject: float) -> float:
         \frac{k_0}{|x|} \left(\frac{k_1 - |x|}{k_1 - k_0}\right)^2 & k_0 < |x| \le k_1 \\
         0 & |x| > k_1 \end{cases}
 
-    Parameters
-    ----------
-    size : float
-        |x|.
-    accept, reject : float
-        k_0 and k_1, 0 < k_0 < k_1.
-
-    Returns
-    -------
-    float
-        In [0, 1].
+    Returns in [0, 1].
 
     Notes
     -----
@@ -151,21 +88,7 @@ def ewma_threshold(sd: float, decay: float, smoothing: float, quantile: float) -
 
     .. math:: T = z \sigma \sqrt{\tfrac{\lambda}{2 - \lambda} (1 - (1 - \lambda)^{2k})}
 
-    Parameters
-    ----------
-    sd : float
-        Standard deviation of the innovation [m].
-    decay : float
-        :math:`(1 - \lambda)^{2k}` after k epochs.
-    smoothing : float
-        Lambda.
-    quantile : float
-        z.
-
-    Returns
-    -------
-    float
-        T [m].
+    `sd`: standard deviation of the innovation [m]; returns T [m].
 
     Notes
     -----

@@ -72,20 +72,10 @@ def judge_receivers(
 ) -> None:
     """Test all receivers, and search where there is an alarm.
 
-    Parameters
-    ----------
-    pseudorange, satellite_position, visible, position : ndarray
-        (B, n), (B, n, 3), (B, n), (B, 3) of the epoch.
-    alarm_limit, limit : ndarray
-        Limits of s^2 by number of satellites [m^2], of the alarm and of agreement.
-    largest_group : int
-        Most satellites to leave out.
-    statistic, threshold : ndarray
-        (B, 1), written [m].
-    group : ndarray
-        (B, n), written.
-    weights : ndarray
-        (B, 2n), written.
+    `pseudorange`, `satellite_position`, `visible`, `position` (B, n), (B, n, 3), (B, n), (B, 3) of
+    the epoch; `alarm_limit`, `limit`: limits of s^2 by number of satellites [m^2], of the alarm and
+    of agreement; `statistic`, `threshold` (B, 1), written [m]; `group` (B, n), written; `weights`
+    (B, 2n), written.
     """
     n = visible.shape[1]
     axes = np.eye(3)
@@ -153,13 +143,7 @@ class TraversalRaim(Detector):
         check_largest_group(self.largest_group)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the limits for every number of satellites.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes and noise.
-        """
+        """Prepare the limits for every number of satellites."""
         super().bind(context)
         n = context.channels
         check_channels(n)
@@ -172,15 +156,7 @@ class TraversalRaim(Detector):
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) SSE of all in view [m], threshold and alarm; (B, 2n) weights with `exclude`.
+        Returns (B, 1) SSE of all in view [m], threshold and alarm; (B, 2n) weights with `exclude`.
         """
         b = len(epoch.time)
         statistic, threshold = np.empty((b, 1)), np.empty((b, 1))

@@ -66,21 +66,8 @@ def estimated_covariance_thresholds(
 ) -> FloatArray:
     """Thresholds of the sum where the covariance is the mean of a window's outer products.
 
-    Parameters
-    ----------
-    false_alarm : float
-        Alpha, in (0, 1).
-    window : int
-        N, epochs of the sum.
-    covariance_window : int
-        w, epochs of the covariance; at least 4 more than an epoch has rows.
-    rows : ndarray
-        Degrees of freedom of the sum, N p, of which p need not be whole.
-
-    Returns
-    -------
-    ndarray
-        A threshold for each.
+    `false_alarm`: alpha, in (0, 1); `covariance_window`: w, epochs of the covariance; at least 4
+    more than an epoch has rows.
 
     Notes
     -----
@@ -109,20 +96,10 @@ def window_sum(
 ) -> None:
     """Put an epoch into the windows, and sum them up where they are full.
 
-    Parameters
-    ----------
-    nis, rows : ndarray
-        (B,) of the epoch: normalized innovation squared, and rows measured.
-    hold : int
-        Epochs before the first verdict.
-    past, past_rows : ndarray
-        (B, N) memory, overwritten.
-    seen : ndarray
-        (B,) memory, overwritten: epochs so far.
-    total : ndarray
-        (B,), written: the sum, 0 where there is no verdict yet.
-    degrees : ndarray
-        (B,), written: degrees of freedom in the window.
+    `nis`, `rows` (B,) of the epoch: normalized innovation squared, and rows measured; `past`,
+    `past_rows` (B, N) memory, overwritten; `seen` (B,) memory, overwritten: epochs so far; `total`
+    (B,), written: the sum, 0 where there is no verdict yet; `degrees` (B,), written: degrees of
+    freedom in the window.
     """
     length = past.shape[1]
     for b in range(nis.shape[0]):
@@ -178,13 +155,7 @@ class WindowedChi2(Detector):
             )
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the windows, and the thresholds for every number of rows in one.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare the windows, and the thresholds for every number of rows in one."""
         super().bind(context)
         n, m = context.channels, len(context.noise_variance)
         if n == 0 and self.signals != "both":
@@ -217,16 +188,8 @@ class WindowedChi2(Detector):
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, 1) statistic, threshold and alarm; no weights.  While there is no verdict yet, the
-            statistic is 0.
+        Returns (B, 1) statistic, threshold and alarm; no weights.  While there is no verdict yet,
+        the statistic is 0.
         """
         nis = normalized_innovation_squared(epoch.innovation, epoch.innovation_cov, *self._rows)
         if epoch.visible.shape[1]:

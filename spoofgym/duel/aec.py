@@ -52,16 +52,7 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
         return self.rules.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        """Begin an episode: warm-up, then the onset.
-
-        Parameters
-        ----------
-        seed : int, optional
-            Seeds the receiver; without it the next episode of the same stream begins.
-        options : dict, optional
-            ``"domain"``: circumstances that are not to be drawn, as in `SpoofEnv`; others are
-            warned of.
-        """
+        """Begin an episode: warm-up, then the onset."""
         self.rules.begin(seed, options)
         self.agents = list(AGENTS)
         self.agent_selection = SPOOFER
@@ -76,25 +67,14 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
     def observe(self, agent: str) -> NDArray[np.float32]:
         """What an agent observes: the spoofer the game before its move, the detector the epoch.
 
-        Parameters
-        ----------
-        agent : str
-            Who.
-
-        Returns
-        -------
-        ndarray
-            (o,) float32, a new array.
+        Returns (o,) float32, a new array.
         """
         return self._observations[agent].copy()
 
     def step(self, action: Any) -> None:
         """Act for the agent whose turn it is.
 
-        Parameters
-        ----------
-        action : array_like or None
-            (a,) in [-1, 1]; None for an agent whose episode is over.
+        `action` (a,) in [-1, 1]; None for an agent whose episode is over.
         """
         if not self.agents:
             raise RuntimeError("the episode is over: call reset() before step()")

@@ -29,56 +29,19 @@ EXCLUSION_S = 30.0
 
 
 def action_names(statistic: str, weighs: bool, channels: int) -> tuple[str, ...]:
-    """Name of every element of a detector agent's action.
-
-    Parameters
-    ----------
-    statistic : {"receiver", "channel"}
-        One statistic, or one for every slot.
-    weighs : bool
-        Whether it weighs satellites.
-    channels : int
-        Slots.
-
-    Returns
-    -------
-    tuple of str
-        (a,) names.
-    """
+    """Name of every element of a detector agent's action: (a,) names."""
     first = ("statistic",) if statistic == "receiver" else slots("statistic", channels)
     return first + (slots("weight", channels) if weighs else ())
 
 
 def check_delay(decision_delay: int) -> None:
-    """Raise unless a delay is one of the two games'.
-
-    Parameters
-    ----------
-    decision_delay : int
-        Epochs by which a decision comes late.
-
-    Raises
-    ------
-    ValueError
-        When it is not 0 or 1.
-    """
+    """Raise unless a delay is one of the two games'."""
     if isinstance(decision_delay, bool) or decision_delay not in DELAYS:
         raise ValueError(f"`decision_delay` must be 0 or 1, got {decision_delay!r}")
 
 
 def check_exclusion(exclusion_s: float | None) -> None:
-    """Raise unless an allowance of exclusion makes sense.
-
-    Parameters
-    ----------
-    exclusion_s : float or None
-        Of an episode.
-
-    Raises
-    ------
-    ValueError
-        When it is not finite, or negative.
-    """
+    """Raise unless an allowance of exclusion makes sense."""
     if exclusion_s is None:
         return
     if not (is_number(exclusion_s) and np.isfinite(exclusion_s) and exclusion_s >= 0.0):
@@ -89,16 +52,11 @@ def check_exclusion(exclusion_s: float | None) -> None:
 class DetectorAgent(Detector):
     """Takes in every epoch, and lets someone else decide; by itself it is quiet, with weights 1.
 
-    Parameters
-    ----------
-    statistic : {"receiver", "channel"}
-        One statistic, or one for every slot.
-    weighs : bool
-        Whether the agent weighs satellites; if not, it only watches.
-    exclusion_s : float or None
-        Allowance of exclusion in an episode: an epoch costs its interval times what the weights
-        of the visible satellites lack, on average, of 1.  An epoch that would exceed it is used
-        with all weights 1.  None for no limit.
+    - `statistic`: one statistic, or one for every slot;
+    - `weighs`: whether the agent weighs satellites; if not, it only watches;
+    - `exclusion_s`: allowance of exclusion in an episode: an epoch costs its interval times what
+      the weights of the visible satellites lack, on average, of 1. An epoch that would exceed it is
+      used with all weights 1. None for no limit.
     """
 
     statistic: str = "receiver"
@@ -116,13 +74,7 @@ class DetectorAgent(Detector):
         self.scope = self.statistic  # type: ignore[misc]  # the object's choice, not the class's
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare what is observed.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare what is observed."""
         super().bind(context)
         n = context.channels
         self.sight = Sight((*ALL_SIGHTS, ExclusionLeft(self.exclusion_s)), n)
@@ -131,27 +83,13 @@ class DetectorAgent(Detector):
         self.sight.declare(self.memory)
 
     def look(self, epoch: Epoch) -> None:
-        """Take in one epoch.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-        """
+        """Take in one epoch."""
         self.sight.look(epoch, self.memory)
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Take in an epoch of the warm-up, where nobody is asked.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, c) zeros, ones and no alarm; no weights.
+        Returns (B, c) zeros, ones and no alarm; no weights.
         """
         self.look(epoch)
         shape = (len(epoch.time), self._columns)
@@ -166,21 +104,10 @@ class DetectorAgent(Detector):
     ) -> Verdict:
         """Verdict of an action; what it excludes is taken off the allowance.
 
-        Parameters
-        ----------
-        action : ndarray
-            (B, a) in [-1, 1].
-        threshold : ndarray
-            (B,) what the statistic is compared with.
-        visible : ndarray
-            (B, n) bool; the statistic of an invisible slot is 0, its weight 1.
-        interval : ndarray
-            (B,) time since the last epoch [s].
-
-        Returns
-        -------
-        Verdict
-            (B, c), and (B, 2n) weights, the same for pseudorange and range rate of a satellite.
+        `action` (B, a) in [-1, 1]; `threshold` (B,) what the statistic is compared with; `visible`
+        (B, n) bool; the statistic of an invisible slot is 0, its weight 1; `interval` (B,) time
+        since the last epoch [s]; returns (B, c), and (B, 2n) weights, the same for pseudorange and
+        range rate of a satellite.
         """
         share = np.clip(0.5 * (action + 1.0), 0.0, 1.0)
         statistic = np.ascontiguousarray(share[:, : self._columns])
@@ -239,13 +166,7 @@ class PolicyDetector(DetectorAgent):
             raise ValueError(f"`threshold` must be a number in (0, 1], got {self.threshold!r}")
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the policy.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare the policy."""
         super().bind(context)
         policy = self._policy()
         policy.bind(policy_context(self, context))
@@ -261,18 +182,7 @@ class PolicyDetector(DetectorAgent):
         return self.policy
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Ask the policy, and compare.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            As in `DetectorAgent.verdict`; in the warm-up quiet, with weights 1.
-        """
+        """Ask the policy, and compare."""
         policy = self._policy()
         if self.decision_delay:
             action = policy.decide(self.memory["observation"])
@@ -291,20 +201,7 @@ class PolicyDetector(DetectorAgent):
 
 
 def policy_context(agent: DetectorAgent, context: DetectorContext) -> PolicyContext:
-    """What a policy is told of an agent.
-
-    Parameters
-    ----------
-    agent : DetectorAgent
-        Bound.
-    context : DetectorContext
-        What it was bound to.
-
-    Returns
-    -------
-    PolicyContext
-        For `DetectorPolicy.bind`.
-    """
+    """What a policy knows of an agent."""
     return PolicyContext(
         receivers=context.receivers,
         interval_s=context.epoch_interval_s,

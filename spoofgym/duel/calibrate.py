@@ -144,24 +144,7 @@ def _told(duel: Duel) -> dict[str, Any]:
 
 
 def largest_statistics(duel: Duel, policy: DetectorPolicy, runs: int, seed: int) -> FloatArray:
-    """Play clean episodes to their end.
-
-    Parameters
-    ----------
-    duel : Duel
-        Of B receivers, that never alarms.
-    policy : DetectorPolicy
-        Decides.
-    runs : int
-        Episodes.
-    seed : int
-        Of the episodes.
-
-    Returns
-    -------
-    ndarray
-        (runs,) largest statistic of each.
-    """
+    """Play clean episodes to their end: (runs,) largest statistic of each."""
     policy.bind(_context(duel))
     idle = np.zeros((duel.receivers, len(duel.game.action_names)))
     found: list[FloatArray] = []

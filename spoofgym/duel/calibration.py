@@ -50,34 +50,12 @@ class Calibration:
     settings: str
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write it to a JSON file.
-
-        Parameters
-        ----------
-        path : path-like
-            Replaced where it is there.
-        """
+        """Write it to a JSON file."""
         write_file(Path(path), (json.dumps(dataclasses.asdict(self), indent=1) + "\n").encode())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Calibration:
-        """Read it from a JSON file.
-
-        Parameters
-        ----------
-        path : path-like
-            As `save` wrote it.
-
-        Returns
-        -------
-        Calibration
-            The same.
-
-        Raises
-        ------
-        ValueError
-            When the file is damaged.
-        """
+        """Read it from a JSON file."""
         try:
             fields: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
             return cls(**fields)
@@ -86,18 +64,7 @@ class Calibration:
 
 
 def fewest_runs(false_alarm: float) -> int:
-    """Clean runs that a quantile takes.
-
-    Parameters
-    ----------
-    false_alarm : float
-        Alpha.
-
-    Returns
-    -------
-    int
-        Least n with n + 1 >= 1 / alpha.
-    """
+    """Clean runs that a quantile takes."""
     return max(math.ceil(1.0 / false_alarm - 1e-9) - 1, 1)
 
 
@@ -112,19 +79,7 @@ def quantile_of(
     between :math:`x_{(l)}` and :math:`x_{(u)}`, where l and u are quantiles of the binomial
     distribution of n and :math:`1 - \alpha`.
 
-    Parameters
-    ----------
-    largest : ndarray
-        (n,) largest statistic of every clean run, in [0, 1].
-    false_alarm : float
-        Alpha.
-    confidence : float
-        Of the interval.
-
-    Returns
-    -------
-    threshold, low, high : float
-        The bounds are 0 and 1 where the runs are too few to tell.
+    `largest` (n,) largest statistic of every clean run, in [0, 1].
     """
     from scipy.stats import binom
 

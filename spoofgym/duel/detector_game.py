@@ -21,23 +21,7 @@ class DetectorGame(Stepwise):
     With ``decision_delay=0`` an observation is of the epoch that the next action judges; with 1 it
     is of the epoch before.  A step is an epoch, however seldom the spoofers decide.
 
-    Parameters
-    ----------
-    duel : Duel
-        Not begun yet.
-    pool : list
-        What `SpooferPool` takes.
-    weights : sequence of float, optional
-        Probability of every spoofer.
-
-    Attributes
-    ----------
-    duel : Duel
-        The same.
-    pool : SpooferPool
-        The opponents.
-    begin_names, info_names : tuple of str
-        Keys of `begin_info`, and of the information of a step.
+    `begin_names`, `info_names`: keys of `begin_info`, and of the information of a step.
     """
 
     begin_names: ClassVar[tuple[str, ...]] = ("time_s", "decision_delay")
@@ -64,15 +48,7 @@ class DetectorGame(Stepwise):
     def set_pool(
         self, pool: Sequence[SpooferSpec] | SpooferSpec, weights: Sequence[float] | None = None
     ) -> None:
-        """Take other opponents; the running episodes are over.
-
-        Parameters
-        ----------
-        pool : list
-            What `SpooferPool` takes.
-        weights : sequence of float, optional
-            Probability of each.
-        """
+        """Take other opponents; the running episodes are over."""
         self.pool = SpooferPool(pool, weights, self.duel.setup, self.duel.receivers)
 
     def opponents(self) -> list[str]:
@@ -110,17 +86,7 @@ class DetectorGame(Stepwise):
         rows: NDArray[np.intp] | None = None,
         given: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin new episodes, up to the first epoch that is to be judged.
-
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per row.
-        rows : ndarray, optional
-            Which receivers; all by default.
-        given : mapping, optional
-            As in `Engine.reset`.
-        """
+        """Begin new episodes, up to the first epoch that is to be judged."""
         where = self._everyone if rows is None else rows
         self.duel.reset(rngs, rows, given)
         self.pool.begin(where, self.duel.game.engine.batch.sensors.keys[DOMAIN, where])
@@ -134,18 +100,7 @@ class DetectorGame(Stepwise):
         self.duel.arrive(action, rows)
 
     def step(self, action: FloatArray) -> Turn:
-        """Judge one epoch of all receivers.
-
-        Parameters
-        ----------
-        action : ndarray
-            (B, a) float64, in [-1, 1].
-
-        Returns
-        -------
-        Turn
-            Rewards, ends and information; what nature has drawn is told when an episode is over.
-        """
+        """Judge one epoch of all receivers.  `action` (B, a) float64, in [-1, 1]."""
         if self.duel.decision_delay == 0:
             # the world may end one epoch after an episode
             playing = np.flatnonzero(~self.duel.over)

@@ -66,13 +66,7 @@ class DetectorView(GameEnv[DetectorGame]):
         return self.game.opponents()[0]
 
     def set_pool(self, pool: SpooferPoolSpec, weights: Weights = None) -> None:
-        """Take other opponents; the running episode is over, and `reset` has to follow.
-
-        Parameters
-        ----------
-        pool, weights : list
-            As above.
-        """
+        """Take other opponents; the running episode is over, and `reset` has to follow."""
         self.game.set_pool(pool, weights)
         self._running = False
 
@@ -126,12 +120,6 @@ class DetectorVectorView(PooledVectorView[DetectorGame]):
         return self.game.opponents()
 
     def set_pool(self, pool: SpooferPoolSpec, weights: Weights = None) -> None:
-        """Take other opponents; the running episodes are over, and `reset` has to follow.
-
-        Parameters
-        ----------
-        pool, weights : list
-            As above.
-        """
+        """Take other opponents; the running episodes are over, and `reset` has to follow."""
         self.game.set_pool(pool, weights)
         self.pool_changed = True

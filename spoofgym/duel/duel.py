@@ -30,14 +30,9 @@ DOMAIN = SOURCES.index("domain")
 class DuelTurn(NamedTuple):
     """What an epoch returns.
 
-    Attributes
-    ----------
-    spoofer_reward, detector_reward : ndarray
-        (B,) float64.
-    terminated : ndarray
-        (B,) bool, the same for both.
-    info : dict
-        Arrays with a leading axis of receivers; not for the detector.
+    - `spoofer_reward`, `detector_reward` (B,) float64;
+    - `terminated` (B,) bool, the same for both;
+    - `info`: arrays with a leading axis of receivers; not for the detector.
     """
 
     spoofer_reward: FloatArray
@@ -57,37 +52,14 @@ class Duel:
     The episode ends at an alarm, or after the time to alert, which follows the last command and in
     which the offsets hold their rate.
 
-    Parameters
-    ----------
-    receivers : int
-        B.
-    setup : Setup
-        Its detector is a `DetectorAgent`.
-    knowledge : {"tracking", "blind", "oracle"}
-        What the spoofer observes.
-    payoff : str or mapping
-        As `make_payoff` takes it.
-    threshold : float, Calibration or "running"
-        As `make_threshold` takes it.
-    false_alarm : float
-        Rate that a running threshold keeps.
-    decision_delay : {0, 1}
-        Whether an epoch is judged by a decision on itself, or by one on the epoch before.
-    attack_probability : float
-        In [0, 1].
-    threads : int, optional
-        As in `Engine`.
-
-    Attributes
-    ----------
-    game : Game
-        The receivers, and what the spoofer observes.
-    ledger : Ledger
-        What counts of the running episodes.
-    attacked : ndarray
-        (B,) bool, what nature has drawn.
-    over : ndarray
-        (B,) bool, whose episode has ended.
+    - `setup`: its detector is a `DetectorAgent`;
+    - `false_alarm`: rate that a running threshold keeps;
+    - `decision_delay`: whether an epoch is judged by a decision on itself, or by one on the epoch
+      before;
+    - `attack_probability`: in [0, 1];
+    - `game`: the receivers, and what the spoofer observes;
+    - `ledger`: what counts of the running episodes;
+    - `attacked` (B,) bool, what nature has drawn.
     """
 
     def __init__(
@@ -147,14 +119,7 @@ class Duel:
     ) -> None:
         """Begin new episodes, and run their warm-up, in which the detector agent is not asked.
 
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per row; one that a receiver has not had before restarts a running threshold.
-        rows : ndarray, optional
-            Which receivers; all by default.
-        given : mapping, optional
-            As in `Engine.reset`.
+        `rngs`: one per row; one that a receiver has not had before restarts a running threshold.
         """
         where = self._everyone if rows is None else rows
         self.game.reset(rngs, rows, given)
@@ -171,13 +136,8 @@ class Duel:
     def arrive(self, action: FloatArray | None, rows: NDArray[np.intp] | None = None) -> None:
         """First half of an epoch: the spoofer moves, measurements arrive, the detector looks.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, a) in [-1, 1]; not looked at in clean episodes, after the last command, and where
-            no decision is due.  None where none is due at all: see `deciding`.
-        rows : ndarray, optional
-            Which receivers; all by default.
+        `action` (B, a) in [-1, 1]; not looked at in clean episodes, after the last command, and
+        where no decision is due.  None where none is due at all: see `deciding`.
         """
         where = self._everyone if rows is None else rows
         due = where[self.deciding[where]]
@@ -205,15 +165,7 @@ class Duel:
     def decide(self, action: FloatArray) -> DuelTurn:
         """Second half of an epoch: the detector decides, the filter updates, both are paid.
 
-        Parameters
-        ----------
-        action : ndarray
-            (B, a) of the detector, in [-1, 1].
-
-        Returns
-        -------
-        DuelTurn
-            Rewards, ends and information.
+        `action` (B, a) of the detector, in [-1, 1].
         """
         engine, batch, ledger = self.game.engine, self.game.engine.batch, self.ledger
         limit = self.threshold.values.copy()
@@ -274,26 +226,7 @@ def duel_setup(
     decision_interval_s: float | None = None,
     between: str = "hold",
 ) -> Setup:
-    """What all receivers of a duel share.
-
-    Parameters
-    ----------
-    scenario, receiver, attack, timeline : str, mapping or object
-        As in `make_setup`.
-    statistic : {"receiver", "channel"}
-        Whether the detector agent has one statistic, or one for every slot.
-    weighs : bool
-        Whether it weighs satellites.
-    exclusion_s : float or None
-        Its allowance of exclusion in an episode.
-    domain, target_heading_deg, decision_interval_s, between : optional
-        As in `make_setup`; the decisions are those of the spoofer.
-
-    Returns
-    -------
-    Setup
-        For `Duel`.
-    """
+    """What all receivers of a duel share."""
     return make_setup(
         scenario=scenario,
         receiver=receiver,

@@ -14,21 +14,10 @@ class Ledger:
     The time to alert after the last command is part of the episode here, since the detector agent
     has to be asked in it.
 
-    Parameters
-    ----------
-    receivers : int
-        B.
-    steps, hold : int
-        Commands of an episode, and epochs of the time to alert.
-
-    Attributes
-    ----------
-    step_count : ndarray
-        (B,) epochs since the onset.
-    detected : ndarray
-        (B,) bool, whether there has been an alarm since the onset.
-    credited : ndarray
-        (B,) undetected displacement so far [m].
+    - `steps`, `hold`: commands of an episode, and epochs of the time to alert;
+    - `step_count` (B,) epochs since the onset;
+    - `detected` (B,) bool, whether there has been an alarm since the onset;
+    - `credited` (B,) undetected displacement so far [m].
     """
 
     def __init__(self, receivers: int, steps: int, hold: int) -> None:
@@ -40,13 +29,7 @@ class Ledger:
         self._rows = np.arange(receivers)
 
     def reset(self, rows: NDArray[np.intp]) -> None:
-        """Begin new episodes.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers.
-        """
+        """Begin new episodes."""
         self.step_count[rows] = 0
         self.detected[rows] = False
         self.credited[rows] = 0.0
@@ -62,19 +45,9 @@ class Ledger:
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Count one epoch of every receiver.
 
-        Parameters
-        ----------
-        displacement : ndarray
-            (B,) error along the target direction, less that at the onset [m].
-        alarm : ndarray
-            (B,) bool.
-
-        Returns
-        -------
-        gain, retraction : ndarray
-            (B,) as in `Outcome` [m].
-        first, finished : ndarray
-            (B,) bool, the first alarm; the last epoch.
+        `displacement` (B,) error along the target direction, less that at the onset [m]; returns
+        `gain`, `retraction` (B,) as in `Outcome` [m]; `first`, `finished` (B,) bool, the first
+        alarm; the last epoch.
         """
         rows, commanded = self._rows, ~self.holding
         self.step_count += 1

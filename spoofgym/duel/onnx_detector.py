@@ -68,23 +68,7 @@ class DetectorCard(Record):
 
 
 def card_path(file: str | os.PathLike[str]) -> Path:
-    """Where the card of an ONNX file lies.
-
-    Parameters
-    ----------
-    file : path-like
-        Of the policy.
-
-    Returns
-    -------
-    Path
-        Beside it, ``.json``.
-
-    Raises
-    ------
-    ValueError
-        When the name does not end with ``.onnx``.
-    """
+    """Where the card of an ONNX file lies."""
     path = Path(file)
     if path.suffix != SUFFIX:
         raise ValueError(f"`file` must be the path of an {SUFFIX} file, got {os.fspath(file)!r}")
@@ -198,18 +182,7 @@ class OnnxDetector(DetectorPolicy):
         self._process = 0
 
     def bind(self, context: PolicyContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : PolicyContext
-            Sizes, names and bounds.
-
-        Raises
-        ------
-        ValueError
-            When the duel is not what the card says; names both.
-        """
+        """Prepare for a batch of receivers."""
         super().bind(context)
         here = Space(
             names=context.observation_names,
@@ -238,18 +211,7 @@ class OnnxDetector(DetectorPolicy):
             )
 
     def decide(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Decide on one epoch.
-
-        Parameters
-        ----------
-        observation : ndarray
-            (B, o).
-
-        Returns
-        -------
-        ndarray
-            (B, a) in [-1, 1].
-        """
+        """Decide on one epoch.  `observation` (B, o); returns (B, a) in [-1, 1]."""
         if self._session is None or self._process != os.getpid():
             self._session = make_session(self._content)
             self._input = self._session.get_inputs()[0].name

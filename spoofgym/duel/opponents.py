@@ -27,25 +27,7 @@ SpooferSpec = str | Mapping[str, Any] | Spoofer
 
 
 def members_of(pool: Any, kind: type) -> list[Any]:
-    """Opponents as a list, where a single one may stand for itself.
-
-    Parameters
-    ----------
-    pool : object
-        One opponent, or a sequence of them.
-    kind : type
-        What opponents are.
-
-    Returns
-    -------
-    list
-        Of names, mappings and objects.
-
-    Raises
-    ------
-    TypeError
-        When it is neither.
-    """
+    """Opponents as a list, where a single one may stand for itself."""
     if isinstance(pool, str | Mapping | kind):
         return [pool]
     if not isinstance(pool, Sequence):
@@ -54,18 +36,7 @@ def members_of(pool: Any, kind: type) -> list[Any]:
 
 
 def label_of(spec: Any) -> str:
-    """Short name of an opponent.
-
-    Parameters
-    ----------
-    spec : str, mapping or object
-        As it was given.
-
-    Returns
-    -------
-    str
-        For messages and results.
-    """
+    """Short name of an opponent."""
     if isinstance(spec, Mapping):
         return ", ".join(
             str(value) if name == "name" else f"{name}={value}" for name, value in spec.items()
@@ -74,24 +45,7 @@ def label_of(spec: Any) -> str:
 
 
 def make_opponent(spec: DetectorSpec) -> Detector:
-    """Detector of a pool.
-
-    Parameters
-    ----------
-    spec : str, mapping or Detector
-        What `make_detector` takes, or the path of an ``.onnx`` file of a detector policy, whose
-        card has its threshold; ``{"name": path, "threshold": ...}`` for another one.
-
-    Returns
-    -------
-    Detector
-        Not bound yet.
-
-    Raises
-    ------
-    ValueError
-        When it is unknown, or has no threshold.
-    """
+    """Detector of a pool."""
     settings: dict[str, Any] = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
     name = settings.pop("name", None)
     if not (isinstance(name, str) and name.endswith(SUFFIX)):
@@ -124,19 +78,7 @@ def pooled_detector(
 ) -> PooledDetector:
     """Detectors of which one is drawn for every episode.
 
-    Parameters
-    ----------
-    pool : list
-        What `make_opponent` takes.
-    weights : sequence of float, optional
-        Probability of each; all alike by default.
-    live : int
-        Epochs of the warm-up in which detectors judge; policies are not asked there.
-
-    Returns
-    -------
-    PooledDetector
-        For a `Setup`.
+    `weights`: probability of each; all alike by default.
     """
     made = [make_opponent(spec) for spec in members_of(pool, Detector)]
     members = [
@@ -152,29 +94,8 @@ class SpooferPool:
     Every spoofer that has a receiver at present is called once a decision, with the observations
     that its knowledge allows, for all receivers; each receiver takes the command of its own.
 
-    Parameters
-    ----------
-    pool : list
-        What `make_spoofer` takes.
-    weights : sequence of float, optional
-        Probability of each; all alike by default.
-    setup : Setup
-        Of the game.
-    receivers : int
-        B.
-
-    Attributes
-    ----------
-    labels : tuple of str
-        Short names.
-    opponent : ndarray
-        (B,) index of the spoofer of every receiver.
-
-    Raises
-    ------
-    ValueError
-        When a spoofer was made for other observations, actions or limits; names it, and lists the
-        differences to this duel.
+    `weights`: probability of each; all alike by default; `opponent` (B,) index of the spoofer of
+    every receiver.
     """
 
     def __init__(
@@ -212,15 +133,7 @@ class SpooferPool:
         return made
 
     def begin(self, rows: NDArray[np.intp], keys: NDArray[np.uint64]) -> None:
-        """Draw the opponents of new episodes.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers.
-        keys : ndarray
-            (b, 2) keys of the episodes.
-        """
+        """Draw the opponents of new episodes.  `keys` (b, 2) keys of the episodes."""
         self.opponent[rows] = drawn(keys, self._chances)
         mask = np.zeros(len(self.opponent), dtype=np.bool_)
         mask[rows] = True
@@ -230,23 +143,7 @@ class SpooferPool:
     def act(self, snapshot: Snapshot, rows: NDArray[np.intp]) -> FloatArray:
         """Let the spoofers of some receivers decide; those of the others stand still.
 
-        Parameters
-        ----------
-        snapshot : Snapshot
-            The game.
-        rows : ndarray
-            Which receivers.
-
-        Returns
-        -------
-        ndarray
-            (B, a) float64, 0 for the others.
-
-        Raises
-        ------
-        ValueError
-            When an action has another shape, or is not finite or outside [-1, 1]; names the
-            spoofer.
+        Returns (B, a) float64, 0 for the others.
         """
         command = np.zeros(self._shape)
         seen: dict[str, NDArray[np.float32]] = {}

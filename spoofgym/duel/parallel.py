@@ -52,21 +52,7 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Begin an episode: warm-up, then the onset.
-
-        Parameters
-        ----------
-        seed : int, optional
-            Seeds the receiver; without it the next episode of the same stream begins.
-        options : dict, optional
-            ``"domain"``: circumstances that are not to be drawn, as in `SpoofEnv`; others are
-            warned of.
-
-        Returns
-        -------
-        observations, infos : dict
-            By agent; fresh ones.
-        """
+        """Begin an episode: warm-up, then the onset."""
         self.rules.begin(seed, options)
         self.agents = list(AGENTS)
         return self.rules.observe(), self.rules.begin_infos()
@@ -82,15 +68,7 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
     ]:
         """Act for both agents, and run one epoch.
 
-        Parameters
-        ----------
-        actions : mapping
-            (a,) in [-1, 1] by agent, in any order.
-
-        Returns
-        -------
-        observations, rewards, terminations, truncations, infos : dict
-            By agent; fresh ones.
+        `actions` (a,) in [-1, 1] by agent, in any order.
         """
         if not self.agents:
             raise RuntimeError("the episode is over: call reset() before step()")

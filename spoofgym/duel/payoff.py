@@ -20,20 +20,11 @@ RUNNING = "running"
 class DuelOutcome(NamedTuple):
     """What a step has brought.
 
-    Attributes
-    ----------
-    gain : ndarray
-        (B,) increase of the displacement that would count if no alarm followed [m], >= 0.
-    retraction : ndarray
-        (B,) what an alarm takes back of it [m], <= 0.
-    first : ndarray
-        (B,) bool, whether this step brought the first alarm.
-    attacked : ndarray
-        (B,) bool, what nature has drawn.
-    undetected : ndarray
-        (B,) bool, whether there has been no alarm yet, this step included.
-    interval_s : float
-        Time between epochs.
+    - `gain` (B,) increase of the displacement that would count if no alarm followed [m], >= 0;
+    - `retraction` (B,) what an alarm takes back of it [m], <= 0;
+    - `first` (B,) bool, whether this step brought the first alarm;
+    - `attacked` (B,) bool, what nature has drawn;
+    - `undetected` (B,) bool, whether there has been no alarm yet, this step included.
     """
 
     gain: FloatArray
@@ -106,25 +97,7 @@ PAYOFFS: dict[str, type[Any]] = {"neyman-pearson": NeymanPearson, "weighted": We
 
 
 def make_payoff(spec: str | Mapping[str, Any]) -> Payoff:
-    """Payoff by name, or by name and settings.
-
-    Parameters
-    ----------
-    spec : str or mapping
-        A name in `PAYOFFS`, or ``{"name": ..., "setting": value, ...}``.
-
-    Returns
-    -------
-    Payoff
-        Checked.
-
-    Raises
-    ------
-    ValueError
-        When the name or a setting is unknown, the valid ones are listed.
-    TypeError
-        When `spec` is something else.
-    """
+    """Payoff by name, or by name and settings."""
     if isinstance(spec, NeymanPearson | Weighted):
         return spec
     payoff: Payoff = build("payoff", PAYOFFS, Weighted, spec)
@@ -134,17 +107,7 @@ def make_payoff(spec: str | Mapping[str, Any]) -> Payoff:
 class FixedThreshold:
     """The same threshold for ever.
 
-    Parameters
-    ----------
-    value : float
-        In (0, 1]; infinite where no alarm is wanted.
-    receivers : int
-        B.
-
-    Attributes
-    ----------
-    values : ndarray
-        (B,) of every receiver.
+    `value`: in (0, 1]; infinite where no alarm is wanted; `values` (B,) of every receiver.
     """
 
     def __init__(self, value: float, receivers: int) -> None:
@@ -168,17 +131,8 @@ class RunningThreshold:
     :math:`\alpha + (1 + g - h_0) / (g n)`, whatever the detector does, and however it changes.
     Every receiver has a threshold of its own, which begins anew with its seed.
 
-    Parameters
-    ----------
-    false_alarm : float
-        Alpha, rate of clean episodes with an alarm, in (0, 1).
-    receivers : int
-        B.
-
-    Attributes
-    ----------
-    values : ndarray
-        (B,) of every receiver.
+    `false_alarm`: alpha, rate of clean episodes with an alarm, in (0, 1); `values` (B,) of every
+    receiver.
 
     Notes
     -----
@@ -193,24 +147,14 @@ class RunningThreshold:
         self.values = np.full(receivers, self.FIRST)
 
     def restart(self, rows: NDArray[np.intp]) -> None:
-        """Forget what has been learned.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers.
-        """
+        """Forget what has been learned."""
         self.values[rows] = self.FIRST
 
     def learn(self, false_alarm: NDArray[np.bool_], ended: NDArray[np.bool_]) -> None:
         """Follow the clean episodes that have ended.
 
-        Parameters
-        ----------
-        false_alarm : ndarray
-            (B,) bool, which had an alarm.
-        ended : ndarray
-            (B,) bool, which clean episodes have ended in this step.
+        `false_alarm` (B,) bool, which had an alarm; `ended` (B,) bool, which clean episodes have
+        ended in this step.
         """
         moved = self.values + np.where(ended, self.GAIN * (false_alarm - self.false_alarm), 0.0)
         self.values = np.maximum(moved, LEAST_THRESHOLD)
@@ -219,27 +163,7 @@ class RunningThreshold:
 def make_threshold(
     threshold: float | str | Calibration, false_alarm: float, receivers: int
 ) -> FixedThreshold | RunningThreshold:
-    """Threshold of the game.
-
-    Parameters
-    ----------
-    threshold : float, Calibration or "running"
-        As in `duel_v0.env`.
-    false_alarm : float
-        Rate that a running threshold keeps.
-    receivers : int
-        B.
-
-    Returns
-    -------
-    FixedThreshold or RunningThreshold
-        Of B receivers.
-
-    Raises
-    ------
-    ValueError
-        When it is something else, or outside (0, 1].
-    """
+    """Threshold of the game."""
     if not (is_number(false_alarm) and 0.0 < false_alarm < 1.0):
         raise ValueError(f"`false_alarm` must be in (0, 1), got {false_alarm!r}")
     if isinstance(threshold, Calibration):

@@ -19,18 +19,9 @@ FloatArray = NDArray[np.float64]
 class PolicyContext(NamedTuple):
     """What a policy is told once, before the first decision.
 
-    Attributes
-    ----------
-    receivers : int
-        B.
-    interval_s : float
-        Time between decisions.
-    observation_names : tuple of str
-        (o,) name of every element of an observation.
-    observation_low, observation_high : tuple of float
-        (o,) bounds.
-    action_names : tuple of str
-        (a,) name of every element of an action.
+    - `observation_names` (o,) name of every element of an observation;
+    - `observation_low`, `observation_high` (o,) bounds;
+    - `action_names` (a,) name of every element of an action.
     """
 
     receivers: int
@@ -121,18 +112,7 @@ class FunctionPolicy(DetectorPolicy):
         self.function, self.name = function, name
 
     def decide(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Call the function, and check what it returns.
-
-        Parameters
-        ----------
-        observation : ndarray
-            (B, o).
-
-        Returns
-        -------
-        ndarray
-            (B, a).
-        """
+        """Call the function, and check what it returns.  `observation` (B, o); returns (B, a)."""
         return checked_decision(self.function(observation), self.context, repr(self.function))
 
     def digest(self) -> str | None:
@@ -143,27 +123,7 @@ class FunctionPolicy(DetectorPolicy):
 
 
 def checked_decision(action: Any, context: PolicyContext, who: str) -> FloatArray:
-    """Decision of a policy, as the game takes it.
-
-    Parameters
-    ----------
-    action : array_like
-        Of the policy.
-    context : PolicyContext
-        What it has been told.
-    who : str
-        The policy, for the message.
-
-    Returns
-    -------
-    ndarray
-        (B, a) float64, cut to [-1, 1].
-
-    Raises
-    ------
-    ValueError
-        When it has another shape, or a value is not a number.
-    """
+    """Decision of a policy, as the game takes it: (B, a) float64, cut to [-1, 1]."""
     array = np.array(action, dtype=np.float64, order="C")
     shape = (context.receivers, len(context.action_names))
     if array.shape != shape:
@@ -174,23 +134,7 @@ def checked_decision(action: Any, context: PolicyContext, who: str) -> FloatArra
 
 
 def as_policy(policy: Any) -> DetectorPolicy:
-    """Policy as an object.
-
-    Parameters
-    ----------
-    policy : DetectorPolicy or callable
-        A function takes (B, o) and returns (B, a).
-
-    Returns
-    -------
-    DetectorPolicy
-        Not bound yet, where a function was given.
-
-    Raises
-    ------
-    TypeError
-        When it is neither.
-    """
+    """Policy as an object.  `policy`: a function takes (B, o) and returns (B, a)."""
     if isinstance(policy, DetectorPolicy):
         return policy
     if callable(policy):

@@ -40,20 +40,7 @@ FORMS = ("env", "parallel_env")
 
 
 def refuse_to_draw(whose: str, render_mode: object) -> None:
-    """Raise unless nothing is to be rendered.
-
-    Parameters
-    ----------
-    whose : str
-        What is asked to render.
-    render_mode : object
-        Of the user.
-
-    Raises
-    ------
-    ValueError
-        When it is not None; tells what draws the same episodes.
-    """
+    """Raise unless nothing is to be rendered."""
     if render_mode is not None:
         raise ValueError(
             f"`render_mode` must be None, there is nothing to render in {whose}: of the duel only "
@@ -110,15 +97,7 @@ class Rules:
         self._rng: np.random.Generator | None = None
 
     def begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
-        """Begin an episode.
-
-        Parameters
-        ----------
-        seed : int, optional
-            Seeds the receiver; without it the next episode of the same stream begins.
-        options : dict, optional
-            As in `GameEnv.reset`: ``"domain"``; others are warned of.
-        """
+        """Begin an episode."""
         warn_unknown(options, OPTIONS)
         given = told_domain(options)
         seed = checked_seed(seed)
@@ -127,25 +106,7 @@ class Rules:
         self.duel.reset([self._rng], given=given)
 
     def checked(self, agent: str, action: Any) -> NDArray[np.float64]:
-        """Action of an agent, as the duel takes it.
-
-        Parameters
-        ----------
-        agent : str
-            Whose.
-        action : array_like
-            From the user.
-
-        Returns
-        -------
-        ndarray
-            (1, a).
-
-        Raises
-        ------
-        ValueError
-            Names the agent and what is wrong.
-        """
+        """Action of an agent, as the duel takes it: (1, a)."""
         names = self.action_names[agent]
         try:
             return checked_action(action, (len(names),), names)[None]
@@ -176,18 +137,7 @@ class Rules:
         return bool(self.duel.deciding[0])
 
     def infos(self, turn: DuelTurn) -> dict[str, dict[str, Any]]:
-        """Information after an epoch; the detector is told of nothing that it can't see itself.
-
-        Parameters
-        ----------
-        turn : DuelTurn
-            Of the epoch.
-
-        Returns
-        -------
-        dict
-            Fresh ones, of plain numbers.
-        """
+        """Information after an epoch; the detector gets nothing that it can't see itself."""
         all_: dict[str, Any] = {name: array.item() for name, array in turn.info.items()}
         all_["decision_delay"] = self.duel.decision_delay
         own = ("time_s", "alarm", "statistic", "threshold", "decision_delay")
@@ -195,27 +145,7 @@ class Rules:
 
 
 def make_duel(receivers: int, *, threads: int | None = None, **settings: Any) -> Duel:
-    """Duel from settings that fit into JSON.
-
-    Parameters
-    ----------
-    receivers : int
-        B.
-    threads : int, optional
-        As in `Engine`.
-    **settings
-        Of `duel_setup` and `Duel`.
-
-    Returns
-    -------
-    Duel
-        Not reset yet.
-
-    Raises
-    ------
-    TypeError
-        When one is unknown; the valid ones are listed.
-    """
+    """Duel from settings that fit into JSON."""
     check_keywords("the duel", settings, SETTINGS)
     shared = {name: settings.pop(name) for name in SETUP if name in settings}
     return Duel(receivers, duel_setup(**shared), threads=threads, **settings)

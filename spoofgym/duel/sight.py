@@ -65,27 +65,13 @@ class Sight:
         self._channels = channels
 
     def declare(self, memory: Memory) -> None:
-        """Declare what the terms remember, and the observation itself, 0 before the first epoch.
-
-        Parameters
-        ----------
-        memory : Memory
-            Of B receivers.
-        """
+        """Declare what the terms remember, and the observation itself, 0 before the first epoch."""
         memory.declare("observation", np.zeros((memory.receivers, len(self.names)), np.float32))
         for term, _ in self._parts:
             term.declare(memory, self._channels)
 
     def look(self, epoch: Epoch, memory: Memory) -> None:
-        """Take in one epoch; the observation is ``memory["observation"]`` from then on.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Of B receivers.
-        memory : Memory
-            With what `declare` declared.
-        """
+        """Take in one epoch; the observation is ``memory["observation"]`` from then on."""
         out = np.empty((memory.receivers, len(self.names)), dtype=np.float32)
         for term, part in self._parts:
             term(epoch, memory, out[:, part])

@@ -38,35 +38,14 @@ class SightTerm(Protocol):
 
 
 def slots(word: str, channels: int) -> tuple[str, ...]:
-    """Names of one element for every slot.
-
-    Parameters
-    ----------
-    word : str
-        What it is.
-    channels : int
-        Slots.
-
-    Returns
-    -------
-    tuple of str
-        ``word_slot00`` and so on.
-    """
+    """Names of one element for every slot."""
     return tuple(f"{word}_slot{s:02d}" for s in range(channels))
 
 
 def innovation_sd(epoch: Epoch) -> FloatArray:
     """Standard deviation of every innovation, as the filter believes it.
 
-    Parameters
-    ----------
-    epoch : Epoch
-        Of B receivers.
-
-    Returns
-    -------
-    ndarray
-        (B, m) root of the diagonal of S [m], [m/s].
+    Returns (B, m) root of the diagonal of S [m], [m/s].
     """
     rows = np.arange(epoch.innovation.shape[1])
     return np.sqrt(epoch.innovation_cov[:, rows, rows])

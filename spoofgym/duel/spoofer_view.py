@@ -42,24 +42,7 @@ RULES = tuple(
 
 
 def check_settings(kind: type, settings: Mapping[str, Any], pool: DetectorPool) -> None:
-    """Raise unless all settings of a view of the spoofer's side are known.
-
-    Parameters
-    ----------
-    kind : type
-        The view.
-    settings : mapping
-        By name.
-    pool : list
-        Opponents.
-
-    Raises
-    ------
-    TypeError
-        When one is unknown; the valid ones are listed.
-    ValueError
-        When a detector is set beside the pool; names both.
-    """
+    """Raise unless all settings of a view of the spoofer's side are known."""
     if settings.get("detector") is not None:
         labels = ", ".join(label_of(spec) for spec in members_of(pool, Detector))
         raise ValueError(
@@ -70,17 +53,7 @@ def check_settings(kind: type, settings: Mapping[str, Any], pool: DetectorPool) 
 
 
 class SpooferSide:
-    """What the single and the vector view of the spoofer share.
-
-    Parameters
-    ----------
-    receivers : int
-        B.
-    pool, weights : list
-        As in `SpooferView`.
-    settings : dict
-        Of `make_setup` and `make_game`.
-    """
+    """What the single and the vector view of the spoofer share."""
 
     def __init__(
         self, receivers: int, pool: DetectorPool, weights: Weights, settings: dict[str, Any]
@@ -96,18 +69,7 @@ class SpooferSide:
         self.game = self.play(pool, weights)
 
     def play(self, pool: DetectorPool, weights: Weights) -> Game:
-        """Game against a pool.
-
-        Parameters
-        ----------
-        pool, weights : list
-            As in `SpooferView`.
-
-        Returns
-        -------
-        Game
-            Not begun yet.
-        """
+        """Game against a pool."""
         setup: Setup = copy.copy(self._setup)
         setup.detector = pooled_detector(pool, weights, setup.live)
         game = make_game(self._receivers, setup, **self._rules)
@@ -115,23 +77,7 @@ class SpooferSide:
         return game
 
     def change(self, pool: DetectorPool, weights: Weights) -> Game:
-        """Game against another pool, of the same spaces.
-
-        Parameters
-        ----------
-        pool, weights : list
-            As in `SpooferView`.
-
-        Returns
-        -------
-        Game
-            Not begun yet.
-
-        Raises
-        ------
-        ValueError
-            When the spoofer would observe something else; names both pools.
-        """
+        """Game against another pool, of the same spaces."""
         before, labels = self.game, self.labels
         game = self.play(pool, weights)
         if game.observation_names != before.observation_names:
@@ -196,13 +142,7 @@ class SpooferView(GameEnv[Game]):
         return self._side.opponents()[0]
 
     def set_pool(self, pool: DetectorPool, weights: Weights = None) -> None:
-        """Take other opponents; the running episode is over, and `reset` has to follow.
-
-        Parameters
-        ----------
-        pool, weights : list
-            As above.
-        """
+        """Take other opponents; the running episode is over, and `reset` has to follow."""
         self.game = self._side.change(pool, weights)
         if self._screen is not None:
             self._screen.close()
@@ -259,12 +199,6 @@ class SpooferVectorView(PooledVectorView[Game]):
         return self._side.opponents()
 
     def set_pool(self, pool: DetectorPool, weights: Weights = None) -> None:
-        """Take other opponents; the running episodes are over, and `reset` has to follow.
-
-        Parameters
-        ----------
-        pool, weights : list
-            As above.
-        """
+        """Take other opponents; the running episodes are over, and `reset` has to follow."""
         self.game = self._side.change(pool, weights)
         self.pool_changed = True

@@ -30,18 +30,7 @@ class PooledVectorView(GameVectorEnv[G]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode in every receiver, or in some.
-
-        Parameters
-        ----------
-        seed, options : optional
-            As in `GameVectorEnv`; after a change of the pool all receivers have to begin anew.
-
-        Returns
-        -------
-        observation, info
-            As in `GameVectorEnv`.
-        """
+        """Begin an episode in every receiver, or in some."""
         if self.pool_changed:
             mask = mask_of(options, self.num_envs)
             if mask is not None and not mask.all():
@@ -51,18 +40,7 @@ class PooledVectorView(GameVectorEnv[G]):
         return begun
 
     def step(self, actions: Any) -> Any:
-        """Run one epoch of every receiver.
-
-        Parameters
-        ----------
-        actions : array_like
-            (B, a) in [-1, 1].
-
-        Returns
-        -------
-        observation, reward, terminated, truncated, info
-            As in `GameVectorEnv`.
-        """
+        """Run one epoch of every receiver.  `actions` (B, a) in [-1, 1]."""
         if self.pool_changed:
             raise RuntimeError(RESET_FIRST)
         return super().step(actions)

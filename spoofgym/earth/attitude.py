@@ -9,15 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 def skew(vector: ArrayLike) -> NDArray[np.float64]:
     """Cross-product matrix: ``skew(a) @ b == cross(a, b)``.
 
-    Parameters
-    ----------
-    vector : array_like
-        (..., 3).
-
-    Returns
-    -------
-    ndarray
-        (..., 3, 3), antisymmetric.
+    `vector` (..., 3); returns (..., 3, 3), antisymmetric.
     """
     x, y, z = np.moveaxis(np.asarray(vector, dtype=np.float64), -1, 0)
     zero = np.zeros_like(x)
@@ -28,15 +20,8 @@ def skew(vector: ArrayLike) -> NDArray[np.float64]:
 def euler_to_dcm(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> NDArray[np.float64]:
     """Direction cosine matrix `C_nb`, to local from body axes, from Euler angles.
 
-    Parameters
-    ----------
-    roll, pitch, yaw : array_like
-        Angles [rad], any shape S; yaw first, then pitch, then roll.
-
-    Returns
-    -------
-    ndarray
-        (S, 3, 3).
+    `roll`, `pitch`, `yaw`: angles [rad], any shape S; yaw first, then pitch, then roll; returns
+    (S, 3, 3).
 
     Notes
     -----
@@ -59,15 +44,8 @@ def dcm_to_euler(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Euler angles from the direction cosine matrix `C_nb`.
 
-    Parameters
-    ----------
-    C_nb : array_like
-        (..., 3, 3), to local from body axes.
-
-    Returns
-    -------
-    roll, pitch, yaw : ndarray
-        Angles [rad]; roll and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
+    `C_nb` (..., 3, 3), to local from body axes; returns `roll`, `pitch`, `yaw`: angles [rad]; roll
+    and yaw in (-pi, pi], pitch in [-pi/2, pi/2].
 
     Notes
     -----

@@ -20,17 +20,8 @@ def geodetic_to_ecef(
         r = \begin{pmatrix}(R_E + h)\cos L\cos\lambda\\ (R_E + h)\cos L\sin\lambda\\
         ((1 - e^2) R_E + h)\sin L\end{pmatrix}
 
-    Parameters
-    ----------
-    latitude, longitude : array_like
-        Geodetic latitude and longitude [rad], any shape S.
-    height : array_like
-        Height above the ellipsoid [m], broadcast against them.
-
-    Returns
-    -------
-    ndarray
-        (S, 3) position, ECEF [m].
+    `latitude`, `longitude`: geodetic latitude and longitude [rad], any shape S; `height`: height
+    above the ellipsoid [m], broadcast against them; returns (S, 3) position, ECEF [m].
 
     Notes
     -----
@@ -58,15 +49,8 @@ def ecef_to_geodetic(
     Bowring's closed form followed by two fixed-point steps; exact to rounding between the
     surface and satellite orbits, poles included.
 
-    Parameters
-    ----------
-    position_e : array_like
-        (..., 3) position, ECEF [m].
-
-    Returns
-    -------
-    latitude, longitude, height : ndarray
-        [rad], [rad], [m]; shape of the leading axes.
+    `position_e` (..., 3) position, ECEF [m]; returns `latitude`, `longitude`, `height` [rad],
+    [rad], [m]; shape of the leading axes.
     """
     x, y, z = np.moveaxis(np.asarray(position_e, dtype=np.float64), -1, 0)
     p = np.hypot(x, y)
@@ -88,15 +72,8 @@ def ecef_to_geodetic(
 def dcm_e_from_n(latitude: ArrayLike, longitude: ArrayLike) -> NDArray[np.float64]:
     """Direction cosine matrix `C_en`, to ECEF from north-east-down axes.
 
-    Parameters
-    ----------
-    latitude, longitude : array_like
-        Geodetic latitude and longitude [rad], any shape S.
-
-    Returns
-    -------
-    ndarray
-        (S, 3, 3); its columns are the north, east and down unit vectors in ECEF axes.
+    `latitude`, `longitude`: geodetic latitude and longitude [rad], any shape S; returns (S, 3, 3);
+    its columns are the north, east and down unit vectors in ECEF axes.
 
     Notes
     -----

@@ -30,19 +30,10 @@ def range_and_rate(
         \end{pmatrix}, \qquad a = \omega_{ie} |r_s - r| / c \\
         \dot\rho &= u^T \left(C (v_s + \Omega_{ie} r_s) - (v + \Omega_{ie} r)\right)
 
-    Parameters
-    ----------
-    sx, sy, sz, svx, svy, svz : float
-        Satellite position [m] and velocity [m/s], ECEF.
-    rx, ry, rz, vx, vy, vz : float
-        Antenna position [m] and velocity [m/s], ECEF.
-
-    Returns
-    -------
-    range, range_rate : float
-        [m] and [m/s], without clocks.
-    ux, uy, uz : float
-        Unit vector from the antenna to the satellite, ECEF.
+    `sx`, `sy`, `sz`, `svx`, `svy`, `svz`: satellite position [m] and velocity [m/s], ECEF; `rx`,
+    `ry`, `rz`, `vx`, `vy`, `vz`: antenna position [m] and velocity [m/s], ECEF; returns `range`,
+    `range_rate` [m] and [m/s], without clocks; `ux`, `uy`, `uz`: unit vector from the antenna to
+    the satellite, ECEF.
 
     Notes
     -----

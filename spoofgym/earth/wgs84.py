@@ -35,15 +35,7 @@ def radii_of_curvature(latitude: float) -> tuple[float, float]:
         R_N = \frac{R_0 (1 - e^2)}{(1 - e^2 \sin^2 L)^{3/2}}, \qquad
         R_E = \frac{R_0}{(1 - e^2 \sin^2 L)^{1/2}}
 
-    Parameters
-    ----------
-    latitude : float
-        Geodetic latitude L [rad].
-
-    Returns
-    -------
-    meridian, transverse : float
-        R_N and R_E [m].
+    `latitude`: geodetic latitude L [rad]; returns `meridian`, `transverse`: R_N and R_E [m].
 
     Notes
     -----
@@ -62,15 +54,7 @@ def geocentric_surface_radius(x: float, y: float, z: float) -> float:
     .. math::
         r_{eS} = R_E(L) \sqrt{\cos^2 L + (1 - e^2)^2 \sin^2 L}
 
-    Parameters
-    ----------
-    x, y, z : float
-        Position, ECEF [m].
-
-    Returns
-    -------
-    float
-        r_eS at the geodetic latitude of the point [m].
+    `x`, `y`, `z`: position, ECEF [m]; returns r_eS at the geodetic latitude of the point [m].
 
     Notes
     -----
@@ -108,15 +92,8 @@ def gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
         \begin{pmatrix}(1 - 5 z^2/r^2)\,x\\ (1 - 5 z^2/r^2)\,y\\ (3 - 5 z^2/r^2)\,z\end{pmatrix}
         \right) + \omega_{ie}^2 \begin{pmatrix}x\\y\\0\end{pmatrix}
 
-    Parameters
-    ----------
-    x, y, z : float
-        Position, ECEF [m].
-
-    Returns
-    -------
-    gx, gy, gz : float
-        Acceleration, ECEF [m/s^2]; zero at the centre of the Earth.
+    `x`, `y`, `z`: position, ECEF [m]; returns `gx`, `gy`, `gz`: acceleration, ECEF [m/s^2]; zero at
+    the centre of the Earth.
 
     Notes
     -----

@@ -13,24 +13,11 @@ from .._jit import njit
 def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin, displacement):
     """Displacements along the target direction, in the local axes at the onset.
 
-    Parameters
-    ----------
-    position_e, reference_e : ndarray
-        (B, 3) estimated, and (K, 3) what it is compared to, ECEF [m].
-    rows : ndarray
-        (B,) which of the references is each receiver's.
-    C_en : ndarray
-        (K, 3, 3) local axes at all epochs.
-    onset : ndarray
-        (B,) epoch after which each receiver's attack begins.
-    heading : ndarray
-        (B,) direction in which displacement counts, clockwise from north [rad].
-    worst : bool
-        Whether the size counts, in whatever direction.
-    origin : ndarray
-        (B, 2) north and east difference at the onset, which does not count [m].
-    displacement : ndarray
-        (B,), written [m].
+    `position_e`, `reference_e` (B, 3) estimated, and (K, 3) what it is compared to, ECEF [m];
+    `C_en` (K, 3, 3) local axes at all epochs; `onset` (B,) epoch after which each receiver's attack
+    begins; `heading` (B,) direction in which displacement counts, clockwise from north [rad];
+    `origin` (B, 2) north and east difference at the onset, which does not count [m]; `displacement`
+    (B,), written [m].
     """
     cosine, sine = 1.0, 0.0
     for b in range(displacement.shape[0]):
@@ -52,14 +39,8 @@ def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin,
 def time_fractions(epochs, onset, steps, out):
     """Parts of the command phase that are over, and left.
 
-    Parameters
-    ----------
-    epochs, onset : ndarray
-        (B,) epoch that each receiver is at, and that of its onset.
-    steps : int
-        Epochs of the command phase.
-    out : ndarray
-        (B, 2), written.
+    `epochs`, `onset` (B,) epoch that each receiver is at, and that of its onset; `out` (B, 2),
+    written.
     """
     for b in range(out.shape[0]):
         since = (epochs[b] - onset[b]) / steps
@@ -71,18 +52,9 @@ def time_fractions(epochs, onset, steps, out):
 def local_motion(position_e, velocity_e, C_en, epochs, onset, per_position, per_velocity, out):
     """Motion since the onset in the local axes there, scaled.
 
-    Parameters
-    ----------
-    position_e, velocity_e : ndarray
-        (K, 3) true, ECEF [m], [m/s].
-    C_en : ndarray
-        (K, 3, 3) local axes at all epochs.
-    epochs, onset : ndarray
-        (B,) epoch that each receiver is at, and that of its onset.
-    per_position, per_velocity : float
-        Factors.
-    out : ndarray
-        (B, 6), written: position less that at the onset, and velocity; north, east, down.
+    `position_e`, `velocity_e` (K, 3) true, ECEF [m], [m/s]; `C_en` (K, 3, 3) local axes at all
+    epochs; `epochs`, `onset` (B,) epoch that each receiver is at, and that of its onset; `out`
+    (B, 6), written: position less that at the onset, and velocity; north, east, down.
     """
     for b in range(out.shape[0]):
         k, first = epochs[b], onset[b]
@@ -98,20 +70,7 @@ def local_motion(position_e, velocity_e, C_en, epochs, onset, per_position, per_
 
 @njit
 def within(values, limit):
-    """Whether all values are finite, and at most as large as a limit.
-
-    Parameters
-    ----------
-    values : ndarray
-        Of any shape.
-    limit : float
-        At least 0.
-
-    Returns
-    -------
-    bool
-        False if any is NaN.
-    """
+    """Whether all values are finite, and at most as large as a limit."""
     good = True
     for value in values.flat:
         good = good and abs(value) <= limit
@@ -122,14 +81,7 @@ def within(values, limit):
 def own_command(displacement, rate, per_displacement, per_rate, out):
     """Commanded displacement and rate, scaled.
 
-    Parameters
-    ----------
-    displacement, rate : ndarray
-        (B, a) [m], [m/s].
-    per_displacement, per_rate : float
-        Factors.
-    out : ndarray
-        (B, o), whose first 2 a columns are written.
+    `displacement`, `rate` (B, a) [m], [m/s]; `out` (B, o), whose first 2 a columns are written.
     """
     axes = displacement.shape[1]
     for b in range(displacement.shape[0]):
@@ -140,17 +92,7 @@ def own_command(displacement, rate, per_displacement, per_rate, out):
 
 @njit
 def clip_columns(out, low, high, first, last):
-    """Clip some columns; NaN stays NaN.
-
-    Parameters
-    ----------
-    out : ndarray
-        (B, o), overwritten.
-    low, high : ndarray
-        (o,) bounds.
-    first, last : int
-        Which columns: those from `first` on, before `last`.
-    """
+    """Clip some columns; NaN stays NaN.  `out` (B, o), overwritten; `low`, `high` (o,) bounds."""
     for b in range(out.shape[0]):
         for i in range(first, last):
             if out[b, i] < low[i]:
@@ -183,35 +125,12 @@ def score(
 ):
     """Keep the books of one epoch of every receiver.
 
-    Parameters
-    ----------
-    alarms : ndarray
-        (B, c) bool, of the verdict.
-    early : ndarray
-        (B,) bool, whose last command this was, before the end of the window.
-    at_alarm : bool
-        Whether an alarm ends an episode.
-    steps, hold : int
-        Epochs of the command phase, and of the time to alert.
-    step_count : ndarray
-        (B,) epochs before this one; one more after it.
-    detected : ndarray
-        (B,) bool, whether there was an alarm before this epoch; with it after.
-    ended : ndarray
-        (B,) bool, whose episode was over before this epoch; nothing counts for them.
-    credited : ndarray
-        (B,) undetected displacement before this epoch, and after it [m].
-    largest : ndarray
-        (steps + 1, B) largest displacement so far after each epoch, this one's is written [m].
-    values, marks : ndarray
-        Of `Tally`.  The displacement, and who is to be truncated, are read; gain, retraction,
-        alarm, first alarm, last command and ends are written.
-
-    Returns
-    -------
-    bool
-        Whether anybody has given the last command without an alarm, and has to run the time to
-        alert.
+    `alarms` (B, c) bool, of the verdict; `early` (B,) bool, whose last command this was, before the
+    end of the window; `step_count` (B,) epochs before this one; one more after it; `detected` (B,)
+    bool, whether there was an alarm before this epoch; with it after; `ended` (B,) bool, whose
+    episode was over before this epoch; nothing counts for them; `credited` (B,) undetected
+    displacement before this epoch, and after it [m]; `largest` (steps + 1, B) largest displacement
+    so far after each epoch, this one's is written [m].
     """
     held = False
     for b in range(step_count.shape[0]):
@@ -256,22 +175,10 @@ def tell(
 ):
     """Write what is told of a step, and its reward.
 
-    Parameters
-    ----------
-    detected, credited : ndarray
-        As in `score`.
-    ended : ndarray
-        (B,) bool, overwritten: with those whose episode this step has ended.
-    warmup_alarm, coasting : ndarray
-        (B,) bool.
-    epoch_time : ndarray
-        (K,) [s].
-    epochs : ndarray
-        (B,) the epoch that each receiver is at.
-    shares : ndarray
-        (r, 4) of every term of the reward in gain, retraction, first alarm and alarm.
-    values, marks : ndarray
-        Of `Tally`, whose remaining rows are written.
+    `ended` (B,) bool, overwritten: with those whose episode this step has ended; `epoch_time` (K,)
+    [s]; `epochs` (B,) the epoch that each receiver is at; `shares` (r, 4) of every term of the
+    reward in gain, retraction, first alarm and alarm; `values`, `marks`: of `Tally`, whose
+    remaining rows are written.
     """
     for b in range(detected.shape[0]):
         ended[b] = ended[b] or marks[TERMINATED, b] or marks[TRUNCATED, b]
@@ -299,20 +206,9 @@ def tell(
 def look(table, epochs, displacement, rate, first, scales, out):
     """Observe what is tabled, and one's own command.
 
-    Parameters
-    ----------
-    table : ndarray
-        (K, o) float32, what is observed at every epoch.
-    epochs : ndarray
-        (B,) the epoch that each receiver is at.
-    displacement, rate : ndarray
-        (B, a) commanded [m], [m/s].
-    first : int
-        First column of the command, which has 2 a of them; -1 where it is not observed.
-    scales : ndarray
-        (4,) factors on displacement and rate, and bounds of both.
-    out : ndarray
-        (B, o) float32, written.
+    `table` (K, o) float32, what is observed at every epoch; `epochs` (B,) the epoch that each
+    receiver is at; `displacement`, `rate` (B, a) commanded [m], [m/s]; `scales` (4,) factors on
+    displacement and rate, and bounds of both; `out` (B, o) float32, written.
     """
     for b in range(out.shape[0]):
         row = table[epochs[b]]
@@ -332,20 +228,7 @@ def look(table, epochs, displacement, rate, first, scales, out):
 
 @njit
 def unpack_books(raw, receivers, steps):
-    """Name the arrays of the books: views of their bytes.
-
-    Parameters
-    ----------
-    raw : ndarray
-        (B (8 (steps + 3) + 3),) uint8.
-    receivers, steps : int
-        B, and epochs of the command phase.
-
-    Returns
-    -------
-    step_count, credited, largest, detected, ended, nobody : ndarray
-        Of `Books`.
-    """
+    """Name the arrays of the books: views of their bytes.  `raw` (B (8 (steps + 3) + 3),) uint8."""
     b, o = receivers, 8 * receivers
     step_count = raw[:o].view(np.int64)
     credited = raw[o : 2 * o].view(np.float64)
@@ -379,33 +262,10 @@ def play(
     To hand over an array costs as much as all that this does for one receiver, so most of them
     come several in one.
 
-    Parameters
-    ----------
-    floats, flags : ndarray
-        Of `ReceiverBuffers`.
-    twin_floats : ndarray
-        The same of the clean twins; of the receivers themselves where there are none.
-    epochs : ndarray
-        (B,) the epoch that each receiver is at.
-    books : ndarray
-        Bytes of `Books`.
-    rules : ndarray
-        (11 + 4 r + 13 K,) of `rules_of`.
-    table : ndarray
-        (K, o) as in `look`.
-    begun : ndarray
-        (5 B,) onset, heading and `origin` as in `displace`, `warmup_alarm` as in `tell`.
-    alarms : ndarray
-        As in `score`.
-    displacement, rate : ndarray
-        As in `look`.
-    numbers, flags_told, seen : ndarray
-        Of `Tally`, and `out` of `look` in one row; written.
-
-    Returns
-    -------
-    bool
-        As in `score`; nothing is told or observed then.
+    `epochs` (B,) the epoch that each receiver is at; `rules` (11 + 4 r + 13 K,) of `rules_of`;
+    `table` (K, o) as in `look`; `begun` (5 B,) onset, heading and `origin` as in `displace`,
+    `warmup_alarm` as in `tell`; `numbers`, `flags_told`, `seen`: of `Tally`, and `out` of `look` in
+    one row; written.
     """
     receivers, K = epochs.shape[0], table.shape[0]
     channels, steps, hold, first = int(rules[0]), int(rules[4]), int(rules[5]), int(rules[6])
@@ -481,20 +341,9 @@ def shift_response(
 ):
     """Move the attack's shift of the filter over one epoch, and add the divergence of it.
 
-    Parameters
-    ----------
-    transition, design, predicted_cov, innovation_cov, visible
-        Phi, H, P, S of `Epoch`.
-    weights : ndarray
-        (B, 2n) on the columns of the gain.
-    min_satellites : int
-        With fewer visible satellites there is no update; the innovations are there all the same.
-    range_offset, rate_offset : ndarray
-        (B, n) what the attack adds [m], [m/s].
-    shift : ndarray
-        (B, 17) of the filter's error, overwritten.
-    divergence : ndarray
-        (B,) [nats], added to.
+    `weights` (B, 2n) on the columns of the gain; `range_offset`, `rate_offset` (B, n) what the
+    attack adds [m], [m/s]; `shift` (B, 17) of the filter's error, overwritten; `divergence` (B,)
+    [nats], added to.
     """
     receivers, n = visible.shape
     states = shift.shape[1]

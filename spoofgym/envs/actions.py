@@ -58,18 +58,7 @@ class ActionTerm(Protocol):
 
 
 def command_names(setup: Setup) -> tuple[str, ...]:
-    """Name of every element of a command.
-
-    Parameters
-    ----------
-    setup : Setup
-        Knows the attack.
-
-    Returns
-    -------
-    tuple of str
-        a names, such as ``"north_acceleration"``.
-    """
+    """Name of every element of a command."""
     return setup.attack.action_names(setup.world)
 
 
@@ -237,10 +226,7 @@ class Actor:
     def aim(self, heading_rad: FloatArray) -> None:
         """Take the directions of the running episodes.
 
-        Parameters
-        ----------
-        heading_rad : ndarray
-            (B,) direction in which displacement counts, clockwise from north.
+        `heading_rad` (B,) direction in which displacement counts, clockwise from north.
         """
         if not self._plain:
             parts = [term.matrix(self.setup, heading_rad) for term in self._terms]
@@ -249,15 +235,7 @@ class Actor:
     def command(self, action: FloatArray) -> FloatArray:
         """Command of an action.
 
-        Parameters
-        ----------
-        action : ndarray
-            (B, k) in [-1, 1].
-
-        Returns
-        -------
-        ndarray
-            (B, a), C-contiguous; the attack limits it.
+        `action` (B, k) in [-1, 1]; returns (B, a), C-contiguous; the attack limits it.
         """
         if self._plain:
             return action

@@ -26,26 +26,10 @@ def rules_of(
 ) -> FloatArray:
     """What does not change while a game is played, in one array.
 
-    Parameters
-    ----------
-    engine : Engine
-        Knows the world, of K epochs, and whether there are twins.
-    books : Books
-        Know the lengths of the command phase and of the time to alert.
-    observer : Observer
-        Knows how a command is observed.
-    at_alarm : bool
-        Whether an alarm ends an episode.
-    shares : ndarray
-        (r, 4) of `shares_of`.
-
-    Returns
-    -------
-    ndarray
-        (11 + 4 r + 13 K,): slots, whether there are twins, whether the worst direction counts,
-        whether an alarm ends an episode, epochs of the command phase and of the time to alert,
-        `first` and `scales` of `look`; then `shares`; then positions, local axes and times of all
-        epochs.
+    `shares` (r, 4) of `shares_of`; returns (11 + 4 r + 13 K,): slots, whether there are twins,
+    whether the worst direction counts, whether an alarm ends an episode, epochs of the command
+    phase and of the time to alert, `first` and `scales` of `look`; then `shares`; then positions,
+    local axes and times of all epochs.
     """
     world = engine.setup.world
     numbers = (
@@ -63,19 +47,7 @@ def rules_of(
 
 
 class AtOnce:
-    """The epoch of a verdict in one kernel.
-
-    Parameters
-    ----------
-    engine : Engine
-        The receivers.
-    books : Books
-        What counts of their episodes.
-    observer : Observer
-        What is observed.
-    rules : ndarray
-        Of `rules_of`.
-    """
+    """The epoch of a verdict in one kernel.  `books`: what counts of their episodes."""
 
     def __init__(self, engine: Engine, books: Books, observer: Observer, rules: FloatArray) -> None:
         batch, twin = engine.batch, engine.twin
@@ -95,12 +67,7 @@ class AtOnce:
     def begin(self, engine: Engine, origin: FloatArray) -> None:
         """Take what new episodes begin with.
 
-        Parameters
-        ----------
-        engine : Engine
-            The receivers, at the onset where they have just begun.
-        origin : ndarray
-            (B, 2) north and east difference at the onset, which does not count [m].
+        `origin` (B, 2) north and east difference at the onset, which does not count [m].
         """
         batch = engine.batch
         parts = (batch.onset, batch.heading, origin.ravel(), engine.warmup_alarm)
@@ -109,19 +76,7 @@ class AtOnce:
     def __call__(self, verdict: Verdict, tally: Tally, seen: NDArray[np.float32]) -> bool:
         """Count and tell the epoch, and observe what `look` knows how to.
 
-        Parameters
-        ----------
-        verdict : Verdict
-            Of the epoch, whose update is over.
-        tally : Tally
-            Written.
-        seen : ndarray
-            (B o,), written.
-
-        Returns
-        -------
-        bool
-            Whether somebody has to run the time to alert first: nothing is told or observed then.
+        `seen` (B o,), written.
         """
         memory = self._attack.memory
         held: bool = play(

@@ -94,15 +94,7 @@ def attach(
 
 
 def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
-    """Warn of spoofers that push along a fixed heading where the target direction is drawn.
-
-    Parameters
-    ----------
-    spoofers : iterable of Spoofer
-        Who is to play.
-    setup : Setup
-        Target and attack.
-    """
+    """Warn of spoofers that push along a fixed heading where the target direction is drawn."""
     commands = setup.attack.action_names(setup.world)
     if setup.target_heading_deg != "random" or not has_heading(commands):
         return
@@ -126,19 +118,7 @@ def spoofer_context(
 ) -> SpooferContext:
     """What a spoofer is told of an attack.
 
-    Parameters
-    ----------
-    setup : Setup
-        World and attack.
-    receivers : int
-        B.
-    observer : Observer, optional
-        What it observes; by default it is told nothing of that.
-
-    Returns
-    -------
-    SpooferContext
-        For `Spoofer.bind`.
+    `observer`: what it observes; by default it does not know.
     """
     attack = setup.attack
     context = SpooferContext(
@@ -161,23 +141,7 @@ def spoofer_context(
 
 
 def game_of(env: Any) -> Game:
-    """Game behind an environment.
-
-    Parameters
-    ----------
-    env : SpoofEnv, SpoofVectorEnv or SpoofVecEnv
-        Wrapped or not.
-
-    Returns
-    -------
-    Game
-        Of all its receivers.
-
-    Raises
-    ------
-    TypeError
-        When there is none.
-    """
+    """Game behind an environment."""
     game = getattr(getattr(env, "unwrapped", env), "game", None)
     if not isinstance(game, Game):
         raise TypeError(
@@ -188,23 +152,7 @@ def game_of(env: Any) -> Game:
 
 
 def setup_of_card(card: Card) -> Setup:
-    """World, victim, attack, detector and timeline that a spoofer was made for.
-
-    Parameters
-    ----------
-    card : Card
-        Of the spoofer.
-
-    Returns
-    -------
-    Setup
-        As ``gymnasium.make(card.env_id, **card.env_kwargs)`` has it.
-
-    Raises
-    ------
-    ValueError
-        When there is no such environment.
-    """
+    """World, victim, attack, detector and timeline that a spoofer was made for."""
     if card.env_id != ENV_ID:
         raise ValueError(f"card of {card.name!r}: `env_id` must be {ENV_ID}, got {card.env_id!r}")
     valid = inspect.signature(SpoofEnv).parameters
@@ -221,20 +169,7 @@ def setup_of_card(card: Card) -> Setup:
 
 
 def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card | None:
-    """Card of a spoofer, if it has one.
-
-    Parameters
-    ----------
-    spec : Spoofer, str or mapping
-        What `make_spoofer` was given.
-    made : Spoofer
-        What it made of it.
-
-    Returns
-    -------
-    Card or None
-        Of a learned or a shipped one.
-    """
+    """Card of a spoofer, if it has one."""
     name = spec.get("name") if isinstance(spec, Mapping) else spec
     if isinstance(name, str) and name in shipped():
         return card_of(name)

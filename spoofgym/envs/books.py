@@ -19,16 +19,10 @@ Hold = Callable[[NDArray[np.intp]], NDArray[np.bool_]]
 class Score(NamedTuple):
     """What a step counts for.
 
-    Attributes
-    ----------
-    gain, retraction : ndarray
-        (B,) displacement gained, and taken back by an alarm [m].
-    first : ndarray
-        (B,) bool, whether this step brought the first alarm.
-    alarm : ndarray
-        (B,) bool, an alarm now, or in the time to alert after the last command.
-    finished : ndarray
-        (B,) bool, whether this was the last command, or the episode was ended early.
+    - `gain`, `retraction` (B,) displacement gained, and taken back by an alarm [m];
+    - `first` (B,) bool, whether this step brought the first alarm;
+    - `alarm` (B,) bool, an alarm now, or in the time to alert after the last command;
+    - `finished` (B,) bool, whether this was the last command, or the episode was ended early.
     """
 
     gain: FloatArray
@@ -41,29 +35,14 @@ class Score(NamedTuple):
 class Books:
     """Books of B receivers; the rules stand in `Game`.
 
-    Parameters
-    ----------
-    receivers : int
-        B.
-    steps, hold : int
-        Commands of an episode, and epochs of the time to alert.
-
-    Attributes
-    ----------
-    raw : ndarray
-        (bytes,) uint8, all of the following one after the other, as `unpack_books` names them.
-    step_count : ndarray
-        (B,) commands given in the running episodes.
-    credited : ndarray
-        (B,) undetected displacement so far [m].
-    largest : ndarray
-        (steps + 1, B) largest displacement so far after each command [m].
-    detected : ndarray
-        (B,) bool, whether the attack has raised an alarm.
-    ended : ndarray
-        (B,) bool, whose episode is over; the game sets it.  They count nothing more.
-    nobody : ndarray
-        (B,) bool, False.
+    - `steps`, `hold`: commands of an episode, and epochs of the time to alert;
+    - `raw` (bytes,) uint8, all of the following one after the other, as `unpack_books` names them;
+    - `step_count` (B,) commands given in the running episodes;
+    - `credited` (B,) undetected displacement so far [m];
+    - `largest` (steps + 1, B) largest displacement so far after each command [m];
+    - `detected` (B,) bool, whether the attack has raised an alarm;
+    - `ended` (B,) bool, whose episode is over; the game sets it.  They count nothing more;
+    - `nobody` (B,) bool, False.
     """
 
     step_count: NDArray[np.int64]
@@ -100,13 +79,7 @@ class Books:
         self._name_arrays()
 
     def reset(self, rows: NDArray[np.intp]) -> None:
-        """Begin new episodes.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers.
-        """
+        """Begin new episodes."""
         self.step_count[rows] = 0
         self.detected[rows] = False
         self.credited[rows] = 0.0
@@ -116,19 +89,8 @@ class Books:
     def score(self, displacement: FloatArray, alarms: NDArray[np.bool_], hold: Hold) -> Score:
         """Count one step of every receiver.
 
-        Parameters
-        ----------
-        displacement : ndarray
-            (B,) error along the target direction, less that at the onset [m].
-        alarms : ndarray
-            (B, c) bool.
-        hold : callable
-            Called with the receivers that have given their last command without an alarm.
-
-        Returns
-        -------
-        Score
-            Of the step.
+        `displacement` (B,) error along the target direction, less that at the onset [m]; `alarms`
+        (B, c) bool.
         """
         tally = Tally(self._heads)
         tally.values[_kernels.DISPLACEMENT] = displacement
@@ -152,18 +114,9 @@ class Books:
     ) -> None:
         """Count an epoch whose displacement is known.
 
-        Parameters
-        ----------
-        tally : Tally
-            With displacement, and those who are to be truncated; the score is written.
-        alarms : ndarray
-            (B, c) bool.
-        early : ndarray
-            (B,) bool, for whom this is the last command before the end of the window.
-        at_alarm : bool
-            Whether an alarm ends an episode.
-        hold : callable
-            Called with the receivers that have given their last command without an alarm.
+        `tally`: with displacement, and those who are to be truncated; the score is written;
+        `alarms` (B, c) bool; `early` (B,) bool, for whom this is the last command before the end of
+        the window.
         """
         if _kernels.score(
             np.ascontiguousarray(alarms),
@@ -184,12 +137,7 @@ class Books:
     def score_hold(self, tally: Tally, hold: Hold) -> None:
         """Count what alarms in the time to alert after the last command do.
 
-        Parameters
-        ----------
-        tally : Tally
-            Of the last command; retraction and alarms are written.
-        hold : callable
-            Called with the receivers that have given it without an alarm.
+        `tally`: of the last command; retraction and alarms are written.
         """
         rows = np.flatnonzero(tally.marks[_kernels.FINISHED] & ~self.detected)
         late = hold(rows)
@@ -207,16 +155,6 @@ class Books:
     def over(self, finished: NDArray[np.bool_], end_at_alarm: bool) -> NDArray[np.bool_]:
         """Which episodes are over.
 
-        Parameters
-        ----------
-        finished : ndarray
-            (B,) bool, of the last score.
-        end_at_alarm : bool
-            Whether an alarm ends an episode.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, a new array.
+        `finished` (B,) bool, of the last score; returns (B,) bool, a new array.
         """
         return finished | self.detected if end_at_alarm else finished

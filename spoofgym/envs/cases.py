@@ -28,22 +28,13 @@ FloatArray = NDArray[np.float64]
 class Case(NamedTuple):
     """One combination of world, grade and errors.
 
-    Attributes
-    ----------
-    grade : ImuGrade
-        Errors of the inertial sensors.
-    errors : GnssErrors
-        Errors of GNSS and clock.
-    bias_sd : ndarray
-        (n,) standard deviation of the satellites' constant biases [m].
-    noise_variance : ndarray
-        (2n,) R that the victim assumes.
-    noise : NoiseModel
-        Clock and inertial sensors that it assumes.
-    noise_psd : ndarray
-        (17,) noise of its states.
-    covariance : ndarray
-        (17, 17) of its first state.
+    - `grade`: errors of the inertial sensors;
+    - `errors`: errors of GNSS and clock;
+    - `bias_sd` (n,) standard deviation of the satellites' constant biases [m];
+    - `noise_variance` (2n,) R that the victim assumes;
+    - `noise`: clock and inertial sensors that it assumes;
+    - `noise_psd` (17,) noise of its states;
+    - `covariance` (17, 17) of its first state.
     """
 
     grade: ImuGrade
@@ -56,25 +47,7 @@ class Case(NamedTuple):
 
 
 def worlds_of(scenario: Scenario, domain: Domain) -> list[World]:
-    """Worlds of a domain.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Of which they are variants.
-    domain : Domain
-        Turns and times of the constellation.
-
-    Returns
-    -------
-    list of World
-        At least one; the last lists that were computed are remembered.
-
-    Raises
-    ------
-    ValueError
-        When the constellation can't be moved in time.
-    """
+    """Worlds of a domain."""
     if not domain.varies and domain.worlds is None and domain.pairs() == [(0.0, 0.0)]:
         return [scenario.world()]
     constellation = scenario.constellation
@@ -109,27 +82,13 @@ def _variants(scenario: Scenario, base: CircularConstellation, domain: Domain) -
 class Cases:
     """All combinations of world, grade and errors.
 
-    Parameters
-    ----------
-    worlds : sequence of World
-        Of `worlds_of`.
-    scenario : Scenario
-        What holds where the domain says nothing.
-    receiver : TightlyCoupled
-        The victim; its grade is replaced where the domain has several.
-    domain : Domain
-        What there is to choose from.
-    epochs : int
-        Of an episode, which a matched receiver is told.
-    flown : int
-        Epochs of the flight that any episode may come to.
-
-    Attributes
-    ----------
-    world : World
-        All worlds, one after the other.
-    names : dict
-        Names of the grades, ``"imu"``, and of the errors, ``"errors"``.
+    - `scenario`: what holds where the domain says nothing;
+    - `receiver`: the victim; its grade is replaced where the domain has several;
+    - `domain`: what there is to choose from;
+    - `epochs`: of an episode, which a matched receiver knows;
+    - `flown`: epochs of the flight that any episode may come to;
+    - `world`: all worlds, one after the other;
+    - `names`: names of the grades, ``"imu"``, and of the errors, ``"errors"``.
     """
 
     def __init__(
@@ -159,15 +118,7 @@ class Cases:
     ) -> NDArray[np.int64]:
         """Index of combinations.
 
-        Parameters
-        ----------
-        world, grade, error : ndarray
-            (b,) of a `Choice`.
-
-        Returns
-        -------
-        ndarray
-            (b,) for `__getitem__`.
+        `world`, `grade`, `error` (b,) of a `Choice`; returns (b,) for `__getitem__`.
         """
         result: NDArray[np.int64] = (world * self.grades + grade) * self.errors + error
         return result
@@ -185,17 +136,8 @@ class Cases:
     def first_C_eb(self, grade: NDArray[np.int64], epochs: NDArray[np.int64]) -> FloatArray:
         """Attitudes that receivers begin with.
 
-        Parameters
-        ----------
-        grade : ndarray
-            (b,) of a `Choice`.
-        epochs : ndarray
-            (b,) epochs of `world` at which they begin.
-
-        Returns
-        -------
-        ndarray
-            (b, 3, 3) to ECEF from body axes.
+        `grade` (b,) of a `Choice`; `epochs` (b,) epochs of `world` at which they begin; returns
+        (b, 3, 3) to ECEF from body axes.
         """
         pairs = zip(grade.tolist(), epochs.tolist(), strict=True)
         return np.array([self._first_C_eb[g][k] for g, k in pairs])

@@ -7,18 +7,6 @@ def told_beside_call(term: object, name: str) -> bool:
     """Whether a term says by an attribute what its own `__call__` does.
 
     A subclass with another `__call__` inherits the attribute, which is not true of it any more.
-
-    Parameters
-    ----------
-    term : object
-        Of any kind.
-    name : str
-        Of the attribute.
-
-    Returns
-    -------
-    bool
-        Whether there is such an attribute, of the class that also has the present `__call__`.
     """
     return hasattr(term, name) and _owner(term, name) is _owner(term, "__call__")
 

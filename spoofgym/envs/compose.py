@@ -22,26 +22,7 @@ def compose(
     watch: WatchSpec = (),
     end: EndSpec = (),
 ) -> None:
-    """Set the detector, and add to what watches and to what ends an episode.
-
-    Parameters
-    ----------
-    env : SpoofEnv, PlantEnv or vector environment of them
-        Wrapped or not.
-    detector : str, mapping or Detector, optional
-        In the loop, as `make_detector` takes it.
-    watch : sequence of str, mapping or Detector
-        Further detectors beside it.
-    end : str, mapping, path, EndTerm or sequence of them
-        Further end terms.
-
-    Raises
-    ------
-    ValueError
-        When a detector has been set already; names both.
-    RuntimeError
-        When the environment has been reset.
-    """
+    """Set the detector, and add to what watches and to what ends an episode."""
     inner = _composable(env)
     if inner.begun:
         raise RuntimeError("the game has begun: compose the environment before reset()")
@@ -87,23 +68,7 @@ def _composable(env: Any) -> Any:
 
 
 def composed(env: Any) -> SpoofEnv | SpoofVectorEnv:
-    """Environment inside all wrappers.
-
-    Parameters
-    ----------
-    env : SpoofEnv or SpoofVectorEnv
-        Wrapped or not.
-
-    Returns
-    -------
-    SpoofEnv or SpoofVectorEnv
-        The innermost.
-
-    Raises
-    ------
-    TypeError
-        When it is of another kind.
-    """
+    """Environment inside all wrappers."""
     inner = getattr(env, "unwrapped", env)
     if not isinstance(inner, SpoofEnv | SpoofVectorEnv):
         raise TypeError(

@@ -42,32 +42,17 @@ if TYPE_CHECKING:
 class Divergence(Witness):
     """Divergence of the innovations by the filter's belief, of every receiver.
 
-    Attributes
-    ----------
-    memory : Memory
-        ``divergence`` (B,) accumulated [nats]; ``shift`` (B, 17) e, in the filter's states.
+    `memory`: ``divergence`` (B,) accumulated [nats]; ``shift`` (B, 17) e, in the filter's states.
     """
 
     def bind(self, batch: Batch) -> None:
-        """Prepare for a batch.
-
-        Parameters
-        ----------
-        batch : Batch
-            Sizes.
-        """
+        """Prepare for a batch."""
         self.memory = Memory(batch.receivers)
         self.memory.declare("divergence", np.zeros(batch.receivers))
         self.memory.declare("shift", np.zeros((batch.receivers, STATES)))
 
     def see(self, batch: Batch) -> None:
-        """Add the part of an epoch.
-
-        Parameters
-        ----------
-        batch : Batch
-            With epoch and verdict.
-        """
+        """Add the part of an epoch."""
         epoch, verdict, sensors = batch.epoch, batch.verdict, batch.sensors.state
         weights = batch.ones if verdict is None or verdict.weights is None else verdict.weights
         shift_response(

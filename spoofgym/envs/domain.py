@@ -169,17 +169,7 @@ class Bounds(NamedTuple):
 def draw(bounds: Bounds, keys: NDArray[np.uint64]) -> Choice:
     """Draw the circumstances of episodes.
 
-    Parameters
-    ----------
-    bounds : Bounds
-        What there is to choose from.
-    keys : ndarray
-        (b, 2) keys of the source of chance, one an episode.
-
-    Returns
-    -------
-    Choice
-        Of b episodes.
+    `keys` (b, 2) keys of the source of chance, one an episode.
     """
     count = len(keys)
     whole = np.zeros((4, count), dtype=np.int64)
@@ -207,28 +197,7 @@ def told(
 ) -> Choice:
     """Circumstances that a user has told, and those drawn where nothing is told.
 
-    Parameters
-    ----------
-    given : mapping
-        Some of `CHOICES`, each one value, or (b,) of them.
-    drawn : Choice
-        What was drawn.
-    bounds : Bounds
-        What there is to choose from.
-    names : mapping
-        Valid names of ``"imu"`` and ``"errors"``.
-    interval_s : float
-        Time between epochs.
-
-    Returns
-    -------
-    Choice
-        Of b episodes.
-
-    Raises
-    ------
-    ValueError
-        Names what is unknown, of another length or out of range.
+    `given`: some of `CHOICES`, each one value, or (b,) of them.
     """
     count = len(drawn.start)
     for name in given:

@@ -212,20 +212,7 @@ class Ends:
         return bool(self._terms)
 
     def judge(self, standing: Standing, info: dict[str, NDArray[Any]]) -> tuple[Mask, Mask]:
-        """Judge the episodes.
-
-        Parameters
-        ----------
-        standing : Standing
-            How they stand.
-        info : dict
-            Gets a key per term.
-
-        Returns
-        -------
-        terminated, truncated : ndarray
-            (B,) bool, new arrays.
-        """
+        """Judge the episodes.  Returns `terminated`, `truncated` (B,) bool, new arrays."""
         result = np.zeros((2, len(standing.displacement)), dtype=np.bool_)
         for key, term in zip(self.info_names, self._terms, strict=True):
             info[key] = term(standing)

@@ -82,18 +82,7 @@ class Batch:
             witness.bind(self)
 
     def bind_detector(self, detector: Detector) -> None:
-        """Bind a detector to these receivers.
-
-        Parameters
-        ----------
-        detector : Detector
-            In the loop, or beside it.
-
-        Raises
-        ------
-        ValueError
-            When it can't alarm within an episode.
-        """
+        """Bind a detector to these receivers."""
         setup = self.setup
         detector.bind(
             DetectorContext(
@@ -107,23 +96,7 @@ class Batch:
         check_settles(detector, setup.live + setup.steps + setup.hold)
 
     def witness(self, kind: type[W]) -> W:
-        """Witness of a kind.
-
-        Parameters
-        ----------
-        kind : type
-            Its class.
-
-        Returns
-        -------
-        Witness
-            Of this batch.
-
-        Raises
-        ------
-        LookupError
-            When the game was made without one.
-        """
+        """Witness of a kind."""
         for witness in self.witnesses:
             if isinstance(witness, kind):
                 return witness
@@ -158,15 +131,7 @@ class Batch:
     def begin(
         self, rngs: Sequence[np.random.Generator], given: Mapping[str, Any] | None = None
     ) -> None:
-        """Begin a new episode in every receiver: errors, first fix, attitude, empty memories.
-
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per receiver.
-        given : mapping, optional
-            Circumstances that are not to be drawn; see `domain.CHOICES`.
-        """
+        """Begin a new episode in every receiver: errors, first fix, attitude, empty memories."""
         setup, b = self.setup, self.receivers
         rows = np.arange(b)
         self.sensors.draw_keys(rows, rngs)
@@ -295,41 +260,21 @@ class Batch:
         self._advance(lo, hi)
 
     def advance(self) -> Epoch:
-        """First half of a clean epoch: measure, mechanize, predict, form the innovation.
-
-        Returns
-        -------
-        Epoch
-            What a detector may see.
-        """
+        """First half of a clean epoch: measure, mechanize, predict, form the innovation."""
         self._run(self._advance, self.receivers)
         return self.epoch
 
     def advance_attacked(self, action: FloatArray | None) -> Epoch:
         """First half of an epoch under attack.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, a) in [-1, 1], C-contiguous; None holds the present rate.
-
-        Returns
-        -------
-        Epoch
-            What a detector may see.
+        `action` (B, a) in [-1, 1], C-contiguous; None holds the present rate.
         """
         self._action = action
         self._run(self._attack_and_advance, self.receivers)
         return self.epoch
 
     def judge(self) -> Verdict:
-        """Let the detector judge the epoch.
-
-        Returns
-        -------
-        Verdict
-            Its verdict.
-        """
+        """Let the detector judge the epoch."""
         self.verdict = self.detector.judge(self.epoch)
         for witness in self.witnesses:
             witness.see(self)
@@ -338,24 +283,13 @@ class Batch:
     def update(self, weights: FloatArray | None) -> None:
         """Second half of an epoch: the update with the weighted gain.
 
-        Parameters
-        ----------
-        weights : ndarray or None
-            (B, 2n) in [0, 1], C-contiguous; None for all 1.
+        `weights` (B, 2n) in [0, 1], C-contiguous; None for all 1.
         """
         self.weights = self.ones if weights is None else weights
         self._run(self._update, self.receivers)
 
     def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
-        """Run clean epochs without a detector.
-
-        Parameters
-        ----------
-        count : int
-            How many.
-        between : callable, optional
-            Called before every few epochs; it may wait.
-        """
+        """Run clean epochs without a detector."""
         self.weights = self.ones
         what = _kernels.MEASURE + _kernels.PREDICT + _kernels.UPDATE
         piece = count if between is None else max(1, PIECE // self.receivers)
@@ -373,19 +307,7 @@ class Batch:
     ) -> NDArray[np.bool_]:
         """Run epochs with the detector, without new commands.
 
-        Parameters
-        ----------
-        count : int
-            How many.
-        holding : bool
-            Whether the attack holds its rate, or has not begun.
-        between : callable, optional
-            Called before every epoch; it may wait.
-
-        Returns
-        -------
-        ndarray
-            (count, B) bool, whether any channel alarmed.
+        Returns (count, B) bool, whether any channel alarmed.
         """
         self._action = None
         first = self._attack_and_advance if holding else self._advance
@@ -410,14 +332,7 @@ class Batch:
     def copy_rows(self, to: NDArray[np.intp], other: Batch, rows: NDArray[np.intp]) -> None:
         """Take over receivers of another batch, with all that they remember.
 
-        Parameters
-        ----------
-        to : ndarray
-            Rows of this batch that are overwritten.
-        other : Batch
-            Of the same setup.
-        rows : ndarray
-            As many rows of the other batch.
+        `to`: rows of this batch that are overwritten.
         """
         pairs: list[tuple[Any, Any]] = [
             (self.buffers.state, other.buffers.state),
@@ -485,15 +400,7 @@ def _warm_up(
 
 
 def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
-    """Call ``work(lo, hi)`` once over all receivers.
-
-    Parameters
-    ----------
-    work : callable
-        What to call.
-    receivers : int
-        B.
-    """
+    """Call ``work(lo, hi)`` once over all receivers."""
     work(0, receivers)
 
 
@@ -588,15 +495,8 @@ class Engine:
     ) -> None:
         """Begin new episodes and run their warm-up.
 
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per row.
-        rows : ndarray, optional
-            Which receivers; all by default.
-        given : mapping, optional
-            Circumstances of these episodes that are not to be drawn, one value, or one per row; see
-            `domain.CHOICES`.
+        `given`: circumstances of these episodes that are not to be drawn, one value, or one per
+        row; see `domain.CHOICES`.
         """
         where = self._everyone if rows is None else rows
         if given:
@@ -649,50 +549,25 @@ class Engine:
     def predict(self, action: FloatArray | None) -> Epoch:
         """First half of a step: command, measure, mechanize, predict.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, a) in [-1, 1]; None holds the present rates.
-
-        Returns
-        -------
-        Epoch
-            What a detector may see.
+        `action` (B, a) in [-1, 1]; None holds the present rates.
         """
         return self.batch.advance_attacked(action)
 
     def judge(self) -> Verdict:
-        """Let the engine's own detector judge the epoch.
-
-        Returns
-        -------
-        Verdict
-            Its verdict.
-        """
+        """Let the engine's own detector judge the epoch."""
         return self.batch.judge()
 
     def update(self, verdict: Verdict) -> None:
         """Second half of a step: the update with the verdict's weights.
 
-        Parameters
-        ----------
-        verdict : Verdict
-            Its weights are used; None are all 1.
+        `verdict`: its weights are used; None are all 1.
         """
         self.batch.update(verdict.weights)
 
     def step(self, action: FloatArray | None) -> Verdict:
         """Both halves with the engine's own detector.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, a) in [-1, 1]; None holds the present rates.
-
-        Returns
-        -------
-        Verdict
-            Of the epoch.
+        `action` (B, a) in [-1, 1]; None holds the present rates.
         """
         if self._next is None:
             return self._step(action)
@@ -706,18 +581,7 @@ class Engine:
         return verdict
 
     def step_twin(self) -> Verdict:
-        """Run the epoch of the clean twins, with their own detector.
-
-        Returns
-        -------
-        Verdict
-            Of the twins.
-
-        Raises
-        ------
-        RuntimeError
-            When there are none.
-        """
+        """Run the epoch of the clean twins, with their own detector."""
         if self.twin is None:
             raise RuntimeError("this engine has no clean twins; make it with `twin=True`")
         self.twin.advance()
@@ -728,15 +592,7 @@ class Engine:
     def hold(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Let some receivers, and their twins, run the time to alert after the command phase.
 
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers.
-
-        Returns
-        -------
-        ndarray
-            (hold, b) bool, alarms by epoch.
+        Returns (hold, b) bool, alarms by epoch.
         """
         count = self.setup.hold
         if self.twin is not None:
@@ -744,20 +600,7 @@ class Engine:
         return self.apart(rows, lambda batch: batch.live_epochs(count, holding=True))
 
     def apart(self, rows: NDArray[np.intp], work: Callable[[Batch], T]) -> T:
-        """Do something with some receivers, while the others stand still.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers.
-        work : callable
-            Called with a batch of these receivers alone.
-
-        Returns
-        -------
-        object
-            What `work` returns.
-        """
+        """Do something with some receivers, while the others wait."""
         return self._apart(self.batch, rows, work)
 
     def _apart(self, whole: Batch, rows: NDArray[np.intp], work: Callable[[Batch], T]) -> T:
@@ -782,18 +625,7 @@ class Engine:
 
 
 def available_threads(receivers: int) -> int:
-    """Threads worth their while.
-
-    Parameters
-    ----------
-    receivers : int
-        B.
-
-    Returns
-    -------
-    int
-        At least 1.
-    """
+    """Threads worth their while."""
     try:
         processors = len(os.sched_getaffinity(0))
     except AttributeError:

@@ -209,13 +209,7 @@ class Game(Stepwise):
         return self.books.step_count
 
     def set_rewards(self, terms: Sequence[RewardTerm]) -> None:
-        """Reward by these terms from the next step on.
-
-        Parameters
-        ----------
-        terms : sequence of RewardTerm
-            Terms of the reward, each with a name of its own.
-        """
+        """Reward by these terms from the next step on."""
         self._reward_parts = named_terms(terms)
         shares = shares_of(terms)
         self._compiled = shares is not None
@@ -232,17 +226,7 @@ class Game(Stepwise):
     def altered(self, setup: Setup | None = None, **changes: Any) -> Game:
         """A new game, not begun yet, with some settings changed.
 
-        Parameters
-        ----------
-        setup : Setup, optional
-            Another one.
-        **changes
-            Arguments of this class by name.
-
-        Returns
-        -------
-        Game
-            Of as many receivers, without listeners.
+        It has as many receivers, and no listeners.
         """
         return Game(
             self.receivers,
@@ -255,23 +239,11 @@ class Game(Stepwise):
         self.engine.close()
 
     def snapshot(self) -> Snapshot:
-        """The game as it stands.
-
-        Returns
-        -------
-        Snapshot
-            Views, valid until the next step.
-        """
+        """The game as it is."""
         return Snapshot(self.setup, self.engine.batch, self.step_count, self.engine.twin)
 
     def observe(self) -> NDArray[np.float32]:
-        """Observe all receivers.
-
-        Returns
-        -------
-        ndarray
-            (B, o) a new array.
-        """
+        """Observe all receivers: (B, o) a new array."""
         return self.observer.observe(self.snapshot())
 
     def reset(
@@ -280,17 +252,7 @@ class Game(Stepwise):
         rows: NDArray[np.intp] | None = None,
         given: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin new episodes, and run their warm-up up to the onset.
-
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per row.
-        rows : ndarray, optional
-            Which receivers; all by default.
-        given : mapping, optional
-            As in `Engine.reset`.
-        """
+        """Begin new episodes, and run their warm-up up to the onset."""
         where = self._rows if rows is None else rows
         self.engine.reset(rngs, rows, given)
         self.books.reset(where)
@@ -402,33 +364,12 @@ class Game(Stepwise):
     def step(self, action: FloatArray) -> Tally:
         """One decision of all receivers, and the epochs until the next.
 
-        Parameters
-        ----------
-        action : ndarray
-            (B, k) float64, C-contiguous, in [-1, 1].
-
-        Returns
-        -------
-        Tally
-            Rewards, ends and information.
+        `action` (B, k) float64, C-contiguous, in [-1, 1].
         """
         return self.turn(action)[0]
 
     def turn(self, action: FloatArray) -> tuple[Tally, NDArray[np.float32]]:
-        """`step`, then `observe`.
-
-        Parameters
-        ----------
-        action : ndarray
-            As in `step`.
-
-        Returns
-        -------
-        tally : Tally
-            Rewards, ends and information.
-        observation : ndarray
-            (B, o) float32, new.
-        """
+        """`step`, then `observe`.  Returns `observation` (B, o) float32, new."""
         if self._watch is not None:
             self._watch.forget(self._watched)
         command = self.actor.command(action)
@@ -455,15 +396,7 @@ class Game(Stepwise):
     def alone(self, action: FloatArray) -> Told:
         """`turn` of the only receiver, as an environment returns it.
 
-        Parameters
-        ----------
-        action : ndarray
-            (1, k) as in `step`.
-
-        Returns
-        -------
-        observation, reward, terminated, truncated, info
-            As in `Stepwise`.
+        `action` (1, k) as in `step`.
         """
         if self._in_pieces or self.listeners or self._tells_more:
             return super().alone(action)
@@ -501,13 +434,7 @@ class Game(Stepwise):
         return early
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
-        """Information at the begin of an episode.
-
-        Returns
-        -------
-        dict
-            Arrays with a leading axis of receivers.
-        """
+        """Information at the start of an episode."""
         engine = self.engine
         watched = {} if self._watch is None else self._watch.begin_info()
         return {

@@ -23,18 +23,7 @@ G = TypeVar("G", bound=Played)
 
 
 def refuse_rendering(render_mode: object) -> None:
-    """Raise unless nothing is to be rendered.
-
-    Parameters
-    ----------
-    render_mode : object
-        Of the user.
-
-    Raises
-    ------
-    ValueError
-        When it is not None.
-    """
+    """Raise unless nothing is to be rendered."""
     if render_mode is not None:
         raise ValueError(
             f"`render_mode` must be None, there is nothing to render; got {render_mode!r}"
@@ -83,13 +72,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
         self.adopt(game)
 
     def adopt(self, game: G) -> None:
-        """Take a game that has not begun.
-
-        Parameters
-        ----------
-        game : Played
-            Instead of the present one, if there is one.
-        """
+        """Take a game that has not begun."""
         if self._screen is not None:
             self._screen.close()
         self.game = game
@@ -118,23 +101,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode: warm-up, then the onset.
-
-        Parameters
-        ----------
-        seed : int, optional
-            Seeds the receiver; without it the next episode of the same stream begins.
-        options : dict, optional
-            ``"domain"``: circumstances that are not to be drawn, such as ``{"start_s": 10.0}``; see
-            `spoofgym.envs.domain.CHOICES`.  Others are warned of.
-
-        Returns
-        -------
-        observation : ndarray
-            (o,) float32.
-        info : dict
-            Whether the warm-up alarmed, and the time.
-        """
+        """Begin an episode: warm-up, then the onset.  Returns `observation` (o,) float32."""
         warn_unknown(options, ("domain",))
         super().reset(seed=checked_seed(seed))
         self.game.reset([self.np_random], given=told_domain(options))
@@ -147,21 +114,9 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Give one command, and run one epoch.
 
-        Parameters
-        ----------
-        action : array_like
-            (a,) in [-1, 1].
-
-        Returns
-        -------
-        observation : ndarray
-            (o,) float32.
-        reward : float
-            Sum of ``info["reward_*"]``.
-        terminated, truncated : bool
-            The second is False, unless an end term truncates.
-        info : dict
-            Parts of the reward, alarm, displacement, time.
+        `action` (a,) in [-1, 1]; returns `observation` (o,) float32; `reward`: sum of
+        ``info["reward_*"]``; `terminated`, `truncated`: the second is False, unless an end term
+        truncates.
         """
         if not self._running:
             why = "the episode is over" if self._begun else "no episode has begun"
@@ -177,16 +132,8 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the episode from its onset until now.
 
-        Returns
-        -------
-        ndarray or None
-            (H, W, 3) uint8 in mode ``rgb_array``; None in mode ``human``, which also draws at
-            every reset and step.
-
-        Raises
-        ------
-        RuntimeError
-            Before the first reset, and in mode ``human`` without a display.
+        Returns (H, W, 3) uint8 in mode ``rgb_array``; None in mode ``human``, which also draws at
+        every reset and step.
         """
         if self._screen is None:
             gym.logger.warn(
@@ -219,23 +166,7 @@ class GameEnv(gym.Env[Observation, Observation], Generic[G]):
 
 
 def told_domain(options: dict[str, Any] | None) -> Mapping[str, Any] | None:
-    """Circumstances that a reset is told.
-
-    Parameters
-    ----------
-    options : dict or None
-        Of the user.
-
-    Returns
-    -------
-    mapping or None
-        Of ``"domain"``.
-
-    Raises
-    ------
-    TypeError
-        When it is no mapping.
-    """
+    """Circumstances that a reset is given."""
     given = (options or {}).get("domain")
     if given is not None and not isinstance(given, Mapping):
         raise TypeError(f"the option `domain` of a reset must be a dict, got {given!r}")

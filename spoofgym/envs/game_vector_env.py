@@ -31,23 +31,7 @@ Array = NDArray[Any]
 
 
 def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
-    """Mode by name.
-
-    Parameters
-    ----------
-    given : {"next_step", "same_step", "disabled"} or AutoresetMode
-        Of the user.
-
-    Returns
-    -------
-    AutoresetMode
-        One that the environments have.
-
-    Raises
-    ------
-    ValueError
-        When it is another; the valid ones are listed.
-    """
+    """Mode by name."""
     if isinstance(given, str):
         word = given.lower().removeprefix("autoresetmode.")
         check_choice("autoreset mode", word, AUTORESET_MODES)
@@ -60,20 +44,7 @@ def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
 
 
 def check_vector_settings(num_envs: int, render_mode: object) -> None:
-    """Raise unless there are receivers, and nothing is to be rendered.
-
-    Parameters
-    ----------
-    num_envs : int
-        Receivers.
-    render_mode : object
-        Of the user.
-
-    Raises
-    ------
-    ValueError
-        Says which is wrong.
-    """
+    """Raise unless there are receivers, and nothing is to be rendered."""
     if not isinstance(num_envs, int | np.integer) or isinstance(num_envs, bool):
         raise ValueError(f"`num_envs` must be a whole number, got {num_envs!r}")
     if num_envs < 1:
@@ -142,13 +113,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         self.closed = False
 
     def adopt(self, game: G) -> None:
-        """Take a game that has not begun.
-
-        Parameters
-        ----------
-        game : Played
-            Instead of the present one, if there is one.
-        """
+        """Take a game that has not begun."""
         self.game, self.num_envs = game, game.receivers
         self.observation_names, self.action_names = game.observation_names, game.action_names
         self._action_shape = (self.num_envs, len(self.action_names))
@@ -187,22 +152,9 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
     ) -> tuple[Array, dict[str, Any]]:
         """Begin an episode in every receiver, or in some.
 
-        Parameters
-        ----------
-        seed : int or sequence of int, optional
-            Receiver i is seeded with ``seed + i``, or with its element; without it the next
-            episodes of the same streams begin.
-        options : dict, optional
-            ``reset_mask``: (B,) bool, which receivers begin anew, with at least one of them; all by
-            default, and at the first reset.  ``"domain"``: circumstances not to be drawn, each one
-            value, or (B,) of them; see `spoofgym.envs.domain.CHOICES`.  Others are warned of.
-
-        Returns
-        -------
-        observation : ndarray
-            (B, o) float32.
-        info : dict
-            Arrays, and masks of who has them.
+        `options`: ``reset_mask``, (B,) bool, which receivers to reset, at least one (all by default
+        and at the first reset); ``domain``, circumstances not to be drawn, each one value or (B,)
+        of them, see `spoofgym.envs.domain.CHOICES`.  Returns `observation` (B, o) float32.
         """
         warn_unknown(options, ("domain", RESET_MASK))
         mask = mask_of(options, self.num_envs)
@@ -253,21 +205,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
     def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """Give one command to every receiver, and run one epoch.
 
-        Parameters
-        ----------
-        actions : array_like
-            (B, a) in [-1, 1].
-
-        Returns
-        -------
-        observation : ndarray
-            (B, o) float32.
-        reward : ndarray
-            (B,) float64.
-        terminated, truncated : ndarray
-            (B,) bool.
-        info : dict
-            Arrays, and masks of who has them.
+        `actions` (B, a) in [-1, 1]; returns `observation` (B, o) float32; `reward` (B,) float64.
         """
         if not self._rngs:
             raise RuntimeError("call reset() before step()")
@@ -339,13 +277,7 @@ class GameVectorEnv(VectorEnv[Array, Array, Array], Generic[G]):
         return self.game.observe(), turn.reward, turn.terminated, turn.truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the threads.
-
-        Parameters
-        ----------
-        **kwargs
-            Not used.
-        """
+        """End the threads."""
         self.game.close()
 
 

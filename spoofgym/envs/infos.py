@@ -16,25 +16,7 @@ WORDS = ("all", "none")
 
 
 def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
-    """Keys that are asked for.
-
-    Parameters
-    ----------
-    spec : {"all", "none"} or sequence of str
-        Of the user.
-    valid : sequence of str
-        Keys that there are.
-
-    Returns
-    -------
-    frozenset or None
-        None for all of them.
-
-    Raises
-    ------
-    ValueError
-        When one is unknown; the valid ones are listed.
-    """
+    """Keys that are asked for."""
     if isinstance(spec, str):
         check_choice("choice of infos", spec, WORDS)
         return None if spec == "all" else frozenset()
@@ -45,40 +27,14 @@ def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
 
 
 def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> Mapping[str, Array]:
-    """Information that is asked for.
-
-    Parameters
-    ----------
-    info : mapping
-        By key.
-    keys : frozenset, optional
-        Of `info_keys`.
-
-    Returns
-    -------
-    mapping
-        The same where all of it is.
-    """
+    """Information that is asked for."""
     if keys is None:
         return info
     return {name: array for name, array in info.items() if name in keys}
 
 
 def masked(info: Mapping[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
-    """Arrays with the masks that tell which receivers have them.
-
-    Parameters
-    ----------
-    info : mapping
-        (B,) arrays.
-    mask : ndarray
-        (B,) bool.
-
-    Returns
-    -------
-    dict
-        With a key ``_<name>`` beside every name.
-    """
+    """Arrays with the masks of the receivers that have them.  `info` (B,) arrays."""
     masks = np.empty((len(info), len(mask)), dtype=np.bool_)  # a row each, so that none is shared
     masks[:] = mask
     result: dict[str, Any] = dict(info)

@@ -14,10 +14,7 @@ class Kept:
     The engine runs all of its receivers in step.  Those whose episodes are over are put aside as
     they stand at their own end, and put back when the others have come to the next decision.
 
-    Parameters
-    ----------
-    engine : Engine
-        The receivers, and their twins.
+    `engine`: the receivers, and their twins.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -26,13 +23,7 @@ class Kept:
         self._aside: NDArray[np.bool_] = np.zeros(engine.receivers, dtype=np.bool_)
 
     def put_aside(self, rows: NDArray[np.intp]) -> None:
-        """Keep some receivers as they stand.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which; none of them has been put aside before.
-        """
+        """Keep some receivers as they are."""
         if not len(rows):
             return
         if not self._copies:  # few games ever need them

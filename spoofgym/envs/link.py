@@ -21,22 +21,14 @@ class StoppedError(Exception):
 class Link:
     """One thread, and what it and its owner tell each other; used once, and in one process.
 
-    Attributes
-    ----------
-    process : int
-        Where it was made.  A forked process inherits no thread, and locks that may be held.
-    wake : SimpleQueue
-        True for new work, False for the end.
-    change : Condition
-        Held by who writes what both of them use.
-    free : Event
-        Whether the thread may compute.
-    urgent : bool
-        Whether the owner waits for the work.
-    stopped : bool
-        Whether the thread is to end; it writes nothing any more.
-    failure : BaseException or None
-        What the work failed with, until it is raised.
+    - `process`: where it was made.  A forked process inherits no thread, and locks that may be
+      held;
+    - `wake`: True for new work, False for the end;
+    - `change`: held by who writes what both of them use;
+    - `free`: whether the thread may compute;
+    - `urgent`: whether the owner waits for the work;
+    - `stopped`: whether the thread is to end; it writes nothing any more;
+    - `failure`: what the work failed with, until it is raised.
     """
 
     def __init__(self) -> None:
@@ -50,15 +42,7 @@ class Link:
         self._thread: threading.Thread | None = None
 
     def start(self, target: Callable[..., None], *args: Any) -> None:
-        """Start the thread, unless it has been.
-
-        Parameters
-        ----------
-        target : callable
-            Returns when `wake` yields False.
-        *args
-            Its arguments.
-        """
+        """Start the thread, unless it has been."""
         if self._thread is None:
             self._thread = threading.Thread(
                 target=target, args=args, name="spoofgym-next", daemon=True
@@ -66,13 +50,7 @@ class Link:
             self._thread.start()
 
     def pause(self) -> None:
-        """Wait as long as the processors are needed elsewhere.
-
-        Raises
-        ------
-        StoppedError
-            When the thread is to end.
-        """
+        """Wait as long as the processors are needed elsewhere."""
         self.free.wait()
         if self.stopped:
             raise StoppedError

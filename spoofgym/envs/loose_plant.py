@@ -53,29 +53,11 @@ class LoosePlant(Plant):
     are correlated (`PositionErrors`), only R adapts, over 100 epochs, and the threshold is the one
     for an estimated covariance.
 
-    Parameters
-    ----------
-    receivers : int
-        B.
-    detector : str, mapping or Detector, optional
-        As `make_detector` takes it; `DEFAULT_DETECTOR` by default.
-    timeline : mapping or Timeline, optional
-        Settings of `Timeline`, over `DEFAULT_TIMELINE`.
-    flight : str
-        A ready-made flight whose inertial sensors run at a multiple of 10 Hz.
-    errors : mapping or PositionErrors, optional
-        Settings of `PositionErrors`.
-    inertial : mapping or InertialErrors, optional
-        Settings of `InertialErrors`.
-    receiver : mapping or LooselyCoupled, optional
-        Settings of `LooselyCoupled`; `DEFAULT_RECEIVER` by default.
-    rate_limit_mps : float
-        Largest rate of the offset along each axis [m/s].
-
-    Raises
-    ------
-    ValueError
-        When a setting is unknown or out of range, or the flight is shorter than an episode.
+    - `detector`: as `make_detector` takes it; `DEFAULT_DETECTOR` by default;
+    - `timeline`: settings of `Timeline`, over `DEFAULT_TIMELINE`;
+    - `flight`: a ready-made flight whose inertial sensors run at a multiple of 10 Hz;
+    - `receiver`: settings of `LooselyCoupled`; `DEFAULT_RECEIVER` by default;
+    - `rate_limit_mps`: largest rate of the offset along each axis [m/s].
     """
 
     kind: ClassVar[str] = "loose"
@@ -148,18 +130,7 @@ class LoosePlant(Plant):
         return memory
 
     def spawn(self, receivers: int) -> LoosePlant:
-        """Another batch of the same settings, not begun yet.
-
-        Parameters
-        ----------
-        receivers : int
-            Its B.
-
-        Returns
-        -------
-        LoosePlant
-            Shares the world.
-        """
+        """Another batch of the same settings, not begun yet."""
         if receivers < 1:
             raise ValueError(f"`receivers` must be at least 1, got {receivers}")
         other = copy.copy(self)
@@ -171,15 +142,8 @@ class LoosePlant(Plant):
     def begin(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.bool_]:
         """Begin new episodes in all receivers, and run their clean warm-up up to the onset.
 
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per receiver; its seed sequence spawns one child an episode.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, whether the detector alarmed before the onset.
+        `rngs`: one per receiver; its seed sequence spawns one child an episode; returns (B,) bool,
+        whether the detector alarmed before the onset.
         """
         memory, world = self.memory, self.world
         memory.reset()
@@ -211,15 +175,8 @@ class LoosePlant(Plant):
     def advance(self, action: FloatArray | None) -> NDArray[np.bool_]:
         """Run one epoch: attack, measure, judge, update.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, 2) in [-1, 1], north and east; None holds the rates.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, whether the detector alarms.
+        `action` (B, 2) in [-1, 1], north and east; None holds the rates; returns (B,) bool, whether
+        the detector alarms.
         """
         memory = self.memory
         if action is not None:
@@ -261,13 +218,7 @@ class LoosePlant(Plant):
         return np.asarray(verdict.alarm.any(axis=1))
 
     def error_ne(self) -> FloatArray:
-        """Error of the victim's position, estimate minus truth.
-
-        Returns
-        -------
-        ndarray
-            (B, 2) north, east [m].
-        """
+        """Error of the victim's position, estimate minus truth: (B, 2) north, east [m]."""
         epoch = self.memory["epoch"]
         apart = self.memory["position_e"] - self.world.position_e[epoch]
         C_el = self.world.C_el[epoch]
@@ -283,22 +234,13 @@ class LoosePlant(Plant):
     def route_ne(self) -> FloatArray:
         """True way of an episode.
 
-        Returns
-        -------
-        ndarray
-            (K, 2) from the onset to the end of the time to alert, north, east [m].
+        Returns (K, 2) from the onset to the end of the time to alert, north, east [m].
         """
         way = self.world.position_e[self.onset : self.onset + self.steps + self.hold + 1]
         return np.asarray((way - way[0]) @ self.world.C_el[self.onset][:, _NORTH_EAST])
 
     def sight(self) -> Sight:
-        """The first receiver as it stands.
-
-        Returns
-        -------
-        Sight
-            For a picture.
-        """
+        """The first receiver as it is."""
         memory, world = self.memory, self.world
         moved = world.position_e[memory["epoch"][0]] - world.position_e[self.onset]
         return Sight(
@@ -310,29 +252,13 @@ class LoosePlant(Plant):
         )
 
     def time_s(self) -> FloatArray:
-        """Time of the present epoch.
-
-        Returns
-        -------
-        ndarray
-            (B,) [s].
-        """
+        """Time of the present epoch: (B,) [s]."""
         return np.asarray(self.memory["epoch"] * INTERVAL_S)
 
     def observation(self, knowledge: str) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
         """What a level of knowledge observes.
 
-        Parameters
-        ----------
-        knowledge : {"blind", "tracking", "oracle"}
-            The level; each has all that the one before has.
-
-        Returns
-        -------
-        names : tuple of str
-            (o,) one per element.
-        low, high : ndarray
-            (o,) finite bounds.
+        Returns `names` (o,) one per element; `low`, `high` (o,) finite bounds.
         """
         check_choice("knowledge", knowledge, KNOWLEDGE)
         axes = ("north", "east", "down")
@@ -350,15 +276,7 @@ class LoosePlant(Plant):
         return tuple(names), np.array(low), np.array(high)
 
     def observe(self, knowledge: str, out: NDArray[np.float32]) -> None:
-        """Write the observation; clipping follows.
-
-        Parameters
-        ----------
-        knowledge : {"blind", "tracking", "oracle"}
-            The level.
-        out : ndarray
-            (B, o), written.
-        """
+        """Write the observation; clipping follows.  `out` (B, o), written."""
         memory, world, epoch = self.memory, self.world, self.memory["epoch"]
         for column, axis in enumerate(_NORTH_EAST):
             out[:, column] = memory["displacement"][:, axis] / DISPLACEMENT_SCALE_M

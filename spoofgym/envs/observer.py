@@ -91,18 +91,7 @@ class Observer:
         self.knowledge = KNOWLEDGE[max(KNOWLEDGE.index(term.knowledge) for term in terms)]
 
     def observe(self, snapshot: Snapshot) -> NDArray[np.float32]:
-        """Observe the game.
-
-        Parameters
-        ----------
-        snapshot : Snapshot
-            The game.
-
-        Returns
-        -------
-        ndarray
-            (B, o) float32, a new array within the bounds.
-        """
+        """Observe the game: (B, o) float32, a new array within the bounds."""
         batch = snapshot.batch
         memory = batch.attack.memory
         out = np.empty((batch.receivers, len(self.names)), dtype=np.float32)
@@ -120,15 +109,7 @@ class Observer:
         return out
 
     def complete(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the terms that `look` does not.
-
-        Parameters
-        ----------
-        snapshot : Snapshot
-            The game.
-        out : ndarray
-            (B, o), written by `look` before.
-        """
+        """Write the terms that `look` does not.  `out` (B, o), written by `look` before."""
         for term, part in self._parts:
             term(snapshot, out[:, part])
         # all else lies within the bounds
@@ -137,17 +118,7 @@ class Observer:
     def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:
         """Observe receivers that are all at the same step.
 
-        Parameters
-        ----------
-        engine : Engine
-            The receivers.
-        step : int
-            Commands given since the attack began.
-
-        Returns
-        -------
-        ndarray
-            (B, o) float32.
+        `step`: commands given since the attack began; returns (B, o) float32.
         """
         steps = np.full(engine.receivers, step, dtype=np.int64)
         return self.observe(Snapshot(self.setup, engine.batch, steps))

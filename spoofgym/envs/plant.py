@@ -31,24 +31,11 @@ class Plant(ABC):
     what changes from one epoch to the next in `memory` alone.  A receiver has the same bits in any
     batch: kernels go receiver by receiver, and its noise is keyed by its own generator.
 
-    Attributes
-    ----------
-    kind : str
-        Name in results, such as ``"snapshot"``.
-    receivers : int
-        B.
-    steps, hold : int
-        Commands of an episode, and epochs of the time to alert after the last one.
-    interval_s : float
-        Time between epochs.
-    action_names : tuple of str
-        What each element of the action commands, with its unit.
-    unbound : Detector
-        As it was given; `spawn` binds a copy of it.
-    detector : Detector
-        Bound to B receivers.
-    memory : Memory
-        Everything else that an episode changes.
+    - `kind`: name in results, such as ``"snapshot"``;
+    - `steps`, `hold`: commands of an episode, and epochs of the time to alert after the last one;
+    - `action_names`: what each element of the action commands, with its unit;
+    - `unbound`: as it was given; `spawn` binds a copy of it;
+    - `memory`: everything else that an episode changes.
     """
 
     kind: ClassVar[str]
@@ -63,32 +50,10 @@ class Plant(ABC):
 
     @abstractmethod
     def spawn(self, receivers: int) -> Plant:
-        """Another batch of the same settings, not begun yet.
-
-        Parameters
-        ----------
-        receivers : int
-            Its B.
-
-        Returns
-        -------
-        Plant
-            Shares what never changes.
-        """
+        """Another batch of the same settings, not begun yet."""
 
     def altered(self, detector: Detector) -> Plant:
-        """A batch of the same settings with another detector, not begun yet.
-
-        Parameters
-        ----------
-        detector : Detector
-            In the place of `unbound`.
-
-        Returns
-        -------
-        Plant
-            Of as many receivers.
-        """
+        """A batch of the same settings with another detector, not begun yet."""
         other = copy.copy(self)
         other.unbound = detector
         return other.spawn(self.receivers)
@@ -96,10 +61,7 @@ class Plant(ABC):
     def action_limits(self) -> FloatArray:
         """What an action of 1 commands, where it is not the same for all elements.
 
-        Returns
-        -------
-        ndarray
-            (a,) in the unit of each; all 1 where they are alike.
+        Returns (a,) in the unit of each; all 1 where they are alike.
         """
         return np.ones(len(self.action_names))
 
@@ -107,15 +69,8 @@ class Plant(ABC):
     def begin(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.bool_]:
         """Begin new episodes in all receivers, and run their clean warm-up up to the onset.
 
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per receiver; children are spawned of each, nothing else is drawn from it.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, whether the detector alarmed before the onset.
+        `rngs`: one per receiver; children are spawned of each, nothing else is drawn from it;
+        returns (B,) bool, whether the detector alarmed before the onset.
         """
 
     @abstractmethod
@@ -125,77 +80,33 @@ class Plant(ABC):
         A receiver whose episode is over, the time to alert included, may be advanced once more
         beside others before it begins anew; a plant keeps that epoch to spare.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, a) in [-1, 1], C-contiguous; None holds what is commanded.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, whether the detector alarms.
+        `action` (B, a) in [-1, 1], C-contiguous; None holds what is commanded; returns (B,) bool,
+        whether the detector alarms.
         """
 
     @abstractmethod
     def error_ne(self) -> FloatArray:
-        """Error of the victim's position, estimate minus truth.
-
-        Returns
-        -------
-        ndarray
-            (B, 2) north, east [m].
-        """
+        """Error of the victim's position, estimate minus truth: (B, 2) north, east [m]."""
 
     @abstractmethod
     def time_s(self) -> FloatArray:
-        """Time of the present epoch.
-
-        Returns
-        -------
-        ndarray
-            (B,) [s].
-        """
+        """Time of the present epoch: (B,) [s]."""
 
     @abstractmethod
     def observation(self, knowledge: str) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
         """What a level of knowledge observes.
 
-        Parameters
-        ----------
-        knowledge : {"blind", "tracking", "oracle"}
-            The level; each has all that the one before has.
-
-        Returns
-        -------
-        names : tuple of str
-            (o,) one per element.
-        low, high : ndarray
-            (o,) finite bounds.
+        Returns `names` (o,) one per element; `low`, `high` (o,) finite bounds.
         """
 
     @abstractmethod
     def observe(self, knowledge: str, out: NDArray[np.float32]) -> None:
-        """Write the observation; clipping follows.
-
-        Parameters
-        ----------
-        knowledge : {"blind", "tracking", "oracle"}
-            The level.
-        out : ndarray
-            (B, o), written.
-        """
+        """Write the observation; clipping follows.  `out` (B, o), written."""
 
     def copy_rows(self, to: NDArray[np.intp], other: Plant, rows: NDArray[np.intp]) -> None:
         """Take over receivers of another batch, with all that they remember.
 
-        Parameters
-        ----------
-        to : ndarray
-            Rows of this batch that are overwritten.
-        other : Plant
-            Of the same settings.
-        rows : ndarray
-            As many rows of the other batch.
+        `to`: rows of this batch that are overwritten.
         """
         self.memory.copy_rows(to, other.memory, rows)
         self.detector.memory.copy_rows(to, other.detector.memory, rows)
@@ -204,31 +115,7 @@ class Plant(ABC):
 def bound(
     unbound: Detector, context: DetectorContext, epochs: int, whose: str, has: frozenset[str]
 ) -> Detector:
-    """Copy of a detector, ready for the receivers of a plant.
-
-    Parameters
-    ----------
-    unbound : Detector
-        As it was given.
-    context : DetectorContext
-        Sizes.
-    epochs : int
-        Epochs of an episode in which it judges.
-    whose : str
-        Receiver, for messages.
-    has : frozenset of str
-        Optional fields of `Epoch` that the receiver has.
-
-    Returns
-    -------
-    Detector
-        Bound.
-
-    Raises
-    ------
-    ValueError
-        When it needs what the receiver does not have, or can't alarm within an episode.
-    """
+    """Copy of a detector, ready for the receivers of a plant."""
     detector = copy.deepcopy(unbound)
     for member in members_of(detector):
         missing = member.needs - has

@@ -24,18 +24,7 @@ RECEIVERS = "receivers"
 
 
 def plant_settings(kind: type[Plant]) -> dict[str, inspect.Parameter]:
-    """Settings that a plant takes.
-
-    Parameters
-    ----------
-    kind : type
-        The plant.
-
-    Returns
-    -------
-    dict
-        Its arguments by name, without the number of receivers.
-    """
+    """Settings that a plant takes."""
     found = inspect.signature(kind).parameters
     return {name: argument for name, argument in found.items() if name != RECEIVERS}
 
@@ -43,24 +32,7 @@ def plant_settings(kind: type[Plant]) -> dict[str, inspect.Parameter]:
 def make_plant(kind: type[Plant], receivers: int, settings: Mapping[str, Any]) -> Plant:
     """Plant with settings; an unknown one is refused with the valid ones.
 
-    Parameters
-    ----------
-    kind : type
-        The plant.
-    receivers : int
-        B.
-    settings : mapping
-        By name; None for the plant's own default.
-
-    Returns
-    -------
-    Plant
-        Not begun yet.
-
-    Raises
-    ------
-    ValueError
-        When a setting is unknown.
+    `settings`: by name; None for the plant's own default.
     """
     known = plant_settings(kind)
     for name in settings:
@@ -74,20 +46,7 @@ def make_plant(kind: type[Plant], receivers: int, settings: Mapping[str, Any]) -
 
 
 def signature_over(kind: type[Plant], own: inspect.Signature) -> inspect.Signature:
-    """Arguments of an environment, with those of its plant in the place of ``**settings``.
-
-    Parameters
-    ----------
-    kind : type
-        The plant.
-    own : Signature
-        Of the environment's class.
-
-    Returns
-    -------
-    Signature
-        What users may give.
-    """
+    """Arguments of an environment, with those of its plant in the place of ``**settings``."""
     kept = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD and p.name != "self"]
     names = {argument.name for argument in kept}
     more = [

@@ -44,50 +44,23 @@ BEGIN_NAMES = ("time_s", "warmup_alarm")
 class PlantGame(Stepwise):
     """Episodes of the B receivers of a plant; scored as in `Game`.
 
-    Parameters
-    ----------
-    plant : Plant
-        The receivers, not begun yet.
-    knowledge : {"tracking", "blind", "oracle"}
-        What the spoofer observes.
-    action : sequence of ActionTerm, str or mapping, optional
-        Terms of the action, as `make_terms` takes them; every element of the plant by default.
-        What they add up to is cut to what the plant takes.
-    reward : sequence of RewardTerm, str or mapping, optional
-        Terms of the reward, as `make_terms` takes them.
-    end : sequence of EndTerm, str or mapping, optional
-        Terms of the end, as `make_terms` takes them; by `end_at_alarm` if there are none given.
-    watch : sequence of Detector, str or mapping
-        Detectors that judge every epoch beside the one in the loop, as `make_watch` takes them.
-    alarm_penalty_m : float
-        Price of an alarm, where `reward` does not say it.
-    end_at_alarm : bool
-        Whether an alarm ends the episode, where `end` does not say it.  If not, it goes on without
-        further reward.
-    target_heading_deg : float
-        Direction in which displacement counts, clockwise from north.
-
-    Attributes
-    ----------
-    plant : Plant
-        The receivers.
-    books : Books
-        What counts of the running episodes.
-    knowledge : str
-        As it was given.
-    observation_names : tuple of str
-        Name of every element of an observation.
-    bounds : tuple of ndarray
-        Least and largest observation, (o,) float32 each.
-    warmup_alarm : ndarray
-        (B,) bool, false alarms before the attack.
-    settings : dict
-        Arguments as terms and detectors, for `altered`.
-
-    Raises
-    ------
-    ValueError
-        When a setting is out of range, or a term asks for what the plant does not have.
+    - `plant`: the receivers, not begun yet;
+    - `action`: terms of the action, as `make_terms` takes them; every element of the plant by
+      default.  What they add up to is cut to what the plant takes;
+    - `reward`: terms of the reward, as `make_terms` takes them;
+    - `end`: terms of the end, as `make_terms` takes them; by `end_at_alarm` if there are none
+      given;
+    - `watch`: detectors that judge every epoch beside the one in the loop, as `make_watch` takes
+      them;
+    - `alarm_penalty_m`: price of an alarm, where `reward` does not say it;
+    - `end_at_alarm`: whether an alarm ends the episode, where `end` does not say it.  If not, it
+      goes on without further reward;
+    - `target_heading_deg`: direction in which displacement counts, clockwise from north;
+    - `books`: what counts of the running episodes;
+    - `observation_names`: name of every element of an observation;
+    - `bounds`: least and largest observation, (o,) float32 each;
+    - `warmup_alarm` (B,) bool, false alarms before the attack;
+    - `settings`: arguments as terms and detectors, for `altered`.
     """
 
     def __init__(
@@ -159,20 +132,7 @@ class PlantGame(Stepwise):
         self._actor.aim(np.full(plant.receivers, np.radians(target_heading_deg)))
 
     def altered(self, detector: Detector | None = None, **changes: Any) -> PlantGame:
-        """A new game, not begun yet, with some settings changed.
-
-        Parameters
-        ----------
-        detector : Detector, optional
-            Another one in the loop.
-        **changes
-            Arguments of this class by name.
-
-        Returns
-        -------
-        PlantGame
-            Of as many receivers.
-        """
+        """A new game, not begun yet, with some settings changed."""
         plant = self.plant.altered(self.detector if detector is None else detector)
         return PlantGame(plant, **{**self.settings, **changes})
 
@@ -217,13 +177,7 @@ class PlantGame(Stepwise):
         return cast("WatchedDetector", self.plant.detector).watch.memory
 
     def observe(self) -> NDArray[np.float32]:
-        """Observe all receivers.
-
-        Returns
-        -------
-        ndarray
-            (B, o) a new array within the bounds.
-        """
+        """Observe all receivers: (B, o) a new array within the bounds."""
         out = np.empty((self.receivers, len(self.observation_names)), dtype=np.float32)
         self.plant.observe(self.knowledge, out)
         low, high = self.bounds
@@ -237,22 +191,7 @@ class PlantGame(Stepwise):
         rows: NDArray[np.intp] | None = None,
         given: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin new episodes, and run their warm-up up to the onset.
-
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per row.
-        rows : ndarray, optional
-            Which receivers; all by default.
-        given : mapping, optional
-            There is nothing that could be told of them.
-
-        Raises
-        ------
-        ValueError
-            When something is told nevertheless.
-        """
+        """Begin new episodes, and run their warm-up up to the onset."""
         if given:
             raise ValueError(
                 f"a reset of {self.plant.kind!r} can't be told {', '.join(map(repr, given))}"
@@ -289,15 +228,7 @@ class PlantGame(Stepwise):
     def step(self, action: FloatArray) -> Turn:
         """One command of all receivers, and one epoch.
 
-        Parameters
-        ----------
-        action : ndarray
-            (B, a) float64, C-contiguous, in [-1, 1].
-
-        Returns
-        -------
-        Turn
-            Rewards, ends and information.
+        `action` (B, a) float64, C-contiguous, in [-1, 1].
         """
         if self._watch is not None:
             self._watch.forget(self._watched)
@@ -351,13 +282,7 @@ class PlantGame(Stepwise):
         return tally
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
-        """Information at the begin of an episode.
-
-        Returns
-        -------
-        dict
-            Arrays with a leading axis of receivers.
-        """
+        """Information at the start of an episode."""
         watched = {} if self._watch is None else self._watch.begin_info()
         return {
             "time_s": self.plant.time_s().copy(),

@@ -33,18 +33,7 @@ class PlantCommands(NamedTuple):
         return self.names[0].rsplit("_", 1)[-1]
 
     def action_names(self, world: object) -> tuple[str, ...]:
-        """Name of every element.
-
-        Parameters
-        ----------
-        world : object
-            Not looked at.
-
-        Returns
-        -------
-        tuple of str
-            (a,) names.
-        """
+        """Name of every element: (a,) names."""
         return self.names
 
 
@@ -99,40 +88,14 @@ class PlantSnapshot(NamedTuple):
 
 
 def setup_of(plant: Plant, target_heading_deg: float) -> PlantSetup:
-    """What terms may ask of a plant.
-
-    Parameters
-    ----------
-    plant : Plant
-        Not begun yet.
-    target_heading_deg : float
-        Direction in which displacement counts.
-
-    Returns
-    -------
-    PlantSetup
-        In the place of a `Setup`.
-    """
+    """What terms may ask of a plant."""
     return PlantSetup(
         PlantCommands(plant.kind, tuple(plant.action_names)), plant.steps, target_heading_deg
     )
 
 
 def check_ends(terms: Sequence[EndTerm], plant: Plant) -> None:
-    """Raise where an end looks at what only an engine has.
-
-    Parameters
-    ----------
-    terms : sequence of EndTerm
-        Of the user.
-    plant : Plant
-        The receivers.
-
-    Raises
-    ------
-    ValueError
-        Names the term, and what it needs.
-    """
+    """Raise where an end looks at what only an engine has."""
     for term in terms:
         for kind in getattr(term, "needs", ()):
             raise ValueError(
@@ -142,20 +105,7 @@ def check_ends(terms: Sequence[EndTerm], plant: Plant) -> None:
 
 
 def check_aims(terms: Sequence[ActionTerm], plant: Plant) -> None:
-    """Raise where an element would not point along the target direction.
-
-    Parameters
-    ----------
-    terms : sequence of ActionTerm
-        Of the user.
-    plant : Plant
-        Knows what an action of 1 commands along each axis.
-
-    Raises
-    ------
-    ValueError
-        When the limits north and east are not the same.
-    """
+    """Raise where an element would not point along the target direction."""
     aimed = [term for term in terms if isinstance(term, AlongTarget | AcrossTarget)]
     stems = [name.rsplit("_", 1)[0] for name in plant.action_names]
     if not aimed or not {"north", "east"} <= set(stems):

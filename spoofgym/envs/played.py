@@ -16,35 +16,13 @@ FloatArray = NDArray[np.float64]
 
 
 def check_end_at_alarm(end_at_alarm: bool) -> None:
-    """Raise unless the end of an episode is told.
-
-    Parameters
-    ----------
-    end_at_alarm : bool
-        Whether an alarm ends the episode.
-
-    Raises
-    ------
-    ValueError
-        When it is neither True nor False.
-    """
+    """Raise unless the end of an episode is reported."""
     if not isinstance(end_at_alarm, bool | np.bool_):
         raise ValueError(f"`end_at_alarm` must be True or False, got {end_at_alarm!r}")
 
 
 def check_heading(target_heading_deg: float) -> None:
-    """Raise unless there is such a direction.
-
-    Parameters
-    ----------
-    target_heading_deg : float
-        Direction in which displacement counts.
-
-    Raises
-    ------
-    ValueError
-        When it is not a finite number.
-    """
+    """Raise unless there is such a direction."""
     if not isinstance(target_heading_deg, Real) or not np.isfinite(float(target_heading_deg)):
         raise ValueError(
             f"`target_heading_deg` must be a finite number, got {target_heading_deg!r}"
@@ -70,17 +48,7 @@ class Turn(NamedTuple):
     info: dict[str, NDArray[Any]]
 
     def alone(self) -> tuple[float, bool, bool, dict[str, Any]]:
-        """The same of a batch of one, as plain numbers.
-
-        Returns
-        -------
-        reward : float
-            Of the only receiver.
-        terminated, truncated : bool
-            Whether its episode is over.
-        info : dict
-            By key.
-        """
+        """The same of a batch of one, as plain numbers."""
         info = {name: array.item() for name, array in self.info.items()}
         return self.reward.item(), self.terminated.item(), self.truncated.item(), info
 
@@ -161,17 +129,8 @@ class Stepwise(ABC):
     def turn(self, action: FloatArray) -> tuple[Turn | Tally, NDArray[np.float32]]:
         """Step, then observe.
 
-        Parameters
-        ----------
-        action : ndarray
-            (B, a) float64, C-contiguous, in [-1, 1].
-
-        Returns
-        -------
-        turn : Turn or Tally
-            Rewards, ends and information.
-        observation : ndarray
-            (B, o) float32, new.
+        `action` (B, a) float64, C-contiguous, in [-1, 1]; returns `observation` (B, o) float32,
+        new.
         """
         turn = self.step(action)
         return turn, self.observe()
@@ -179,21 +138,7 @@ class Stepwise(ABC):
     def alone(self, action: FloatArray) -> Told:
         """`turn` of the only receiver.
 
-        Parameters
-        ----------
-        action : ndarray
-            (1, a) as in `turn`.
-
-        Returns
-        -------
-        observation : ndarray
-            (o,) float32.
-        reward : float
-            Of the step.
-        terminated, truncated : bool
-            Whether its episode is over.
-        info : dict
-            By key.
+        `action` (1, a) as in `turn`; returns `observation` (o,) float32.
         """
         turn, observation = self.turn(action)
         return observation[0], *turn.alone()

@@ -40,15 +40,11 @@ STOCK = 2
 class NextEpisodes:
     """Receivers that wait at the onset of their next episodes.
 
-    Parameters
-    ----------
-    waiting : Batch
-        Of `STOCK` times the receivers of the engine, B, and written: slots ``row`` and ``row + B``
-        are used in turn.
-    warm_up : callable
-        ``warm_up(rngs, between)`` returns a batch at the onset, and (b,) bool, alarms of its
-        warm-up; called in another thread.  It calls ``between()`` every millisecond or so, which
-        waits as long as the processors are needed for the present episodes.
+    `waiting`: of `STOCK` times the receivers of the engine, B, and written: slots ``row`` and
+    ``row + B`` are used in turn; `warm_up`: ``warm_up(rngs, between)`` returns a batch at the
+    onset, and (b,) bool, alarms of its warm-up; called in another thread.  It calls ``between()``
+    every millisecond or so, which waits as long as the processors are needed for the present
+    episodes.
     """
 
     def __init__(
@@ -139,13 +135,8 @@ class NextEpisodes:
     def prepare(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
         """Ask for the next episodes of some receivers.
 
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers.
-        rngs : sequence of Generator
-            One per row; the coming episodes of each are taken from it at once.  One is asked for
-            where it is new, and what waited there is thrown away; else as many as are missing.
+        `rngs`: one per row; the coming episodes of each are taken from it at once.  One is asked
+        for where it is new, and what waited there is thrown away; else as many as are missing.
         """
         link = self._here()
         with link.change:
@@ -169,22 +160,7 @@ class NextEpisodes:
     def prepared(
         self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator], least: int = 1
     ) -> NDArray[np.bool_]:
-        """Whether the next episodes of these generators have been asked for.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers.
-        rngs : sequence of Generator
-            One per row.
-        least : int
-            How many of each.
-
-        Returns
-        -------
-        ndarray
-            (b,) bool.
-        """
+        """Whether the next episodes of these generators have been asked for."""
         pairs = zip(rows.tolist(), rngs, strict=True)
         same = np.array([self._sources[row] is rng for row, rng in pairs], dtype=np.bool_)
         return same & (self._stock[rows] >= least)
@@ -192,22 +168,7 @@ class NextEpisodes:
     def take(self, rows: NDArray[np.intp], into: Batch) -> NDArray[np.bool_]:
         """Let some receivers begin the episodes that wait for them.
 
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers, prepared; waited for where they are not ready.
-        into : Batch
-            Its rows are overwritten.
-
-        Returns
-        -------
-        ndarray
-            (b,) bool, alarms of the warm-ups.
-
-        Raises
-        ------
-        BaseException
-            What the warm-up raised.  It is tried again when its episodes are taken again.
+        Returns (b,) bool, alarms of the warm-ups.
         """
         link = self._here()
         slots = self._slots(rows, 0)
@@ -225,20 +186,7 @@ class NextEpisodes:
     def instead(
         self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]
     ) -> list[np.random.Generator]:
-        """Give up the next episodes of some receivers, to be begun otherwise.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers.
-        rngs : sequence of Generator
-            One per row.
-
-        Returns
-        -------
-        list of Generator
-            The same episodes not begun, where they had been asked for, or else those given.
-        """
+        """Give up the next episodes of some receivers, to be begun otherwise."""
         link = self._here()
         with link.change:
             known = self.prepared(rows, rngs)
@@ -254,13 +202,7 @@ class NextEpisodes:
             return instead
 
     def serve(self, link: Link) -> None:
-        """Do what has been asked for, as long as it is worth a piece of work.
-
-        Parameters
-        ----------
-        link : Link
-            Of the thread that calls this.
-        """
+        """Do what has been asked for, as long as it is worth a piece of work."""
         try:
             while self._piece(link):
                 pass
@@ -308,36 +250,14 @@ def _serve(owner: weakref.ref[NextEpisodes], link: Link) -> None:
 
 
 def take_episode(rng: np.random.Generator) -> np.random.Generator:
-    """Generator whose first episode is the coming one of another, which then goes on to the next.
-
-    Parameters
-    ----------
-    rng : Generator
-        Its seed sequence counts episodes.
-
-    Returns
-    -------
-    Generator
-        A new one.
-    """
+    """Generator whose first episode is the next one of another, which then skips it."""
     episode = copy_of(rng)
     rng.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
     return episode
 
 
 def copy_of(rng: np.random.Generator) -> np.random.Generator:
-    """Generator with the same seed sequence, and as many episodes behind it.
-
-    Parameters
-    ----------
-    rng : Generator
-        Left as it is.
-
-    Returns
-    -------
-    Generator
-        A new one.
-    """
+    """Generator with the same seed sequence, and as many episodes behind it."""
     seed: Any = rng.bit_generator.seed_seq
     twin = np.random.SeedSequence(
         seed.entropy,

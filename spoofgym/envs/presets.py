@@ -34,18 +34,7 @@ WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any
 
 
 def make_watch(spec: WatchSpec) -> tuple[Detector, ...]:
-    """Detectors beside the one in the loop.
-
-    Parameters
-    ----------
-    spec : str, mapping, Detector or sequence of them
-        Each as `make_detector` takes it.
-
-    Returns
-    -------
-    tuple of Detector
-        New ones.
-    """
+    """Detectors beside the one in the loop."""
     if isinstance(spec, str | Mapping | Detector):
         spec = (spec,)
     if not isinstance(spec, Sequence):
@@ -123,20 +112,7 @@ def _check_grade(grade: str, grades: Sequence[str]) -> None:
 
 
 def default_terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
-    """Terms of a level, and the target direction where it differs from episode to episode.
-
-    Parameters
-    ----------
-    setup : Setup
-        Tells the target.
-    knowledge : {"blind", "tracking", "oracle"}
-        The level.
-
-    Returns
-    -------
-    tuple
-        Terms.
-    """
+    """Terms of a level, and the target direction where it differs from episode to episode."""
     drawn = (TargetDirection(),) if setup.target_heading_deg == "random" else ()
     return (*terms_of(knowledge), *drawn)
 

@@ -32,19 +32,7 @@ PATTERN = re.compile(r"receiver-(\d+)-episode-(\d+)\.parquet")
 class EpochRecorder:
     """Recorder of the receivers of a game; a `Listener`.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Where the files go; made where it is missing.
-    receivers : int
-        B.
-
-    Raises
-    ------
-    ImportError
-        When pyarrow is not installed.
-    ValueError
-        When there is no such folder, and none can be made, or nothing can be written into it.
+    `folder`: where the files go; made where it is missing.
     """
 
     def __init__(self, folder: str | Path, receivers: int) -> None:
@@ -67,17 +55,7 @@ class EpochRecorder:
         self._satellites: tuple[str, ...] = ()
 
     def __call__(self, game: Game, standing: Standing, verdict: Verdict) -> None:
-        """Take down an epoch of all receivers whose episodes are not over.
-
-        Parameters
-        ----------
-        game : Game
-            The receivers.
-        standing : Standing
-            How they stand.
-        verdict : Verdict
-            Of the epoch.
-        """
+        """Take down an epoch of all receivers whose episodes are not over."""
         self._satellites = game.setup.world.satellite_ids
         batch = standing.snapshot.batch
         epoch, sensors = batch.epoch, batch.sensors.state
@@ -102,17 +80,7 @@ class EpochRecorder:
     def finish(self, rows: NDArray[np.intp], *, complete: bool) -> list[Path]:
         """Write the episodes of some receivers, and begin their next ones.
 
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers; nothing is written of one without an epoch.
-        complete : bool
-            Whether the episodes have come to their ends.
-
-        Returns
-        -------
-        list of Path
-            The files.
+        `rows`: which receivers; nothing is written of one without an epoch.
         """
         written = []
         for row in rows.tolist():
@@ -133,20 +101,7 @@ class EpochRecorder:
 
 
 def as_parquet(columns: dict[str, list[Array]], told: dict[str, Any]) -> bytes:
-    """File of one episode.
-
-    Parameters
-    ----------
-    columns : dict
-        A value or a vector of every epoch, by name.
-    told : dict
-        JSON-able; goes into the metadata under ``spoofgym``.
-
-    Returns
-    -------
-    bytes
-        Its content.
-    """
+    """File of one episode."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -15,20 +15,7 @@ RESET_MASK = "reset_mask"
 
 
 def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -> None:
-    """Warn of options that nothing is done with.
-
-    Parameters
-    ----------
-    options : mapping, optional
-        Of the user.
-    valid : sequence of str
-        Names of the options that there are.
-
-    Raises
-    ------
-    TypeError
-        When `options` is no mapping.
-    """
+    """Warn of options that nothing is done with."""
     if options is not None and not isinstance(options, Mapping):
         raise TypeError(f"`options` of a reset must be a dict, got {options!r}")
     for name in options or ():
@@ -41,27 +28,7 @@ def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -
 
 
 def mask_of(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_] | None:
-    """Which receivers are to begin anew.
-
-    Parameters
-    ----------
-    options : mapping, optional
-        Of the user.
-    receivers : int
-        B.
-
-    Returns
-    -------
-    ndarray or None
-        (B,) bool, a copy; None for all of them.
-
-    Raises
-    ------
-    TypeError
-        When the mask is no array of bool.
-    ValueError
-        When its shape is another, or nothing in it is True.
-    """
+    """Which receivers are to be reset: (B,) bool, a copy; None for all of them."""
     if options is None or RESET_MASK not in options:
         return None
     mask = options[RESET_MASK]
@@ -78,25 +45,7 @@ def mask_of(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.boo
 
 
 def seeds_of(seed: Any, receivers: int) -> list[int | None]:
-    """Seed of every receiver.
-
-    Parameters
-    ----------
-    seed : int, sequence of int or None
-        Of the user; receiver i gets ``seed + i``, or its element.
-    receivers : int
-        B.
-
-    Returns
-    -------
-    list
-        None where the stream of the receiver goes on.
-
-    Raises
-    ------
-    ValueError
-        When there are not as many, or one is no seed.
-    """
+    """Seed of every receiver.  Returns None where the stream of the receiver goes on."""
     if seed is None:
         return [None] * receivers
     if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
@@ -114,27 +63,7 @@ def checked_seed(seed: Any) -> int | None:
 
 
 def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:
-    """Circumstances of some receivers, of those told of all.
-
-    Parameters
-    ----------
-    given : mapping
-        Each one value, or one for every receiver.
-    rows : ndarray
-        Which receivers.
-    count : int
-        Number of all.
-
-    Returns
-    -------
-    dict
-        Each one value, or one for every row.
-
-    Raises
-    ------
-    ValueError
-        When there are as many values of something as of neither.
-    """
+    """Circumstances of some receivers, of those given for all."""
     chosen = {}
     for name, value in given.items():
         if isinstance(value, str) or np.ndim(value) == 0:

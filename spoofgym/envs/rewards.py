@@ -262,39 +262,12 @@ REWARD_TERMS: dict[str, type[RewardTerm]] = {
 
 
 def default_rewards(alarm_penalty_m: float = 10.0) -> tuple[RewardTerm, ...]:
-    """Undiscounted, their sum is the undetected displacement minus the alarm penalty.
-
-    Parameters
-    ----------
-    alarm_penalty_m : float
-        Price of an alarm.
-
-    Returns
-    -------
-    tuple
-        Terms.
-    """
+    """Undiscounted, their sum is the undetected displacement minus the alarm penalty."""
     return DisplacementGain(), Retraction(), AlarmPenalty(alarm_penalty_m)
 
 
 def named_terms(terms: Sequence[RewardTerm]) -> list[tuple[str, RewardTerm]]:
-    """Terms by their keys in ``info``.
-
-    Parameters
-    ----------
-    terms : sequence of RewardTerm
-        Each with a name of its own.
-
-    Returns
-    -------
-    list of tuple
-        ``reward_<name>`` and the term.
-
-    Raises
-    ------
-    ValueError
-        When two have the same name.
-    """
+    """Terms by their keys in ``info``."""
     names = [term.name for term in terms]
     if len(set(names)) < len(names):
         raise ValueError(f"two reward terms have the same name, got {', '.join(names)}")
@@ -304,16 +277,8 @@ def named_terms(terms: Sequence[RewardTerm]) -> list[tuple[str, RewardTerm]]:
 def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
     """Terms as shares of what a step has brought, for compiled code.
 
-    Parameters
-    ----------
-    terms : sequence of RewardTerm
-        Any.
-
-    Returns
-    -------
-    ndarray or None
-        (r, 4) factor of every term on the fields of `SHARED`; None where a term has no share, or
-        one that its own `__call__` may belie.
+    Returns (r, 4) factor of every term on the fields of `SHARED`; None where a term has no share,
+    or one that its own `__call__` may belie.
     """
     shares = np.zeros((len(terms), len(SHARED)))
     for row, term in zip(shares, terms, strict=True):
@@ -327,22 +292,7 @@ def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
 def reward_of(
     terms: Sequence[tuple[str, RewardTerm]], outcome: Outcome, info: dict[str, NDArray[Any]]
 ) -> FloatArray:
-    """Sum of the terms, whose parts are written into ``info``.
-
-    Parameters
-    ----------
-    terms : sequence of tuple
-        Of `named_terms`.
-    outcome : Outcome
-        What a step has brought.
-    info : dict
-        Gets a key per term.
-
-    Returns
-    -------
-    ndarray
-        (B,) reward.
-    """
+    """Sum of the terms, whose parts are written into ``info``: (B,) reward."""
     reward = np.zeros(len(outcome.gain))
     for key, term in terms:
         part = info[key] = np.asarray(term(outcome), dtype=np.float64)

@@ -69,17 +69,7 @@ class Values(NamedTuple):
 def elements(knowledge: str) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
     """Elements of a level, and their bounds.
 
-    Parameters
-    ----------
-    knowledge : {"blind", "tracking", "oracle"}
-        The level; each has all that the one before has.
-
-    Returns
-    -------
-    names : tuple of str
-        (o,) one per element.
-    low, high : ndarray
-        (o,) finite bounds.
+    Returns `names` (o,) one per element; `low`, `high` (o,) finite bounds.
     """
     check_choice("knowledge", knowledge, KNOWLEDGE)
     level = KNOWLEDGE.index(knowledge)
@@ -89,15 +79,7 @@ def elements(knowledge: str) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
 
 
 def write(values: Values, out: NDArray[np.float32]) -> None:
-    """Write the first elements.
-
-    Parameters
-    ----------
-    values : Values
-        All that there is.
-    out : ndarray
-        (B, o), written, not clipped; o tells the level.
-    """
+    """Write the first elements.  `out` (B, o), written, not clipped; o gives the level."""
     pairs = out.shape[1] // 2
     for i, pair in enumerate(values[:pairs]):
         out[:, 2 * i : 2 * i + 2] = pair

@@ -49,32 +49,18 @@ SPARE_EPOCHS = 2
 class RobotPlant(Plant):
     """B wheeled robots, each on its own run of the course.
 
-    Parameters
-    ----------
-    receivers : int
-        B.
-    detector : str, mapping or Detector, optional
-        As `make_detector` takes it; ``acna`` in production by default.
-    timeline : mapping or Timeline, optional
-        Settings of `Timeline`; 60 s of warm-up with the detector live, 150 s of attack and 10 s of
-        time to alert by default.
-    interval_s : float
-        Time between fixes, a multiple of the encoders' sample interval.
-    rate_limit_mps : float
-        Rate of the offset in north and in east that an action of 1 commands.
-    displacement_scale_m : float
-        Displacement, and error of the estimate, that is observed as 1.
-    position_scale_m, velocity_scale_mps : float
-        Motion of the target since the onset, and its velocity, that are observed as 1.
-    loop, odometer, fix_errors, receiver : mapping or record, optional
-        Settings of `RobotLoop`, `Odometer`, `FixErrors` and `CredibleFilter`.
-    interruptions_s : sequence of pairs
-        Begin and end of the times without a fix, counted from the begin of the episode.
-
-    Raises
-    ------
-    ValueError
-        When a setting is out of range.
+    - `detector`: as `make_detector` takes it; ``acna`` in production by default;
+    - `timeline`: settings of `Timeline`; 60 s of warm-up with the detector live, 150 s of attack
+      and 10 s of time to alert by default;
+    - `interval_s`: time between fixes, a multiple of the encoders' sample interval;
+    - `rate_limit_mps`: rate of the offset in north and in east that an action of 1 commands;
+    - `displacement_scale_m`: displacement, and error of the estimate, that is observed as 1;
+    - `position_scale_m`, `velocity_scale_mps`: motion of the target since the onset, and its
+      velocity, that are observed as 1;
+    - `loop`, `odometer`, `fix_errors`, `receiver`: settings of `RobotLoop`, `Odometer`, `FixErrors`
+      and `CredibleFilter`;
+    - `interruptions_s`: start and end of the times without a fix, counted from the start of the
+      episode.
     """
 
     kind: ClassVar[str] = "robot"
@@ -182,18 +168,7 @@ class RobotPlant(Plant):
         )
 
     def spawn(self, receivers: int) -> RobotPlant:
-        """Another batch of the same settings.
-
-        Parameters
-        ----------
-        receivers : int
-            Its B.
-
-        Returns
-        -------
-        RobotPlant
-            Shares the truth of the run.
-        """
+        """Another batch of the same settings."""
         twin = copy.copy(self)
         twin._populate(receivers)
         return twin
@@ -201,15 +176,7 @@ class RobotPlant(Plant):
     def begin(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.bool_]:
         """Begin new episodes, and run their clean warm-up.
 
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per receiver.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, whether the detector alarmed before the onset.
+        Returns (B,) bool, whether the detector alarmed before the onset.
         """
         self.memory.reset()
         self.detector.reset()
@@ -227,15 +194,8 @@ class RobotPlant(Plant):
     def advance(self, action: FloatArray | None) -> NDArray[np.bool_]:
         """Run one epoch under attack.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, 2) in [-1, 1]; None holds the rate.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, whether the detector alarms.
+        `action` (B, 2) in [-1, 1]; None holds the rate; returns (B,) bool, whether the detector
+        alarms.
         """
         memory = self.memory
         if action is not None:
@@ -294,13 +254,7 @@ class RobotPlant(Plant):
         return np.asarray(verdict.alarm.any(axis=1))
 
     def error_ne(self) -> FloatArray:
-        """Error of the estimate.
-
-        Returns
-        -------
-        ndarray
-            (B, 2) north, east [m].
-        """
+        """Error of the estimate: (B, 2) north, east [m]."""
         estimate = self.memory["position"][:, :AXES]
         error: FloatArray = estimate - self.true_position_ne[self.memory["epoch"]]
         return error
@@ -308,22 +262,13 @@ class RobotPlant(Plant):
     def route_ne(self) -> FloatArray:
         """True way of an episode.
 
-        Returns
-        -------
-        ndarray
-            (K, 2) from the onset to the end of the time to alert, north, east [m].
+        Returns (K, 2) from the onset to the end of the time to alert, north, east [m].
         """
         way = self.true_position_ne[self.onset : self.onset + self.steps + self.hold + 1]
         return np.asarray(way - way[0])
 
     def sight(self) -> Sight:
-        """The first receiver as it stands.
-
-        Returns
-        -------
-        Sight
-            For a picture.
-        """
+        """The first receiver as it is."""
         memory, truth = self.memory, self.true_position_ne
         return Sight(
             position_ne=truth[memory["epoch"][0]] - truth[self.onset],
@@ -334,43 +279,19 @@ class RobotPlant(Plant):
         )
 
     def time_s(self) -> FloatArray:
-        """Time since the begin of the episode.
-
-        Returns
-        -------
-        ndarray
-            (B,) [s].
-        """
+        """Time since the start of the episode: (B,) [s]."""
         time: FloatArray = self.memory["epoch"] * self.interval_s
         return time
 
     def observation(self, knowledge: str) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
         """What a level of knowledge observes.
 
-        Parameters
-        ----------
-        knowledge : {"blind", "tracking", "oracle"}
-            The level.
-
-        Returns
-        -------
-        names : tuple of str
-            (o,) one per element.
-        low, high : ndarray
-            (o,) finite bounds.
+        Returns `names` (o,) one per element; `low`, `high` (o,) finite bounds.
         """
         return robot_observation.elements(knowledge)
 
     def observe(self, knowledge: str, out: NDArray[np.float32]) -> None:
-        """Write the observation; clipping follows.
-
-        Parameters
-        ----------
-        knowledge : {"blind", "tracking", "oracle"}
-            The level.
-        out : ndarray
-            (B, o), written.
-        """
+        """Write the observation; clipping follows.  `out` (B, o), written."""
         memory = self.memory
         epoch = memory["epoch"]
         since = (epoch - self.onset) / self.steps

@@ -68,24 +68,7 @@ class Timeline:
             )
 
     def epochs(self, interval_s: float) -> tuple[int, int, int, int]:
-        """Phases in epochs.
-
-        Parameters
-        ----------
-        interval_s : float
-            Time between epochs.
-
-        Returns
-        -------
-        quiet, live, attack, hold : int
-            Warm-up without and with detectors, command phase, hold.
-
-        Raises
-        ------
-        ValueError
-            When an episode would have more than `MOST_EPOCHS` epochs, all of which are kept in
-            memory.
-        """
+        """Phases in epochs."""
         length = self.warmup_s + self.attack_s + self.time_to_alert_s
         if length > MOST_EPOCHS * interval_s:
             raise ValueError(
@@ -99,20 +82,7 @@ class Timeline:
 
 
 def check_settles(detector: Detector, epochs: int) -> None:
-    """Raise where a detector is silent for a whole episode.
-
-    Parameters
-    ----------
-    detector : Detector
-        Bound.
-    epochs : int
-        Epochs of an episode in which it judges.
-
-    Raises
-    ------
-    ValueError
-        When its windows are not full before the episode ends.
-    """
+    """Raise where a detector is silent for a whole episode."""
     if detector.silent_epochs >= epochs:
         raise ValueError(
             f"{type(detector).__name__} can't alarm in its first {detector.silent_epochs} epochs, "
@@ -241,17 +211,8 @@ class Setup:
     ) -> FloatArray:
         """Command of one of the epochs of a decision.
 
-        Parameters
-        ----------
-        before, action : ndarray
-            (B, a) decision before, and this one.
-        epoch : int or ndarray
-            Which epoch of the decision, from 0 on; (B, 1) where receivers differ.
-
-        Returns
-        -------
-        ndarray
-            (B, a).
+        `before`, `action` (B, a) decision before, and this one; `epoch`: which epoch of the
+        decision, from 0 on; (B, 1) where receivers differ; returns (B, a).
         """
         if self.between == "hold":
             return action
@@ -263,20 +224,7 @@ class Setup:
     def altered(
         self, *, detector: Detector | None = None, witnesses: Sequence[Witness] | None = None
     ) -> Setup:
-        """The same world and attack, with another detector or other witnesses.
-
-        Parameters
-        ----------
-        detector : Detector, optional
-            In the loop.
-        witnesses : sequence of Witness, optional
-            Beside it.
-
-        Returns
-        -------
-        Setup
-            A new one that shares the world.
-        """
+        """The same world and attack, with another detector or other witnesses."""
         other = copy.copy(self)
         if detector is not None:
             other.detector = detector
@@ -321,23 +269,7 @@ class Setup:
 
 
 def checked_target(target_heading_deg: float | str) -> float | str:
-    """Raise unless there is such a target direction.
-
-    Parameters
-    ----------
-    target_heading_deg : float or {"random", "worst"}
-        Of the user.
-
-    Returns
-    -------
-    float or str
-        The same.
-
-    Raises
-    ------
-    ValueError
-        When it is something else.
-    """
+    """Raise unless there is such a target direction."""
     if isinstance(target_heading_deg, str):
         check_choice("target_heading_deg", target_heading_deg, TARGETS)
     elif not isinstance(target_heading_deg, Real) or not np.isfinite(float(target_heading_deg)):

@@ -37,17 +37,7 @@ class Snapshot(NamedTuple):
 def position_error_n(setup: Setup, batch: Batch) -> FloatArray:
     """Error of the estimated position, in the local axes at the onset of the attack.
 
-    Parameters
-    ----------
-    setup : Setup
-        Knows the truth.
-    batch : Batch
-        Knows the estimate.
-
-    Returns
-    -------
-    ndarray
-        (B, 3) estimate minus truth, north, east, down [m].
+    Returns (B, 3) estimate minus truth, north, east, down [m].
     """
     error_e = batch.buffers.state.position_e - setup.world.position_e[batch.epochs]
     # a sum of products, since the bits of a matrix product depend on the size of the batch

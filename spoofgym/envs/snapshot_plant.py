@@ -47,34 +47,15 @@ BOUND = 10.0
 class SnapshotPlant(Plant):
     """B snapshot receivers.
 
-    Parameters
-    ----------
-    receivers : int
-        B.
-    detector : str, mapping or Detector
-        What judges the pseudoranges.
-    timeline : Timeline or mapping, optional
-        Phases of an episode, settings over `DEFAULT_TIMELINE`; there is nothing to warm up but
-        the detector.
-    satellites : int
-        n, in view and used, the highest ones.
-    spoofed : int or sequence of int
-        How many satellites are spoofed, others in every episode; or which slots, always the same.
-    noise_m : float
-        White noise of a pseudorange [m].
-    rate_limit_mps : float or sequence of float
-        Largest rate of the counterfeit displacement [m/s], one for all or north, east, down, clock.
-    speed_mps, heading_deg : float
-        Motion of the vehicle.
-    interval_s : float
-        Time between epochs.
-    time_offset_s : float
-        Of the constellation: another geometry.
-
-    Raises
-    ------
-    ValueError
-        When a setting is out of range, or the detector needs what this receiver doesn't have.
+    - `timeline`: phases of an episode, settings over `DEFAULT_TIMELINE`; there is nothing to warm
+      up but the detector;
+    - `satellites`: n, in view and used, the highest ones;
+    - `spoofed`: how many satellites are spoofed, others in every episode; or which slots, always
+      the same;
+    - `noise_m`: white noise of a pseudorange [m];
+    - `rate_limit_mps`: largest rate of the counterfeit displacement [m/s], one for all or north,
+      east, down, clock;
+    - `time_offset_s`: of the constellation: another geometry.
 
     Notes
     -----
@@ -169,18 +150,7 @@ class SnapshotPlant(Plant):
         }
 
     def spawn(self, receivers: int) -> SnapshotPlant:
-        """Another batch of the same settings, not begun yet.
-
-        Parameters
-        ----------
-        receivers : int
-            Its B.
-
-        Returns
-        -------
-        SnapshotPlant
-            Shares the sky.
-        """
+        """Another batch of the same settings, not begun yet."""
         other = copy.copy(self)
         other.receivers = receivers
         other._settle()
@@ -189,15 +159,8 @@ class SnapshotPlant(Plant):
     def begin(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.bool_]:
         """Begin new episodes in all receivers, and run up to the onset.
 
-        Parameters
-        ----------
-        rngs : sequence of Generator
-            One per receiver; its seed sequence spawns one child an episode.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, whether the detector alarmed before the onset.
+        `rngs`: one per receiver; its seed sequence spawns one child an episode; returns (B,) bool,
+        whether the detector alarmed before the onset.
         """
         self.memory.reset()
         self.detector.reset()
@@ -221,20 +184,8 @@ class SnapshotPlant(Plant):
     def advance(self, action: FloatArray | None) -> NDArray[np.bool_]:
         """Run one epoch.
 
-        Parameters
-        ----------
-        action : ndarray or None
-            (B, 4) rates of the counterfeit displacement over their limits; None holds them.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, whether the detector alarms.
-
-        Raises
-        ------
-        RuntimeError
-            When the episode of a receiver has been over for more than one epoch.
+        `action` (B, 4) rates of the counterfeit displacement over their limits; None holds them;
+        returns (B,) bool, whether the detector alarms.
         """
         memory = self.memory
         if memory["epoch"].max() >= len(self.sky.time) - 1:
@@ -245,13 +196,7 @@ class SnapshotPlant(Plant):
         return self._epoch(live=True)
 
     def action_limits(self) -> FloatArray:
-        """Largest rate of every axis.
-
-        Returns
-        -------
-        ndarray
-            (4,) [m/s].
-        """
+        """Largest rate of every axis: (4,) [m/s]."""
         return self.rate_limit_mps
 
     def _epoch(self, live: bool) -> NDArray[np.bool_]:
@@ -331,35 +276,20 @@ class SnapshotPlant(Plant):
         return np.asarray(self.sky.position_e[self.memory["epoch"]])
 
     def error_ne(self) -> FloatArray:
-        """Error of the fix, estimate minus truth.
-
-        Returns
-        -------
-        ndarray
-            (B, 2) north, east [m].
-        """
+        """Error of the fix, estimate minus truth: (B, 2) north, east [m]."""
         error = self.memory["position_e"] - self._true_position()
         return np.asarray(np.einsum("bi,ij->bj", error, self.sky.C_en)[:, :2])
 
     def route_ne(self) -> FloatArray:
         """True way of an episode.
 
-        Returns
-        -------
-        ndarray
-            (K, 2) from the onset to the end of the time to alert, north, east [m].
+        Returns (K, 2) from the onset to the end of the time to alert, north, east [m].
         """
         way = self.sky.position_e[self.onset : self.onset + self.steps + self.hold + 1]
         return np.asarray(((way - way[0]) @ self.sky.C_en)[:, :2])
 
     def sight(self) -> Sight:
-        """The first receiver as it stands.
-
-        Returns
-        -------
-        Sight
-            For a picture.
-        """
+        """The first receiver as it is."""
         memory, sky = self.memory, self.sky
         epoch, n = int(memory["epoch"][0]), len(sky.satellite_ids)
         toward = self._line_of_sight_n()[0]
@@ -380,13 +310,7 @@ class SnapshotPlant(Plant):
         )
 
     def time_s(self) -> FloatArray:
-        """Time of the present epoch.
-
-        Returns
-        -------
-        ndarray
-            (B,) [s].
-        """
+        """Time of the present epoch: (B,) [s]."""
         return np.asarray(self.sky.time[self.memory["epoch"]])
 
     def _line_of_sight_n(self) -> FloatArray:
@@ -399,17 +323,7 @@ class SnapshotPlant(Plant):
     def observation(self, knowledge: str) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
         """What a level of knowledge observes.
 
-        Parameters
-        ----------
-        knowledge : {"blind", "tracking", "oracle"}
-            The level; each has all that the one before has.
-
-        Returns
-        -------
-        names : tuple of str
-            (o,) one per element.
-        low, high : ndarray
-            (o,) finite bounds.
+        Returns `names` (o,) one per element; `low`, `high` (o,) finite bounds.
         """
         check_choice("knowledge", knowledge, KNOWLEDGE)
         slots = range(len(self.sky.satellite_ids))
@@ -432,15 +346,7 @@ class SnapshotPlant(Plant):
         return tuple(names), np.array(low), np.array(high)
 
     def observe(self, knowledge: str, out: NDArray[np.float32]) -> None:
-        """Write the observation; clipping follows.
-
-        Parameters
-        ----------
-        knowledge : {"blind", "tracking", "oracle"}
-            The level.
-        out : ndarray
-            (B, o), written.
-        """
+        """Write the observation; clipping follows.  `out` (B, o), written."""
         memory, n = self.memory, len(self.sky.satellite_ids)
         since = (memory["epoch"] - self.onset) / self.steps
         parts = [

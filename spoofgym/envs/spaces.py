@@ -15,59 +15,21 @@ TOLERANCE = 1e-6
 
 
 def observation_space(game: Played) -> spaces.Space[Any]:
-    """Space of one receiver's observation.
-
-    Parameters
-    ----------
-    game : Played
-        Knows names and bounds.
-
-    Returns
-    -------
-    Box
-        (o,) float32.
-    """
+    """Space of one receiver's observation: (o,) float32."""
     low, high = game.bounds
     return spaces.Box(low.copy(), high.copy(), dtype=np.float32)
 
 
 def action_space(game: Played) -> spaces.Space[Any]:
-    """Space of one receiver's action.
-
-    Parameters
-    ----------
-    game : Played
-        Knows what is commanded.
-
-    Returns
-    -------
-    Box
-        (a,) float32 in [-1, 1].
-    """
+    """Space of one receiver's action: (a,) float32 in [-1, 1]."""
     return spaces.Box(-1.0, 1.0, (len(game.action_names),), dtype=np.float32)
 
 
 def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) -> NDArray[Any]:
     """Action as the engine takes it.
 
-    Parameters
-    ----------
-    action : array_like
-        From the user.
-    shape : tuple of int
-        That it must have: (B, a), or (a,) of a single environment.
-    names : tuple of str
-        Name of each element, for the message.
-
-    Returns
-    -------
-    ndarray
-        Of that shape, float64, C-contiguous, a copy.
-
-    Raises
-    ------
-    ValueError
-        When the shape is wrong, or a value is not finite or outside [-1, 1].
+    `shape`: that it must have: (B, a), or (a,) of a single environment; returns that shape,
+    float64, C-contiguous, a copy.
     """
     array = np.array(action, dtype=np.float64, order="C")
     if array.shape != shape:

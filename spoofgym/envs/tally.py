@@ -25,23 +25,11 @@ MARKS = 8
 class Heads:
     """Keys of what is told of a step, which a `Tally` gives its rows.
 
-    Parameters
-    ----------
-    receivers : int
-        B.
-    parts : sequence of str
-        Keys of the parts of the reward that the kernels write.
-
-    Attributes
-    ----------
-    told : tuple of str
-        `VALUE_NAMES` and `parts`, then `MARK_NAMES`.
-    masked : tuple of str
-        The same, then all of them with ``_`` before it, for who has them.
-    numbers : int
-        How many of `told` are numbers.
-    blank : ndarray
-        ((8 + t) B,) bool, what `Tally.flags` begins with.
+    - `parts`: keys of the parts of the reward that the kernels write;
+    - `told`: `VALUE_NAMES` and `parts`, then `MARK_NAMES`;
+    - `masked`: the same, then all of them with ``_`` before it, for who has them;
+    - `numbers`: how many of `told` are numbers;
+    - `blank` ((8 + t) B,) bool, initial `Tally.flags`.
     """
 
     def __init__(self, receivers: int, parts: Sequence[str] = ()) -> None:
@@ -59,20 +47,10 @@ class Tally:
     The kernels write the rows, and nothing is taken out of them before it is asked for: with a
     batch of one, making the arrays would cost more than the kernels do.
 
-    Parameters
-    ----------
-    heads : Heads
-        Keys of the rows.
-
-    Attributes
-    ----------
-    numbers : ndarray
-        ((k + 3) B,) `values` in one row.
-    flags : ndarray
-        ((8 + t) B,) bool, `marks` in one row: those that the kernels name, then, for every key,
-        that all receivers have it.
-    more : dict
-        Arrays that are told beside them, by key.
+    - `numbers` ((k + 3) B,) `values` in one row;
+    - `flags` ((8 + t) B,) bool, `marks` in one row: those that the kernels name, then, for every
+      key, that all receivers have it;
+    - `more`: arrays that are reported with them, by key.
     """
 
     def __init__(self, heads: Heads) -> None:
@@ -118,15 +96,7 @@ class Tally:
         return told
 
     def masked(self) -> tuple[FloatArray, Mask, Mask, dict[str, NDArray[Any]]]:
-        """Rewards, ends and information, and that every receiver has it; without `more`.
-
-        Returns
-        -------
-        reward, terminated, truncated : ndarray
-            (B,).
-        info : dict
-            As `masked` of `infos` makes it of `info`.
-        """
+        """Rewards, ends and information, and that every receiver has it; without `more`."""
         heads, values, marks = self._heads, list(self.values), list(self.marks)
         rows = values[: _kernels.GAIN] + marks[: len(MARK_NAMES)] + marks[MARKS:]
         return (
@@ -137,17 +107,7 @@ class Tally:
         )
 
     def alone(self) -> tuple[float, bool, bool, dict[str, Any]]:
-        """Reward, ends and information of a batch of one, as plain numbers.
-
-        Returns
-        -------
-        reward : float
-            Of the only receiver.
-        terminated, truncated : bool
-            Whether its episode is over.
-        info : dict
-            By key.
-        """
+        """Reward, ends and information of a batch of one, as plain numbers."""
         values: list[Any] = self.numbers.tolist()
         marks: list[Any] = self.flags.tolist()
         told = values[: _kernels.GAIN] + marks[: len(MARK_NAMES)]
@@ -164,12 +124,7 @@ class Tally:
     def add(self, earlier: Tally, over: Mask) -> None:
         """Count the earlier epochs of the same decision; both are told.
 
-        Parameters
-        ----------
-        earlier : Tally
-            Of these epochs.
-        over : ndarray
-            (B,) bool, whose episode was over before this epoch, so that `earlier` is all of it.
+        `over` (B,) bool, whose episode was over before this epoch, so that `earlier` is all of it.
         """
         parts = slice(len(VALUE_NAMES), self._heads.numbers)
         for row in (_kernels.GAIN, _kernels.RETRACTION, _kernels.COST, parts):

@@ -20,19 +20,7 @@ class WatchedDetector(Detector):
     An engine has witnesses for that.  A plant has a detector alone, which is reset, moved and asked
     in the warm-up and in the time to alert: what watches goes along with it.
 
-    Parameters
-    ----------
-    loop : Detector
-        In the loop.
-    watch : sequence of Detector
-        Beside it; copied.
-
-    Attributes
-    ----------
-    loop : Detector
-        The same.
-    watch : Watch
-        What the others have seen.
+    `watch`: what the others have seen.
     """
 
     watches: ClassVar[str] = "any"
@@ -50,13 +38,7 @@ class WatchedDetector(Detector):
         return (self.loop, *self.watch.detectors)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare all detectors.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Prepare all detectors."""
         super().bind(context)
         for member in self.members:
             member.bind(context)
@@ -65,46 +47,18 @@ class WatchedDetector(Detector):
         self.memory = JointMemory(context.receivers, parts)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget everything about some receivers.
-
-        Parameters
-        ----------
-        mask : ndarray, optional
-            (B,) bool, which ones; all by default.
-        """
+        """Forget everything about some receivers."""
         for member in self.members:
             member.reset(mask)
         self.watch.memory.reset(mask)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Let all of them judge.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            Of the detector in the loop.
-        """
+        """Let all of them judge."""
         verdict = self.loop.judge(epoch)
         self.watch.look(epoch)
         return verdict
 
 
 def members_of(detector: Detector) -> tuple[Detector, ...]:
-    """Detectors that a detector is made of.
-
-    Parameters
-    ----------
-    detector : Detector
-        Any.
-
-    Returns
-    -------
-    tuple of Detector
-        Itself, unless others watch beside it.
-    """
+    """Detectors that a detector is made of.  The detector alone, unless others watch with it."""
     return detector.members if isinstance(detector, WatchedDetector) else (detector,)

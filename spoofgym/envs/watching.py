@@ -15,15 +15,7 @@ from .witness import Witness
 def needed(terms: Iterable[Any]) -> list[Witness]:
     """Witnesses that terms rely on.
 
-    Parameters
-    ----------
-    terms : iterable
-        Of any kind; the attribute `needs` of one, if there is such, lists classes of witnesses.
-
-    Returns
-    -------
-    list of Witness
-        One of each class, in the order in which they are named.
+    Returns one of each class, in the order in which they are named.
     """
     kinds = dict.fromkeys(kind for term in terms for kind in getattr(term, "needs", ()))
     return [kind() for kind in kinds]
@@ -32,17 +24,8 @@ def needed(terms: Iterable[Any]) -> list[Witness]:
 class WatchBooks:
     """Alarms and statistics of the detectors that watch.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Of the detectors, as `Watch` has them.
-    receivers : int
-        B.
-
-    Attributes
-    ----------
-    begin_names, step_names : tuple of str
-        Keys in the information at the begin of an episode, and of a step.
+    `names`: of the detectors, as `Watch` has them; `begin_names`, `step_names`: keys in the
+    information at the start of an episode, and of a step.
     """
 
     def __init__(self, names: tuple[str, ...], receivers: int) -> None:
@@ -53,51 +36,20 @@ class WatchBooks:
         self._warmup_alarm = np.zeros((receivers, len(names)), dtype=np.bool_)
 
     def reset(self, rows: NDArray[np.intp], watched: Memory) -> None:
-        """Take down the alarms of the warm-up.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which receivers have begun anew.
-        watched : Memory
-            Of the `Watch`.
-        """
+        """Take down the alarms of the warm-up."""
         self._warmup_alarm[rows] = watched["alarmed"][rows]
 
     @staticmethod
     def forget(watched: Memory) -> None:
-        """Begin to count the alarms of a step.
-
-        Parameters
-        ----------
-        watched : Memory
-            Of the `Watch`.
-        """
+        """Begin to count the alarms of a step."""
         watched["alarmed"][:] = False
 
     def begin_info(self) -> dict[str, NDArray[Any]]:
-        """Information at the begin of an episode.
-
-        Returns
-        -------
-        dict
-            (B,) bool of each detector.
-        """
+        """Information at the start of an episode: (B,) bool of each detector."""
         return {name: self._warmup_alarm[:, k].copy() for k, name in enumerate(self.begin_names)}
 
     def step_info(self, watched: Memory) -> dict[str, NDArray[Any]]:
-        """Information of a step, the time to alert included.
-
-        Parameters
-        ----------
-        watched : Memory
-            Of the `Watch`.
-
-        Returns
-        -------
-        dict
-            (B,) arrays of each detector.
-        """
+        """Information of a step, the time to alert included: (B,) arrays of each detector."""
         alarms = {name: watched["alarmed"][:, k].copy() for k, name in enumerate(self._alarm_names)}
         ratios = {name: watched["ratio"][:, k].copy() for k, name in enumerate(self._ratio_names)}
         return {**self.begin_info(), **alarms, **ratios}

@@ -25,70 +25,33 @@ FloatArray = NDArray[np.float64]
 
 
 class Witness(ABC):
-    """What looks at the epochs of a batch.
-
-    Attributes
-    ----------
-    memory : Memory
-        All that it remembers of every receiver.
-    """
+    """What looks at the epochs of a batch.  `memory`: all that it remembers of every receiver."""
 
     memory: Memory
 
     @abstractmethod
     def bind(self, batch: Batch) -> None:
-        """Prepare for a batch.
-
-        Parameters
-        ----------
-        batch : Batch
-            Sizes, and its setup.
-        """
+        """Prepare for a batch."""
 
     @abstractmethod
     def see(self, batch: Batch) -> None:
-        """Look at an epoch between the verdict and the update.
-
-        Parameters
-        ----------
-        batch : Batch
-            With epoch and verdict.
-        """
+        """Look at an epoch between the verdict and the update."""
 
     def begin(self) -> None:
         """Begin new episodes in all receivers."""
         self.memory.reset()
 
     def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
-        """Take over receivers of another batch.
-
-        Parameters
-        ----------
-        to : ndarray
-            Rows that are overwritten.
-        other : Witness
-            Of the same kind and settings.
-        rows : ndarray
-            As many rows of the other.
-        """
+        """Take over receivers of another batch."""
         self.memory.copy_rows(to, other.memory, rows)
 
 
 class Watch(Witness):
     """Detectors that run on the epochs beside the one in the loop; their weights are not used.
 
-    Parameters
-    ----------
-    detectors : sequence of Detector
-        Copied for every batch.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Name of each in ``info``: that of its class in `DETECTORS`, numbered where it is not alone.
-    memory : Memory
-        ``alarmed`` (B, w) bool, whether each has alarmed since it was last set to False; ``ratio``
-        (B, w) largest statistic over threshold at the last epoch.
+    `names`: name of each in ``info``: that of its class in `DETECTORS`, numbered where it is not
+    alone; `memory`: ``alarmed`` (B, w) bool, whether each has alarmed since it was last set to
+    False; ``ratio`` (B, w) largest statistic over threshold at the last epoch.
     """
 
     def __init__(self, detectors: Sequence[Detector]) -> None:
@@ -96,30 +59,13 @@ class Watch(Witness):
         self.names = names_of(self.detectors)
 
     def bind(self, batch: Batch) -> None:
-        """Prepare for a batch.
-
-        Parameters
-        ----------
-        batch : Batch
-            Sizes, and its setup.
-
-        Raises
-        ------
-        ValueError
-            When a detector can't alarm within an episode.
-        """
+        """Prepare for a batch."""
         for detector in self.detectors:
             batch.bind_detector(detector)
         self.declare(batch.receivers)
 
     def declare(self, receivers: int) -> None:
-        """Prepare for what the detectors will see.
-
-        Parameters
-        ----------
-        receivers : int
-            B.
-        """
+        """Prepare for what the detectors will see."""
         count = len(self.detectors)
         self.memory = Memory(receivers)
         self.memory.declare("alarmed", np.zeros((receivers, count), dtype=np.bool_))
@@ -132,23 +78,11 @@ class Watch(Witness):
             detector.reset()
 
     def see(self, batch: Batch) -> None:
-        """Let every detector judge the epoch.
-
-        Parameters
-        ----------
-        batch : Batch
-            With the epoch.
-        """
+        """Let every detector judge the epoch."""
         self.look(batch.epoch)
 
     def look(self, epoch: Epoch) -> None:
-        """Let every detector judge an epoch.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-        """
+        """Let every detector judge an epoch."""
         alarmed, ratio = self.memory["alarmed"], self.memory["ratio"]
         for k, detector in enumerate(self.detectors):
             verdict = detector.judge(epoch)
@@ -156,35 +90,14 @@ class Watch(Witness):
             ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
 
     def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
-        """Take over receivers of another batch.
-
-        Parameters
-        ----------
-        to : ndarray
-            Rows that are overwritten.
-        other : Watch
-            Of the same detectors.
-        rows : ndarray
-            As many rows of the other.
-        """
+        """Take over receivers of another batch."""
         super().copy_rows(to, other, rows)
         for mine, theirs in zip(self.detectors, other.detectors, strict=True):
             mine.memory.copy_rows(to, theirs.memory, rows)
 
 
 def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
-    """Names of detectors, with underscores.
-
-    Parameters
-    ----------
-    detectors : sequence of Detector
-        Some may be of the same class.
-
-    Returns
-    -------
-    tuple of str
-        Those of `DETECTORS`, or of their classes; the second of a name ends with ``_2``.
-    """
+    """Names of detectors, with underscores."""
     known = {kind: name for name, kind in DETECTORS.items()}
     words = [known.get(type(d), type(d).__name__).replace("-", "_").lower() for d in detectors]
     before = [words[:k].count(word) for k, word in enumerate(words)]

@@ -19,10 +19,7 @@ class Workers:
     on some dozens of receivers.  Threads are started when first needed, and again in a forked or
     unpickled copy.
 
-    Parameters
-    ----------
-    count : int
-        Threads besides the caller's own.
+    `count`: threads besides the caller's own.
     """
 
     def __init__(self, count: int) -> None:
@@ -34,17 +31,7 @@ class Workers:
     def run(self, work: Work, bounds: Sequence[int]) -> None:
         """Call ``work(lo, hi)`` for all neighbouring bounds, the first in this thread.
 
-        Parameters
-        ----------
-        work : callable
-            Releases the GIL for most of its time.
-        bounds : sequence of int
-            One more than slices; at most as many slices as threads.
-
-        Raises
-        ------
-        BaseException
-            What the work raised, after all slices have ended.
+        `bounds`: one more than slices; at most as many slices as threads.
         """
         if self._owner != os.getpid():
             self._start()

@@ -76,16 +76,6 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
     Records of other constellations are left out, and their number is logged.  Malformed records
     (cut short, a field that is no number or is out of range) are left out with one warning.  The
     calendar date of a record tells its week, so that the week number field isn't needed.
-
-    Parameters
-    ----------
-    path : path-like
-        A RINEX 2 or 3 navigation file, plain or compressed by gzip.
-
-    Returns
-    -------
-    Ephemerides
-        All GPS records, copies and unhealthy ones included; see `spoofgym.sim.screening.screen`.
     """
     path = Path(path)
     lines = _read_lines(path)
@@ -129,19 +119,7 @@ def load_broadcast(
 ) -> tuple[BroadcastConstellation, ScreeningReport]:
     """The constellation of a RINEX navigation file, its records screened.
 
-    Parameters
-    ----------
-    path : path-like
-        A RINEX 2 or 3 navigation file, plain or compressed by gzip.
-    start : float or datetime
-        Time 0 of the simulation: GPS seconds [s], or a date as `gps_seconds` takes it.
-
-    Returns
-    -------
-    constellation : BroadcastConstellation
-        The GPS satellites of the file.
-    report : ScreeningReport
-        What was found in the file.
+    `start`: time 0 of the simulation: GPS seconds [s], or a date as `gps_seconds` takes it.
     """
     kept, report = screen(read_navigation(path))
     if isinstance(start, datetime):

@@ -44,39 +44,23 @@ DEFAULT_DURATION_S = 600.0
 class CleaningReport:
     """What cleaning found and dropped; counts are rows of the file unless said otherwise.
 
-    Parameters
-    ----------
-    name : str
-        Name of the file or flight.
-    rows : int
-        Rows of the file.
-    incomplete : int
-        Rows without latitude, longitude or altitude.
-    repeated : int
-        Rows that repeat the position of the row before.
-    late : int
-        Rows whose position is not newer than the one before.
-    interpolated : int
-        Rows on the line between their neighbours, at the time that interpolation gives.
-    position_outliers, height_outliers : int
-        Single fixes that neither neighbour can be reached from.
-    grounded : int
-        Fixes at 60 kt or slower, or at an altitude of 0 or below.
-    speeds_rejected : int
-        Groundspeeds that contradict the speed made good.
-    angles_as_given, angles_unwrapped, angles_rejected : int
-        Course angles that agree with the course made good as they are, after adding or taking
-        256 deg, and not at all.
-    stretches : int
-        Airborne stretches without a gap.
-    stretch_s : float
-        Duration of the chosen stretch [s].
-    start_utc : str
-        Time of the first fix of the track, ISO 8601.
-    duration_s : float
-        Duration of the track [s].
-    fixes, angles : int
-        Fixes of the track, and those among them with a course.
+    - `name`: name of the file or flight;
+    - `incomplete`: rows without latitude, longitude or altitude;
+    - `repeated`: rows that repeat the position of the row before;
+    - `late`: rows whose position is not newer than the one before;
+    - `interpolated`: rows on the line between their neighbours, at the time that interpolation
+      gives;
+    - `position_outliers`, `height_outliers`: single fixes that neither neighbour can be reached
+      from;
+    - `grounded`: fixes at 60 kt or slower, or at an altitude of 0 or below;
+    - `speeds_rejected`: groundspeeds that contradict the speed made good;
+    - `angles_as_given`, `angles_unwrapped`, `angles_rejected`: course angles that agree with the
+      course made good as they are, after adding or taking 256 deg, and not at all;
+    - `stretches`: airborne stretches without a gap;
+    - `stretch_s`: duration of the chosen stretch [s];
+    - `start_utc`: time of the first fix of the track, ISO 8601;
+    - `duration_s`: duration of the track [s];
+    - `fixes`, `angles`: fixes of the track, and those among them with a course.
     """
 
     name: str
@@ -131,25 +115,9 @@ def clean_track(
 ) -> tuple[Track, CleaningReport]:
     """Clean a recorded track and cut out a stretch that was flown without a gap.
 
-    Parameters
-    ----------
-    raw : RawTrack
-        The track as recorded.
-    from_s : float, optional
-        Start of the cut [s] since the first row of the file; by default the start of the longest
-        stretch.
-    duration_s : float, optional
-        Duration of the cut [s]; by default ten minutes, or what the stretch offers.
-    interpolated : {"drop", "keep"}
-        Whether rows on the line between their neighbours are dropped as interpolated.  A
-        simulated track without noise needs "keep".
-
-    Returns
-    -------
-    track : Track
-        Distinct airborne fixes.
-    report : CleaningReport
-        What was dropped.
+    `from_s`: start of the cut [s] since the first row of the file; by default the start of the
+    longest stretch; `duration_s`: duration of the cut [s]; by default ten minutes, or what the
+    stretch offers.
     """
     if interpolated not in {"drop", "keep"}:
         raise ValueError(f"`interpolated` must be 'drop' or 'keep', got {interpolated!r}")

@@ -42,17 +42,8 @@ def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask
     there is nothing to repeat: there, rows without a known time of their position are filled
     backwards, and the last of them counts.
 
-    Parameters
-    ----------
-    latitude, longitude : ndarray
-        (n,) geodetic [rad].
-    known : ndarray
-        (n,) whether the file tells the time of the position.
-
-    Returns
-    -------
-    ndarray
-        (n,) True where the row doesn't count.
+    `latitude`, `longitude` (n,) geodetic [rad]; `known` (n,) whether the file gives the time of the
+    position; returns (n,) True where the row doesn't count.
     """
     same = (np.diff(latitude) == 0.0) & (np.diff(longitude) == 0.0)
     again = np.concatenate([[False], same])[: latitude.size]
@@ -66,15 +57,7 @@ def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask
 def late_positions(time: Floats) -> Mask:
     """Rows whose position isn't newer than all before; a time counts once.
 
-    Parameters
-    ----------
-    time : ndarray
-        (n,) time of the positions [s].
-
-    Returns
-    -------
-    ndarray
-        (n,) True where the row doesn't count.
+    `time` (n,) time of the positions [s]; returns (n,) True where the row doesn't count.
     """
     latest = np.maximum.accumulate(time)
     return np.concatenate([[False], time[1:] <= latest[:-1]])[: time.size]
@@ -85,17 +68,8 @@ def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) ->
 
     Of a run of equal displacements, only the fix at each end was ever observed.
 
-    Parameters
-    ----------
-    time : ndarray
-        (n,) time of the positions [s], rising.
-    latitude, longitude : ndarray
-        (n,) geodetic [rad].
-
-    Returns
-    -------
-    ndarray
-        (n,) True where a position is interpolated.
+    `time` (n,) time of the positions [s], rising; `latitude`, `longitude` (n,) geodetic [rad];
+    returns (n,) True where a position is interpolated.
     """
     north = EQUATORIAL_RADIUS * off_line(time, latitude[:, None])
     east = EQUATORIAL_RADIUS * np.cos(latitude) * off_line(time, np.unwrap(longitude)[:, None])
@@ -107,17 +81,7 @@ def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) ->
 def off_line(time: Floats, value: Floats) -> Floats:
     """Distance of each row from the line between its neighbours; 0 at both ends.
 
-    Parameters
-    ----------
-    time : ndarray
-        (n,) rising [s].
-    value : ndarray
-        (n, k) coordinates.
-
-    Returns
-    -------
-    ndarray
-        (n,) in the unit of the coordinates.
+    `time` (n,) rising [s]; `value` (n, k) coordinates; returns (n,) in the unit of the coordinates.
     """
     distance = np.zeros(time.size)
     if time.size > 2:
@@ -142,21 +106,8 @@ def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleratio
     one, worst of their surroundings first, and only if that heals the surroundings: a jump that
     lasts is none, and breaks the track instead.
 
-    Parameters
-    ----------
-    time : ndarray
-        (n,) rising [s].
-    value : ndarray
-        (n, k) coordinates [m].
-    allowance : float
-        Distance believed [m].
-    acceleration : float
-        Acceleration believed [m/s^2].
-
-    Returns
-    -------
-    ndarray
-        (n,) True where a row is an outlier.
+    `time` (n,) rising [s]; `value` (n, k) coordinates [m]; `allowance`: distance believed [m];
+    `acceleration`: acceleration believed [m/s^2]; returns (n,) True where a row is an outlier.
     """
     kept = np.arange(time.size)
     while True:
@@ -179,17 +130,7 @@ def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleratio
 def broken_links(time: Floats, position_e: Floats) -> Mask:
     """Which fixes don't lead on to the next: gaps, and jumps that last.
 
-    Parameters
-    ----------
-    time : ndarray
-        (n,) rising [s].
-    position_e : ndarray
-        (n, 3) ECEF [m].
-
-    Returns
-    -------
-    ndarray
-        (n-1,) True where a stretch ends.
+    `time` (n,) rising [s]; `position_e` (n, 3) ECEF [m]; returns (n-1,) True where a stretch ends.
     """
     interval = np.diff(time)
     distance = np.linalg.norm(np.diff(position_e, axis=0), axis=1)
@@ -204,15 +145,10 @@ def broken_links(time: Floats, position_e: Floats) -> Mask:
 class MadeGood(NamedTuple):
     """Speeds and courses that follow from positions alone.
 
-    Attributes
-    ----------
-    speed, path_speed : ndarray
-        (n,) length of the chord to both sides of a fix, and of the path along the fixes, over
-        time [m/s].
-    course : ndarray
-        (n,) direction of the chord, clockwise from north [rad]; NaN below `POSITION_SD`.
-    span : ndarray
-        (n,) time between the ends of the chord [s].
+    - `speed`, `path_speed` (n,) length of the chord to both sides of a fix, and of the path along
+      the fixes, over time [m/s];
+    - `course` (n,) direction of the chord, clockwise from north [rad]; NaN below `POSITION_SD`;
+    - `span` (n,) time between the ends of the chord [s].
     """
 
     speed: Floats
@@ -224,17 +160,8 @@ class MadeGood(NamedTuple):
 def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
     """Speeds and courses from positions, over chords of at least `CHORD_S` to either side.
 
-    Parameters
-    ----------
-    time : ndarray
-        (n,) rising [s].
-    latitude, longitude : ndarray
-        (n,) geodetic [rad].
-
-    Returns
-    -------
-    MadeGood
-        NaN where there is no other fix within `LARGEST_GAP_S`.
+    `time` (n,) rising [s]; `latitude`, `longitude` (n,) geodetic [rad]; returns NaN where there is
+    no other fix within `LARGEST_GAP_S`.
     """
     position = geodetic_to_ecef(latitude, longitude, 0.0)
     here = np.arange(time.size)
@@ -254,17 +181,8 @@ def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
 def contradicting_speeds(groundspeed: Floats, made: MadeGood) -> Mask:
     """Groundspeeds outside chord and path speed by a tenth and three standard deviations.
 
-    Parameters
-    ----------
-    groundspeed : ndarray
-        (n,) as reported [m/s].
-    made : MadeGood
-        What the positions say.
-
-    Returns
-    -------
-    ndarray
-        (n,) True where the reported speed can't be true, a stale one for instance.
+    `groundspeed` (n,) as reported [m/s]; returns (n,) True where the reported speed can't be true,
+    a stale one for instance.
     """
     margin = 3.0 * math.sqrt(2.0) * POSITION_SD / made.span
     too_low = groundspeed < 0.9 * made.speed - margin
@@ -275,17 +193,8 @@ def contradicting_speeds(groundspeed: Floats, made: MadeGood) -> Mask:
 def stale_runs(value: Floats, wrong: Mask) -> Mask:
     """Runs of one and the same value, too much of which is wrong for the rest to be right.
 
-    Parameters
-    ----------
-    value : ndarray
-        (n,) as reported, NaN where missing.
-    wrong : ndarray
-        (n,) whether a value was rejected.
-
-    Returns
-    -------
-    ndarray
-        (n,) True in runs of which more than `STALE_SHARE` was rejected.
+    `value` (n,) as reported, NaN where missing; `wrong` (n,) whether a value was rejected; returns
+    (n,) True in runs of which more than `STALE_SHARE` was rejected.
     """
     run = np.cumsum(np.diff(value, prepend=value[:1]) != 0.0)
     share = np.bincount(run, wrong) / np.maximum(np.bincount(run), 1)
@@ -299,19 +208,9 @@ def resolved_courses(track_deg: Floats, course: Floats) -> tuple[Floats, Mask]:
     When all of them fit a signed byte, from -128 to 127 deg, they may have been stored in one,
     and 256 deg more and less are tried too.
 
-    Parameters
-    ----------
-    track_deg : ndarray
-        (n,) as recorded [deg], NaN where missing.
-    course : ndarray
-        (n,) made good [rad], NaN where there is none.
-
-    Returns
-    -------
-    angle : ndarray
-        (n,) course [rad] in (-pi, pi], NaN where rejected or missing.
-    unwrapped : ndarray
-        (n,) True where it agrees after adding or taking 256 deg, and not as it is.
+    `track_deg` (n,) as recorded [deg], NaN where missing; `course` (n,) made good [rad], NaN where
+    there is none; returns `angle` (n,) course [rad] in (-pi, pi], NaN where rejected or missing;
+    `unwrapped` (n,) True where it agrees after adding or taking 256 deg, and not as it is.
     """
     finite = track_deg[np.isfinite(track_deg)]
     is_byte = finite.size > 0 and finite.min() >= -128.0 and finite.max() <= 127.0
@@ -336,19 +235,8 @@ def _wrapped(angle: Floats) -> Floats:
 def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int]]:
     """Airborne stretches without a broken link.
 
-    Parameters
-    ----------
-    time : ndarray
-        (n,) rising [s].
-    broken : ndarray
-        (n-1,) whether a fix doesn't lead on to the next.
-    airborne : ndarray
-        (n,) whether a fix is in the air.
-
-    Returns
-    -------
-    list of tuple
-        Indices of the first and last fix of each, longest in time first.
+    `time` (n,) rising [s]; `broken` (n-1,) whether a fix doesn't lead on to the next; `airborne`
+    (n,) whether a fix is in the air.
     """
     linked = np.concatenate([[False], ~broken & airborne[1:] & airborne[:-1], [False]])
     edges = np.flatnonzero(np.diff(linked.astype(np.int8)))

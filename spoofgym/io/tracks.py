@@ -60,22 +60,13 @@ QUANTITIES: dict[str, dict[str, float]] = {
 class RawTrack:
     """Rows of a recorded track, in SI units but otherwise as they were found.
 
-    Parameters
-    ----------
-    name : str
-        Name of the file or flight.
-    time : ndarray
-        (n,) time of the rows since 1970-01-01 UTC [s], never falling.
-    position_time : ndarray
-        (n,) true time of the positions [s], NaN where the file doesn't say.
-    latitude, longitude : ndarray
-        (n,) geodetic [rad], NaN where missing.
-    altitude : ndarray
-        (n,) barometric altitude [m], NaN where missing.
-    groundspeed, vertical_rate : ndarray
-        (n,) over ground and upwards [m/s], NaN where missing.
-    track_deg : ndarray
-        (n,) course over ground as recorded [deg], NaN where missing.
+    - `name`: name of the file or flight;
+    - `time` (n,) time of the rows since 1970-01-01 UTC [s], never falling;
+    - `position_time` (n,) true time of the positions [s], NaN where the file doesn't say;
+    - `latitude`, `longitude` (n,) geodetic [rad], NaN where missing;
+    - `altitude` (n,) barometric altitude [m], NaN where missing;
+    - `groundspeed`, `vertical_rate` (n,) over ground and upwards [m/s], NaN where missing;
+    - `track_deg` (n,) course over ground as recorded [deg], NaN where missing.
     """
 
     name: str
@@ -97,19 +88,7 @@ def read_track(
 ) -> RawTrack:
     """Read a recorded track from a CSV, Parquet or JSON file, compressed or not.
 
-    Parameters
-    ----------
-    path : str or Path
-        File whose name ends in .csv, .json or .parquet; .csv.gz and .json.gz too.
-    altitude_unit : {"ft", "m"}, optional
-        Unit of the altitude column; by default feet, unless its name ends in _m.
-    aircraft : str, optional
-        ICAO 24-bit address of the aircraft to take, when the file has several.
-
-    Returns
-    -------
-    RawTrack
-        All rows of the aircraft.
+    `altitude_unit`: unit of the altitude column; by default feet, unless its name ends in _m.
     """
     path = Path(path)
     try:
@@ -152,22 +131,7 @@ def track_from_frame(
 ) -> RawTrack:
     """Take a recorded track from a table with one row per report.
 
-    Parameters
-    ----------
-    frame : pandas.DataFrame
-        Columns named as in `QUANTITIES`, `TIME` and `POSITION_TIME`, in any case; time,
-        latitude, longitude and altitude are required.
-    name : str
-        Name of the flight.
-    altitude_unit : {"ft", "m"}, optional
-        Unit of the altitude column; by default feet, unless its name ends in _m.
-    aircraft : str, optional
-        ICAO 24-bit address of the aircraft to take, when there are several.
-
-    Returns
-    -------
-    RawTrack
-        All rows of the aircraft.
+    `altitude_unit`: unit of the altitude column; by default feet, unless its name ends in _m.
     """
     frame = frame.rename(columns=lambda column: str(column).strip().lower())
     if frame.empty:

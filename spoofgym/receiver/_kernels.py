@@ -106,18 +106,8 @@ def predict(
 ):
     """Mechanize one block of samples, propagate, and form innovation and covariance.
 
-    Parameters
-    ----------
-    floats, flags, block, samples : ndarray
-        Of `ReceiverBuffers`; advanced to the epoch, before its update.
-    imu_interval : ndarray
-        (N,) length of every sample of the run [s].
-    receivers, channels : int
-        B and n.
-    lo, hi : int
-        Slice of receivers; `lo` is a multiple of the number of lanes.
-    for_detector : bool
-        Whether to write the design and the innovation covariance, which only a detector looks at.
+    `imu_interval` (N,) length of every sample of the run [s]; `for_detector`: whether to write the
+    design and the innovation covariance, which only a detector looks at.
     """
     state, measured, noise_psd = unpack(floats, flags, receivers, channels)
     covariance_work, row_work = np.empty(289), np.empty(17)
@@ -198,22 +188,8 @@ def update(
 ):
     """Correct the predicted state with the weighted gain, and feed it back.
 
-    Parameters
-    ----------
-    floats, flags : ndarray
-        Of `ReceiverBuffers`, after `predict`; corrected in place.
-    weights : ndarray
-        (B, 2n) weights on the columns of the gain.
-    receivers, channels : int
-        B and n.
-    covariance_update : int
-        One of `kalman.COVARIANCE_UPDATES`.
-    min_satellites : int
-        With fewer visible satellites the receiver coasts: no update.
-    orthonormalize : bool
-        Whether to re-orthonormalize the attitude matrix.
-    lo, hi : int
-        Slice of receivers.
+    `floats`, `flags`: of `ReceiverBuffers`, after `predict`; corrected in place; `weights` (B, 2n)
+    weights on the columns of the gain.
     """
     state, measured, _ = unpack(floats, flags, receivers, channels)
     A, A1, A2 = np.empty((8, 8)), np.empty((8, 8)), np.empty((8, 8))
@@ -298,25 +274,7 @@ def measure(
     lo,
     hi,
 ):
-    """Move every receiver to its next epoch and measure everything on the way.
-
-    Parameters
-    ----------
-    sensor_floats, keys, epochs : ndarray
-        Of `SensorBuffers`; advanced.
-    floats, flags, block, samples : ndarray
-        Of `ReceiverBuffers`; measurements are written.
-    run, epoch_time, epoch_end, satellites : ndarray
-        Of `World`.
-    receivers, channels : int
-        B and n.
-    padded_imu, padded_gnss : int
-        Numbers of deviates to draw for the inertial samples and for GNSS.
-    advance : int
-        1 for the next epoch; 0 to measure the present one, without inertial samples.
-    lo, hi : int
-        Slice of receivers.
-    """
+    """Move every receiver to its next epoch and measure everything on the way."""
     sensors = unpack_sensors(sensor_floats, receivers, channels)
     _, measured, _ = unpack(floats, flags, receivers, channels)
     imu_noise, gnss_noise = np.empty(padded_imu), np.empty(padded_gnss)
@@ -374,16 +332,7 @@ def first_fix(floats, flags, guess_e, receivers, channels, lo, hi):
 
     Three Gauss-Newton steps from a guess within a kilometre leave less than a micrometre.
 
-    Parameters
-    ----------
-    floats, flags : ndarray
-        Of `ReceiverBuffers`.
-    guess_e : ndarray
-        (B, 3) where to linearize first, ECEF [m].
-    receivers, channels : int
-        B and n.
-    lo, hi : int
-        Slice of receivers.
+    `guess_e` (B, 3) where to linearize first, ECEF [m].
     """
     state, measured, _ = unpack(floats, flags, receivers, channels)
     M, x = np.empty((4, 4)), np.empty((4, 1))
@@ -451,29 +400,8 @@ def run_epochs(
     The engine and the replay of recordings call this and nothing else, since the bits of a compiled
     function depend on what it is compiled into.
 
-    Parameters
-    ----------
-    floats, flags, block, samples : ndarray
-        Of `ReceiverBuffers`.
-    weights : ndarray
-        (B, 2n) weights on the columns of the gain.
-    sensor_floats, keys, epochs : ndarray
-        Of `SensorBuffers`; only for `MEASURE`.
-    run : ndarray
-        (8, N) true samples, their lengths and root rates, as `World.run`; only the lengths are
-        needed without `MEASURE`.
-    epoch_time, epoch_end, satellites : ndarray
-        Of `World`; only for `MEASURE`.
-    receivers, channels, padded_imu, padded_gnss : int
-        B, n, and numbers of deviates to draw for the inertial samples and for GNSS.
-    covariance_update, min_satellites, orthonormalize : int
-        As in `update`.
-    what : int
-        Sum of `MEASURE`, `PREDICT` and `UPDATE`.
-    count : int
-        Number of epochs.
-    lo, hi : int
-        Slice of receivers; `lo` is a multiple of the number of lanes.
+    `weights` (B, 2n) weights on the columns of the gain; `run` (8, N) true samples, their lengths
+    and root rates, as `World.run`; only the lengths are needed without `MEASURE`.
     """
     for _ in range(count):
         advance = what & MEASURE  # no literal 1, for which `measure` would be compiled once more

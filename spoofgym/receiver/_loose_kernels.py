@@ -26,26 +26,16 @@ FloatArray = NDArray[np.float64]
 class LooseState(NamedTuple):
     """What the receivers remember.
 
-    Attributes
-    ----------
-    position_e, velocity_e : ndarray
-        (B, 3) ECEF [m], [m/s].
-    C_eb : ndarray
-        (B, 3, 3) attitude.
-    bias : ndarray
-        (B, 6) of gyros [rad/s] and accelerometers [m/s^2].
-    covariance : ndarray
-        (B, 15, 15) in the order of `loose_model`.
-    innovation, innovation_cov : ndarray
-        (B, 3) and (B, 3, 3) of the epoch, GNSS minus prediction; east, north, up [m].
-    measurement_cov : ndarray
-        (B, 3, 3) R of the next update [m^2].
-    process_scale : ndarray
-        (B,) what Q is multiplied with.
-    residuals, innovations : ndarray
-        (B, w, 3) windows [m]; the second only where Q adapts, else w = 0.
-    seen : ndarray
-        (B,) int64, updates so far.
+    - `position_e`, `velocity_e` (B, 3) ECEF [m], [m/s];
+    - `C_eb` (B, 3, 3) attitude;
+    - `bias` (B, 6) of gyros [rad/s] and accelerometers [m/s^2];
+    - `covariance` (B, 15, 15) in the order of `loose_model`;
+    - `innovation`, `innovation_cov` (B, 3) and (B, 3, 3) of the epoch, GNSS minus prediction; east,
+      north, up [m];
+    - `measurement_cov` (B, 3, 3) R of the next update [m^2];
+    - `process_scale` (B,) what Q is multiplied with;
+    - `residuals`, `innovations` (B, w, 3) windows [m]; the second only where Q adapts, else w = 0;
+    - `seen` (B,) int64, updates so far.
     """
 
     position_e: FloatArray
@@ -82,14 +72,8 @@ def first_estimate(
 ) -> None:
     """Begin at the truth, apart from the errors of the alignment.
 
-    Parameters
-    ----------
-    state : LooseState
-        Position, velocity and attitude are written.
-    position_e, velocity_e, C_eb : ndarray
-        (3,), (3,) and (3, 3) truth.
-    error : ndarray
-        (B, 15) in the order of the states; the biases are not looked at.
+    `state`: position, velocity and attitude are written; `position_e`, `velocity_e`, `C_eb` (3,),
+    (3,) and (3, 3) truth; `error` (B, 15) in the order of the states; the biases are not looked at.
     """
     C_el = np.empty((3, 3))
     x = np.empty(15)
@@ -112,18 +96,8 @@ def propagate(
 
     .. math:: P \leftarrow \Phi (P + Q/2) \Phi^T + Q/2, \qquad Q = \mathrm{PSD} \, \tau
 
-    Parameters
-    ----------
-    P : ndarray
-        (15, 15) symmetric, overwritten.
-    Phi : ndarray
-        (15, 15).
-    noise_psd : ndarray
-        (15,) of the noise that drives each state.
-    tau : float
-        Length of the interval [s].
-    work : ndarray
-        (15, 15) scratch memory.
+    `P` (15, 15) symmetric, overwritten; `Phi` (15, 15); `noise_psd` (15,) of the noise that drives
+    each state; `tau`: length of the interval [s]; `work` (15, 15) scratch memory.
     """
     for i in range(15):
         P[i, i] += 0.5 * tau * noise_psd[i]
@@ -161,22 +135,10 @@ def predict(
 ) -> None:
     """Mechanize one block of samples, propagate, and form innovation and covariance.
 
-    Parameters
-    ----------
-    state : LooseState
-        Advanced to the epoch, before its update.
-    samples : ndarray
-        (B, S, 6) measured specific force and angular rate, body axes.
-    fix_e : ndarray
-        (B, 3) position by GNSS, ECEF [m].
-    interval : float
-        Length of a sample [s].
-    noise_psd : ndarray
-        (15,) of the noise that drives each state.
-    transition : ndarray
-        (B, 15, 15), written; its rows of the biases must hold those of the identity.
-    imu_delta : ndarray
-        (B, 6), written: bias-corrected delta-v [m/s] and delta-theta [rad].
+    `samples` (B, S, 6) measured specific force and angular rate, body axes; `fix_e` (B, 3) GNSS
+    position, ECEF [m]; `interval`: length of a sample [s]; `noise_psd` (15,) of the noise that
+    drives each state; `transition` (B, 15, 15), written; its rows of the biases must hold those of
+    the identity; `imu_delta` (B, 6), written: bias-corrected delta-v [m/s] and delta-theta [rad].
     """
     count = samples.shape[1]
     tau = count * interval
@@ -242,10 +204,7 @@ def predict(
 def invert(S: FloatArray, out: FloatArray) -> None:
     """Inverse of a symmetric positive definite (3, 3) matrix, by cofactors.
 
-    Parameters
-    ----------
-    S, out : ndarray
-        (3, 3); `out` is written.
+    `S`, `out` (3, 3); `out` is written.
     """
     a = S[1, 1] * S[2, 2] - S[1, 2] * S[1, 2]
     b = S[0, 2] * S[1, 2] - S[0, 1] * S[2, 2]
@@ -267,16 +226,8 @@ def joseph(P: FloatArray, G: FloatArray, R: FloatArray, M: FloatArray, GR: Float
 
     .. math:: P \leftarrow (I - G E) P (I - G E)^T + G R G^T
 
-    Parameters
-    ----------
-    P : ndarray
-        (15, 15) symmetric, overwritten.
-    G : ndarray
-        (15, 3).
-    R : ndarray
-        (3, 3).
-    M, GR : ndarray
-        (15, 15) and (15, 3) scratch memory.
+    `P` (15, 15) symmetric, overwritten; `G` (15, 3); `R` (3, 3); `M`, `GR` (15, 15) and (15, 3)
+    scratch memory.
     """
     for i in range(15):
         g0, g1, g2 = G[i, 0], G[i, 1], G[i, 2]
@@ -299,16 +250,7 @@ def feed_back(state: LooseState, b: int, x: FloatArray, C_el: FloatArray) -> Non
     A corrected position has other local axes, and the velocity and attitude errors are those in
     each its own axes: both turn with them.
 
-    Parameters
-    ----------
-    state : LooseState
-        Corrected.
-    b : int
-        Receiver.
-    x : ndarray
-        (15,) estimated error.
-    C_el : ndarray
-        (3, 3) scratch memory.
+    `x` (15,) estimated error; `C_el` (3, 3) scratch memory.
     """
     r, v, C = state.position_e[b], state.velocity_e[b], state.C_eb[b]
     latitude, longitude, height = geodetic_point(r[0], r[1], r[2])
@@ -345,16 +287,8 @@ def feed_back(state: LooseState, b: int, x: FloatArray, C_el: FloatArray) -> Non
 def update(state: LooseState, weights: FloatArray, rule: int, floor: float) -> None:
     """Correct the predicted state with the weighted gain, feed it back, and tune the noise.
 
-    Parameters
-    ----------
-    state : LooseState
-        After `predict`; corrected in place.  Where the window of residuals is empty, R stays.
-    weights : ndarray
-        (B, 3) on the columns of the gain.
-    rule : int
-        One of `adaptive.PROCESS`.
-    floor : float
-        Least variance of a coordinate [m^2].
+    `state`: after `predict`; corrected in place.  Where the window of residuals is empty, R stays;
+    `weights` (B, 3) on the columns of the gain; `floor`: least variance of a coordinate [m^2].
     """
     S_inverse, G, GR = np.empty((3, 3)), np.empty((15, 3)), np.empty((15, 3))
     M, x, C_el = np.empty((15, 15)), np.empty(15), np.empty((3, 3))

@@ -81,12 +81,7 @@ def windowed_covariance(window: FloatArray, out: FloatArray) -> None:
 
     .. math:: C = \frac1w \sum_i v_i v_i^T
 
-    Parameters
-    ----------
-    window : ndarray
-        (w, 3).
-    out : ndarray
-        (3, 3), written.
+    `window` (w, 3); `out` (3, 3), written.
     """
     c00, c01, c02, c11, c12, c22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(window.shape[0]):
@@ -105,20 +100,7 @@ def windowed_covariance(window: FloatArray, out: FloatArray) -> None:
 
 @inlined
 def process_factor(rule: int, ratio: float) -> float:
-    r"""What an epoch multiplies the process noise by.
-
-    Parameters
-    ----------
-    rule : int
-        One of `PROCESS`, other than `FIXED`.
-    ratio : float
-        :math:`\alpha`, of any sign.
-
-    Returns
-    -------
-    float
-        :math:`\sqrt\alpha`, or what the rule makes of it.
-    """
+    r"""What an epoch multiplies the process noise by."""
     root = math.sqrt(max(ratio, 0.0))
     if rule == CLAMPED:
         return min(max(root, 0.5), 2.0)

@@ -67,20 +67,11 @@ def predict_positions(
 ) -> None:
     """First half of an epoch: dead reckoning, interruption check, innovation.
 
-    Parameters
-    ----------
-    interval : float
-        Tau [s].
-    increment, fix : ndarray
-        (B, 2) u and g [m]; a fix that is not finite is none.
-    noise, drift_rate, noise_variance : float
-        q [m^2/s], d [m/s], R [m^2].
-    position, covariance, odometry : ndarray
-        (B, 3) estimate [m], (B, 2, 2) P [m^2], (B, 3) dead reckoning alone [m], overwritten.
-    outage, interrupted : ndarray
-        (B,) t, and time since the last fix [s]; the second overwritten.
-    innovation, innovation_cov, design, gnss_position : ndarray
-        (B, 2), (B, 2, 2), (B, 2, 2), (B, 3), written.
+    `increment`, `fix` (B, 2) u and g [m]; a fix that is not finite is none; `position`,
+    `covariance`, `odometry` (B, 3) estimate [m], (B, 2, 2) P [m^2], (B, 3) dead reckoning alone
+    [m], overwritten; `outage`, `interrupted` (B,) t, and time since the last fix [s]; the second
+    overwritten; `innovation`, `innovation_cov`, `design`, `gnss_position` (B, 2), (B, 2, 2),
+    (B, 2, 2), (B, 3), written.
     """
     for b in range(increment.shape[0]):
         # comparisons, since the relaxed rules may fold `isfinite` away (see `fits`)
@@ -120,20 +111,9 @@ def update_positions(
 ) -> None:
     """Second half of an epoch: the weighted update, in Joseph's form.
 
-    Parameters
-    ----------
-    interval : float
-        Tau [s].
-    weights : ndarray
-        (B, 2) w.
-    noise_variance : float
-        R [m^2].
-    innovation, innovation_cov, design : ndarray
-        Of the first half.
-    position, covariance : ndarray
-        (B, 3), (B, 2, 2), overwritten.
-    outage : ndarray
-        (B,) t [s], overwritten: 0 once a fix has been believed at all.
+    `interval`: tau [s]; `weights` (B, 2) w; `noise_variance`: R [m^2]; `position`, `covariance`
+    (B, 3), (B, 2, 2), overwritten; `outage` (B,) t [s], overwritten: 0 once a fix has been believed
+    at all.
     """
     for b in range(weights.shape[0]):
         believed = False
@@ -150,15 +130,10 @@ def update_positions(
 class CredibleFilter:
     """Settings of the filter.
 
-    Parameters
-    ----------
-    gain : float
-        K on which the filter settles, in (0, 1).  0.16 a second lets a ramp of 0.7 m/s lead by the
-        3.9 m by which the paper's EKF lags.
-    noise_sd_m : float
-        Root of R, above 0.
-    drift_rate_mps : float
-        d, at least 0, below what the gain leaves room for.
+    - `gain`: K on which the filter settles, in (0, 1). 0.16 a second lets a ramp of 0.7 m/s lead by
+      the 3.9 m by which the paper's EKF lags;
+    - `noise_sd_m`: root of R, above 0;
+    - `drift_rate_mps`: d, at least 0, below what the gain leaves room for.
     """
 
     gain: float = 0.16
@@ -184,20 +159,7 @@ class CredibleFilter:
 
         .. math:: q \tau = \frac{K^2 R}{1 - K} - d^2 \tau^2
 
-        Parameters
-        ----------
-        interval_s : float
-            Tau.
-
-        Returns
-        -------
-        float
-            q [m^2/s].
-
-        Raises
-        ------
-        ValueError
-            When the drift alone gives a larger gain.
+        Returns q [m^2/s].
         """
         total = self.gain**2 * self.noise_variance / (1.0 - self.gain)
         most = math.sqrt(total) / interval_s
@@ -212,15 +174,8 @@ class CredibleFilter:
 class CredibleBatch:
     """B filters in step; all that they remember lies in a memory that is handed in.
 
-    Parameters
-    ----------
-    settings : CredibleFilter
-        Of all of them.
-    memory : Memory
-        Of B receivers; ``position``, ``covariance``, ``odometry``, ``outage``, ``interrupted`` are
-        declared in it.
-    interval_s : float
-        Tau.
+    `memory`: of B receivers; ``position``, ``covariance``, ``odometry``, ``outage``,
+    ``interrupted`` are declared in it.
     """
 
     def __init__(self, settings: CredibleFilter, memory: Memory, interval_s: float) -> None:
@@ -240,30 +195,15 @@ class CredibleBatch:
         self._fixed = _empty_fields(b, interval_s)
 
     def begin(self, fix: FloatArray) -> None:
-        """Begin at a position.
-
-        Parameters
-        ----------
-        fix : ndarray
-            (B, 2) the first fix [m], finite.
-        """
+        """Begin at a position.  `fix` (B, 2) the first fix [m], finite."""
         self.memory["position"][:, :AXES] = fix
         self.memory["odometry"][:, :AXES] = fix
 
     def predict(self, time: FloatArray, increment: FloatArray, fix: FloatArray) -> Epoch:
         """First half of an epoch.
 
-        Parameters
-        ----------
-        time : ndarray
-            (B,) of the epoch [s].
-        increment, fix : ndarray
-            (B, 2) dead reckoning since the last epoch, position by GNSS [m].
-
-        Returns
-        -------
-        Epoch
-            What a detector may see; the optional positions are filled in.
+        `time` (B,) of the epoch [s]; `increment`, `fix` (B, 2) dead reckoning since the last epoch,
+        GNSS position [m].
         """
         memory, settings = self.memory, self.settings
         predict_positions(
@@ -299,13 +239,7 @@ class CredibleBatch:
         return Epoch(**self._fixed, **arrays)
 
     def update(self, weights: FloatArray | None) -> None:
-        """Second half of an epoch.
-
-        Parameters
-        ----------
-        weights : ndarray or None
-            (B, 2) of a verdict; None for ones.
-        """
+        """Second half of an epoch.  `weights` (B, 2) of a verdict; None for ones."""
         memory = self.memory
         update_positions(
             self.interval_s,

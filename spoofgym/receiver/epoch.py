@@ -73,18 +73,7 @@ class Epoch(NamedTuple):
 
 
 def epoch_view(buffers: ReceiverBuffers) -> Epoch:
-    """Read-only view of a batch's current epoch.
-
-    Parameters
-    ----------
-    buffers : ReceiverBuffers
-        Where the kernels write.
-
-    Returns
-    -------
-    Epoch
-        Follows every later epoch by itself.
-    """
+    """Read-only view of a batch's current epoch."""
     m, s = buffers.measured, buffers.state
     arrays = {
         "time": m.time,

@@ -42,18 +42,10 @@ def fill_transition(
         0 & 0 & 0 & 0 & 0 & \begin{smallmatrix}1 & \tau\\ 0 & 1\end{smallmatrix}
         \end{pmatrix}, \qquad G = -\frac{2 g(r)\, r^T}{r_{eS} |r|}
 
-    Parameters
-    ----------
-    Phi : ndarray
-        (17, 17), written in place; entries that are always 0 or 1 must hold those already.
-    C : ndarray
-        (3, 3) `C_eb` at the end of the interval.
-    r : ndarray
-        (3,) position at the end of the interval, ECEF [m].
-    fx, fy, fz : float
-        Last bias-corrected specific force of the interval, body axes [m/s^2].
-    tau : float
-        Length of the interval [s].
+    `Phi` (17, 17), written in place; entries that are always 0 or 1 must hold those already; `C`
+    (3, 3) `C_eb` at the end of the interval; `r` (3,) position at the end of the interval, ECEF
+    [m]; `fx`, `fy`, `fz`: last bias-corrected specific force of the interval, body axes [m/s^2];
+    `tau`: length of the interval [s].
 
     Notes
     -----
@@ -93,18 +85,7 @@ def transition_product(
 ) -> None:
     r"""Write :math:`Y = \Phi X`, using the zeros of the transition matrix.
 
-    Parameters
-    ----------
-    Phi : ndarray
-        (17, 17), as `fill_transition` writes it.
-    x : ndarray
-        X, flat: one array with constant offsets is what compilers vectorize.
-    y : ndarray
-        Written; not the memory of `x`.
-    row, column : int
-        Distance of two rows and of two columns in both.
-    count : int
-        Number of columns.
+    `Phi` (17, 17), as `fill_transition` writes it.
     """
     w, w2, tau = Phi[0, 1], Phi[3, 4], Phi[15, 16]
     f0_12, f0_13, f0_14 = Phi[0, 12], Phi[0, 13], Phi[0, 14]
@@ -167,18 +148,9 @@ def propagate_covariance(
 
     .. math:: P \leftarrow \Phi (P + Q/2) \Phi^T + Q/2
 
-    Parameters
-    ----------
-    P : ndarray
-        (289,) symmetric covariance, row by row; overwritten.
-    Phi : ndarray
-        (17, 17) transition matrix.
-    noise_psd : ndarray
-        (17,) power spectral density of the noise on each state; Q = PSD tau.
-    tau : float
-        Length of the interval [s].
-    work : ndarray
-        (289,) scratch memory.
+    `P` (289,) symmetric covariance, row by row; overwritten; `Phi` (17, 17) transition matrix;
+    `noise_psd` (17,) power spectral density of the noise on each state; Q = PSD tau; `tau`: length
+    of the interval [s]; `work` (289,) scratch memory.
 
     Notes
     -----

@@ -33,20 +33,8 @@ def write_products(
     Rows are told by array and number here and below: a row as an array of its own costs more than
     what is done with it.
 
-    Parameters
-    ----------
-    lines : ndarray
-        (n, 3) g, minus the lines of sight.
-    j : int
-        Which of them.
-    offset : float
-        y [m].
-    weight : float
-        Of the satellite in the fit.
-    table : ndarray
-        (N, PRODUCTS), of which row i is written.
-    i : int
-        Row.
+    `lines` (n, 3) g, minus the lines of sight; `offset`: y [m]; `table` (N, PRODUCTS), of which row
+    i is written.
     """
     x, y, z = lines[j, 0], lines[j, 1], lines[j, 2]
     wx, wy, wz = weight * x, weight * y, weight * z
@@ -62,20 +50,8 @@ def write_products(
 def add(a: FloatArray, i: int, b: FloatArray, j: int, out: FloatArray, k: int) -> None:
     """Sum of two rows of products.
 
-    Parameters
-    ----------
-    a : ndarray
-        (N, PRODUCTS) one table.
-    i : int
-        Row of it.
-    b : ndarray
-        (N, PRODUCTS) another one, or the same.
-    j : int
-        Row of it.
-    out : ndarray
-        (N, PRODUCTS), of which row k is written.
-    k : int
-        Row, which may be one of the two.
+    `a` (N, PRODUCTS) one table; `b` (N, PRODUCTS) another one, or the same; `out` (N, PRODUCTS), of
+    which row k is written.
     """
     for c in range(PRODUCTS):
         out[k, c] = a[i, c] + b[j, c]
@@ -101,21 +77,7 @@ def eliminate(
 ) -> float:
     """Sum of the squared residuals of a least-squares fit, by elimination of its unknowns.
 
-    Parameters
-    ----------
-    n : float
-        Sum of the weights.
-    sx, sy, sz, s : float
-        Sums of g and y.
-    xx, xy, xz, yy, yz, zz : float
-        Sums of the products of g.
-    bx, by, bz, ss : float
-        Sums of g y and y y.
-
-    Returns
-    -------
-    float
-        s^2 [m^2]; infinite where the geometry is singular.
+    Returns s^2 [m^2]; infinite where the geometry is singular.
     """
     inverse = 1.0 / n
     x, y, z, m = sx * inverse, sy * inverse, sz * inverse, s * inverse
@@ -144,17 +106,8 @@ def eliminate(
 def squared_residual(a: FloatArray, i: int) -> float:
     """Sum of the squared residuals of a fit.
 
-    Parameters
-    ----------
-    a : ndarray
-        (N, PRODUCTS), of which row i holds sums over the satellites of the fit.
-    i : int
-        Row.
-
-    Returns
-    -------
-    float
-        s^2 [m^2]; infinite where the geometry is singular.
+    `a` (N, PRODUCTS), of which row i holds sums over the satellites of the fit; returns s^2 [m^2];
+    infinite where the geometry is singular.
     """
     return eliminate(
         a[i, 0],
@@ -179,21 +132,8 @@ def squared_residual(a: FloatArray, i: int) -> float:
 def squared_residual_of_both(a: FloatArray, i: int, b: FloatArray, j: int) -> float:
     """Sum of the squared residuals of a fit to two sets of satellites together.
 
-    Parameters
-    ----------
-    a : ndarray
-        (N, PRODUCTS), of which row i holds sums over one set.
-    i : int
-        Row of it.
-    b : ndarray
-        (N, PRODUCTS), of which row j holds sums over the other.
-    j : int
-        Row of it.
-
-    Returns
-    -------
-    float
-        s^2 [m^2]; infinite where the geometry is singular.
+    `a` (N, PRODUCTS), of which row i holds sums over one set; `b` (N, PRODUCTS), of which row j
+    holds sums over the other; returns s^2 [m^2]; infinite where the geometry is singular.
     """
     return eliminate(
         a[i, 0] + b[j, 0],
@@ -218,14 +158,8 @@ def squared_residual_of_both(a: FloatArray, i: int, b: FloatArray, j: int) -> fl
 def solve(sums: FloatArray, i: int, x: FloatArray) -> None:
     """Least-squares solution, of a geometry that isn't singular.
 
-    Parameters
-    ----------
-    sums : ndarray
-        (N, PRODUCTS), of which row i holds sums over the satellites of the fit.
-    i : int
-        Row.
-    x : ndarray
-        (4,), written: position and clock [m].
+    `sums` (N, PRODUCTS), of which row i holds sums over the satellites of the fit; `x` (4,),
+    written: position and clock [m].
     """
     a = sums[i]
     n = a[0]
@@ -248,21 +182,10 @@ def solve(sums: FloatArray, i: int, x: FloatArray) -> None:
 def tabulate(n: int, lines: FloatArray, offsets: FloatArray, table: FloatArray) -> float:
     """Products of all satellites, with the offsets taken from their median, and their fit.
 
-    Parameters
-    ----------
-    n : int
-        Number of satellites, at least 1.
-    lines : ndarray
-        (N, 3) g of the first n.
-    offsets : ndarray
-        (N,) y of the first n [m], overwritten with y minus its median.
-    table : ndarray
-        (N + 1, PRODUCTS), written: n rows, and the sum of them in the last one.
-
-    Returns
-    -------
-    float
-        s^2 of all [m^2]; infinite where the geometry is singular.
+    `n`: number of satellites, at least 1; `lines` (N, 3) g of the first n; `offsets` (N,) y of the
+    first n [m], overwritten with y minus its median; `table` (N + 1, PRODUCTS), written: n rows,
+    and the sum of them in the last one; returns s^2 of all [m^2]; infinite where the geometry is
+    singular.
     """
     last = table.shape[0] - 1
     for i in range(n):  # sorted into a column that is not in use yet

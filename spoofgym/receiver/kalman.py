@@ -42,20 +42,10 @@ def accumulate(
 ) -> None:
     r"""Sum the information of all visible satellites.
 
-    Parameters
-    ----------
-    u : ndarray
-        (n, 3) lines of sight, ECEF.
-    z, R, weights : ndarray
-        (2n,) innovations [m, m/s], noise variances, and weights in [0, 1].
-    visible : ndarray
-        (n,) bool.
-    covariance_update : int
-        With `UNWEIGHTED` the sums A1 and A2 are not needed, and not written.
-    A, A1, A2 : ndarray
-        (8, 8), written: :math:`D^T R^{-1} W^k D` for k = 0, 1, 2.
-    y : ndarray
-        (8,), written: :math:`D^T R^{-1} W z`.
+    `u` (n, 3) lines of sight, ECEF; `z`, `R`, `weights` (2n,) innovations [m, m/s], noise
+    variances, and weights in [0, 1]; `covariance_update`: with `UNWEIGHTED` the sums A1 and A2 are
+    not needed, and not written; `A`, `A1`, `A2` (8, 8), written: :math:`D^T R^{-1} W^k D` for k =
+    0, 1, 2; `y` (8,), written: :math:`D^T R^{-1} W z`.
     """
     n = u.shape[0]
     for half in range(2):
@@ -110,14 +100,8 @@ def accumulate(
 def solve_in_place(M: NDArray[np.float64], B: NDArray[np.float64], columns: int) -> None:
     """Solve ``M X = B`` by elimination with partial pivoting; `B` becomes X, `M` is destroyed.
 
-    Parameters
-    ----------
-    M : ndarray
-        (k, k), regular.
-    B : ndarray
-        (k, c) right-hand sides.
-    columns : int
-        How many of the right-hand sides to solve for, at most c.
+    `M` (k, k), regular; `B` (k, c) right-hand sides; `columns`: how many of the right-hand sides to
+    solve for, at most c.
     """
     k, c = M.shape[0], columns
     for p in range(k):
@@ -158,20 +142,9 @@ def innovation_covariance(
 ) -> None:
     r"""Write the innovation covariance :math:`S = H P H^T + R` of one receiver.
 
-    Parameters
-    ----------
-    P : ndarray
-        (289,) predicted covariance, row by row.
-    u : ndarray
-        (n, 3) lines of sight, ECEF.
-    R : ndarray
-        (2n,) noise variances.
-    visible : ndarray
-        (n,) bool; an invisible slot has the row and column of the identity.
-    t : ndarray
-        (17,) scratch memory.
-    S : ndarray
-        (2n, 2n), written.
+    `P` (289,) predicted covariance, row by row; `u` (n, 3) lines of sight, ECEF; `R` (2n,) noise
+    variances; `visible` (n,) bool; an invisible slot has the row and column of the identity; `t`
+    (17,) scratch memory; `S` (2n, 2n), written.
     """
     n = u.shape[0]
     for k in range(2 * n):
@@ -214,18 +187,9 @@ def factor(
     With :math:`A = L L^T` block by block, :math:`V = C^{-1} L^T` where
     :math:`C C^T = I + L^T P_e L`, which is well conditioned for any number of satellites.
 
-    Parameters
-    ----------
-    P : ndarray
-        (289,) predicted covariance, row by row.
-    A : ndarray
-        (8, 8) block diagonal, positive semidefinite.
-    F, M : ndarray
-        (8, 8) scratch memory.
-    V : ndarray
-        (64,), written, row by row.
-    Pc : ndarray
-        (136,), written: rows `OBSERVED` of P.
+    `P` (289,) predicted covariance, row by row; `A` (8, 8) block diagonal, positive semidefinite;
+    `F`, `M` (8, 8) scratch memory; `V` (64,), written, row by row; `Pc` (136,), written: rows
+    `OBSERVED` of P.
     """
     e = OBSERVED
     for k in range(8):
@@ -311,22 +275,8 @@ def gain_solution(
 
     The third is :math:`(I - KWH) P (I - KWH)^T + KW R W^T K^T`, right for any gain.
 
-    Parameters
-    ----------
-    P : ndarray
-        (289,) predicted covariance, row by row, overwritten by the updated one.
-    A, A1, A2, y : ndarray
-        As `accumulate` writes them.
-    covariance_update : int
-        `PLAIN`, `UNWEIGHTED` or `GENERAL`; the same thing where all weights are 1.
-    F, M : ndarray
-        (8, 8) scratch memory.
-    V : ndarray
-        (64,) scratch memory.
-    Pc, Q : ndarray
-        (136,) scratch memory.
-    dx : ndarray
-        (17,), written.
+    `P` (289,) predicted covariance, row by row, overwritten by the updated one; `F`, `M` (8, 8)
+    scratch memory; `V` (64,) scratch memory; `Pc`, `Q` (136,) scratch memory; `dx` (17,), written.
     """
     e = OBSERVED
     factor(P, A, F, M, V, Pc)
@@ -371,18 +321,9 @@ def weighted_information(
 ) -> None:
     r"""Replace V by what stands between :math:`P_c` and :math:`P_c^T` in a weighted update.
 
-    Parameters
-    ----------
-    A1, A2 : ndarray
-        (8, 8) as `accumulate` writes them; both are overwritten.
-    Pc : ndarray
-        (136,) rows `OBSERVED` of P.
-    V : ndarray
-        (64,) as `factor` writes it; overwritten by the symmetric result.
-    covariance_update : int
-        `PLAIN` or `GENERAL`.
-    X, N : ndarray
-        (8, 8) scratch memory.
+    `A1`, `A2` (8, 8) as `accumulate` writes them; both are overwritten; `Pc` (136,) rows `OBSERVED`
+    of P; `V` (64,) as `factor` writes it; overwritten by the symmetric result; `X`, `N` (8, 8)
+    scratch memory.
     """
     T = V.reshape((8, 8))
     Pe = Pc.reshape((8, 17))[:, OBSERVED].copy()
@@ -434,12 +375,7 @@ def _multiply(A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.floa
 def product(N: NDArray[np.float64], Pc: NDArray[np.float64], Q: NDArray[np.float64]) -> None:
     """Write ``Q = N Pc``; (8, 8), (8, 17) and (8, 17), all flat.
 
-    Parameters
-    ----------
-    N, Pc : ndarray
-        (64,) and (136,).
-    Q : ndarray
-        (136,), written.
+    `N`, `Pc` (64,) and (136,); `Q` (136,), written.
     """
     for k in range(8):
         o = 8 * k
@@ -459,12 +395,7 @@ def product(N: NDArray[np.float64], Pc: NDArray[np.float64], Q: NDArray[np.float
 def subtract(P: NDArray[np.float64], X: NDArray[np.float64], Y: NDArray[np.float64]) -> None:
     """``P -= X' Y`` in place, where the product is symmetric; kept exactly so.
 
-    Parameters
-    ----------
-    P : ndarray
-        (289,), overwritten.
-    X, Y : ndarray
-        (136,), (8, 17) row by row.
+    `P` (289,), overwritten; `X`, `Y` (136,), (8, 17) row by row.
     """
     for i in range(17):
         n0, n1, n2, n3 = X[i], X[17 + i], X[34 + i], X[51 + i]

@@ -112,23 +112,10 @@ class LooselyCoupled:
 class LooseReceivers:
     """A batch of loosely coupled receivers.
 
-    Parameters
-    ----------
-    settings : LooselyCoupled
-        Of all of them.
-    memory : Memory
-        Of B receivers; what changes from one epoch to the next is declared in it.
-    samples : int
-        Inertial samples of an epoch.
-    imu_interval_s : float
-        Between samples.
-
-    Attributes
-    ----------
-    samples : ndarray
-        (B, S, 6) measured specific force and angular rate, to be written before `predict`.
-    fix_e : ndarray
-        (B, 3) position by GNSS, ECEF [m], to be written before `predict`.
+    - `memory`: of B receivers; what changes from one epoch to the next is declared in it;
+    - `samples`: inertial samples of an epoch;
+    - `samples` (B, S, 6) measured specific force and angular rate, to be written before `predict`;
+    - `fix_e` (B, 3) GNSS position, ECEF [m], to be written before `predict`.
     """
 
     def __init__(
@@ -185,12 +172,8 @@ class LooseReceivers:
     ) -> None:
         """Begin at a true state, apart from the errors of the alignment.
 
-        Parameters
-        ----------
-        position_e, velocity_e, C_eb : ndarray
-            (3,), (3,) and (3, 3) truth.
-        error : ndarray
-            (B, 15) errors, in the order of the states; the biases are not looked at.
+        `position_e`, `velocity_e`, `C_eb` (3,), (3,) and (3, 3) truth; `error` (B, 15) errors, in
+        the order of the states; the biases are not looked at.
         """
         first_estimate(self.state, position_e, velocity_e, C_eb, error)
 
@@ -209,25 +192,15 @@ class LooseReceivers:
     def update(self, weights: FloatArray | None) -> None:
         """Correct the solution, and tune the noise.
 
-        Parameters
-        ----------
-        weights : ndarray or None
-            (B, 3) on the columns of the gain; None for ones.
+        `weights` (B, 3) on the columns of the gain; None for ones.
         """
         update(self.state, self._ones if weights is None else weights, self._rule, self._floor)
 
     def epoch(self, time: FloatArray) -> Epoch:
         """What a detector may see, between `predict` and `update`.
 
-        Parameters
-        ----------
-        time : ndarray
-            (B,) of the epoch [s].
-
-        Returns
-        -------
-        Epoch
-            Read-only views; n = 0, and m = 3 coordinates, east, north, up.
+        `time` (B,) of the epoch [s]; returns read-only views; n = 0, and m = 3 coordinates, east,
+        north, up.
         """
         state = self.state
         return Epoch(

@@ -51,15 +51,8 @@ def geodetic_point(x: float, y: float, z: float) -> tuple[float, float, float]:
 
     Bowring's closed form, good to 1e-11 rad up to 30 km of height.
 
-    Parameters
-    ----------
-    x, y, z : float
-        ECEF [m], not at a pole.
-
-    Returns
-    -------
-    latitude, longitude, height : float
-        [rad], [rad], [m].
+    `x`, `y`, `z`: ECEF [m], not at a pole; returns `latitude`, `longitude`, `height` [rad], [rad],
+    [m].
     """
     p = math.sqrt(x * x + y * y)
     ratio = math.sqrt(1.0 - ECCENTRICITY_SQUARED)
@@ -80,12 +73,8 @@ def geodetic_point(x: float, y: float, z: float) -> tuple[float, float, float]:
 def fill_local_axes(latitude: float, longitude: float, C_el: FloatArray) -> None:
     """Write the matrix to ECEF from local east-north-up axes.
 
-    Parameters
-    ----------
-    latitude, longitude : float
-        Geodetic [rad].
-    C_el : ndarray
-        (3, 3), written; its columns are east, north and up.
+    `latitude`, `longitude`: geodetic [rad]; `C_el` (3, 3), written; its columns are east, north and
+    up.
     """
     sl, cl = math.sin(latitude), math.cos(latitude)
     so, co = math.sin(longitude), math.cos(longitude)
@@ -123,16 +112,9 @@ def fill_dynamics(
 ) -> None:
     """Write the derivative of the first nine states with respect to themselves.
 
-    Parameters
-    ----------
-    F : ndarray
-        (9, 9), written.
-    v, f : tuple of 3 floats
-        Velocity with respect to the Earth [m/s] and specific force [m/s^2], east, north, up.
-    latitude, height : float
-        Geodetic [rad], [m].
-    down : float
-        Size of gravity [m/s^2].
+    `F` (9, 9), written; `v`, `f`: velocity with respect to the Earth [m/s] and specific force
+    [m/s^2], east, north, up; `latitude`, `height`: geodetic [rad], [m]; `down`: size of gravity
+    [m/s^2].
     """
     vE, vN, vU = v
     meridian, transverse = radii_of_curvature(latitude)
@@ -171,18 +153,9 @@ def fill_transition(
 
     .. math:: \Phi = I + F \tau + \tfrac12 F^2 \tau^2
 
-    Parameters
-    ----------
-    Phi : ndarray
-        (15, 15), written; its rows of the biases must hold those of the identity.
-    F : ndarray
-        (9, 9) as `fill_dynamics` writes it, in the middle of the interval.
-    C : ndarray
-        (3, 3) `C_eb` in the middle of the interval.
-    C_el : ndarray
-        (3, 3) local axes.
-    tau : float
-        Length of the interval [s].
+    `Phi` (15, 15), written; its rows of the biases must hold those of the identity; `F` (9, 9) as
+    `fill_dynamics` writes it, in the middle of the interval; `C` (3, 3) `C_eb` in the middle of the
+    interval; `C_el` (3, 3) local axes; `tau`: length of the interval [s].
     """
     half = 0.5 * tau * tau
     for i in range(9):
@@ -209,17 +182,6 @@ def fill_transition(
 
 @inlined
 def gravity_size(x: float, y: float, z: float) -> float:
-    """Size of gravity.
-
-    Parameters
-    ----------
-    x, y, z : float
-        Position, ECEF [m].
-
-    Returns
-    -------
-    float
-        [m/s^2].
-    """
+    """Size of gravity.  `x`, `y`, `z`: position, ECEF [m]; returns [m/s^2]."""
     gx, gy, gz = gravity(x, y, z)
     return math.sqrt(gx * gx + gy * gy + gz * gz)

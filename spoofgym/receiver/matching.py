@@ -88,12 +88,8 @@ pseudoranges replace it."""
 class Motion(NamedTuple):
     """How much a vehicle manoeuvres.
 
-    Attributes
-    ----------
-    turning : float
-        Squared rotation by time [rad^2/s].
-    forcing : float
-        Squared change of the specific force by time [m^2/s^5].
+    `turning`: squared rotation by time [rad^2/s]; `forcing`: squared change of the specific force
+    by time [m^2/s^5].
     """
 
     turning: float = 0.0
@@ -107,18 +103,6 @@ def motion_of(world: World, epochs: int) -> Motion:
         \max_t \tfrac1W |f(t + W) - f(t)|^2
 
     with W = `WINDOW_S`, or less where the run is shorter, and f averaged over a second.
-
-    Parameters
-    ----------
-    world : World
-        Truth.
-    epochs : int
-        Number of epochs of the run to look at.
-
-    Returns
-    -------
-    Motion
-        0 for a run of less than 3 s.
     """
     time = world.imu_time[: world.epoch_end[epochs] + 1]
     samples = world.run[:6, : len(time) - 1] * np.diff(time)
@@ -139,20 +123,7 @@ def _largest_change(history: FloatArray, window: int) -> float:
 
 
 def matched_sensors(grade: str, motion: Motion) -> FilterGrade:
-    """Tuning of the filter by the data sheet of its sensors and the manoeuvres to be expected.
-
-    Parameters
-    ----------
-    grade : str
-        A name in `IMU_GRADES`.
-    motion : Motion
-        How much the vehicle manoeuvres.
-
-    Returns
-    -------
-    FilterGrade
-        Initial attitude and velocity as in `FILTER_GRADES`, all else matched.
-    """
+    """Tuning of the filter by the data sheet of its sensors and the manoeuvres to be expected."""
     sheet = IMU_GRADES[grade]
     accel_noise, gyro_noise = sheet.noise[:2]
     accel_scale = _rms(sheet.accel_matrix - np.eye(3))
@@ -179,17 +150,7 @@ def inflation(alpha: float, epochs: int) -> float:
     .. math:: s_N = \frac{1 + \alpha}{1 - \alpha}
         - \frac{2 \alpha (1 - \alpha^N)}{N (1 - \alpha)^2}
 
-    Parameters
-    ----------
-    alpha : float
-        Correlation of neighbouring epochs, 0 to below 1.
-    epochs : int
-        N.
-
-    Returns
-    -------
-    float
-        1 to N.
+    `alpha`: correlation of neighbouring epochs, 0 to below 1.
     """
     rest = 1.0 - alpha
     return (1.0 + alpha) / rest - 2.0 * alpha * (1.0 - alpha**epochs) / (epochs * rest**2)
@@ -205,27 +166,9 @@ def assumed_noise(
 ) -> tuple[FloatArray, NoiseModel]:
     r"""Measurement noise variances, clock and inertial sensors that a receiver assumes.
 
-    Parameters
-    ----------
-    receiver : TightlyCoupled
-        Its `noise`, or its `tuning`, says what is assumed.
-    errors : GnssErrors
-        Of the world.
-    bias_sd : ndarray
-        (n,) standard deviation of the constant biases [m].
-    world : World
-        Where the receiver is; a matched one is told how much it manoeuvres.
-    epochs : int
-        Length of the episode, N in :math:`R = \sigma_w^2 + s_N \sigma_c^2 + N \sigma_b^2`.
-    flown : int, optional
-        Epochs of the world whose manoeuvres it may meet; as many as `epochs` by default.
-
-    Returns
-    -------
-    variance : ndarray
-        (2n,) R, pseudoranges first [m^2], [m^2/s^2].
-    noise : NoiseModel
-        Clock and inertial sensors; its two standard deviations are those without biases.
+    `bias_sd` (n,) standard deviation of the constant biases [m]; `flown`: epochs of the world whose
+    manoeuvres it may meet; as many as `epochs` by default; returns `variance` (2n,) R, pseudoranges
+    first [m^2], [m^2/s^2].
     """
     n = len(bias_sd)
     if receiver.tuning == "paper" or receiver.noise is not None:

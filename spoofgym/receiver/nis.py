@@ -21,20 +21,9 @@ def normalized_innovation_squared(
 
     .. math:: q = z^T S^{-1} z
 
-    Parameters
-    ----------
-    innovation : ndarray
-        (B, m).
-    innovation_cov : ndarray
-        (B, m, m).
-    first, last : int
-        Rows to take, `last` excluded.
-
-    Returns
-    -------
-    ndarray
-        (B,) q; chi-square distributed with one degree of freedom for each visible row where the
-        filter's belief is right, and infinite where S is not positive definite.
+    `innovation` (B, m); `innovation_cov` (B, m, m); returns (B,) q; chi-square distributed with one
+    degree of freedom for each visible row where the filter's belief is right, and infinite where S
+    is not positive definite.
 
     Notes
     -----

@@ -17,15 +17,10 @@ FloatArray = NDArray[np.float64]
 class Partition(NamedTuple):
     """Two groups of satellites, each consistent in itself.
 
-    Attributes
-    ----------
-    found : bool
-        Whether a partition has passed all tests.
-    group : ndarray
-        (n,) int8: 1 and 2 for the groups, 0 for what has no finite offset, and for all where
-        nothing was found.  Which one is authentic is not decided; 1 was found first.
-    positionings : int
-        Fits that were computed or would have been, one by one.
+    - `found`: whether a partition has passed all tests;
+    - `group` (n,) int8: 1 and 2 for the groups, 0 for what has no finite offset, and for all where
+      nothing was found.  Which one is authentic is not decided; 1 was found first;
+    - `positionings`: fits that were computed or would have been, one by one.
     """
 
     found: bool
@@ -36,18 +31,11 @@ class Partition(NamedTuple):
 class Rows(NamedTuple):
     """Rows of one epoch that have passed all checks.
 
-    Attributes
-    ----------
-    slots : ndarray
-        (k,) which of the n satellites have a finite offset.
-    lines : ndarray
-        (k, 3) g.
-    offsets : ndarray
-        (k,) y minus its median [m].
-    table : ndarray
-        (k + 1, PRODUCTS) products, and their sum in the last row.
-    squared_residual : float
-        s^2 of all [m^2].
+    - `slots` (k,) which of the n satellites have a finite offset;
+    - `lines` (k, 3) g;
+    - `offsets` (k,) y minus its median [m];
+    - `table` (k + 1, PRODUCTS) products, and their sum in the last row;
+    - `squared_residual`: s^2 of all [m^2].
     """
 
     slots: NDArray[np.int64]
@@ -60,22 +48,8 @@ class Rows(NamedTuple):
 def checked_rows(line_of_sight: ArrayLike, offset: ArrayLike) -> Rows:
     """Rows of one epoch, checked.
 
-    Parameters
-    ----------
-    line_of_sight : array_like
-        (n, 3) unit vectors to the satellites.
-    offset : array_like
-        (n,) pseudorange minus predicted range [m]; what isn't finite is left out.
-
-    Returns
-    -------
-    Rows
-        Ready for a search.
-
-    Raises
-    ------
-    ValueError
-        With fewer than 5 or more than 63 finite offsets, or a singular geometry.
+    `line_of_sight` (n, 3) unit vectors to the satellites; `offset` (n,) pseudorange minus predicted
+    range [m]; what isn't finite is left out.
     """
     u, y = np.asarray(line_of_sight, dtype=np.float64), np.asarray(offset, dtype=np.float64)
     if y.ndim != 1 or u.shape != (len(y), 3):
@@ -99,26 +73,7 @@ def checked_rows(line_of_sight: ArrayLike, offset: ArrayLike) -> Rows:
 
 
 def partition_of(rows: Rows, count: int, found: bool, mask: int, positionings: int) -> Partition:
-    """Groups of a mask.
-
-    Parameters
-    ----------
-    rows : Rows
-        What was searched.
-    count : int
-        n, satellites before any was left out.
-    found : bool
-        Whether the search found something.
-    mask : int
-        Bit i for row i in the first group.
-    positionings : int
-        Number of fits.
-
-    Returns
-    -------
-    Partition
-        Of all n satellites.
-    """
+    """Groups of a mask."""
     group = np.zeros(count, dtype=np.int8)
     if found:
         group[rows.slots] = np.where((mask >> np.arange(len(rows.slots))) & 1, 1, 2)

@@ -50,23 +50,10 @@ def line_up(
 ) -> int:
     """Rows of the satellites that one receiver can use.
 
-    Parameters
-    ----------
-    pseudorange, satellite_position, visible : ndarray
-        (n,), (n, 3), (n,) of an epoch.
-    position : ndarray
-        (3,) predicted, ECEF [m].
-    axes : ndarray
-        (3, 3) from the frame of the test to ECEF.
-    slots : ndarray
-        (n,), written: slot of each row.
-    lines, offsets : ndarray
-        (n, 3), (n,), written: g in the frame of the test, and y [m].
-
-    Returns
-    -------
-    int
-        Number of rows; a satellite that is not visible or has no finite offset has none.
+    `pseudorange`, `satellite_position`, `visible` (n,), (n, 3), (n,) of an epoch; `position` (3,)
+    predicted, ECEF [m]; `axes` (3, 3) from the frame of the test to ECEF; `slots` (n,), written:
+    slot of each row; `lines`, `offsets` (n, 3), (n,), written: g in the frame of the test, and y
+    [m].
     """
     count = 0
     for j in range(visible.shape[0]):
@@ -114,24 +101,10 @@ def test_all(
 ) -> tuple[int, int]:
     """Test all satellites in view of one receiver.
 
-    Parameters
-    ----------
-    pseudorange, satellite_position, visible, position, axes : ndarray
-        As for `line_up`.
-    alarm_limit : ndarray
-        (most + 1,) limit of s^2 [m^2] by number of satellites, `most` at least n and 5.
-    slots, lines, offsets, table : ndarray
-        (n,), (n, 3), (n,), (n + 1, PRODUCTS), written, as by `line_up` and `tabulate`.
-    statistic, threshold : ndarray
-        (1,), written: SSE and its threshold [m]; with fewer than 5 satellites or a singular
-        geometry, 0 and that of 5.
-
-    Returns
-    -------
-    count : int
-        Number of rows.
-    verdict : int
-        0 none, 1 consistent, 2 alarm.
+    `alarm_limit` (most + 1,) limit of s^2 [m^2] by number of satellites, `most` at least n and 5;
+    `slots`, `lines`, `offsets`, `table` (n,), (n, 3), (n,), (n + 1, PRODUCTS), written, as by
+    `line_up` and `tabulate`; `statistic`, `threshold` (1,), written: SSE and its threshold [m];
+    with fewer than 5 satellites or a singular geometry, 0 and that of 5.
     """
     count = line_up(pseudorange, satellite_position, visible, position, axes, slots, lines, offsets)
     enough = max(count, MIN_SATELLITES)
@@ -149,17 +122,7 @@ def test_all(
 def frame_axes(frame: str, position_e: FloatArray) -> FloatArray:
     """Axes of the frame that a test works in.
 
-    Parameters
-    ----------
-    frame : {"ecef", "ned"}
-        The frame.
-    position_e : ndarray
-        (B, 3) ECEF [m].
-
-    Returns
-    -------
-    ndarray
-        (B, 3, 3) to ECEF from this frame.
+    `position_e` (B, 3) ECEF [m]; returns (B, 3, 3) to ECEF from this frame.
     """
     if frame == "ecef":
         return np.tile(np.eye(3), (len(position_e), 1, 1))
@@ -172,19 +135,8 @@ def fit_thresholds(sigma_m: float, false_alarm: float, most: int) -> FloatArray:
 
     .. math:: \mathrm{TH}(n)^2 (n - 4) = \sigma^2 \chi^2_{1 - \alpha}(n - 4)
 
-    Parameters
-    ----------
-    sigma_m : float
-        Noise of a pseudorange [m].
-    false_alarm : float
-        Alpha, probability that consistent satellites do not pass.
-    most : int
-        Largest number of satellites.
-
-    Returns
-    -------
-    ndarray
-        (most + 1,) limit of s^2 [m^2]; 0, which nothing passes, with fewer than 5.
+    `sigma_m`: noise of a pseudorange [m]; returns (most + 1,) limit of s^2 [m^2]; 0, which nothing
+    passes, with fewer than 5.
 
     Examples
     --------
@@ -202,24 +154,8 @@ def fit_thresholds(sigma_m: float, false_alarm: float, most: int) -> FloatArray:
 def noise_sd(sigma_m: float | None, noise_variance: FloatArray, channels: int) -> float:
     """Noise of a pseudorange: a setting, or what the receiver assumes.
 
-    Parameters
-    ----------
-    sigma_m : float or None
-        The setting [m].
-    noise_variance : ndarray
-        (m,) of the receiver, pseudoranges first [m^2].
-    channels : int
-        Number of pseudoranges.
-
-    Returns
-    -------
-    float
-        Sigma [m].
-
-    Raises
-    ------
-    ValueError
-        When it is not set, and the receiver's pseudoranges differ in it.
+    `sigma_m`: the setting [m]; `noise_variance` (m,) of the receiver, pseudoranges first [m^2];
+    returns Sigma [m].
     """
     if sigma_m is not None:
         return sigma_m
@@ -235,17 +171,7 @@ def noise_sd(sigma_m: float | None, noise_variance: FloatArray, channels: int) -
 def check_test(sigma_m: float | None, confidence: float) -> None:
     """Raise unless the settings of a consistency test are valid.
 
-    Parameters
-    ----------
-    sigma_m : float or None
-        Noise of a pseudorange [m].
-    confidence : float
-        Probability that consistent satellites pass.
-
-    Raises
-    ------
-    ValueError
-        When one is out of range.
+    `sigma_m`: noise of a pseudorange [m].
     """
     if sigma_m is not None and not (math.isfinite(sigma_m) and sigma_m > 0.0):
         raise ValueError(f"`sigma_m` must be finite and > 0, got {sigma_m}")
@@ -254,18 +180,7 @@ def check_test(sigma_m: float | None, confidence: float) -> None:
 
 
 def check_channels(channels: int) -> None:
-    """Raise unless a mask has room for all satellites.
-
-    Parameters
-    ----------
-    channels : int
-        Number of slots.
-
-    Raises
-    ------
-    ValueError
-        When there are too many.
-    """
+    """Raise unless a mask has room for all satellites."""
     if channels > MAX_SATELLITES:
         raise ValueError(f"at most {MAX_SATELLITES} channels can be searched, got {channels}")
 
@@ -282,22 +197,9 @@ def write_groups(
 ) -> None:
     """Groups and weights of one receiver.
 
-    Parameters
-    ----------
-    found : bool
-        Whether a partition has been found.
-    mask : int
-        Bit i for row i in the first group.
-    count : int
-        Number of rows.
-    slots : ndarray
-        (n,) slot of each row.
-    visible : ndarray
-        (n,) bool.
-    group : ndarray
-        (n,) int8, written: 0 unknown, 1 and 2 the groups.
-    weights : ndarray
-        (2n,), written: 0 for the second group and for visible satellites without a finite offset.
+    `slots` (n,) slot of each row; `group` (n,) int8, written: 0 unknown, 1 and 2 the groups;
+    `weights` (2n,), written: 0 for the second group and for visible satellites without a finite
+    offset.
     """
     n = visible.shape[0]
     for j in range(n):

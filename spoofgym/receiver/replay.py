@@ -103,10 +103,7 @@ class Recording:
     def epoch_samples(self) -> NDArray[np.int64]:
         """Match the epochs to the samples.
 
-        Returns
-        -------
-        ndarray
-            (K,) number of samples up to and including the one that ends at the epoch.
+        Returns (K,) number of samples up to and including the one that ends at the epoch.
         """
         imu_time = np.asarray(self.imu_time)
         gnss_time = np.asarray(self.gnss_time)
@@ -169,17 +166,7 @@ class Solution:
 
 
 def load_initial(state: ReceiverState, receiver: TightlyCoupled, initial: NavState) -> None:
-    """Write one navigation solution and the initial covariance into every receiver.
-
-    Parameters
-    ----------
-    state : ReceiverState
-        Overwritten.
-    receiver : TightlyCoupled
-        Gives the covariance.
-    initial : NavState
-        The solution at time zero.
-    """
+    """Write one navigation solution and the initial covariance into every receiver."""
     state.position_e[:] = initial.position_e
     state.velocity_e[:] = initial.velocity_e
     state.C_eb[:] = initial.C_eb

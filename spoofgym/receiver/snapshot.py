@@ -36,16 +36,11 @@ FIXED, TOO_FEW, SINGULAR, DIVERGED = range(4)
 class SnapshotFix(NamedTuple):
     """A fix of one epoch.
 
-    Attributes
-    ----------
-    position_e : ndarray
-        (3,) ECEF [m].
-    clock_bias_m : float
-        Receiver clock [m].
-    residual : ndarray
-        (n,) pseudorange minus what the fix predicts [m]; NaN for satellites that were left out.
-    line_of_sight_e : ndarray
-        (n, 3) unit vectors to the satellites, ECEF.
+    - `position_e` (3,) ECEF [m];
+    - `clock_bias_m`: receiver clock [m];
+    - `residual` (n,) pseudorange minus what the fix predicts [m]; NaN for satellites that were left
+      out;
+    - `line_of_sight_e` (n, 3) unit vectors to the satellites, ECEF.
     """
 
     position_e: FloatArray
@@ -60,14 +55,8 @@ def geometry(
 ) -> None:
     """Lines and ranges of one receiver.
 
-    Parameters
-    ----------
-    satellites : ndarray
-        (n, 3) ECEF [m].
-    position : ndarray
-        (3,) ECEF [m].
-    lines, distances : ndarray
-        (n, 3), (n,), written: minus the lines of sight, and ranges [m].
+    `satellites` (n, 3) ECEF [m]; `position` (3,) ECEF [m]; `lines`, `distances` (n, 3), (n,),
+    written: minus the lines of sight, and ranges [m].
     """
     for j in range(distances.shape[0]):
         distance, _, ux, uy, uz = range_and_rate(
@@ -101,21 +90,9 @@ def iterate(
 ) -> int:
     """Fix of one receiver; it keeps position and clock where there is none.
 
-    Parameters
-    ----------
-    pseudorange, satellites, weights : ndarray
-        (n,), (n, 3), (n,); what isn't finite has no weight.
-    position, clock : ndarray
-        (3,) ECEF and (1,) [m], guess, overwritten by the fix.
-    lines, distances : ndarray
-        (n, 3), (n,) scratch.
-    sums : ndarray
-        (2, PRODUCTS) scratch.
-
-    Returns
-    -------
-    int
-        `FIXED`, `TOO_FEW`, `SINGULAR` or `DIVERGED`.
+    `pseudorange`, `satellites`, `weights` (n,), (n, 3), (n,); what isn't finite has no weight;
+    `position`, `clock` (3,) ECEF and (1,) [m], guess, overwritten by the fix; `lines`, `distances`
+    (n, 3), (n,) scratch; `sums` (2, PRODUCTS) scratch.
     """
     r, step = position.copy(), np.zeros(4)
     bias, used = clock[0], 0
@@ -157,14 +134,9 @@ def fix_receivers(
 ) -> None:
     """Fixes of a batch.
 
-    Parameters
-    ----------
-    pseudorange, satellites, weights : ndarray
-        (B, n), (B, n, 3), (B, at least n).
-    position, clock : ndarray
-        (B, 3), (B, 1) guesses, ECEF [m], overwritten by fixes where there are any.
-    status : ndarray
-        (B,), written, as by `iterate`.
+    `pseudorange`, `satellites`, `weights` (B, n), (B, n, 3), (B, at least n); `position`, `clock`
+    (B, 3), (B, 1) guesses, ECEF [m], overwritten by fixes where there are any; `status` (B,),
+    written, as by `iterate`.
     """
     n = pseudorange.shape[1]
     lines, distances = np.empty((n, 3)), np.empty(n)
@@ -198,17 +170,10 @@ def expect(
     .. math:: S = G P G^T + R, \qquad
         P = \mathrm{diag}(\sigma_r^2, \sigma_r^2, \sigma_r^2, \sigma_c^2)
 
-    Parameters
-    ----------
-    pseudorange, satellites : ndarray
-        (B, n), (B, n, 3), all visible.
-    position, clock : ndarray
-        (B, 3), (B, 1) last fix, ECEF [m].
-    noise_variance : float
-        R of one pseudorange [m^2].
-    innovation, innovation_cov, design : ndarray
-        (B, 2n), (B, 2n, 2n), (B, 2n, 4), written: pseudoranges; the rows of range rates, which
-        this receiver doesn't measure, are those of invisible satellites.
+    `pseudorange`, `satellites` (B, n), (B, n, 3), all visible; `position`, `clock` (B, 3), (B, 1)
+    last fix, ECEF [m]; `noise_variance`: R of one pseudorange [m^2]; `innovation`,
+    `innovation_cov`, `design` (B, 2n), (B, 2n, 2n), (B, 2n, 4), written: pseudoranges; the rows of
+    range rates, which this receiver doesn't measure, are those of invisible satellites.
     """
     n = pseudorange.shape[1]
     lines, distances = np.empty((n, 3)), np.empty(n)
@@ -235,24 +200,8 @@ def snapshot_fix(
 ) -> SnapshotFix:
     """Fix of one epoch of pseudoranges, all of the same weight.
 
-    Parameters
-    ----------
-    pseudorange : array_like
-        (n,) [m]; what isn't finite is left out.
-    satellite_position_e : array_like
-        (n, 3) ECEF [m].
-    guess_e : array_like
-        (3,) first guess, ECEF [m]; the centre of the Earth does.
-
-    Returns
-    -------
-    SnapshotFix
-        Position, clock and residuals.
-
-    Raises
-    ------
-    ValueError
-        With fewer than 4 satellites, a singular geometry, no convergence, or wrong shapes.
+    `pseudorange` (n,) [m]; what isn't finite is left out; `satellite_position_e` (n, 3) ECEF [m];
+    `guess_e` (3,) first guess, ECEF [m]; the centre of the Earth does.
 
     Examples
     --------

@@ -33,10 +33,7 @@ SEED = 5
 def search_vectors() -> FloatArray:
     r"""The 40 vectors of S3, in the order of the paper: S1 are the first 12, S2 the first 24.
 
-    Returns
-    -------
-    ndarray
-        (40, 4) all vectors of :math:`\{-1, 0, 1\}^4` but 0, one of every pair v, -v.
+    Returns (40, 4) all vectors of :math:`\{-1, 0, 1\}^4` but 0, one of every pair v, -v.
 
     Examples
     --------
@@ -71,20 +68,8 @@ def project(
 ) -> None:
     """Projections of the residual vectors, and their order.
 
-    Parameters
-    ----------
-    n : int
-        Number of satellites.
-    lines, residual : ndarray
-        (N, 3), (N,) g and r [m].
-    vectors : ndarray
-        (V, 4) search vectors.
-    v : int
-        Which of them.
-    projection : ndarray
-        (N,), written [m].
-    order : ndarray
-        (N,), written: rows by falling projection, equal ones by index.
+    `lines`, `residual` (N, 3), (N,) g and r [m]; `vectors` (V, 4) search vectors; `projection`
+    (N,), written [m]; `order` (N,), written: rows by falling projection, equal ones by index.
     """
     for i in range(n):
         along = vectors[v, 3]
@@ -110,29 +95,8 @@ def grow(
 ) -> tuple[bool, int, int]:
     """Test a seed, let it grow, and test what is left.
 
-    Parameters
-    ----------
-    n : int
-        Number of satellites.
-    table : ndarray
-        (N + 1, PRODUCTS) products.
-    limit : ndarray
-        Limit of s^2 by number of satellites [m^2].
-    order : ndarray
-        (N,) rows by projection.
-    first : int
-        Place in `order` where the seed begins.
-    sums : ndarray
-        (1, PRODUCTS) scratch.
-
-    Returns
-    -------
-    accepted : bool
-        Whether both groups agree.
-    mask : int
-        The first group.
-    positionings : int
-        Number of fits.
+    `table` (N + 1, PRODUCTS) products; `limit`: limit of s^2 by number of satellites [m^2]; `order`
+    (N,) rows by projection; `sums` (1, PRODUCTS) scratch.
     """
     sums[:] = 0.0
     mask = 0
@@ -176,29 +140,10 @@ def search(
 ) -> tuple[bool, int, int]:
     """Search two groups that agree.
 
-    Parameters
-    ----------
-    n : int
-        Number of satellites, at least 5, of a geometry that isn't singular.
-    lines, offsets, table : ndarray
-        As `tabulate` leaves them; the offsets become residuals.
-    limit : ndarray
-        (N + 1,) limit of s^2 by number of satellites [m^2].
-    vectors : ndarray
-        (V, 4) search vectors.
-    order : ndarray
-        (N,) scratch.
-    scratch : ndarray
-        (3, at least N and PRODUCTS) scratch.
-
-    Returns
-    -------
-    found : bool
-        Whether a partition has been found.
-    mask : int
-        Bit i for row i in the first group.
-    positionings : int
-        Number of fits, that of all in view included.
+    `n`: number of satellites, at least 5, of a geometry that isn't singular; `limit` (N + 1,) limit
+    of s^2 by number of satellites [m^2]; `vectors` (V, 4) search vectors; `order` (N,) scratch;
+    `scratch` (3, at least N and PRODUCTS) scratch; returns `positionings`: number of fits, that of
+    all in view included.
     """
     projection, solution, sums = scratch[0], scratch[1], scratch[2:]
     solve(table, table.shape[0] - 1, solution)
@@ -226,28 +171,10 @@ def srv_raim(
 ) -> Partition:
     """Two groups of satellites that each agree, by their residual vectors.
 
-    Parameters
-    ----------
-    line_of_sight : array_like
-        (n, 3) unit vectors to the satellites, in the axes that the search vectors belong to.
-    offset : array_like
-        (n,) pseudorange minus predicted range [m]; what isn't finite is left out.
-    sigma_m : float
-        Noise of a pseudorange [m].
-    confidence : float
-        Probability that satellites that agree pass for it, in (0, 1).
-    vectors : ndarray, optional
-        (V, 4) search vectors, `search_vectors` by default.
-
-    Returns
-    -------
-    Partition
-        The groups, and the number of fits.
-
-    Raises
-    ------
-    ValueError
-        With fewer than 5 satellites, a singular geometry, or a setting out of range.
+    `line_of_sight` (n, 3) unit vectors to the satellites, in the axes that the search vectors
+    belong to; `offset` (n,) pseudorange minus predicted range [m]; what isn't finite is left out;
+    `sigma_m`: noise of a pseudorange [m]; `confidence`: probability that satellites that agree pass
+    for it, in (0, 1); `vectors` (V, 4) search vectors, `search_vectors` by default.
     """
     check_test(sigma_m, confidence)
     rows = checked_rows(line_of_sight, offset)
@@ -277,18 +204,9 @@ def search_cases(
 ) -> None:
     """Search many sets of pseudoranges of the same geometry, which isn't singular.
 
-    Parameters
-    ----------
-    lines : ndarray
-        (n, 3) g, minus the lines of sight.
-    offsets : ndarray
-        (C, n) y [m], finite; overwritten with residuals.
-    limit : ndarray
-        (n + 1,) limit of s^2 by number of satellites [m^2].
-    vectors : ndarray
-        (V, 4) search vectors.
-    found, mask, positionings : ndarray
-        (C,), written, as by `search`.
+    `lines` (n, 3) g, minus the lines of sight; `offsets` (C, n) y [m], finite; overwritten with
+    residuals; `limit` (n + 1,) limit of s^2 by number of satellites [m^2]; `vectors` (V, 4) search
+    vectors; `found`, `mask`, `positionings` (C,), written, as by `search`.
     """
     n = offsets.shape[1]
     order, scratch = np.empty(n, dtype=np.int64), np.empty((3, max(n, PRODUCTS)))

@@ -21,18 +21,11 @@ FloatArray = NDArray[np.float64]
 class ReceiverState(NamedTuple):
     """What the receivers estimate.
 
-    Attributes
-    ----------
-    position_e, velocity_e : ndarray
-        (B, 3) ECEF [m], [m/s].
-    C_eb : ndarray
-        (B, 3, 3) attitude, to ECEF from body axes.
-    accel_bias_b, gyro_bias_b : ndarray
-        (B, 3) estimated sensor biases [m/s^2], [rad/s].
-    clock : ndarray
-        (B, 2) receiver clock bias [m] and drift [m/s].
-    covariance : ndarray
-        (B, 17, 17) in the order of `error_model`.
+    - `position_e`, `velocity_e` (B, 3) ECEF [m], [m/s];
+    - `C_eb` (B, 3, 3) attitude, to ECEF from body axes;
+    - `accel_bias_b`, `gyro_bias_b` (B, 3) estimated sensor biases [m/s^2], [rad/s];
+    - `clock` (B, 2) receiver clock bias [m] and drift [m/s];
+    - `covariance` (B, 17, 17) in the order of `error_model`.
     """
 
     position_e: FloatArray
@@ -47,32 +40,19 @@ class ReceiverState(NamedTuple):
 class Measurements(NamedTuple):
     """One epoch of the receivers: what is measured, and what is derived from it.
 
-    Attributes
-    ----------
-    time, interval : ndarray
-        (B,) time of the epoch and time since the last one [s].
-    pseudorange, range_rate : ndarray
-        (B, n) [m], [m/s].
-    satellite_position, satellite_velocity : ndarray
-        (B, n, 3) ECEF [m], [m/s].
-    visible : ndarray
-        (B, n) bool.
-    noise_variance : ndarray
-        (B, 2n) R, pseudoranges first.
-    innovation : ndarray
-        (B, 2n), 0 where invisible.
-    innovation_cov : ndarray
-        (B, 2n, 2n).
-    design : ndarray
-        (B, 2n, 17) H.
-    line_of_sight : ndarray
-        (B, n, 3) unit vectors to the satellites, ECEF.
-    transition : ndarray
-        (B, 17, 17) Phi.
-    imu_delta : ndarray
-        (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body axes.
-    coasting : ndarray
-        (B,) bool, whether the update was left out for want of satellites.
+    - `time`, `interval` (B,) time of the epoch and time since the last one [s];
+    - `pseudorange`, `range_rate` (B, n) [m], [m/s];
+    - `satellite_position`, `satellite_velocity` (B, n, 3) ECEF [m], [m/s];
+    - `visible` (B, n) bool;
+    - `noise_variance` (B, 2n) R, pseudoranges first;
+    - `innovation` (B, 2n), 0 where invisible;
+    - `innovation_cov` (B, 2n, 2n);
+    - `design` (B, 2n, 17) H;
+    - `line_of_sight` (B, n, 3) unit vectors to the satellites, ECEF;
+    - `transition` (B, 17, 17) Phi;
+    - `imu_delta` (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body
+      axes;
+    - `coasting` (B,) bool, whether the update was left out for want of satellites.
     """
 
     time: FloatArray
@@ -94,18 +74,7 @@ class Measurements(NamedTuple):
 
 @njit
 def buffer_size(receivers: int, channels: int) -> int:
-    """Number of floating-point values of a batch.
-
-    Parameters
-    ----------
-    receivers, channels : int
-        B and n.
-
-    Returns
-    -------
-    int
-        Length of the buffer.
-    """
+    """Number of floating-point values of a batch."""
     n = channels
     state = 3 + 3 + 9 + 3 + 3 + 2 + 289
     epoch = 2 + 2 * n + 6 * n + 2 * n + 2 * n + 4 * n * n + 34 * n + 3 * n + 289 + 6
@@ -118,23 +87,8 @@ def unpack(
 ) -> tuple[ReceiverState, Measurements, FloatArray]:
     """Name the arrays of a batch: views of its buffers.
 
-    Parameters
-    ----------
-    floats : ndarray
-        (`buffer_size`,) float64.
-    flags : ndarray
-        (B (n + 1),) bool.
-    receivers, channels : int
-        B and n.
-
-    Returns
-    -------
-    state : ReceiverState
-        Estimates.
-    measured : Measurements
-        The epoch.
-    noise_psd : ndarray
-        (B, 17) power spectral density of the noise that drives each state.
+    `floats` (`buffer_size`,) float64; `flags` (B (n + 1),) bool; returns `noise_psd` (B, 17) power
+    spectral density of the noise that drives each state.
     """
     b, n, m = receivers, channels, 2 * channels
     o = 0
@@ -211,24 +165,10 @@ LANES = 8
 class ReceiverBuffers:
     """The memory of a batch of receivers.
 
-    Parameters
-    ----------
-    receivers, channels : int
-        B and n.
-    samples : int
-        Most inertial samples between two epochs, S.
-
-    Attributes
-    ----------
-    floats, flags : ndarray
-        What `unpack` takes.
-    state, measured, noise_psd
-        What `unpack` returns.
-    block : ndarray
-        (2, B) int64, first sample of the interval in the run, and number of samples.
-    samples : ndarray
-        (G, S, 6 * LANES) measured specific force and angular rate, body axes, component by
-        component for the `LANES` receivers of each of the G groups.
+    - `samples`: most inertial samples between two epochs, S;
+    - `block` (2, B) int64, first sample of the interval in the run, and number of samples;
+    - `samples` (G, S, 6 * LANES) measured specific force and angular rate, body axes, component by
+      component for the `LANES` receivers of each of the G groups.
     """
 
     def __init__(self, receivers: int, channels: int, samples: int) -> None:
@@ -259,15 +199,7 @@ class ReceiverBuffers:
     def measured_samples(self, receiver: int) -> FloatArray:
         """Measured samples of one receiver's last interval.
 
-        Parameters
-        ----------
-        receiver : int
-            Which one.
-
-        Returns
-        -------
-        ndarray
-            (count, 6) specific force [m/s^2] and angular rate [rad/s], a copy.
+        Returns (count, 6) specific force [m/s^2] and angular rate [rad/s], a copy.
         """
         group, lane = divmod(receiver, LANES)
         lanes = self.samples[group].reshape(-1, 6, LANES)
@@ -276,12 +208,7 @@ class ReceiverBuffers:
     def put_samples(self, receiver: int, samples: FloatArray) -> None:
         """Write one receiver's samples of an interval.
 
-        Parameters
-        ----------
-        receiver : int
-            Which one.
-        samples : ndarray
-            (count, 6) specific force [m/s^2] and angular rate [rad/s].
+        `samples` (count, 6) specific force [m/s^2] and angular rate [rad/s].
         """
         group, lane = divmod(receiver, LANES)
         lanes = self.samples[group].reshape(-1, 6, LANES)

@@ -26,15 +26,7 @@ def rotation_coefficients(squared_angle: float) -> tuple[float, float, float]:
     .. math::
         \frac{\sin a}{a}, \qquad \frac{1 - \cos a}{a^2}, \qquad \frac{1 - \sin a / a}{a^2}
 
-    Parameters
-    ----------
-    squared_angle : float
-        a^2 [rad^2], at most 1.
-
-    Returns
-    -------
-    s, c, d : float
-        The three coefficients; 1, 0 and 0 up to an angle of 1e-8 rad.
+    `squared_angle`: a^2 [rad^2], at most 1.
 
     Notes
     -----
@@ -87,21 +79,9 @@ def strapdown_step(
     with :math:`\alpha = \omega \Delta t`, :math:`A = [\alpha\times]`,
     :math:`a = \omega_{ie} \Delta t` and :math:`R_z(a)` the turn of the Earth.
 
-    Parameters
-    ----------
-    C : tuple of 9 floats
-        `C_eb`, to ECEF from body axes, row by row.
-    v, r : tuple of 3 floats
-        Velocity [m/s] and position [m], ECEF.
-    f, w : tuple of 3 floats
-        Specific force [m/s^2] and angular rate [rad/s] over the sample, body axes.
-    dt : float
-        Length of the sample [s].
-
-    Returns
-    -------
-    C, v, r : tuples of floats
-        The same at the end of the sample.  The matrix is not re-orthonormalized.
+    `C`: `C_eb`, to ECEF from body axes, row by row; `v`, `r`: velocity [m/s] and position [m],
+    ECEF; `f`, `w`: specific force [m/s^2] and angular rate [rad/s] over the sample, body axes;
+    `dt`: length of the sample [s].
 
     Notes
     -----

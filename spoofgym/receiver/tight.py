@@ -31,16 +31,11 @@ TUNINGS = ("paper", "matched")
 class FilterGrade(NamedTuple):
     """How the filter is tuned for one grade of inertial sensors.
 
-    Attributes
-    ----------
-    attitude_sd, velocity_sd, position_sd : float
-        Initial standard deviations [rad], [m/s], [m]; the last two also of clock drift and offset.
-    accel_bias_sd, gyro_bias_sd : float
-        Initial standard deviations [m/s^2], [rad/s].
-    gyro_noise_psd, accel_noise_psd : float
-        [rad^2/s], [m^2/s^3].
-    accel_bias_psd, gyro_bias_psd : float
-        [m^2/s^5], [rad^2/s^3].
+    - `attitude_sd`, `velocity_sd`, `position_sd`: initial standard deviations [rad], [m/s], [m];
+      the last two also of clock drift and offset;
+    - `accel_bias_sd`, `gyro_bias_sd`: initial standard deviations [m/s^2], [rad/s];
+    - `gyro_noise_psd`, `accel_noise_psd` [rad^2/s], [m^2/s^3];
+    - `accel_bias_psd`, `gyro_bias_psd` [m^2/s^5], [rad^2/s^3].
     """
 
     attitude_sd: float
@@ -184,18 +179,7 @@ class TightlyCoupled:
         return self.noise if self.noise is not None else NoiseModel()
 
     def sensors(self, noise: NoiseModel | None = None) -> FilterGrade:
-        """Tuning for the inertial sensors, and the initial errors.
-
-        Parameters
-        ----------
-        noise : NoiseModel, optional
-            What to assume instead of `noise_model`.
-
-        Returns
-        -------
-        FilterGrade
-            That of the noise model if it names one, else that of `FILTER_GRADES`.
-        """
+        """Tuning for the inertial sensors, and the initial errors."""
         model = self.noise_model if noise is None else noise
         return FILTER_GRADES[self.grade] if model.inertial is None else model.inertial
 
@@ -210,18 +194,7 @@ class TightlyCoupled:
         return self.conventions == "orthonormal"
 
     def initial_covariance(self, noise: NoiseModel | None = None) -> NDArray[np.float64]:
-        """Covariance of the state at time zero.
-
-        Parameters
-        ----------
-        noise : NoiseModel, optional
-            What to assume instead of `noise_model`.
-
-        Returns
-        -------
-        ndarray
-            (17, 17) diagonal.
-        """
+        """Covariance of the state at time zero: (17, 17) diagonal."""
         g = self.sensors(noise)
         sd = np.zeros(STATES)
         sd[ATTITUDE : ATTITUDE + 3] = g.attitude_sd
@@ -233,18 +206,7 @@ class TightlyCoupled:
         return np.diag(sd**2)
 
     def noise_psd(self, noise: NoiseModel | None = None) -> NDArray[np.float64]:
-        """Power spectral density of the noise that drives each state.
-
-        Parameters
-        ----------
-        noise : NoiseModel, optional
-            What to assume instead of `noise_model`.
-
-        Returns
-        -------
-        ndarray
-            (17,).
-        """
+        """Power spectral density of the noise that drives each state: (17,)."""
         g = self.sensors(noise)
         clock = self.noise_model if noise is None else noise
         psd = np.zeros(STATES)

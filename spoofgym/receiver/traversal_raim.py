@@ -34,30 +34,10 @@ def leave_out(
 ) -> tuple[bool, int, int]:
     """Leave out all subsets of one size, in lexicographic order.
 
-    Parameters
-    ----------
-    n, size : int
-        Satellites, and how many to leave out, at least 1; of two halves only that with row 0.
-    table : ndarray
-        (N + 1, PRODUCTS) products.
-    limit : ndarray
-        Limit of s^2 by number of satellites [m^2].
-    kept, left : ndarray
-        (size + 1, PRODUCTS) scratch, a stack: in row d, sums of what is kept before the last of
-        the first d that are left out, and of these d.
-    after : ndarray
-        (n + 1, PRODUCTS) sums of the rows from i on, 0 in the last one.
-    chosen : ndarray
-        (size,) scratch, rows that are left out.
-
-    Returns
-    -------
-    found : bool
-        Whether both groups agree.
-    mask : int
-        Those that are kept.
-    positionings : int
-        Number of fits, of both groups where both are tested.
+    `table` (N + 1, PRODUCTS) products; `limit`: limit of s^2 by number of satellites [m^2]; `kept`,
+    `left` (size + 1, PRODUCTS) scratch, a stack: in row d, sums of what is kept before the last of
+    the first d that are left out, and of these d; `after` (n + 1, PRODUCTS) sums of the rows from i
+    on, 0 in the last one; `chosen` (size,) scratch, rows that are left out.
     """
     tests = 2 if size >= MIN_SATELLITES else 1
     last_first = 0 if 2 * size == n else n - size
@@ -104,31 +84,9 @@ def search(
 ) -> tuple[bool, int, int]:
     """Search the smallest subset to leave out.
 
-    Parameters
-    ----------
-    n : int
-        Number of satellites, at least 5.
-    table : ndarray
-        (N + 1, PRODUCTS) products.
-    limit : ndarray
-        Limit of s^2 by number of satellites [m^2].
-    largest_group : int
-        Most satellites to leave out.
-    after : ndarray
-        (N + 1, PRODUCTS) scratch.
-    stack : ndarray
-        (2, largest_group + 1, PRODUCTS) scratch.
-    chosen : ndarray
-        (largest_group,) scratch.
-
-    Returns
-    -------
-    found : bool
-        Whether a partition has been found.
-    mask : int
-        Bit i for row i that is kept.
-    positionings : int
-        Number of fits.
+    `n`: number of satellites, at least 5; `table` (N + 1, PRODUCTS) products; `limit`: limit of s^2
+    by number of satellites [m^2]; `after` (N + 1, PRODUCTS) scratch; `stack` (2, largest_group + 1,
+    PRODUCTS) scratch; `chosen` (largest_group,) scratch.
     """
     after[n] = 0.0
     for i in range(n - 1, -1, -1):
@@ -153,28 +111,9 @@ def traversal_raim(
 ) -> Partition:
     """Two groups of satellites that each agree, the second one as small as can be.
 
-    Parameters
-    ----------
-    line_of_sight : array_like
-        (n, 3) unit vectors to the satellites.
-    offset : array_like
-        (n,) pseudorange minus predicted range [m]; what isn't finite is left out.
-    sigma_m : float
-        Noise of a pseudorange [m].
-    confidence : float
-        Probability that satellites that agree pass for it, in (0, 1).
-    largest_group : int
-        Most satellites to leave out.
-
-    Returns
-    -------
-    Partition
-        The groups, and the number of fits.
-
-    Raises
-    ------
-    ValueError
-        With fewer than 5 satellites, a singular geometry, or a setting out of range.
+    `line_of_sight` (n, 3) unit vectors to the satellites; `offset` (n,) pseudorange minus predicted
+    range [m]; what isn't finite is left out; `sigma_m`: noise of a pseudorange [m]; `confidence`:
+    probability that satellites that agree pass for it, in (0, 1).
     """
     check_test(sigma_m, confidence)
     check_largest_group(largest_group)
@@ -210,18 +149,9 @@ def search_cases(
 ) -> None:
     """Search many sets of pseudoranges of the same geometry, which isn't singular.
 
-    Parameters
-    ----------
-    lines : ndarray
-        (n, 3) g, minus the lines of sight.
-    offsets : ndarray
-        (C, n) y [m], finite; overwritten with y minus its median.
-    limit : ndarray
-        (n + 1,) limit of s^2 by number of satellites [m^2].
-    largest_group : int
-        Most satellites to leave out.
-    found, mask, positionings : ndarray
-        (C,), written, as by `search`.
+    `lines` (n, 3) g, minus the lines of sight; `offsets` (C, n) y [m], finite; overwritten with y
+    minus its median; `limit` (n + 1,) limit of s^2 by number of satellites [m^2]; `found`, `mask`,
+    `positionings` (C,), written, as by `search`.
     """
     n = offsets.shape[1]
     table, after = np.empty((n + 1, PRODUCTS)), np.empty((n + 1, PRODUCTS))

@@ -15,14 +15,8 @@ from .noise import normals
 def fill_ranges(satellites, visible, position_e, velocity_e):
     """Write true range and range rate of all visible satellites into columns 6 and 7.
 
-    Parameters
-    ----------
-    satellites : ndarray
-        (K, n, 8) position, velocity, range, range rate.
-    visible : ndarray
-        (K, n) bool.
-    position_e, velocity_e : ndarray
-        (K, 3) antenna.
+    `satellites` (K, n, 8) position, velocity, range, range rate; `visible` (K, n) bool;
+    `position_e`, `velocity_e` (K, 3) antenna.
     """
     for k in range(satellites.shape[0]):
         r, v = position_e[k], velocity_e[k]
@@ -40,22 +34,9 @@ def fill_ranges(satellites, visible, position_e, velocity_e):
 def imu_block(sensors, b, keys, epoch, truth, root_rate, noise, samples):
     """Measure one receiver's samples of one interval.
 
-    Parameters
-    ----------
-    sensors : SensorState
-        Errors of the batch; the quantization residuals are carried on.
-    b, epoch : int
-        Receiver and epoch.
-    keys : ndarray
-        (2,) key of the sensor noise.
-    truth : tuple of 6 ndarrays
-        (S,) each: true samples.
-    root_rate : ndarray
-        (S,) one over the square root of their lengths [Hz^0.5].
-    noise : ndarray
-        (P,) scratch memory for the deviates.
-    samples : ndarray
-        (6, S or more), written: measured specific force and angular rate.
+    `keys` (2,) key of the sensor noise; `truth` (S,) each: true samples; `root_rate` (S,) one over
+    the square root of their lengths [Hz^0.5]; `noise` (P,) scratch memory for the deviates;
+    `samples` (6, S or more), written: measured specific force and angular rate.
     """
     normals(keys[0], keys[1], epoch, noise)
     n = root_rate.shape[0]
@@ -82,18 +63,8 @@ def advance_correlated(sensors, b, keys, epoch, tau, noise):
 
     which is exact for any interval, and stationary since it begins with :math:`\sigma w`.
 
-    Parameters
-    ----------
-    sensors : SensorState
-        Errors of the batch; `correlated` is advanced.
-    b, epoch : int
-        Receiver and epoch.
-    keys : ndarray
-        (2,) key of the source.
-    tau : float
-        Time since the epoch before [s]; 0 for the first epoch.
-    noise : ndarray
-        (P,) scratch memory for the deviates, at least n.
+    `keys` (2,) key of the source; `tau`: time since the epoch before [s]; 0 for the first epoch;
+    `noise` (P,) scratch memory for the deviates, at least n.
     """
     sd, time_constant = sensors.correlated_noise[b, 0], sensors.correlated_noise[b, 1]
     alpha = math.exp(-tau / time_constant) if tau > 0.0 else 0.0
@@ -107,16 +78,7 @@ def advance_correlated(sensors, b, keys, epoch, tau, noise):
 def replace_errors(sensors, b, noise, out_range, out_rate):
     """Take the authentic errors from the channels whose counterfeit signals bring their own.
 
-    Parameters
-    ----------
-    sensors : SensorState
-        Errors of the batch, and `authentic`, the part of them that stays.
-    b : int
-        Receiver.
-    noise : ndarray
-        Deviates that `gnss_epoch` has drawn.
-    out_range, out_rate : ndarray
-        (n,), overwritten [m], [m/s].
+    `out_range`, `out_rate` (n,), overwritten [m], [m/s].
     """
     n = out_range.shape[0]
     for s in range(n):
@@ -144,22 +106,10 @@ def gnss_epoch(
 ):
     """Measure one receiver's pseudoranges and range rates at one epoch.
 
-    Parameters
-    ----------
-    sensors : SensorState
-        Errors of the batch; the clock is advanced.
-    b, epoch : int
-        Receiver and epoch.
-    gnss_keys, clock_keys, correlated_keys : ndarray
-        (2,) keys of the three sources.
-    tau : float
-        Time since the epoch before [s]; 0 leaves the clock alone.
-    satellites : ndarray
-        (n, 8) truth of the epoch.
-    noise : ndarray
-        (P,) scratch memory for the deviates, at least 2 n.
-    out_range, out_rate : ndarray
-        (n,), written, for all slots, visible or not [m], [m/s].
+    `gnss_keys`, `clock_keys`, `correlated_keys` (2,) keys of the three sources; `tau`: time since
+    the epoch before [s]; 0 leaves the clock alone; `satellites` (n, 8) truth of the epoch; `noise`
+    (P,) scratch memory for the deviates, at least 2 n; `out_range`, `out_rate` (n,), written, for
+    all slots, visible or not [m], [m/s].
     """
     if tau > 0.0:
         p, f = sensors.clock_psd[b, 0], sensors.clock_psd[b, 1]

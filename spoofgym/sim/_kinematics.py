@@ -23,15 +23,7 @@ def velocity_coefficients(angle: float) -> tuple[float, float]:
     .. math::
         c = \frac{1 - \cos a}{a^2}, \qquad d = \frac{1 - \sin a / a}{a^2}
 
-    Parameters
-    ----------
-    angle : float
-        a [rad].
-
-    Returns
-    -------
-    c, d : float
-        0 and 0 up to `SMALL_ANGLE`.
+    `angle`: a [rad].
 
     Notes
     -----
@@ -63,21 +55,9 @@ def invert_samples(
     :math:`M = C^{-\prime} R_z(a)' C^+ = I + \sin|\alpha| / |\alpha|\,A + ...`, whose antisymmetric
     part holds :math:`\alpha \sin|\alpha| / |\alpha|` without cancellation.
 
-    Parameters
-    ----------
-    step : float
-        Interval of the samples [s].
-    position_e, velocity_e : ndarray
-        (N+1, 3) ECEF [m] and [m/s].
-    C_eb : ndarray
-        (N+1, 3, 3), to ECEF from body axes.
-    specific_force_b, angular_rate_b : ndarray
-        (N, 3) outputs, body axes [m/s^2] and [rad/s].
-
-    Returns
-    -------
-    float
-        Largest rotation of a sample [rad].
+    `step`: interval of the samples [s]; `position_e`, `velocity_e` (N+1, 3) ECEF [m] and [m/s];
+    `C_eb` (N+1, 3, 3), to ECEF from body axes; `specific_force_b`, `angular_rate_b` (N, 3) outputs,
+    body axes [m/s^2] and [rad/s]; returns largest rotation of a sample [rad].
     """
     a = EARTH_RATE * step
     sin_a, cos_a = math.sin(a), math.cos(a)

@@ -49,16 +49,9 @@ LEAP_SECOND_DATES = (
 def gps_seconds(moment: datetime) -> float:
     """GPS seconds of a calendar date.
 
-    Parameters
-    ----------
-    moment : datetime
-        Without a time zone, the date is in the GPS time scale, like the dates in a RINEX
-        navigation file; with one, it is civil time, and leap seconds are added.
-
-    Returns
-    -------
-    float
-        Seconds since 1980-01-06 00:00 GPS time [s].
+    `moment`: without a time zone, the date is in the GPS time scale, like the dates in a RINEX
+    navigation file; with one, it is civil time, and leap seconds are added; returns seconds since
+    1980-01-06 00:00 GPS time [s].
     """
     leap_seconds = 0
     if moment.tzinfo is not None:
@@ -80,37 +73,24 @@ class Ephemerides:
 
     Angles are in radians and the symbols in brackets are those of IS-GPS-200.
 
-    Parameters
-    ----------
-    satellite_id : ndarray of str
-        (R,) "G01".
-    health : ndarray
-        (R,) SV health; 0 is healthy.
-    issue : ndarray
-        (R,) issue of data, ephemeris [IODE].
-    time_of_clock, time_of_ephemeris : ndarray
-        (R,) reference times, GPS seconds [s] [toc, toe].
-    clock_bias, clock_drift, clock_drift_rate : ndarray
-        (R,) satellite clock polynomial about `time_of_clock` [s], [s/s], [s/s^2] [af0, af1, af2].
-    group_delay : ndarray
-        (R,) [s] [TGD].
-    root_semi_major_axis : ndarray
-        (R,) [m^0.5] [sqrt A].
-    eccentricity : ndarray
-        (R,) 0 <= e < 1.
-    mean_anomaly, mean_motion_correction : ndarray
-        (R,) at `time_of_ephemeris` [rad], [rad/s] [M0, delta n].
-    perigee : ndarray
-        (R,) argument of perigee [rad] [omega].
-    node, node_rate : ndarray
-        (R,) longitude of the ascending node at the start of the week [rad], its rate with
-        respect to inertial space [rad/s] [OMEGA0, OMEGADOT].
-    inclination, inclination_rate : ndarray
-        (R,) at `time_of_ephemeris` [rad], [rad/s] [i0, IDOT].
-    cuc, cus, cic, cis : ndarray
-        (R,) second harmonic corrections to the argument of latitude and the inclination [rad].
-    crc, crs : ndarray
-        (R,) second harmonic corrections to the radius [m].
+    - `satellite_id` (R,) "G01";
+    - `health` (R,) SV health; 0 is healthy;
+    - `issue` (R,) issue of data, ephemeris [IODE];
+    - `time_of_clock`, `time_of_ephemeris` (R,) reference times, GPS seconds [s] [toc, toe];
+    - `clock_bias`, `clock_drift`, `clock_drift_rate` (R,) satellite clock polynomial about
+      `time_of_clock` [s], [s/s], [s/s^2] [af0, af1, af2];
+    - `group_delay` (R,) [s] [TGD];
+    - `root_semi_major_axis` (R,) [m^0.5] [sqrt A];
+    - `eccentricity` (R,) 0 <= e < 1;
+    - `mean_anomaly`, `mean_motion_correction` (R,) at `time_of_ephemeris` [rad], [rad/s]
+      [M0, delta n];
+    - `perigee` (R,) argument of perigee [rad] [omega];
+    - `node`, `node_rate` (R,) longitude of the ascending node at the start of the week [rad], its
+      rate with respect to inertial space [rad/s] [OMEGA0, OMEGADOT];
+    - `inclination`, `inclination_rate` (R,) at `time_of_ephemeris` [rad], [rad/s] [i0, IDOT];
+    - `cuc`, `cus`, `cic`, `cis` (R,) second harmonic corrections to the argument of latitude and
+      the inclination [rad];
+    - `crc`, `crs` (R,) second harmonic corrections to the radius [m].
     """
 
     satellite_id: NDArray[np.str_]
@@ -182,15 +162,8 @@ class Ephemerides:
     def take(self, records: ArrayLike) -> Ephemerides:
         """Some of the records.
 
-        Parameters
-        ----------
-        records : array_like
-            (S,) indices, or (R,) booleans.
-
-        Returns
-        -------
-        Ephemerides
-            The S records, in the order of the indices.
+        `records` (S,) indices, or (R,) booleans; returns the S records, in the order of the
+        indices.
         """
         index = np.asarray(records)
         return Ephemerides(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
@@ -205,17 +178,8 @@ def solve_kepler(mean_anomaly: ArrayLike, eccentricity: ArrayLike) -> NDArray[np
     Newton's method from :math:`E = M + e \sin M`, always `KEPLER_ITERATIONS` steps, so that a
     value does not depend on which others are solved along with it.
 
-    Parameters
-    ----------
-    mean_anomaly : array_like
-        M [rad], any shape S.
-    eccentricity : array_like
-        e, broadcast against it; exact to rounding up to 0.5, GPS orbits stay below 0.03.
-
-    Returns
-    -------
-    ndarray
-        (S,) E [rad], within a revolution of zero.
+    `mean_anomaly`: M [rad], any shape S; `eccentricity`: e, broadcast against it; exact to rounding
+    up to 0.5, GPS orbits stay below 0.03; returns (S,) E [rad], within a revolution of zero.
     """
     e = np.asarray(eccentricity, dtype=np.float64)
     M = np.remainder(np.asarray(mean_anomaly, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
@@ -234,19 +198,8 @@ def propagate(ephemerides: Ephemerides, record: ArrayLike, elapsed: ArrayLike) -
         i = i_0 + \dot\imath\,t_k + C_{is}\sin 2\phi + C_{ic}\cos 2\phi, \qquad
         \Omega = \Omega_0 + (\dot\Omega - \dot\Omega_e)\,t_k - \dot\Omega_e t_{oe}
 
-    Parameters
-    ----------
-    ephemerides : Ephemerides
-        R records.
-    record : array_like
-        Index of the record to use, any shape S.
-    elapsed : array_like
-        Time since its `time_of_ephemeris`, t_k [s], broadcast against it; NaN gives NaN.
-
-    Returns
-    -------
-    SatelliteStates
-        (S, 3) position and velocity, ECEF [m], [m/s].
+    `elapsed`: time since its `time_of_ephemeris`, t_k [s], broadcast against it; NaN gives NaN;
+    returns (S, 3) position and velocity, ECEF [m], [m/s].
 
     Notes
     -----
@@ -292,13 +245,8 @@ class BroadcastConstellation:
     when that one is unhealthy or more than 2 h away.  Where a record takes over from the one
     before, the orbit jumps by the broadcast errors, some metres when the records were screened.
 
-    Parameters
-    ----------
-    ephemerides : Ephemerides
-        Broadcast records, best screened by `spoofgym.sim.screening.screen`; unhealthy ones are
-        never used.
-    start : float
-        GPS seconds at time 0 of the simulation [s], see `gps_seconds`.
+    `ephemerides`: broadcast records, best screened by `spoofgym.sim.screening.screen`; unhealthy
+    ones are never used; `start`: GPS seconds at time 0 of the simulation [s], see `gps_seconds`.
     """
 
     ephemerides: Ephemerides
@@ -343,16 +291,8 @@ class BroadcastConstellation:
     def states(self, time: ArrayLike) -> SatelliteStates:
         """Positions and velocities of all satellites.
 
-        Parameters
-        ----------
-        time : array_like
-            (K,) time of the simulation [s].
-
-        Returns
-        -------
-        SatelliteStates
-            (K, n, 3) position and velocity, ECEF [m], [m/s]; NaN while the nearest record is
-            unhealthy or more than 2 h away.
+        `time` (K,) time of the simulation [s]; returns (K, n, 3) position and velocity, ECEF [m],
+        [m/s]; NaN while the nearest record is unhealthy or more than 2 h away.
         """
         t = checked_time(time)
         schedule = self._schedule

@@ -17,22 +17,6 @@ def chain_worlds(worlds: Sequence[World]) -> World:
 
     World w of K epochs each has the epochs ``w K`` to ``(w + 1) K - 1``.  Times begin anew with
     each; nothing may cross from one to the next.
-
-    Parameters
-    ----------
-    worlds : sequence of World
-        At least one, with the same times and slots.
-
-    Returns
-    -------
-    World
-        The one, or a chain; its slots have ids where all worlds have the same satellites there,
-        and are called ``slot00``, ``slot01`` ... where they don't.
-
-    Raises
-    ------
-    ValueError
-        When times or numbers of slots differ.
     """
     first = worlds[0]
     if len(worlds) == 1:

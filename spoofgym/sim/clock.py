@@ -13,12 +13,8 @@ from ..earth.wgs84 import SPEED_OF_LIGHT
 class ReceiverClock:
     """Two-state clock in units of range.
 
-    Parameters
-    ----------
-    offset_m, drift_mps : float
-        At time zero.
-    phase_psd, frequency_psd : float
-        Power spectral densities of phase [m^2/s] and frequency noise [m^2/s^3].
+    `phase_psd`, `frequency_psd`: power spectral densities of phase [m^2/s] and frequency noise
+    [m^2/s^3].
 
     Notes
     -----
@@ -43,17 +39,7 @@ def clock_of_allan(h0: float, h_2: float) -> ReceiverClock:
 
     .. math:: S_p = \tfrac12 c^2 h_0, \qquad S_f = 2 \pi^2 c^2 h_{-2}
 
-    Parameters
-    ----------
-    h0 : float
-        White frequency noise [s].
-    h_2 : float
-        Random walk of the frequency [1/s].
-
-    Returns
-    -------
-    ReceiverClock
-        Offset and drift of the default.
+    `h0`: white frequency noise [s]; `h_2`: random walk of the frequency [1/s].
 
     Notes
     -----
@@ -82,21 +68,8 @@ def advance_clock(
     .. math:: Q = \begin{pmatrix} S_p \tau + S_f \tau^3 / 3 & S_f \tau^2 / 2\\
         S_f \tau^2 / 2 & S_f \tau \end{pmatrix}
 
-    Parameters
-    ----------
-    bias, drift : float
-        Before the interval [m], [m/s].
-    tau : float
-        Its length [s].
-    phase_psd, frequency_psd : float
-        S_p [m^2/s] and S_f [m^2/s^3].
-    a, b : float
-        Two standard normal deviates.
-
-    Returns
-    -------
-    bias, drift : float
-        After the interval.
+    `bias`, `drift`: before the interval [m], [m/s]; `tau`: its length [s]; `phase_psd`,
+    `frequency_psd`: S_p [m^2/s] and S_f [m^2/s^3].
 
     Notes
     -----

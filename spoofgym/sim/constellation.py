@@ -24,12 +24,8 @@ PLANES = 6
 class SatelliteStates(NamedTuple):
     """Positions and velocities of n satellites at K times.
 
-    Attributes
-    ----------
-    position_e : ndarray
-        (K, n, 3) position, ECEF [m]; NaN where a satellite has no usable ephemeris.
-    velocity_e : ndarray
-        (K, n, 3) velocity with respect to the rotating Earth, ECEF [m/s]; NaN likewise.
+    `position_e` (K, n, 3) position, ECEF [m]; NaN where a satellite has no usable ephemeris;
+    `velocity_e` (K, n, 3) velocity with respect to the rotating Earth, ECEF [m/s]; NaN likewise.
     """
 
     position_e: NDArray[np.float64]
@@ -50,15 +46,7 @@ class Constellation(Protocol):
 def checked_time(time: ArrayLike) -> NDArray[np.float64]:
     """Times of the simulation as a (K,) array of finite numbers.
 
-    Parameters
-    ----------
-    time : array_like
-        (K,) time of the simulation [s].
-
-    Returns
-    -------
-    ndarray
-        (K,) time of the simulation [s].
+    `time` (K,) time of the simulation [s]; returns (K,) time of the simulation [s].
     """
     times = np.asarray(time, dtype=np.float64)
     if times.ndim != 1:
@@ -87,22 +75,7 @@ def ecef_from_orbit(
 
     and the velocity is its derivative.
 
-    Parameters
-    ----------
-    radius, radius_rate : array_like
-        Geocentric distance r [m] and its rate [m/s], any shape S.
-    latitude_argument, latitude_argument_rate : array_like
-        Argument of latitude u [rad] and its rate [rad/s].
-    node, node_rate : array_like
-        Longitude of the ascending node from the Greenwich meridian [rad] and its rate, the
-        Earth's rotation included [rad/s].
-    inclination, inclination_rate : array_like
-        Inclination i [rad] and its rate [rad/s].
-
-    Returns
-    -------
-    SatelliteStates
-        (S, 3) position and velocity, ECEF [m], [m/s].
+    Returns (S, 3) position and velocity, ECEF [m], [m/s].
 
     Notes
     -----
@@ -139,22 +112,14 @@ class CircularConstellation:
         \Omega = \frac{2\pi\,(j \bmod M)}{M} - \omega_{ie} t, \qquad
         \omega = \sqrt{\mu / r^3}
 
-    Parameters
-    ----------
-    satellites : int
-        Number of satellites N, 1 to 99; their ids are "S01", "S02" and so on.
-    radius_m : float
-        Orbital radius r [m], above the Earth's surface.
-    inclination_deg : float
-        Inclination [deg], 0 to 180.
-    time_offset_s : float
-        Added to the time of the simulation [s]: another geometry over the same place.  It moves
-        the satellites and turns the Earth, while the offset of Groves' software moves the
-        satellites alone.
-    planes : int
-        Number of orbital planes M, 1 to 99.
-    prefix : str
-        One capital letter that the ids begin with.
+    - `satellites`: number of satellites N, 1 to 99; their ids are "S01", "S02" and so on;
+    - `radius_m`: orbital radius r [m], above the Earth's surface;
+    - `inclination_deg`: inclination [deg], 0 to 180;
+    - `time_offset_s`: added to the time of the simulation [s]: another geometry over the same
+      place.  It moves the satellites and turns the Earth, while the offset of Groves' software
+      moves the satellites alone;
+    - `planes`: number of orbital planes M, 1 to 99;
+    - `prefix`: one capital letter that the ids begin with.
     """
 
     satellites: int = 30
@@ -193,15 +158,8 @@ class CircularConstellation:
     def states(self, time: ArrayLike) -> SatelliteStates:
         """Positions and velocities of all satellites.
 
-        Parameters
-        ----------
-        time : array_like
-            (K,) time of the simulation [s].
-
-        Returns
-        -------
-        SatelliteStates
-            (K, N, 3) position and velocity, ECEF [m], [m/s].
+        `time` (K,) time of the simulation [s]; returns (K, N, 3) position and velocity, ECEF [m],
+        [m/s].
         """
         t = checked_time(time)[:, None] + self.time_offset_s
         j = np.arange(1, self.satellites + 1)
@@ -221,10 +179,7 @@ class CircularConstellation:
 class CombinedConstellation:
     """Several constellations as one, on one system time.
 
-    Parameters
-    ----------
-    parts : tuple of Constellation
-        With different satellite ids; a receiver hears them all, and has one clock for them.
+    `parts`: with different satellite ids; a receiver hears them all, and has one clock for them.
     """
 
     parts: tuple[Constellation, ...]
@@ -251,15 +206,8 @@ class CombinedConstellation:
     def states(self, time: ArrayLike) -> SatelliteStates:
         """Positions and velocities of all satellites.
 
-        Parameters
-        ----------
-        time : array_like
-            (K,) time of the simulation [s].
-
-        Returns
-        -------
-        SatelliteStates
-            (K, n, 3) position and velocity, ECEF [m], [m/s].
+        `time` (K,) time of the simulation [s]; returns (K, n, 3) position and velocity, ECEF [m],
+        [m/s].
         """
         states = [part.states(time) for part in self.parts]
         position, velocity = (np.concatenate(group, axis=1) for group in zip(*states, strict=True))

@@ -30,18 +30,11 @@ _PICARD_LIMIT = 100
 class Flight:
     """True motion of a vehicle, sampled with a uniform step from time 0.
 
-    Parameters
-    ----------
-    name : str
-        Name of the flight.
-    time : array_like
-        (N+1,) time [s], ``np.arange(N + 1) * step``.
-    position_e : array_like
-        (N+1, 3) antenna, ECEF [m]: the trapezoid integral of `velocity_e` from its first row.
-    velocity_e : array_like
-        (N+1, 3) velocity with respect to the Earth, ECEF [m/s].
-    C_eb : array_like
-        (N+1, 3, 3) attitude, to ECEF from body axes (forward, right, down).
+    - `time` (N+1,) time [s], ``np.arange(N + 1) * step``;
+    - `position_e` (N+1, 3) antenna, ECEF [m]: the trapezoid integral of `velocity_e` from its first
+      row;
+    - `velocity_e` (N+1, 3) velocity with respect to the Earth, ECEF [m/s];
+    - `C_eb` (N+1, 3, 3) attitude, to ECEF from body axes (forward, right, down).
 
     Notes
     -----
@@ -131,19 +124,8 @@ def integrate_velocity(
     .. math::
         r_{i+1} = r_i + \tfrac12 \Delta t\,(v_i + v_{i+1})
 
-    Parameters
-    ----------
-    start_e : array_like
-        (3,) first position, ECEF [m].
-    velocity_e : ndarray
-        (N+1, 3) velocity, ECEF [m/s].
-    step : float
-        Interval of the samples [s].
-
-    Returns
-    -------
-    ndarray
-        (N+1, 3) position, ECEF [m].
+    `start_e` (3,) first position, ECEF [m]; `velocity_e` (N+1, 3) velocity, ECEF [m/s]; `step`:
+    interval of the samples [s]; returns (N+1, 3) position, ECEF [m].
     """
     position = np.zeros_like(velocity_e)
     np.cumsum(0.5 * step * (velocity_e[:-1] + velocity_e[1:]), axis=0, out=position[1:])
@@ -160,17 +142,7 @@ def turned(flight: Flight, angle: float) -> Flight:
     with :math:`C_{en}` at the first position.  The Earth is no sphere, so that heights come out
     otherwise by decimetres over tens of kilometres.
 
-    Parameters
-    ----------
-    flight : Flight
-        Left as it is.
-    angle : float
-        Turn :math:`\psi`, clockwise seen from above [rad].
-
-    Returns
-    -------
-    Flight
-        From the same place.
+    `angle`: turn :math:`\psi`, clockwise seen from above [rad].
     """
     latitude, longitude, _ = ecef_to_geodetic(flight.position_e[0])
     C_en = dcm_e_from_n(latitude, longitude)
@@ -190,14 +162,8 @@ def check_closure(
 ) -> None:
     """Raise where positions stray from the integral of the velocities.
 
-    Parameters
-    ----------
-    position_e, closed_e : ndarray
-        (N+1, 3) given and integrated positions, ECEF [m].
-    step : float
-        Interval of the samples [s].
-    tolerance : float
-        Largest distance allowed [m].
+    `position_e`, `closed_e` (N+1, 3) given and integrated positions, ECEF [m]; `step`: interval of
+    the samples [s]; `tolerance`: largest distance allowed [m].
     """
     distance = np.linalg.norm(position_e - closed_e, axis=1)
     worst = int(distance.argmax())
@@ -225,25 +191,10 @@ def flight_from_geodetic(
     The positions turn velocity and attitude to ECEF axes; of them, only the first one is kept
     as it is, and the others follow from the velocities.
 
-    Parameters
-    ----------
-    name : str
-        Name of the flight.
-    latitude, longitude, height : array_like
-        (N+1,) geodetic position [rad, rad, m].
-    velocity_n : array_like
-        (N+1, 3) velocity with respect to the Earth, north-east-down [m/s].
-    roll, pitch, yaw : array_like
-        (N+1,) attitude [rad].
-    step : float
-        Interval of the samples [s].
-    tolerance : float
-        Largest distance between given and integrated position [m].
-
-    Returns
-    -------
-    Flight
-        Its time is ``np.arange(N + 1) * step``.
+    `latitude`, `longitude`, `height` (N+1,) geodetic position [rad, rad, m]; `velocity_n` (N+1, 3)
+    velocity with respect to the Earth, north-east-down [m/s]; `roll`, `pitch`, `yaw` (N+1,)
+    attitude [rad]; `step`: interval of the samples [s]; `tolerance`: largest distance between given
+    and integrated position [m].
     """
     given = geodetic_to_ecef(latitude, longitude, height)
     C_en = dcm_e_from_n(latitude, longitude)
@@ -271,23 +222,9 @@ def flight_from_velocity(
     Solves :math:`\dot r = C_{en}(r)\,v_n` by Picard's iteration, each of whose passes integrates
     by trapezoids.
 
-    Parameters
-    ----------
-    name : str
-        Name of the flight.
-    latitude, longitude, height : float
-        Start [rad, rad, m].
-    velocity_n : array_like
-        (N+1, 3) velocity with respect to the Earth, north-east-down [m/s].
-    roll, pitch, yaw : array_like
-        (N+1,) attitude [rad].
-    step : float
-        Interval of the samples [s].
-
-    Returns
-    -------
-    Flight
-        Its time is ``np.arange(N + 1) * step``.
+    `latitude`, `longitude`, `height`: start [rad, rad, m]; `velocity_n` (N+1, 3) velocity with
+    respect to the Earth, north-east-down [m/s]; `roll`, `pitch`, `yaw` (N+1,) attitude [rad];
+    `step`: interval of the samples [s].
     """
     velocity_n = np.asarray(velocity_n, dtype=np.float64)
     start = geodetic_to_ecef(latitude, longitude, height)

@@ -27,18 +27,9 @@ class GnssErrors:
     receiver takes range rates from the carrier, so that the derivative of the code error, which
     would not even be finite, is no part of them: their error is white noise of its own.
 
-    Parameters
-    ----------
-    code_sd_m, range_rate_sd_mps : float
-        White noise of pseudoranges and range rates.
-    signal_in_space_sd_m, zenith_iono_sd_m, zenith_tropo_sd_m : float
-        Constant part.
-    correlated_sd_m : float
-        Wandering part of the pseudoranges; 0 for none.
-    correlation_s : float
-        Time in which its correlation falls to 1/e, above 0.
-    clock : ReceiverClock
-        The receiver's own clock.
+    - `code_sd_m`, `range_rate_sd_mps`: white noise of pseudoranges and range rates;
+    - `correlated_sd_m`: wandering part of the pseudoranges; 0 for none;
+    - `correlation_s`: time in which its correlation falls to 1/e, above 0.
 
     Notes
     -----
@@ -66,15 +57,7 @@ class GnssErrors:
     def bias_sd(self, elevation: NDArray[np.float64]) -> NDArray[np.float64]:
         """Standard deviation of the constant biases.
 
-        Parameters
-        ----------
-        elevation : ndarray
-            Elevation of the satellites, any shape [rad].
-
-        Returns
-        -------
-        ndarray
-            Of the same shape [m].
+        `elevation`: elevation of the satellites, any shape [rad]; returns the same shape [m].
         """
         cos2 = np.cos(elevation) ** 2
         return np.sqrt(

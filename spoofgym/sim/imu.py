@@ -29,20 +29,11 @@ Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float
 class ImuGrade(NamedTuple):
     """Errors of one grade of inertial sensors, in the units of data sheets.
 
-    Attributes
-    ----------
-    attitude_error_deg : tuple of float
-        Initial error of the attitude about north, east, down [deg].
-    accel_bias_ug, gyro_bias_deg_per_h : tuple of float
-        Constant biases, body x, y, z.
-    accel_matrix_ppm, gyro_matrix_ppm : tuple of tuple of float
-        Scale-factor and cross-coupling errors, row by row.
-    gyro_g_dependence : tuple of tuple of float
-        g-dependent gyro bias, row by row [deg/h/g].
-    accel_noise_ug_per_rthz, gyro_noise_deg_per_rth : float
-        Root power spectral densities.
-    accel_quantization, gyro_quantization : float
-        Quantization levels [m/s^2], [rad/s].
+    - `attitude_error_deg`: initial error of the attitude about north, east, down [deg];
+    - `accel_bias_ug`, `gyro_bias_deg_per_h`: constant biases, body x, y, z;
+    - `accel_matrix_ppm`, `gyro_matrix_ppm`: scale-factor and cross-coupling errors, row by row;
+    - `gyro_g_dependence`: g-dependent gyro bias, row by row [deg/h/g];
+    - `accel_quantization`, `gyro_quantization`: quantization levels [m/s^2], [rad/s].
     """
 
     attitude_error_deg: tuple[float, float, float]
@@ -163,20 +154,9 @@ def sense(
 
     .. math:: x_i = b + m^T (f_i, w_i) + \sqrt{S / \Delta t_i} \, n_i
 
-    Parameters
-    ----------
-    truth : tuple of 6 ndarrays
-        (S,) each: true specific force and angular rate.
-    noise : ndarray
-        (S,) standard normal deviates n.
-    root_rate : ndarray
-        (S,) one over the square root of the length of the samples [Hz^0.5].
-    row : tuple of 6 floats
-        What the sensor makes of the six true components, m.
-    bias, root_psd : float
-        Of the sensor, SI.
-    out : ndarray
-        (S,), written.
+    `truth` (S,) each: true specific force and angular rate; `noise` (S,) standard normal deviates
+    n; `root_rate` (S,) one over the square root of the length of the samples [Hz^0.5]; `out` (S,),
+    written.
     """
     f0, f1, f2, w0, w1, w2 = truth
     for i in range(out.shape[0]):
@@ -199,16 +179,9 @@ def quantize(
         - \left\lfloor \tfrac{c_{i-1}}{q} + \tfrac12 \right\rfloor\right), \qquad
         c_i = r_0 + \sum_{j \le i} x_j
 
-    Parameters
-    ----------
-    samples : ndarray
-        (6, S or more) specific force and angular rate, overwritten.
-    count : int
-        S.
-    accel_level, gyro_level : float
-        q [m/s^2], [rad/s]; 0 for no quantization.
-    residual : ndarray
-        (6,) r, carried from the last interval to the next.
+    `samples` (6, S or more) specific force and angular rate, overwritten; `accel_level`,
+    `gyro_level`: q [m/s^2], [rad/s]; 0 for no quantization; `residual` (6,) r, carried from the
+    last interval to the next.
     """
     s0, s1, s2, s3, s4, s5 = samples[0], samples[1], samples[2], samples[3], samples[4], samples[5]
     c0, c1, c2, c3, c4, c5 = (

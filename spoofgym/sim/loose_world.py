@@ -36,18 +36,11 @@ class InertialErrors:
 
     All are standard deviations of what is drawn anew for every episode, except for the noise.
 
-    Parameters
-    ----------
-    gyro_noise_deg_per_rth, accel_noise_ug_per_rthz : float
-        Root power spectral densities.
-    gyro_bias_deg_per_h, accel_bias_ug : float
-        Turn-on biases of every axis.
-    tilt_arcsec, heading_arcsec : float
-        Initial attitude about the two horizontal axes, and about the vertical one.
-    velocity_mps : float
-        Initial velocity of every axis.
-    horizontal_m, vertical_m : float
-        Initial position to the east and north, and upwards.
+    - `gyro_bias_deg_per_h`, `accel_bias_ug`: turn-on biases of every axis;
+    - `tilt_arcsec`, `heading_arcsec`: initial attitude about the two horizontal axes, and about the
+      vertical one;
+    - `velocity_mps`: initial velocity of every axis;
+    - `horizontal_m`, `vertical_m`: initial position to the east and north, and upwards.
 
     Notes
     -----
@@ -97,22 +90,11 @@ class InertialErrors:
 class LooseWorld:
     """Truth at every inertial sample and at every GNSS epoch.
 
-    Parameters
-    ----------
-    name : str
-        Of the flight.
-    interval_s : float
-        Between epochs.
-    imu_interval_s : float
-        Between samples; an epoch has a whole number of them.
-    run : ndarray
-        (N, 6) true specific force [m/s^2] and angular rate [rad/s], body axes.
-    position_e, velocity_e : ndarray
-        (K, 3) true antenna at the epochs, ECEF [m], [m/s].
-    C_eb : ndarray
-        (K, 3, 3) true attitude.
-    C_el : ndarray
-        (K, 3, 3) to ECEF from local east-north-up axes.
+    - `imu_interval_s`: between samples; an epoch has a whole number of them;
+    - `run` (N, 6) true specific force [m/s^2] and angular rate [rad/s], body axes;
+    - `position_e`, `velocity_e` (K, 3) true antenna at the epochs, ECEF [m], [m/s];
+    - `C_eb` (K, 3, 3) true attitude;
+    - `C_el` (K, 3, 3) to ECEF from local east-north-up axes.
     """
 
     name: str
@@ -136,25 +118,7 @@ class LooseWorld:
 
 
 def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
-    """World of a trajectory.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Motion and true inertial samples.
-    interval_s : float
-        Between GNSS epochs.
-
-    Returns
-    -------
-    LooseWorld
-        Shared by all receivers.
-
-    Raises
-    ------
-    ValueError
-        When an epoch does not have a whole number of samples.
-    """
+    """World of a trajectory."""
     step = trajectory.step
     each = round(interval_s / step)
     if each < 1 or abs(each * step - interval_s) > _GRID:
@@ -178,20 +142,7 @@ def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
 
 @lru_cache(maxsize=4)
 def flown_world(flight: str, interval_s: float) -> LooseWorld:
-    """World of a ready-made flight.
-
-    Parameters
-    ----------
-    flight : str
-        A name in `FLIGHTS`.
-    interval_s : float
-        Between GNSS epochs.
-
-    Returns
-    -------
-    LooseWorld
-        The same object for the same arguments.
-    """
+    """World of a ready-made flight."""
     check_choice("flight", flight, FLIGHTS)
     return loose_world(inverse_kinematics(FLIGHTS[flight]()), interval_s)
 
@@ -207,18 +158,10 @@ def first_errors(
 ) -> None:
     """Draw what an episode begins with.
 
-    Parameters
-    ----------
-    keys : ndarray
-        (B, 3, 2) key of every source.
-    initial_sd, position_sd : ndarray
-        (15,) and (3,), of the state and of the position by GNSS.
-    deviates : ndarray
-        (64,) scratch memory.
-    initial : ndarray
-        (B, 15), written: errors of the first estimate, then sensor biases.
-    error : ndarray
-        (B, 3), written: errors of the position by GNSS, east, north, up [m].
+    `keys` (B, 3, 2) key of every source; `initial_sd`, `position_sd` (15,) and (3,), of the state
+    and of the GNSS position; `deviates` (64,) scratch memory; `initial` (B, 15), written: errors
+    of the first estimate, then sensor biases; `error` (B, 3), written: GNSS position errors, east,
+    north, up [m].
     """
     for b in range(keys.shape[0]):
         normals(keys[b, INITIAL, 0], keys[b, INITIAL, 1], 0, deviates)
@@ -248,34 +191,13 @@ def measure(
 ) -> None:
     """Move every receiver to its next epoch and measure everything on the way.
 
-    Parameters
-    ----------
-    keys : ndarray
-        (B, 3, 2) key of every source.
-    epoch : ndarray
-        (B,) that each receiver is at; advanced.
-    run, position_e, C_el : ndarray
-        Of `LooseWorld`.
-    interval : float
-        Length of a sample [s].
-    noise : ndarray
-        (2,) root PSD of accelerometers and gyros.
-    bias : ndarray
-        (B, 6) of gyros [rad/s] and accelerometers [m/s^2].
-    decay : float
-        Of the position errors.
-    position_sd : ndarray
-        (3,) of the position errors [m].
-    displacement : ndarray
-        (B, 3) what the attack adds to the position, east, north, up [m].
-    deviates : ndarray
-        (P,) scratch memory, P a multiple of 64 and at least 6 times the samples of an epoch.
-    error : ndarray
-        (B, 3) errors of the position by GNSS [m]; advanced.
-    samples : ndarray
-        (B, S, 6), written: measured specific force and angular rate, body axes.
-    fix_e : ndarray
-        (B, 3), written: position by GNSS, ECEF [m].
+    `keys` (B, 3, 2) key of every source; `epoch` (B,) that each receiver is at; advanced; `noise`
+    (2,) root PSD of accelerometers and gyros; `bias` (B, 6) of gyros [rad/s] and accelerometers
+    [m/s^2]; `position_sd` (3,) of the position errors [m]; `displacement` (B, 3) what the attack
+    adds to the position, east, north, up [m]; `deviates` (P,) scratch memory, P a multiple of 64
+    and at least 6 times the samples of an epoch; `error` (B, 3) errors of the GNSS position [m];
+    advanced; `samples` (B, S, 6), written: measured specific force and angular rate, body axes;
+    `fix_e` (B, 3), written: GNSS position, ECEF [m].
     """
     count = samples.shape[1]
     root = 1.0 / math.sqrt(interval)

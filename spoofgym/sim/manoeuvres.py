@@ -40,13 +40,7 @@ class Manoeuvre(Protocol):
 
 @dataclass(frozen=True)
 class Straight:
-    """Straight and level motion for a while.
-
-    Parameters
-    ----------
-    duration_s : float
-        Duration [s].
-    """
+    """Straight and level motion for a while.  `duration_s`: duration [s]."""
 
     axis: ClassVar[Axis] = "none"
     duration_s: float
@@ -64,10 +58,7 @@ class Straight:
 class Until:
     """Straight and level motion until a time of the flight.
 
-    Parameters
-    ----------
-    time_s : float
-        Time since the start of the flight [s].
+    `time_s`: time since the start of the flight [s].
     """
 
     axis: ClassVar[Axis] = "none"
@@ -128,14 +119,9 @@ class Turn:
 class Steer:
     """A turn on wheels, without bank.
 
-    Parameters
-    ----------
-    angle_deg : float
-        Change of heading [deg], positive to the right.
-    rate_degps : float
-        Largest turn rate [deg/s], positive in either direction.
-    ramp_s : float
-        Time to turn the wheel in and back [s].
+    - `angle_deg`: change of heading [deg], positive to the right;
+    - `rate_degps`: largest turn rate [deg/s], positive in either direction;
+    - `ramp_s`: time to turn the wheel in and back [s].
     """
 
     axis: ClassVar[Axis] = "steer"
@@ -159,15 +145,10 @@ class Steer:
 class Climb:
     """A change of height at constant speed along the path.
 
-    Parameters
-    ----------
-    height_m : float
-        Change of height [m], negative to descend.
-    rate_mps : float
-        Largest vertical speed [m/s], positive in either direction.
-    ramp_s : float
-        Time to pull up and to level off [s]; the change of the normal acceleration stays below
-        about rate pi / (2 ramp).
+    - `height_m`: change of height [m], negative to descend;
+    - `rate_mps`: largest vertical speed [m/s], positive in either direction;
+    - `ramp_s`: time to pull up and to level off [s]; the change of the normal acceleration stays
+      below about rate pi / (2 ramp).
     """
 
     axis: ClassVar[Axis] = "climb"
@@ -196,14 +177,9 @@ class Climb:
 class Accelerate:
     """A change of speed on a straight and level path.
 
-    Parameters
-    ----------
-    change_mps : float
-        Change of speed [m/s], negative to slow down.
-    acceleration_mps2 : float
-        Largest acceleration [m/s^2], positive in either direction.
-    ramp_s : float
-        Time for the acceleration to set in and to cease [s].
+    - `change_mps`: change of speed [m/s], negative to slow down;
+    - `acceleration_mps2`: largest acceleration [m/s^2], positive in either direction;
+    - `ramp_s`: time for the acceleration to set in and to cease [s].
     """
 
     axis: ClassVar[Axis] = "speed"
@@ -240,25 +216,10 @@ def fly(
 ) -> Flight:
     """Flight that carries out manoeuvres one after the other.
 
-    Parameters
-    ----------
-    manoeuvres : sequence
-        Manoeuvres in the order of time.
-    latitude_deg, longitude_deg, height_m : float
-        Start: geodetic latitude and longitude [deg], height above the ellipsoid [m].
-    speed_mps : float
-        Speed at the start, along the path [m/s].
-    heading_deg : float
-        Heading at the start, clockwise from north [deg].
-    rate_hz : float
-        Samples a second [Hz].
-    name : str
-        Name of the flight.
-
-    Returns
-    -------
-    Flight
-        From 0 to the last sample within the manoeuvres.
+    `manoeuvres`: manoeuvres in the order of time; `latitude_deg`, `longitude_deg`, `height_m`:
+    start: geodetic latitude and longitude [deg], height above the ellipsoid [m]; `speed_mps`: speed
+    at the start, along the path [m/s]; `heading_deg`: heading at the start, clockwise from north
+    [deg]; `rate_hz`: samples a second [Hz].
     """
     _check_between("latitude_deg", latitude_deg, -90.0, 90.0)
     _check_finite("longitude_deg", longitude_deg)
@@ -341,11 +302,6 @@ def zhong2025() -> Flight:
 
     Its own equivalent of the aircraft profile of Groves' software: the manoeuvres lie on the
     same middles in time, with smooth edges where the profile's bank has steps.
-
-    Returns
-    -------
-    Flight
-        41,801 states at 100 Hz.
     """
     return fly(
         [
@@ -371,11 +327,6 @@ def car() -> Flight:
 
     From a standstill to 20 m/s northwards, right by 90 deg, up a ramp, left by 90 deg, and to a
     stop.
-
-    Returns
-    -------
-    Flight
-        6001 states at 100 Hz.
     """
     return fly(
         [
@@ -404,11 +355,6 @@ def ke2022() -> Flight:
 
     The paper tells the duration, the speed, the two turns and that there are climbs; when they
     come is not told.  Here one climb lies before the attack at 350 to 550 s and one after it.
-
-    Returns
-    -------
-    Flight
-        74,601 states at 100 Hz.
     """
     return fly(
         [
@@ -437,11 +383,6 @@ def shadmehri2025() -> Flight:
     The paper takes a recorded flight that it does not name, and tells these two velocities and
     the rate of the inertial sensors, 160 Hz.  Here the manoeuvres are mild: 6 deg to the right, a
     climb of 30 m, and 6 deg back, which ends after the paper's onset at 20 s.
-
-    Returns
-    -------
-    Flight
-        9,601 states at 160 Hz.
     """
     return fly(
         [
@@ -466,11 +407,6 @@ def airway() -> Flight:
 
     No paper's flight: for attacks of half an hour.  Turns are of 20 to 40 deg at standard rate or
     less, levels change by 1000 ft and 2000 ft.
-
-    Returns
-    -------
-    Flight
-        240,001 states at 100 Hz.
     """
     legs: list[Manoeuvre] = []
     for k, (turn, climb) in enumerate(

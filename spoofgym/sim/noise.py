@@ -46,18 +46,6 @@ def threefry(
 ) -> tuple[np.uint64, np.uint64]:
     """Threefry-2x64-20: 128 random bits of a counter under a key.
 
-    Parameters
-    ----------
-    x, y : uint64
-        The counter.
-    k0, k1 : uint64
-        The key.
-
-    Returns
-    -------
-    x, y : uint64
-        Random words.
-
     Notes
     -----
     Salmon et al. (2011), section 3.3.  The rounds are written out, since compilers vectorize only
@@ -100,16 +88,6 @@ def natural_log(x: float) -> float:
     With :math:`x = 2^e m`, :math:`m \in [\sqrt{1/2}, \sqrt2)` and :math:`s = (m - 1)/(m + 1)`,
 
     .. math:: \ln x = e \ln 2 + 2 \sum_{k=0}^{8} \frac{s^{2k + 1}}{2k + 1}
-
-    Parameters
-    ----------
-    x : float
-        Positive, not denormal.
-
-    Returns
-    -------
-    float
-        ln x.
     """
     bits = np.float64(x).view(np.int64)
     e = float(bits >> np.int64(52)) - 1023.0
@@ -132,16 +110,6 @@ def normal_pair(word: np.uint64) -> tuple[float, float]:
     .. math:: \sqrt{-2 \ln u} \, (\cos 2\pi v, \sin 2\pi v)
 
     with u and v uniform on the middles of 2^32 intervals of (0, 1).
-
-    Parameters
-    ----------
-    word : uint64
-        Random bits.
-
-    Returns
-    -------
-    a, b : float
-        At most 6.8 in size.
 
     Notes
     -----
@@ -170,14 +138,7 @@ def normal_pair(word: np.uint64) -> tuple[float, float]:
 def normals(k0: np.uint64, k1: np.uint64, epoch: int, out: NDArray[np.float64]) -> None:
     """Fill an array with the standard normal deviates of one epoch.
 
-    Parameters
-    ----------
-    k0, k1 : uint64
-        Key of one source, receiver and episode.
-    epoch : int
-        Number of the epoch.
-    out : ndarray
-        (N,), N a multiple of `BLOCK`, written.
+    `out` (N,), N a multiple of `BLOCK`, written.
     """
     n = out.shape[0] // 4
     for q in range(n):
@@ -191,16 +152,5 @@ def normals(k0: np.uint64, k1: np.uint64, epoch: int, out: NDArray[np.float64]) 
 
 
 def padded(count: int) -> int:
-    """Smallest multiple of `BLOCK` that holds `count` deviates.
-
-    Parameters
-    ----------
-    count : int
-        How many are needed.
-
-    Returns
-    -------
-    int
-        Length of the array for `normals`.
-    """
+    """Smallest multiple of `BLOCK` that holds `count` deviates."""
     return -(-count // BLOCK) * BLOCK

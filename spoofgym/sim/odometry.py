@@ -49,18 +49,10 @@ MOST_SAMPLES = BLOCK
 class Odometer:
     """Encoders and heading.
 
-    Parameters
-    ----------
-    counts_per_turn : int
-        L, at least 1.
-    wheel_radius_m, wheel_base_m : float
-        Radius of the wheels and distance between them, above 0.
-    sample_interval_s : float
-        Time between samples, above 0.
-    hard_iron_deg : float
-        A, largest error of the heading by iron, -45 to 45.
-    yaw_noise_deg : float
-        White noise of the heading at every sample, at least 0.
+    - `wheel_radius_m`, `wheel_base_m`: radius of the wheels and distance between them, above 0;
+    - `sample_interval_s`: time between samples, above 0;
+    - `hard_iron_deg`: A, largest error of the heading by iron, -45 to 45;
+    - `yaw_noise_deg`: white noise of the heading at every sample, at least 0.
     """
 
     counts_per_turn: int = 495
@@ -93,14 +85,7 @@ class Odometer:
 class FixErrors:
     """Errors of a position by GNSS, alike in north and east.
 
-    Parameters
-    ----------
-    correlated_sd_m : float
-        Gauss-Markov part.
-    correlation_time_s : float
-        Its time constant, above 0.
-    white_sd_m : float
-        White noise at every fix.
+    `correlation_time_s`: its time constant, above 0; `white_sd_m`: white noise at every fix.
     """
 
     correlated_sd_m: float = 1.0
@@ -117,18 +102,7 @@ class FixErrors:
                 raise ValueError(f"`{item.name}` must be finite and {sign} 0, got {value}")
 
     def decay(self, interval_s: float) -> float:
-        """What is left of the correlated part after an interval.
-
-        Parameters
-        ----------
-        interval_s : float
-            Time between fixes.
-
-        Returns
-        -------
-        float
-            In (0, 1).
-        """
+        """What is left of the correlated part after an interval, in (0, 1)."""
         return math.exp(-interval_s / self.correlation_time_s)
 
 
@@ -137,17 +111,9 @@ def draw_keys(
 ) -> tuple[NDArray[np.uint64], FloatArray]:
     """Keys of all noise of new episodes.
 
-    Parameters
-    ----------
-    rngs : sequence of Generator
-        One per receiver; one child is spawned of each.
-
-    Returns
-    -------
-    keys : ndarray
-        (B, 2, 2) of each of `SOURCES`.
-    phase : ndarray
-        (B, 2) part of a count at which the left and the right encoder begin, in [0, 1).
+    `rngs`: one per receiver; one child is spawned of each; returns `keys` (B, 2, 2) of each of
+    `SOURCES`; `phase` (B, 2) part of a count at which the left and the right encoder begin, in [0,
+    1).
     """
     words = 2 * len(SOURCES)
     keys = np.empty((len(rngs), len(SOURCES), 2), dtype=np.uint64)
@@ -178,28 +144,11 @@ def measure_odometry(
 ) -> None:
     """Dead reckoning since the last epoch.
 
-    Parameters
-    ----------
-    keys : ndarray
-        (B, 2, 2), as `draw_keys` gives them.
-    epoch : ndarray
-        (B,) the epoch that is measured.
-    left, right, yaw : ndarray
-        (N+1,) way of the wheels [m] and true heading [rad] at every sample.
-    samples : int
-        Samples of an epoch, at most `MOST_SAMPLES`.
-    count_m : float
-        Way of a count [m].
-    hard_iron, yaw_sd : float
-        A and the noise of the heading [rad].
-    phase : ndarray
-        (B, 2) phases of the encoders.
-    noise : ndarray
-        (`BLOCK`,), work space.
-    last_yaw : ndarray
-        (B,) measured heading of the last sample [rad], overwritten.
-    increment : ndarray
-        (B, 2) north and east [m], written; 0 at epoch 0.
+    `keys` (B, 2, 2), as `draw_keys` gives them; `epoch` (B,) the epoch that is measured; `left`,
+    `right`, `yaw` (N+1,) way of the wheels [m] and true heading [rad] at every sample; `phase`
+    (B, 2) phases of the encoders; `noise` (`BLOCK`,), work space; `last_yaw` (B,) measured heading
+    of the last sample [rad], overwritten; `increment` (B, 2) north and east [m], written; 0 at
+    epoch 0.
     """
     for b in range(epoch.shape[0]):
         k = epoch[b]
@@ -243,26 +192,11 @@ def measure_fix(
     .. math:: g_k = p_k + c_k + w_k + d_k, \qquad
         c_k = \beta c_{k-1} + \sqrt{1 - \beta^2} \, \sigma_c \, \epsilon_k
 
-    Parameters
-    ----------
-    keys : ndarray
-        (B, 2, 2), as `draw_keys` gives them.
-    epoch : ndarray
-        (B,) the epoch that is measured.
-    position_ne : ndarray
-        (K, 2) true position at every epoch [m].
-    available : ndarray
-        (K,) whether there is a fix at all.
-    correlated_sd, decay, white_sd : float
-        Of `FixErrors` [m], beta, [m].
-    offset : ndarray
-        (B, 2) what the spoofer adds [m].
-    noise : ndarray
-        (`BLOCK`,), work space.
-    correlated : ndarray
-        (B, 2) Gauss-Markov error [m], overwritten.
-    fix : ndarray
-        (B, 2) north and east [m], written; NaN where there is none.
+    `keys` (B, 2, 2), as `draw_keys` gives them; `epoch` (B,) the epoch that is measured;
+    `position_ne` (K, 2) true position at every epoch [m]; `available` (K,) whether there is a fix
+    at all; `offset` (B, 2) what the spoofer adds [m]; `noise` (`BLOCK`,), work space; `correlated`
+    (B, 2) Gauss-Markov error [m], overwritten; `fix` (B, 2) north and east [m], written; NaN where
+    there is none.
     """
     drive = math.sqrt(1.0 - decay * decay)
     for b in range(epoch.shape[0]):

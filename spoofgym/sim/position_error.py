@@ -24,15 +24,10 @@ class PositionErrors:
     .. math:: e_k = \beta e_{k-1} + \sigma \sqrt{1 - \beta^2} \, n_k, \qquad
         e_0 = \sigma n_0, \qquad n_k \sim N(0, 1)
 
-    Parameters
-    ----------
-    horizontal_sd_m : float
-        Standard deviation of the errors to the east and to the north [m].
-    vertical_sd_m : float
-        Standard deviation of the error upwards [m].
-    decay : float
-        :math:`\beta`, correlation of one epoch's error with the next one's, in [0, 1); 0 for white
-        noise.
+    - `horizontal_sd_m`: standard deviation of the errors to the east and to the north [m];
+    - `vertical_sd_m`: standard deviation of the error upwards [m];
+    - `decay`: :math:`\beta`, correlation of one epoch's error with the next one's, in [0, 1); 0 for
+      white noise.
 
     Notes
     -----
@@ -65,20 +60,7 @@ def gauss_markov_step(error: float, decay: float, sd: float, deviate: float) -> 
 
     .. math:: e_k = \beta e_{k-1} + \sigma \sqrt{1 - \beta^2} \, n_k
 
-    Parameters
-    ----------
-    error : float
-        Last error [m].
-    decay : float
-        Beta.
-    sd : float
-        Standard deviation sigma, the same at all epochs [m].
-    deviate : float
-        Standard normal n.
-
-    Returns
-    -------
-    float
-        The error [m].
+    `error`: last error [m]; `sd`: standard deviation sigma, the same at all epochs [m]; returns the
+    error [m].
     """
     return decay * error + sd * math.sqrt(1.0 - decay * decay) * deviate

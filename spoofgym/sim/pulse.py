@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 class Pulse:
     """A rate that rises, holds and falls, with raised-cosine edges.
 
-    Parameters
-    ----------
-    peak : float
-        Rate while it holds.
-    ramp : float
-        Duration of each edge [s].
-    hold : float
-        Duration between them [s].
+    `ramp`: duration of each edge [s]; `hold`: duration between them [s].
     """
 
     peak: float
@@ -30,19 +23,7 @@ class Pulse:
     def of_area(cls, area: float, peak: float, ramp: float) -> Pulse:
         """Pulse of a given integral; its peak is lowered when the edges alone are too much.
 
-        Parameters
-        ----------
-        area : float
-            Integral of the rate, signed.
-        peak : float
-            Largest rate, positive.
-        ramp : float
-            Duration of each edge [s].
-
-        Returns
-        -------
-        Pulse
-            Its peak (ramp + hold) equals the area.
+        `ramp`: duration of each edge [s].
         """
         hold = max(0.0, abs(area) / peak - ramp)
         return cls(area / (ramp + hold), ramp, hold)

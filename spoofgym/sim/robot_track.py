@@ -22,16 +22,10 @@ MOST_SPEED = 100.0
 class RobotTrack:
     """Truth at every sample of the encoders; sample 0 is at time zero.
 
-    Parameters
-    ----------
-    time : ndarray
-        (N+1,) [s].
-    position_ne, velocity_ne : ndarray
-        (N+1, 2) north and east of the start [m], [m/s].
-    yaw : ndarray
-        (N+1,) heading, clockwise from north, not wrapped [rad].
-    distance : ndarray
-        (N+1,) travelled by the middle of the axle [m].
+    - `time` (N+1,) [s];
+    - `position_ne`, `velocity_ne` (N+1, 2) north and east of the start [m], [m/s];
+    - `yaw` (N+1,) heading, clockwise from north, not wrapped [rad];
+    - `distance` (N+1,) travelled by the middle of the axle [m].
     """
 
     time: FloatArray
@@ -43,15 +37,8 @@ class RobotTrack:
     def wheels(self, wheel_base: float) -> tuple[FloatArray, FloatArray]:
         """Distance that the left and the right wheel have rolled.
 
-        Parameters
-        ----------
-        wheel_base : float
-            Distance between the wheels [m].
-
-        Returns
-        -------
-        left, right : ndarray
-            (N+1,) [m]; the left wheel is the outer one of a turn to the right.
+        `wheel_base`: distance between the wheels [m]; returns `left`, `right` (N+1,) [m]; the left
+        wheel is the outer one of a turn to the right.
         """
         turned = 0.5 * wheel_base * (self.yaw - self.yaw[0])
         return self.distance + turned, self.distance - turned
@@ -61,17 +48,11 @@ class RobotTrack:
 class RobotLoop:
     """A rectangular course.
 
-    Parameters
-    ----------
-    length_m, width_m : float
-        Sides; the first one that is driven is a long one.
-    corner_radius_m : float
-        Radius of the corners, above 0 and at most half the shorter side; the paper does not tell
-        how its robot turns.
-    heading_deg : float
-        Of the first side, clockwise from north.
-    speed_mps : float
-        0 for a robot that stands.
+    - `length_m`, `width_m`: sides; the first one that is driven is a long one;
+    - `corner_radius_m`: radius of the corners, above 0 and at most half the shorter side; the paper
+      does not say how its robot turns;
+    - `heading_deg`: of the first side, clockwise from north;
+    - `speed_mps`: 0 for a robot at rest.
     """
 
     length_m: float = 13.4
@@ -114,18 +95,6 @@ class RobotLoop:
 
         .. math:: \Delta p = s (\cos\psi, \sin\psi), \qquad
             \Delta p = r (\sin\psi' - \sin\psi, \cos\psi - \cos\psi'), \quad \psi' = \psi + s / r
-
-        Parameters
-        ----------
-        samples : int
-            N.
-        interval_s : float
-            Time between samples.
-
-        Returns
-        -------
-        RobotTrack
-            N + 1 samples.
         """
         lengths, turns = self._pieces()
         time: FloatArray = np.arange(samples + 1, dtype=np.float64) * interval_s

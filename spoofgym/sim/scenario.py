@@ -27,26 +27,9 @@ from .world import CHANNELS, MASK_DEG, World, build_world
 class Scenario:
     """The authentic world of an episode, as a recipe.
 
-    Parameters
-    ----------
-    name : str
-        For results.
-    flight : str or Flight
-        A name in `FLIGHTS`, or a flight.
-    errors : str or GnssErrors
-        A name in `ERRORS`, or errors.
-    imu : str
-        A name in `IMU_GRADES`.
-    constellation : Constellation
-        Satellites.
-    epoch_interval_s : float
-        Time between GNSS epochs.
-    channels : int
-        Slots for satellites.
-    mask_deg : float
-        Elevation mask.
-    turned_deg : float
-        Turn of the whole flight about the vertical where it begins, clockwise.
+    - `flight`: a name in `FLIGHTS`, or a flight;
+    - `errors`: a name in `ERRORS`, or errors;
+    - `turned_deg`: turn of the whole flight about the vertical where it begins, clockwise.
     """
 
     name: str = "custom"
@@ -80,13 +63,7 @@ class Scenario:
         return IMU_GRADES[self.imu]
 
     def world(self) -> World:
-        """Compute the truth; the last few named flights are remembered.
-
-        Returns
-        -------
-        World
-            All truth of the run.
-        """
+        """Compute the truth; the last few named flights are remembered."""
         constellation = self.constellation
         if isinstance(self.flight, str) and _is_analytic(constellation):
             return _named_world(
@@ -182,24 +159,6 @@ biases of its errors and without."""
 
 def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
     """Scenario by name, or by name with some settings replaced.
-
-    Parameters
-    ----------
-    spec : str, mapping or Scenario
-        A name in `SCENARIOS`; ``{"name": ..., "setting": value, ...}``, ``"zhong2025"`` without a
-        name; or a scenario, which is returned as it is.
-
-    Returns
-    -------
-    Scenario
-        The recipe.
-
-    Raises
-    ------
-    ValueError
-        When the name or a setting is unknown; the valid ones are listed.
-    TypeError
-        When `spec` is something else.
 
     Examples
     --------

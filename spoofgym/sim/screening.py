@@ -23,14 +23,8 @@ DUPLICATE_RTOL = 1e-10
 class Rejection(NamedTuple):
     """A record that its neighbours contradict.
 
-    Attributes
-    ----------
-    satellite_id : str
-        Its satellite.
-    time_of_ephemeris : float
-        Its reference time, GPS seconds [s].
-    disagreement : float
-        Distance to the position by the neighbour that it contradicts least [m].
+    `time_of_ephemeris`: its reference time, GPS seconds [s]; `disagreement`: distance to the
+    position by the neighbour that it contradicts least [m].
     """
 
     satellite_id: str
@@ -42,20 +36,11 @@ class Rejection(NamedTuple):
 class ScreeningReport:
     """What `screen` found.
 
-    Parameters
-    ----------
-    records : int
-        Records given.
-    duplicates : int
-        Copies dropped.
-    unhealthy : int
-        Records that are marked unhealthy, copies not counted; they are kept.
-    rejections : tuple of Rejection
-        Records rejected, by satellite and time.
-    unchecked : int
-        Records kept without a neighbour near enough to compare with.
-    unresolved : int
-        Pairs of neighbours that were kept although they disagree: nothing tells which is wrong.
+    - `unhealthy`: records that are marked unhealthy, copies not counted; they are kept;
+    - `rejections`: records rejected, by satellite and time;
+    - `unchecked`: records kept without a neighbour near enough to compare with;
+    - `unresolved`: pairs of neighbours that were kept although they disagree: it is not known which
+      is wrong.
     """
 
     records: int
@@ -85,18 +70,6 @@ def screen(ephemerides: Ephemerides) -> tuple[Ephemerides, ScreeningReport]:
     3. Everything else stays: a record without neighbours (`unchecked`), and a pair that disagrees
        with no third record to decide (`unresolved`).  Records that are wrong in the same way
        confirm each other, so that a run of them is kept, its borders counted as unresolved.
-
-    Parameters
-    ----------
-    ephemerides : Ephemerides
-        Broadcast records in any order.
-
-    Returns
-    -------
-    kept : Ephemerides
-        The remaining records by satellite and time, unhealthy ones among them.
-    report : ScreeningReport
-        What was found.
     """
     distinct = _without_copies(ephemerides)
     kept = np.ones(len(distinct), dtype=np.bool_)

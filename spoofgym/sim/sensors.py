@@ -25,31 +25,19 @@ the keys of the others as they are."""
 class SensorState(NamedTuple):
     """Errors of every receiver's sensors.
 
-    Attributes
-    ----------
-    accel_bias, gyro_bias : ndarray
-        (B, 3) body axes [m/s^2], [rad/s].
-    accel_matrix, gyro_matrix, g_dependence : ndarray
-        (B, 3, 3) I + M_a, I + M_g and G_g.
-    imu_noise : ndarray
-        (B, 4) root PSD of accelerometers and gyros, quantization levels.
-    residual : ndarray
-        (B, 6) what quantization carries to the next sample.
-    clock, clock_psd : ndarray
-        (B, 2) true clock bias [m] and drift [m/s], and their noise.
-    gnss_noise : ndarray
-        (B, 2) white noise of pseudoranges [m] and range rates [m/s].
-    satellite_bias : ndarray
-        (B, n) constant for an episode [m].
-    range_offset, rate_offset : ndarray
-        (B, n) what the attack adds [m], [m/s].
-    correlated_noise : ndarray
-        (B, 2) standard deviation [m] and correlation time [s] of the correlated code errors.
-    correlated : ndarray
-        (B, n) correlated code errors of the present epoch [m].
-    authentic : ndarray
-        (B, 2n) factor on the authentic errors, pseudoranges first: 1, or 0 where a counterfeit
-        signal brings errors of its own.
+    - `accel_bias`, `gyro_bias` (B, 3) body axes [m/s^2], [rad/s];
+    - `accel_matrix`, `gyro_matrix`, `g_dependence` (B, 3, 3) I + M_a, I + M_g and G_g;
+    - `imu_noise` (B, 4) root PSD of accelerometers and gyros, quantization levels;
+    - `residual` (B, 6) what quantization carries to the next sample;
+    - `clock`, `clock_psd` (B, 2) true clock bias [m] and drift [m/s], and their noise;
+    - `gnss_noise` (B, 2) white noise of pseudoranges [m] and range rates [m/s];
+    - `satellite_bias` (B, n) constant for an episode [m];
+    - `range_offset`, `rate_offset` (B, n) what the attack adds [m], [m/s];
+    - `correlated_noise` (B, 2) standard deviation [m] and correlation time [s] of the correlated
+      code errors;
+    - `correlated` (B, n) correlated code errors of the present epoch [m];
+    - `authentic` (B, 2n) factor on the authentic errors, pseudoranges first: 1, or 0 where a
+      counterfeit signal brings errors of its own.
     """
 
     accel_bias: FloatArray
@@ -72,18 +60,7 @@ class SensorState(NamedTuple):
 
 @njit
 def sensor_size(receivers: int, channels: int) -> int:
-    """Number of floating-point values of a batch of sensors.
-
-    Parameters
-    ----------
-    receivers, channels : int
-        B and n.
-
-    Returns
-    -------
-    int
-        Length of the buffer.
-    """
+    """Number of floating-point values of a batch of sensors."""
     return receivers * (6 + 27 + 4 + 6 + 6 + 2 + 6 * channels)
 
 
@@ -91,17 +68,7 @@ def sensor_size(receivers: int, channels: int) -> int:
 def unpack_sensors(floats: FloatArray, receivers: int, channels: int) -> SensorState:
     """Name the arrays of a batch of sensors: views of its buffer.
 
-    Parameters
-    ----------
-    floats : ndarray
-        (`sensor_size`,) float64.
-    receivers, channels : int
-        B and n.
-
-    Returns
-    -------
-    SensorState
-        Views.
+    `floats` (`sensor_size`,) float64.
     """
     b, n = receivers, channels
     o = 0
@@ -159,21 +126,8 @@ def unpack_sensors(floats: FloatArray, receivers: int, channels: int) -> SensorS
 class SensorBuffers:
     """The memory of a batch of sensors.
 
-    Parameters
-    ----------
-    receivers, channels : int
-        B and n.
-
-    Attributes
-    ----------
-    floats : ndarray
-        What `unpack_sensors` takes.
-    state : SensorState
-        What it returns.
-    keys : ndarray
-        (S, B, 2) uint64, key of the noise of each of `SOURCES`.
-    epoch : ndarray
-        (B,) int64, the epoch that each receiver is at.
+    `keys` (S, B, 2) uint64, key of the noise of each of `SOURCES`; `epoch` (B,) int64, the epoch
+    that each receiver is at.
     """
 
     def __init__(self, receivers: int, channels: int) -> None:
@@ -195,14 +149,9 @@ class SensorBuffers:
     def draw_keys(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
         """Take the keys of a new episode.
 
-        Parameters
-        ----------
-        rows : ndarray
-            Receivers that begin.
-        rngs : sequence of Generator
-            One per row.  Its seed sequence spawns one child an episode, and that gives every source
-            a key, so that no source depends on how much another draws, or on when the last
-            episode ended.
+        `rngs`: one per row.  Its seed sequence spawns one child an episode, and that gives every
+        source a key, so that no source depends on how much another draws, or on when the last
+        episode ended.
         """
         for row, rng in zip(rows, rngs, strict=True):
             episode = rng.bit_generator.seed_seq.spawn(1)[0]  # type: ignore[attr-defined]
@@ -217,16 +166,7 @@ class SensorBuffers:
     ) -> None:
         """Draw the errors of a new episode, by its keys.
 
-        Parameters
-        ----------
-        rows : ndarray
-            Receivers that begin.
-        grade : ImuGrade
-            Inertial sensors.
-        errors : GnssErrors
-            GNSS errors and clock.
-        bias_sd : ndarray
-            (n,) standard deviation of the satellite biases [m].
+        `bias_sd` (n,) standard deviation of the satellite biases [m].
         """
         state = self.state
         state.accel_bias[rows] = grade.accel_bias

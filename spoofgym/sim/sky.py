@@ -60,19 +60,7 @@ def straight_line(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Straight line that begins level.
 
-    Parameters
-    ----------
-    time : ndarray
-        (K,) [s].
-    latitude_deg, longitude_deg, height_m : float
-        Where it begins.
-    speed_mps, heading_deg : float
-        Along it.
-
-    Returns
-    -------
-    position_e, velocity_e, C_en : ndarray
-        (K, 3), (3,), (3, 3), as in `Sky`.
+    `time` (K,) [s]; returns `position_e`, `velocity_e`, `C_en` (K, 3), (3,), (3, 3), as in `Sky`.
     """
     latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
     start = geodetic_to_ecef(latitude, longitude, height_m)
@@ -96,30 +84,7 @@ def make_sky(
 ) -> Sky:
     """Vehicle and the satellites that are highest over all of its way.
 
-    Parameters
-    ----------
-    epochs : int
-        K.
-    interval_s : float
-        Time between epochs.
-    satellites : int
-        n, how many to take.
-    constellation : Constellation
-        From which.
-    latitude_deg, longitude_deg, height_m : float
-        Where the vehicle begins.
-    speed_mps, heading_deg : float
-        Along a straight line.
-
-    Returns
-    -------
-    Sky
-        Slots in the order of the ids.
-
-    Raises
-    ------
-    ValueError
-        When fewer satellites stay above 5 degrees all the time.
+    Returns slots in the order of the ids.
     """
     time = interval_s * np.arange(epochs, dtype=np.float64)
     position, velocity, C_en = straight_line(
@@ -170,28 +135,11 @@ def measure(
     with the counterfeit displacement d and clock offset d_4, 0 for authentic satellites.  The
     white noise is that of the satellite, spoofed or not.
 
-    Parameters
-    ----------
-    epoch : ndarray
-        (B,) number of the epoch.
-    keys : ndarray
-        (B, 2) key of the noise.
-    clock : ndarray
-        (B, 2) offset and drift of the receiver's clock [m], [m/s].
-    displacement : ndarray
-        (B, 4) north, east, down and clock [m].
-    spoofed : ndarray
-        (B, n) bool.
-    time, position_e, C_en, satellite_position_e : ndarray
-        Of the sky.
-    noise_m : float
-        Standard deviation of w [m].
-    deviates : ndarray
-        (N,) scratch, N a multiple of `noise.BLOCK` and at least n.
-    pseudorange : ndarray
-        (B, n), written [m].
-    satellites : ndarray
-        (B, n, 3), written: where the satellites are, ECEF [m].
+    `epoch` (B,) number of the epoch; `keys` (B, 2) key of the noise; `clock` (B, 2) offset and
+    drift of the receiver's clock [m], [m/s]; `displacement` (B, 4) north, east, down and clock [m];
+    `spoofed` (B, n) bool; `deviates` (N,) scratch, N a multiple of `noise.BLOCK` and at least n;
+    `pseudorange` (B, n), written [m]; `satellites` (B, n, 3), written: where the satellites are,
+    ECEF [m].
     """
     r = np.empty(3)
     for b in range(epoch.shape[0]):
@@ -226,16 +174,5 @@ def measure(
 
 
 def scratch(satellites: int) -> FloatArray:
-    """Room for the deviates of one epoch.
-
-    Parameters
-    ----------
-    satellites : int
-        n.
-
-    Returns
-    -------
-    ndarray
-        For `measure`.
-    """
+    """Room for the deviates of one epoch."""
     return np.empty(padded(satellites))

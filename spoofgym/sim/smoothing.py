@@ -58,17 +58,11 @@ Floats = NDArray[np.float64]
 class SmoothPath:
     """Splines of latitude and longitude, scaled to metres near the origin, and of height.
 
-    Parameters
-    ----------
-    origin : tuple of 3 floats
-        Latitude, longitude [rad] and height [m] of the first fix.
-    north, east : BSpline
-        Distance from the origin, as latitude and longitude times what a radian of them measures
-        there [m].
-    height : BSpline
-        Height above the ellipsoid [m].
-    doubted : int
-        Measurements that lie further off than `HUBER_LIMIT` standard deviations.
+    - `origin`: latitude, longitude [rad] and height [m] of the first fix;
+    - `north`, `east`: distance from the origin, as latitude and longitude times what a radian of
+      them measures there [m];
+    - `height`: height above the ellipsoid [m];
+    - `doubted`: measurements that lie further off than `HUBER_LIMIT` standard deviations.
     """
 
     origin: tuple[float, float, float]
@@ -101,18 +95,7 @@ class SmoothPath:
 
 
 def smooth_path(track: Track) -> SmoothPath:
-    """Smooth path through a track.
-
-    Parameters
-    ----------
-    track : Track
-        Fixes and, where known, speeds and courses.
-
-    Returns
-    -------
-    SmoothPath
-        From the first fix to the last.
-    """
+    """Smooth path through a track."""
     intervals = max(2, round(track.duration / KNOT_INTERVAL))
     edges = np.linspace(0.0, track.duration, intervals + 1)
     knots = np.concatenate([np.zeros(DEGREE), edges, np.full(DEGREE, track.duration)])
@@ -134,17 +117,8 @@ def smooth_path(track: Track) -> SmoothPath:
 def metres_per_radian(latitude: Floats | float, height: Floats | float) -> tuple[Floats, Floats]:
     """North and east distance per radian of latitude and longitude.
 
-    Parameters
-    ----------
-    latitude : float or ndarray
-        Geodetic [rad].
-    height : float or ndarray
-        Above the ellipsoid [m].
-
-    Returns
-    -------
-    north, east : ndarray
-        R_N + h and (R_E + h) cos L [m].
+    `latitude`: geodetic [rad]; `height`: above the ellipsoid [m]; returns `north`, `east`: R_N + h
+    and (R_E + h) cos L [m].
     """
     w = 1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
     transverse = EQUATORIAL_RADIUS / np.sqrt(w)

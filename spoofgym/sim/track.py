@@ -19,22 +19,12 @@ STEEPEST_LATITUDE = math.radians(89.0)
 class Track:
     """Distinct, airborne fixes without a gap.
 
-    Parameters
-    ----------
-    name : str
-        Name of the flight.
-    start_utc : datetime
-        Time of the first fix, with its time zone.
-    time : array_like
-        (K,) time since `start_utc` [s], rising.
-    latitude, longitude : array_like
-        (K,) geodetic [rad].
-    height : array_like
-        (K,) height above the ellipsoid [m].
-    groundspeed : array_like
-        (K,) speed over ground [m/s], NaN where there is none to be trusted.
-    track_angle : array_like
-        (K,) course over ground, clockwise from north [rad], NaN likewise.
+    - `start_utc`: time of the first fix, with its time zone;
+    - `time` (K,) time since `start_utc` [s], rising;
+    - `latitude`, `longitude` (K,) geodetic [rad];
+    - `height` (K,) height above the ellipsoid [m];
+    - `groundspeed` (K,) speed over ground [m/s], NaN where there is none to be trusted;
+    - `track_angle` (K,) course over ground, clockwise from north [rad], NaN likewise.
     """
 
     name: str

@@ -34,34 +34,18 @@ Floats = NDArray[np.float64]
 class FitReport:
     """How near a fitted flight is to its track, and how it flies.
 
-    Parameters
-    ----------
-    name : str
-        Name of the flight.
-    start_utc : str
-        Time of the first sample, ISO 8601.
-    duration_s : float
-        Duration [s].
-    fixes : int
-        Fixes of the track.
-    doubted : int
-        Fixes, speeds and courses further off than 3 standard deviations, which weigh less.
-    position_rms_m, position_max_m : float
-        Horizontal distance of the fixes from the flight [m].
-    height_rms_m : float
-        Difference in height [m].
-    speed_rms_mps : float
-        Difference between reported and flown groundspeed [m/s], NaN without any report.
-    course_rms_deg : float
-        Difference between accepted and flown course [deg], NaN without any.
-    speed_min_mps, speed_max_mps : float
-        Horizontal speed [m/s].
-    load_min_g, load_max_g : float
-        Normal load factor [g].
-    bank_max_deg : float
-        Largest bank in either direction [deg].
-    rate_max_degps : float
-        Largest body rate about any axis [deg/s].
+    - `start_utc`: time of the first sample, ISO 8601;
+    - `duration_s`: duration [s];
+    - `doubted`: fixes, speeds and courses further off than 3 standard deviations, which weigh less;
+    - `position_rms_m`, `position_max_m`: horizontal distance of the fixes from the flight [m];
+    - `height_rms_m`: difference in height [m];
+    - `speed_rms_mps`: difference between reported and flown groundspeed [m/s], NaN without any
+      report;
+    - `course_rms_deg`: difference between accepted and flown course [deg], NaN without any;
+    - `speed_min_mps`, `speed_max_mps`: horizontal speed [m/s];
+    - `load_min_g`, `load_max_g`: normal load factor [g];
+    - `bank_max_deg`: largest bank in either direction [deg];
+    - `rate_max_degps`: largest body rate about any axis [deg/s].
     """
 
     name: str
@@ -106,22 +90,7 @@ def _residual(name: str, value: float, unit: str) -> str:
 
 
 def fit_track(track: Track, *, rate_hz: float = 100.0) -> tuple[Flight, FitReport]:
-    """Fit a flight to a track.
-
-    Parameters
-    ----------
-    track : Track
-        Distinct airborne fixes without a gap.
-    rate_hz : float
-        Samples a second of the flight [Hz].
-
-    Returns
-    -------
-    flight : Flight
-        From the first fix to the last.
-    report : FitReport
-        How near it is to the fixes, and how it flies.
-    """
+    """Fit a flight to a track.  `rate_hz`: samples a second of the flight [Hz]."""
     if not 0.0 < rate_hz < math.inf:
         raise ValueError(f"`rate_hz` must be positive and finite, got {rate_hz:g}")
     path = smooth_path(track)
@@ -152,16 +121,9 @@ def coordinated_attitude(
         \theta = \operatorname{atan2}(-v_D, v_h), \quad
         \tan\phi = \frac{v_h \dot\psi}{(g - a_D)\cos\theta - \dot v_h \sin\theta}
 
-    Parameters
-    ----------
-    velocity_n, acceleration_n : ndarray
-        (n, 3) velocity [m/s] and its derivative [m/s^2], north-east-down.
-
-    Returns
-    -------
-    roll, pitch, yaw : ndarray
-        (n,) [rad]; the specific force has no component along the body's right axis, but for the
-        small part that the Earth's rotation adds.
+    `velocity_n`, `acceleration_n` (n, 3) velocity [m/s] and its derivative [m/s^2],
+    north-east-down; returns `roll`, `pitch`, `yaw` (n,) [rad]; the specific force has no component
+    along the body's right axis, but for the small part that the Earth's rotation adds.
     """
     north, east, down = velocity_n.T
     horizontal = np.hypot(north, east)

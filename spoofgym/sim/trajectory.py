@@ -19,14 +19,10 @@ LARGEST_ROTATION = math.radians(90.0)
 class Trajectory(Flight):
     """True motion and true inertial samples.
 
-    Parameters
-    ----------
-    name, time, position_e, velocity_e, C_eb
-        As in `Flight`, N+1 states.
-    specific_force_b : array_like
-        (N, 3) average specific force over (t_i, t_i+1], body axes [m/s^2].
-    angular_rate_b : array_like
-        (N, 3) average angular rate against inertial space over (t_i, t_i+1], body axes [rad/s].
+    - `name`, `time`, `position_e`, `velocity_e`, `C_eb`: as in `Flight`, N+1 states;
+    - `specific_force_b` (N, 3) average specific force over (t_i, t_i+1], body axes [m/s^2];
+    - `angular_rate_b` (N, 3) average angular rate against inertial space over (t_i, t_i+1], body
+      axes [rad/s].
     """
 
     specific_force_b: NDArray[np.float64]
@@ -54,16 +50,6 @@ def inverse_kinematics(flight: Flight) -> Trajectory:
     with :math:`\alpha = \omega \Delta t`, :math:`A = [\alpha\times]`,
     :math:`a = \omega_{ie} \Delta t`, :math:`R_z(a)` the turn of the Earth, and :math:`I + A` and
     :math:`I` in place of the brackets for :math:`|\alpha| \le 10^{-8}`.
-
-    Parameters
-    ----------
-    flight : Flight
-        N+1 states.
-
-    Returns
-    -------
-    Trajectory
-        The states as they are, and N samples.
 
     Notes
     -----

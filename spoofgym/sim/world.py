@@ -25,34 +25,19 @@ class World:
     Epoch 0 is at time zero; epoch k ends with sample ``epoch_end[k]`` (exclusive).  Channels are
     slots for satellites, the same for the whole run, ordered by satellite id.
 
-    Parameters
-    ----------
-    name : str
-        Of the flight.
-    satellite_ids : tuple of str
-        (n,) id of each slot; ``""`` for a slot that stays empty.
-    imu_time : ndarray
-        (N+1,) begin of the first sample and end of every sample [s].
-    run : ndarray
-        (8, N) true specific force [m/s^2] and angular rate [rad/s], body axes; length of every
-        sample [s], and one over its square root [Hz^0.5].
-    epoch_time : ndarray
-        (K,) [s].
-    epoch_end : ndarray
-        (K,) int64, number of samples up to the epoch.
-    satellites : ndarray
-        (K, n, 8) satellite position and velocity, ECEF, true range [m] and range rate [m/s]
-        without clocks; the range is 0 where the slot is not visible.
-    visible : ndarray
-        (K, n) bool, above the mask.
-    elevation, azimuth : ndarray
-        (K, n) [rad]; 0 for an empty slot.
-    position_e, velocity_e : ndarray
-        (K, 3) true antenna, ECEF [m], [m/s].
-    C_eb : ndarray
-        (K, 3, 3) true attitude.
-    C_en : ndarray
-        (K, 3, 3) to ECEF from the north-east-down axes at the true position.
+    - `satellite_ids` (n,) id of each slot; ``""`` for a slot that stays empty;
+    - `imu_time` (N+1,) start of the first sample and end of every sample [s];
+    - `run` (8, N) true specific force [m/s^2] and angular rate [rad/s], body axes; length of every
+      sample [s], and one over its square root [Hz^0.5];
+    - `epoch_time` (K,) [s];
+    - `epoch_end` (K,) int64, number of samples up to the epoch;
+    - `satellites` (K, n, 8) satellite position and velocity, ECEF, true range [m] and range rate
+      [m/s] without clocks; the range is 0 where the slot is not visible;
+    - `visible` (K, n) bool, above the mask;
+    - `elevation`, `azimuth` (K, n) [rad]; 0 for an empty slot;
+    - `position_e`, `velocity_e` (K, 3) true antenna, ECEF [m], [m/s];
+    - `C_eb` (K, 3, 3) true attitude;
+    - `C_en` (K, 3, 3) to ECEF from the north-east-down axes at the true position.
     """
 
     name: str
@@ -95,15 +80,7 @@ class World:
     def local_frame(self, epoch: int) -> FloatArray:
         """North-east-down axes at the true position of an epoch.
 
-        Parameters
-        ----------
-        epoch : int
-            Which epoch.
-
-        Returns
-        -------
-        ndarray
-            (3, 3) `C_en`, to ECEF from local axes.
+        Returns (3, 3) `C_en`, to ECEF from local axes.
         """
         C_en: FloatArray = self.C_en[epoch]
         return C_en
@@ -119,29 +96,8 @@ def build_world(
 ) -> World:
     """Compute the truth of a run.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        True motion and true inertial samples.
-    constellation : Constellation
-        Satellites; where more rise above the mask than there are channels, those that stay
-        longest are taken.
-    epoch_interval_s : float
-        Time between GNSS epochs, a multiple of the sample interval.
-    channels : int
-        Number of slots, 4 to 32.
-    mask_deg : float
-        Elevation mask, 0 to 60.
-
-    Returns
-    -------
-    World
-        The truth.
-
-    Raises
-    ------
-    ValueError
-        When a setting is out of range, or fewer than 4 satellites are visible at time zero.
+    `constellation`: satellites; where more rise above the mask than there are channels, those that
+    stay longest are taken.
     """
     time = trajectory.time
     step = time[1] - time[0]

@@ -33,13 +33,7 @@ class AcceleratingRamp(ScriptedSpoofer):
         check_finite("acceleration_mps2", self.acceleration_mps2)
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Sizes, limits and names.
-        """
+        """Prepare for a batch of receivers."""
         super().bind(context)
         if context.control == "acceleration":
             limit = context.acceleration_limit_mps2
@@ -48,15 +42,8 @@ class AcceleratingRamp(ScriptedSpoofer):
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         """Rate that is wanted at the end of the coming epoch.
 
-        Parameters
-        ----------
-        step, rate, displacement : ndarray
-            (B,) so far.
-
-        Returns
-        -------
-        ndarray
-            (B,) the rate so far, and what an epoch's acceleration adds [m/s].
+        `step`, `rate`, `displacement` (B,) so far; returns (B,) the rate so far, and what an
+        epoch's acceleration adds [m/s].
         """
         return rate + self.acceleration_mps2 * self.context.interval_s
 
@@ -64,15 +51,7 @@ class AcceleratingRamp(ScriptedSpoofer):
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
         """Up to the limit of the acceleration; by rate, to its limit within ten epochs.
 
-        Parameters
-        ----------
-        context : SpooferContext
-            Limits of the attack.
-
-        Returns
-        -------
-        low, high : float
-            [m/s^2].
+        Returns `low`, `high` [m/s^2].
         """
         high = context.acceleration_limit_mps2
         if context.control == "rate":

@@ -25,55 +25,18 @@ UNIT = 1e-3
 def axes_of(action_names: tuple[str, ...]) -> list[str]:
     """What an action's elements are of: axes, or channels.
 
-    Parameters
-    ----------
-    action_names : tuple of str
-        Of the attack.
-
-    Returns
-    -------
-    list of str
-        (a,) names without their unit.
+    Returns (a,) names without their unit.
     """
     return [name.rsplit("_", 1)[0] for name in action_names]
 
 
 def has_heading(action_names: tuple[str, ...]) -> bool:
-    """Whether an attack is commanded along axes.
-
-    Parameters
-    ----------
-    action_names : tuple of str
-        Of the attack.
-
-    Returns
-    -------
-    bool
-        False where it commands channels or a delay.
-    """
+    """Whether an attack is commanded along axes."""
     return set(axes_of(action_names)) <= set(AXES)
 
 
 def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
-    """Unit command along a heading, or the same command for every channel.
-
-    Parameters
-    ----------
-    action_names : tuple of str
-        Of the attack.
-    heading_deg : float
-        Clockwise from north.
-
-    Returns
-    -------
-    ndarray
-        (a,) in [-1, 1].
-
-    Raises
-    ------
-    ValueError
-        When the attack has no command along the heading.
-    """
+    """Unit command along a heading, or the same command for every channel: (a,) in [-1, 1]."""
     axes = axes_of(action_names)
     if not has_heading(action_names):
         return np.ones(len(axes))
@@ -91,18 +54,7 @@ def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
 
 
 def check_heading(heading_deg: float | str) -> None:
-    """Raise unless there is such a heading.
-
-    Parameters
-    ----------
-    heading_deg : float or "target"
-        Of a spoofer.
-
-    Raises
-    ------
-    ValueError
-        When it is no finite number, and not "target".
-    """
+    """Raise unless there is such a heading."""
     if isinstance(heading_deg, str):
         right = heading_deg == TARGET
     else:
@@ -115,19 +67,9 @@ def check_heading(heading_deg: float | str) -> None:
 class Aim:
     """Unit command along a heading, or the same command for every channel.
 
-    Parameters
-    ----------
-    context : SpooferContext
-        Names of actions and observations.
-    heading_deg : float or "target"
-        Clockwise from north, or what every observation says.
-    turned_deg : float
-        To be added to it.
-
-    Raises
-    ------
-    ValueError
-        When the attack has no command along the heading, or the target direction is not observed.
+    - `context`: names of actions and observations;
+    - `heading_deg`: clockwise from north, or what every observation says;
+    - `turned_deg`: to be added to it.
     """
 
     def __init__(
@@ -145,20 +87,8 @@ class Aim:
     def __call__(self, observation: NDArray[np.float32]) -> FloatArray:
         """Tell the unit command.
 
-        Parameters
-        ----------
-        observation : ndarray
-            (B, o); looked at for the target direction alone.
-
-        Returns
-        -------
-        ndarray
-            (a,) the same for all receivers, or (B, a).
-
-        Raises
-        ------
-        ValueError
-            When what is observed is no direction.
+        `observation` (B, o); looked at for the target direction alone; returns (a,) the same for
+        all receivers, or (B, a).
         """
         if not self._columns:
             return self._fixed

@@ -231,43 +231,13 @@ class ScriptedSpoofer(Spoofer):
 
 
 def check_finite(name: str, value: float) -> None:
-    """Raise unless a setting is a finite number.
-
-    Parameters
-    ----------
-    name : str
-        Of the setting.
-    value : float
-        What was given.
-
-    Raises
-    ------
-    ValueError
-        When it is not.
-    """
+    """Raise unless a setting is a finite number."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise ValueError(f"`{name}` must be a finite number, got {value!r}")
 
 
 def check_limit(spoofer: Spoofer, name: str, limit_name: str, limit: float) -> None:
-    """Raise where a setting exceeds a limit of the attack.
-
-    Parameters
-    ----------
-    spoofer : Spoofer
-        Has the setting.
-    name : str
-        Of the setting.
-    limit_name : str
-        Of the attack's setting.
-    limit : float
-        Its value.
-
-    Raises
-    ------
-    ValueError
-        Names both.
-    """
+    """Raise where a setting exceeds a limit of the attack."""
     value: Any = getattr(spoofer, name)
     if abs(value) > limit:
         raise ValueError(

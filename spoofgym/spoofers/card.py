@@ -91,23 +91,7 @@ class Card(Record):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a card.
-
-        Parameters
-        ----------
-        path : path-like
-            A JSON file.
-
-        Returns
-        -------
-        Card
-            Checked.
-
-        Raises
-        ------
-        ValueError
-            When there is none, or it is damaged; names the file and the fields.
-        """
+        """Read a card."""
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8")
@@ -126,18 +110,7 @@ class Card(Record):
             raise ValueError(f"card {path} is not JSON: {error}") from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the card, whole or not at all.
-
-        Parameters
-        ----------
-        path : path-like
-            A JSON file, which is replaced.
-
-        Raises
-        ------
-        ValueError
-            When something in it is no JSON.
-        """
+        """Write the card, whole or not at all."""
         try:
             text = json.dumps(self.model_dump(), indent=1, allow_nan=False)
         except (TypeError, ValueError) as error:
@@ -145,18 +118,7 @@ class Card(Record):
         write_file(Path(path), (text + "\n").encode())
 
     def differences(self, context: SpooferContext) -> list[str]:
-        """What an attack is like here, and not on the card.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            What the spoofer is told; bounds that it does not tell are not compared.
-
-        Returns
-        -------
-        list of str
-            One line for each difference.
-        """
+        """What an attack is like here, and not on the card."""
         here = fields_of(context)
         seen, card = here["observation"], self.model_dump()
         found = _order("action", self.action, context.action_names)
@@ -173,15 +135,7 @@ class Card(Record):
 def fields_of(context: SpooferContext) -> dict[str, Any]:
     """Fields of a card that follow from what a spoofer is told.
 
-    Parameters
-    ----------
-    context : SpooferContext
-        Sizes, limits, names and bounds.
-
-    Returns
-    -------
-    dict
-        ``observation`` (None without names or bounds), ``action`` and ``conditions``.
+    Returns ``observation`` (None without names or bounds), ``action`` and ``conditions``.
     """
     names, size = context.observation_names, len(context.action_names)
     observation = None

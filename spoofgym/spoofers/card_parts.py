@@ -24,15 +24,7 @@ class Record(BaseModel):
 
 
 class Space(Record):
-    """Elements of an observation or of an action.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Name of every element.
-    low, high : tuple of float
-        Bounds of every element.
-    """
+    """Elements of an observation or of an action."""
 
     names: tuple[str, ...] = Field(min_length=1)
     low: tuple[float, ...]
@@ -56,16 +48,8 @@ class Space(Record):
 class Conditions(Record):
     """What an attack has to be like for the actions to mean what they meant.
 
-    Attributes
-    ----------
-    interval_s : float
-        Time between commands.
-    steps : int
-        Commands of an episode.
-    control : {"rate", "acceleration"}
-        What is commanded.
-    acceleration_limit_mps2, rate_limit_mps : float
-        Of the attack; with control by rate the first one does not matter.
+    `acceleration_limit_mps2`, `rate_limit_mps`: of the attack; with control by rate the first one
+    does not matter.
     """
 
     interval_s: PositiveFloat
@@ -78,12 +62,8 @@ class Conditions(Record):
 class Knowledge(Record):
     """What a spoofer knows.
 
-    Attributes
-    ----------
-    run_time : {"blind", "tracking", "oracle"}
-        What it observes during an attack.
-    design_time : str
-        What it was optimised on before: detector, receiver, scenario.
+    `run_time`: what it observes during an attack; `design_time`: what it was optimised on before:
+    detector, receiver, scenario.
     """
 
     run_time: Literal["blind", "tracking", "oracle"]
@@ -93,16 +73,9 @@ class Knowledge(Record):
 class PolicyFile(Record):
     """The ONNX file of a policy.
 
-    Attributes
-    ----------
-    name : str
-        File name, without a folder.
-    sha256 : str
-        Digest of its content, 64 hexadecimal digits.
-    bytes : int
-        Its size.
-    opset : int
-        Version of the ONNX operators.
+    - `name`: file name, without a folder;
+    - `sha256`: digest of its content, 64 hexadecimal digits;
+    - `opset`: version of the ONNX operators.
     """
 
     name: str = Field(pattern=r"^[^/\\]+\.onnx$")
@@ -114,24 +87,10 @@ class PolicyFile(Record):
 class Score(Record):
     """What a spoofer reached against one detector.
 
-    Attributes
-    ----------
-    detector : str
-        Its label.
-    split : str
-        Which seeds: those of training, calibration or evaluation.
-    entropy : int
-        Of the seeds.
-    runs : int
-        How many.
-    undetected_displacement_m : float
-        Mean over all runs.
-    low, high : float
-        95 % interval of the mean [m].
-    alarm_rate, clean_alarm_rate : float
-        Parts of the runs with an alarm, under attack and without.
-    budget : float
-        How much more often than without attack an alarm may come.
+    - `split`: which seeds: those of training, calibration or evaluation;
+    - `low`, `high`: 95 % interval of the mean [m];
+    - `alarm_rate`, `clean_alarm_rate`: parts of the runs with an alarm, under attack and without;
+    - `budget`: how much more often than without attack an alarm may come.
     """
 
     detector: str
@@ -156,18 +115,7 @@ class Score(Record):
 
 
 def kind_of(text: str) -> str | None:
-    """Kind that a card says.
-
-    Parameters
-    ----------
-    text : str
-        Of the card.
-
-    Returns
-    -------
-    str or None
-        None where it says none.
-    """
+    """Kind that a card says."""
     try:
         card = json.loads(text)
     except ValueError:
@@ -177,18 +125,7 @@ def kind_of(text: str) -> str | None:
 
 
 def told(error: ValidationError) -> str:
-    """What is wrong with which fields, in one line.
-
-    Parameters
-    ----------
-    error : ValidationError
-        Of a card.
-
-    Returns
-    -------
-    str
-        For a message.
-    """
+    """What is wrong with which fields, in one line."""
     parts = []
     for item in error.errors():
         where = ".".join(map(str, item["loc"]))

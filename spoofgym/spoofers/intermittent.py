@@ -75,13 +75,7 @@ class Intermittent(ScriptedSpoofer):
             raise ValueError(f"`bursts` must be at least 1 or None, got {self.bursts}")
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Sizes, limits and names.
-        """
+        """Prepare for a batch of receivers."""
         super().bind(context)
         self._on = max(1, round(self.on_s / context.interval_s))
         self._off = round(self.off_s / context.interval_s)
@@ -91,16 +85,8 @@ class Intermittent(ScriptedSpoofer):
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         """Rate that is wanted at the end of the coming epoch.
 
-        Parameters
-        ----------
-        step, rate, displacement : ndarray
-            (B,) so far.
-
-        Returns
-        -------
-        ndarray
-            (B,) of the ramp, or the largest from which the displacement that is wanted is not
-            overshot [m/s].
+        `step`, `rate`, `displacement` (B,) so far; returns (B,) of the ramp, or the largest from
+        which the displacement that is wanted is not overshot [m/s].
         """
         burst, place = np.divmod(step.astype(np.int64), self._on + self._off)
         is_on = place < self._on
@@ -124,17 +110,6 @@ class Intermittent(ScriptedSpoofer):
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """Sizes from a decimetre to a kilometre, of a burst of 20 m.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Not needed.
-
-        Returns
-        -------
-        low, high : float
-            Factors.
-        """
+        """Sizes from a decimetre to a kilometre, of a burst of 20 m."""
         usual = max(map(abs, cls.sizes_m))
         return SMALLEST / usual, LARGEST / usual

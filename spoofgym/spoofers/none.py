@@ -18,16 +18,5 @@ class NoSpoofer(Spoofer):
     transmits = False
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command nothing.
-
-        Parameters
-        ----------
-        observation : ndarray
-            Not looked at.
-
-        Returns
-        -------
-        ndarray
-            (B, a) zeros.
-        """
+        """Command nothing: (B, a) zeros."""
         return np.zeros((self.context.receivers, len(self.context.action_names)))

@@ -26,26 +26,7 @@ CHANCE = (
 
 
 def read_model(content: bytes, where: str) -> ModelProto:
-    """Parse an ONNX file, and refuse what is not self-contained.
-
-    Parameters
-    ----------
-    content : bytes
-        Of the file.
-    where : str
-        Its name, for messages.
-
-    Returns
-    -------
-    ModelProto
-        Checked by ONNX's own checker.
-
-    Raises
-    ------
-    ValueError
-        When it is no ONNX file, has external data, other than standard operators, or operators of
-        chance.
-    """
+    """Parse an ONNX file, and refuse what is not self-contained."""
     import onnx
     from google.protobuf.message import DecodeError
 
@@ -100,41 +81,14 @@ def _messages(message: Any) -> Iterator[Any]:
 
 
 def opset_of(model: ModelProto) -> int:
-    """Version of the standard operators.
-
-    Parameters
-    ----------
-    model : ModelProto
-        Any.
-
-    Returns
-    -------
-    int
-        0 where it uses none of ai.onnx.
-    """
+    """Version of the standard operators."""
     return max(
         (item.version for item in model.opset_import if item.domain in DOMAINS[:2]), default=0
     )
 
 
 def check_signature(model: ModelProto, observation: int, action: int, where: str) -> None:
-    """Check input and output.
-
-    Parameters
-    ----------
-    model : ModelProto
-        A policy.
-    observation, action : int
-        Elements of both on the card.
-    where : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    ValueError
-        Unless there is one float32 input (batch, observation) and one float32 output (batch,
-        action), with a batch of any size.
-    """
+    """Check input and output."""
     constant = {tensor.name for tensor in model.graph.initializer}
     inputs = [value for value in model.graph.input if value.name not in constant]
     for word, values, size in (

@@ -65,18 +65,7 @@ class OnnxPolicy(Spoofer):
         self.label = self.card.name
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Sizes, limits and names.
-
-        Raises
-        ------
-        ValueError
-            When the attack is not what the card says; lists all differences.
-        """
+        """Prepare for a batch of receivers."""
         found = self.card.differences(context)
         if found:
             raise ValueError(f"{self.file} does not fit this attack: {'; '.join(found)}")
@@ -85,20 +74,7 @@ class OnnxPolicy(Spoofer):
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         """Command the attack for the coming epoch.
 
-        Parameters
-        ----------
-        observation : ndarray
-            (B, o) of all receivers.
-
-        Returns
-        -------
-        ndarray
-            (B, a) in [-1, 1], C-contiguous.
-
-        Raises
-        ------
-        ValueError
-            When the network fails, or returns another shape or NaN.
+        `observation` (B, o) of all receivers; returns (B, a) in [-1, 1], C-contiguous.
         """
         given = np.ascontiguousarray(observation, dtype=np.float32)
         try:
@@ -128,23 +104,7 @@ class OnnxPolicy(Spoofer):
 
 
 def path_of(file: str) -> Path:
-    """Path of a policy.
-
-    Parameters
-    ----------
-    file : str
-        Name of a shipped one, or path of an ``.onnx`` file.
-
-    Returns
-    -------
-    Path
-        Of the ONNX file.
-
-    Raises
-    ------
-    ValueError
-        When it is neither.
-    """
+    """Path of a policy."""
     if file.endswith(SUFFIX):
         return Path(file)
     if file not in shipped():
@@ -175,18 +135,7 @@ def _read(path: Path, card: Card, sha256: str | None) -> bytes:
 
 
 def make_session(content: bytes) -> Any:
-    """Session of onnxruntime on one thread of the processor.
-
-    Parameters
-    ----------
-    content : bytes
-        Of an ONNX file.
-
-    Returns
-    -------
-    InferenceSession
-        Neither pickles nor copies.
-    """
+    """Session of onnxruntime on one thread of the processor."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()

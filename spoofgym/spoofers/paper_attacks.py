@@ -39,23 +39,7 @@ class PaperAttack:
     spoofer: dict[str, Any]
 
     def attack(self, channels: Sequence[str]) -> dict[str, Any]:
-        """Attack of some satellites; the papers do not say where in the sky theirs are.
-
-        Parameters
-        ----------
-        channels : sequence of str
-            Their ids.
-
-        Returns
-        -------
-        dict
-            As `make_attack` takes it.
-
-        Raises
-        ------
-        ValueError
-            When they are not as many as in the paper.
-        """
+        """Attack of some satellites; the papers do not say where in the sky theirs are."""
         if len(channels) != self.satellites:
             raise ValueError(
                 f"`channels` must name {self.satellites} satellite(s), got {tuple(channels)}"

@@ -60,13 +60,7 @@ class Profile(ScriptedSpoofer):
         self.cross_rates_mps = _checked("cross_rates_mps", self.cross_rates_mps, none=True)
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Sizes, limits and names.
-        """
+        """Prepare for a batch of receivers."""
         super().bind(context)
         self._along = sampled(self.rates_mps, context.steps)
         self._across = sampled(self.cross_rates_mps or (0.0, 0.0), context.steps)
@@ -93,15 +87,8 @@ class Profile(ScriptedSpoofer):
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         """Rate along the heading that is wanted at the end of the coming epoch.
 
-        Parameters
-        ----------
-        step, rate, displacement : ndarray
-            (B,) so far.
-
-        Returns
-        -------
-        ndarray
-            (B,) of the curve [m/s]; its last value after the end of the window.
+        `step`, `rate`, `displacement` (B,) so far; returns (B,) of the curve [m/s]; its last value
+        after the end of the window.
         """
         return self._along[self._row(step)]
 
@@ -110,18 +97,7 @@ class Profile(ScriptedSpoofer):
         return np.minimum(step.astype(np.int64), len(self._along) - 1)
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch.
-
-        Parameters
-        ----------
-        observation : ndarray
-            As in `ScriptedSpoofer.act`.
-
-        Returns
-        -------
-        ndarray
-            (B, a) in [-1, 1].
-        """
+        """Command the attack for the coming epoch: (B, a) in [-1, 1]."""
         if not self.cross_rates_mps:
             return super().act(observation)
         context, memory = self.context, self.memory
@@ -147,17 +123,8 @@ class Profile(ScriptedSpoofer):
 def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
     """Curve through equally spaced knots at the ends of the epochs.
 
-    Parameters
-    ----------
-    rates_mps : tuple of float
-        (n,) at the knots, the first one at the onset, the last one at the end of the window.
-    steps : int
-        Epochs of the window.
-
-    Returns
-    -------
-    ndarray
-        (steps,) [m/s].
+    `rates_mps` (n,) at the knots, the first one at the onset, the last one at the end of the
+    window; returns (steps,) [m/s].
     """
     knots = np.linspace(0.0, 1.0, len(rates_mps))
     ends = np.arange(1, steps + 1) / steps
@@ -165,20 +132,7 @@ def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
 
 
 def shortened(vector: FloatArray, limit: float) -> FloatArray:
-    """Vectors, those that are too long shortened to the limit.
-
-    Parameters
-    ----------
-    vector : ndarray
-        (2, B).
-    limit : float
-        Largest length.
-
-    Returns
-    -------
-    ndarray
-        (2, B).
-    """
+    """Vectors, those that are too long shortened to the limit.  `vector` (2, B); returns (2, B)."""
     length = np.hypot(vector[0], vector[1])
     return np.asarray(vector * (limit / np.maximum(length, limit)))
 

@@ -35,28 +35,14 @@ class Ramp(ScriptedSpoofer):
         check_finite("rate_mps", self.rate_mps)
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Sizes, limits and names.
-        """
+        """Prepare for a batch of receivers."""
         super().bind(context)
         check_limit(self, "rate_mps", "rate_limit_mps", context.rate_limit_mps)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         """Rate that is wanted at the end of the coming epoch.
 
-        Parameters
-        ----------
-        step, rate, displacement : ndarray
-            (B,) so far.
-
-        Returns
-        -------
-        ndarray
-            (B,) the constant rate [m/s].
+        `step`, `rate`, `displacement` (B,) so far; returns (B,) the constant rate [m/s].
         """
         return np.full_like(rate, self.rate_mps)
 
@@ -64,15 +50,7 @@ class Ramp(ScriptedSpoofer):
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
         """Up to the limit of the rate, or what the episode allows to reach.
 
-        Parameters
-        ----------
-        context : SpooferContext
-            Limits of the attack.
-
-        Returns
-        -------
-        low, high : float
-            [m/s].
+        Returns `low`, `high` [m/s].
         """
         high = context.rate_limit_mps
         if context.control == "acceleration":

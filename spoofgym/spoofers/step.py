@@ -51,15 +51,8 @@ class Step(ScriptedSpoofer):
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         """Rate that is wanted at the end of the coming epoch.
 
-        Parameters
-        ----------
-        step, rate, displacement : ndarray
-            (B,) so far.
-
-        Returns
-        -------
-        ndarray
-            (B,) the largest from which the displacement is not overshot [m/s].
+        `step`, `rate`, `displacement` (B,) so far; returns (B,) the largest from which the
+        displacement is not overshot [m/s].
         """
         interval = self.context.interval_s
         rest = self.size_m - displacement
@@ -71,39 +64,16 @@ class Step(ScriptedSpoofer):
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """From a decimetre to a kilometre.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Not needed.
-
-        Returns
-        -------
-        low, high : float
-            [m].
-        """
+        """From a decimetre to a kilometre.  Returns `low`, `high` [m]."""
         return SMALLEST, LARGEST
 
 
 def fastest(rest: FloatArray, rate: FloatArray, gain: float, interval: float) -> FloatArray:
     """Largest rate at the end of an epoch from which the rest of a way suffices to brake.
 
-    Parameters
-    ----------
-    rest : ndarray
-        Way left [m]; what rounding made negative counts as 0.
-    rate : ndarray
-        Rate at the begin of the epoch [m/s], of the same shape.
-    gain : float
-        Largest change of the rate in an epoch [m/s].
-    interval : float
-        Length of an epoch [s].
-
-    Returns
-    -------
-    ndarray
-        [m/s].
+    `rest`: way left [m]; what rounding made negative counts as 0; `rate`: rate at the start of the
+    epoch [m/s], of the same shape; `gain`: largest change of the rate in an epoch [m/s];
+    `interval`: length of an epoch [s]; returns [m/s].
     """
     # way beyond the first half of the present epoch, in units of a tau^2
     way = np.maximum(rest - 0.5 * rate * interval, 0.0) / (gain * interval)

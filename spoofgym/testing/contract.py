@@ -12,37 +12,13 @@ from numpy.typing import NDArray
 
 
 def require(kept: bool | np.bool_, message: str) -> None:
-    """Raise when a contract is broken.
-
-    Parameters
-    ----------
-    kept : bool
-        Whether the promise is kept.
-    message : str
-        What was expected, what came, how to mend it.
-
-    Raises
-    ------
-    AssertionError
-        With the message; raised by hand, so that ``python -O`` checks as well.
-    """
+    """Raise when a contract is broken."""
     if not kept:
         raise AssertionError(message)
 
 
 def same_bits(first: NDArray[Any] | None, second: NDArray[Any] | None) -> bool:
-    """Whether two arrays, or two missing ones, are the same to the last bit.
-
-    Parameters
-    ----------
-    first, second : ndarray or None
-        Any shape and type.
-
-    Returns
-    -------
-    bool
-        False where shapes or types differ.
-    """
+    """Whether two arrays, or two missing ones, are the same to the last bit."""
     if first is None or second is None:
         return first is None and second is None
     alike = first.shape == second.shape and first.dtype == second.dtype
@@ -52,15 +28,7 @@ def same_bits(first: NDArray[Any] | None, second: NDArray[Any] | None) -> bool:
 def first_difference(first: NDArray[Any] | None, second: NDArray[Any] | None) -> str:
     """Where two arrays differ first, for messages.
 
-    Parameters
-    ----------
-    first, second : ndarray or None
-        Any shape and type.
-
-    Returns
-    -------
-    str
-        For example ``"[2, 0]: 1.0 and 1.5"``.
+    Returns for example ``"[2, 0]: 1.0 and 1.5"``.
     """
     if first is None or second is None or first.shape != second.shape:
         shapes = ["None" if a is None else f"shape {a.shape}" for a in (first, second)]
@@ -78,21 +46,7 @@ def require_fresh(
 ) -> None:
     """Raise when an array that was handed out belongs to somebody else.
 
-    Parameters
-    ----------
-    what : str
-        Name of the array.
-    array : ndarray
-        Handed out.
-    owners : dict
-        Arrays that it must not share memory with, by name.
-    until : str
-        When those change.
-
-    Raises
-    ------
-    AssertionError
-        Names the owner.
+    `owners`: arrays that it must not share memory with, by name.
     """
     for owner, other in owners.items():
         require(
@@ -103,25 +57,7 @@ def require_fresh(
 
 @contextmanager
 def read_only_given(word: str, given: str) -> Iterator[None]:
-    """Say what it means when NumPy or numba refuses to write to an array in the block.
-
-    Parameters
-    ----------
-    word : str
-        What runs in the block.
-    given : str
-        Whose arrays they are.
-
-    Yields
-    ------
-    None
-        Once.
-
-    Raises
-    ------
-    AssertionError
-        Instead of their error.
-    """
+    """Say what it means when NumPy or numba refuses to write to an array in the block."""
     try:
         yield
     except (ValueError, TypeError) as error:
@@ -135,23 +71,7 @@ def read_only_given(word: str, given: str) -> Iterator[None]:
 
 @contextmanager
 def no_global_chance(word: str) -> Iterator[None]:
-    """Raise when the block draws from, or seeds, the global generators.
-
-    Parameters
-    ----------
-    word : str
-        What runs in the block, for messages.
-
-    Yields
-    ------
-    None
-        Once.
-
-    Raises
-    ------
-    AssertionError
-        When the state of `random` or of NumPy's global generator has changed.
-    """
+    """Raise when the block draws from, or seeds, the global generators."""
     before = random.getstate(), _numpy_state()
     yield
     require(

@@ -26,14 +26,9 @@ ATTACK_S = 10.0
 class Script(NamedTuple):
     """What a detector gets to see, in order.
 
-    Attributes
-    ----------
-    name : str
-        Of the script, for messages.
-    context : DetectorContext
-        What the detector is bound with.
-    epochs : tuple of Epoch
-        All optional fields are filled in.
+    - `name`: of the script, for messages;
+    - `context`: what the detector is bound with;
+    - `epochs`: all optional fields are filled in.
     """
 
     name: str
@@ -43,22 +38,7 @@ class Script(NamedTuple):
     def epoch(
         self, number: int, rows: NDArray[np.intp], needs: Collection[str]
     ) -> dict[str, NDArray[Any]]:
-        """An epoch of some receivers.
-
-        Parameters
-        ----------
-        number : int
-            Which epoch.
-        rows : ndarray
-            Which receivers, in this order; one may stand there twice.
-        needs : collection of str
-            Optional fields to fill in.
-
-        Returns
-        -------
-        dict
-            C-contiguous copies of its arrays.
-        """
+        """An epoch of some receivers."""
         return {
             name: np.ascontiguousarray(array[rows])
             for name, array in self.epochs[number]._asdict().items()
@@ -68,13 +48,7 @@ class Script(NamedTuple):
 
 @lru_cache(maxsize=1)
 def engine_script() -> Script:
-    """Epochs of a clean, then attacked run of the default scenario.
-
-    Returns
-    -------
-    Script
-        Of `RECEIVERS` receivers.  What is optional in an epoch is made up, where the run has none.
-    """
+    """Epochs of a clean, then attacked run of the default scenario."""
     scenario = Scenario()
     timeline = Timeline(warmup_s=5.0, live_s=5.0, attack_s=ATTACK_S, time_to_alert_s=0.0)
     setup = Setup(scenario, TightlyCoupled(), FalsePosition(), Never(), timeline)
@@ -100,17 +74,7 @@ def engine_script() -> Script:
 def with_optional_fields(epoch: Epoch, rng: np.random.Generator) -> Epoch:
     """Copy of an epoch, with what is missing made up.
 
-    Parameters
-    ----------
-    epoch : Epoch
-        Some of its optional fields may be None.
-    rng : Generator
-        What is made up is drawn from it.
-
-    Returns
-    -------
-    Epoch
-        With all fields.
+    `epoch`: some of its optional fields may be None.
     """
     b, n = epoch.visible.shape
     fields = {name: np.array(array) for name, array in epoch._asdict().items()}
@@ -144,11 +108,6 @@ def trying_script() -> Script:
     intervals differ; once all innovations are zero, once there is an outlier of a thousand standard
     deviations; in the end one satellite drifts away.  Innovations are drawn from the covariance
     that they are said to have.
-
-    Returns
-    -------
-    Script
-        Of `RECEIVERS` receivers.
     """
     rng = np.random.default_rng(2)
     noise = np.repeat([6.25, 0.01], CHANNELS)

@@ -33,16 +33,6 @@ def position_script(coordinates: int) -> Script:
     innovations are zero, once there is an outlier of a thousand standard deviations; a jump comes
     and goes, and in the end the position drifts away.  Innovations are drawn from the covariance
     that they are said to have; they are the position by GNSS minus the predicted one.
-
-    Parameters
-    ----------
-    coordinates : {2, 3}
-        m.
-
-    Returns
-    -------
-    Script
-        Of `RECEIVERS` receivers.
     """
     rng = np.random.default_rng(2 + coordinates)
     noise = np.array([1.0, 1.5, 4.0])[:coordinates]

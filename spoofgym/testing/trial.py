@@ -31,19 +31,7 @@ T = TypeVar("T", bound=Remembering)
 
 
 class Trial(ABC, Generic[T]):
-    """A subject, and the turns that it is tried with.
-
-    Attributes
-    ----------
-    word : str
-        What the subject is.
-    call : str
-        Its method that takes a turn.
-    receivers : int
-        B.
-    turns : int
-        How many.
-    """
+    """A subject, and the turns that it is tried with.  `call`: its method that takes a turn."""
 
     word: str
     call: str
@@ -52,50 +40,17 @@ class Trial(ABC, Generic[T]):
 
     @abstractmethod
     def bind(self, rows: NDArray[np.intp]) -> T:
-        """Bind a copy of the subject to some of the receivers.
-
-        Parameters
-        ----------
-        rows : ndarray
-            Which ones; one may stand there twice.
-
-        Returns
-        -------
-        object
-            The copy.
-        """
+        """Bind a copy of the subject to some of the receivers."""
 
     @abstractmethod
     def turn(self, bound: T, number: int, rows: NDArray[np.intp], spoil: bool) -> Record:
         """Let a bound subject take one turn.
 
-        Parameters
-        ----------
-        bound : object
-            Bound to as many receivers as there are rows.
-        number : int
-            Which turn.
-        rows : ndarray
-            Which receivers.
-        spoil : bool
-            Whether to overwrite afterwards what the subject was given.
-
-        Returns
-        -------
-        dict
-            Copies of what it gave.
+        `bound`: bound to as many receivers as there are rows.
         """
 
     def reset(self, bound: T, mask: NDArray[np.bool_] | None) -> None:
-        """Reset some receivers.
-
-        Parameters
-        ----------
-        bound : object
-            The subject.
-        mask : ndarray or None
-            (B,) bool; None for all.
-        """
+        """Reset some receivers."""
         bound.memory.reset(mask)
 
     def play(
@@ -108,21 +63,7 @@ class Trial(ABC, Generic[T]):
     ) -> list[Record]:
         """Let a bound subject take some turns.
 
-        Parameters
-        ----------
-        bound : object
-            Bound to as many receivers as there are rows.
-        rows : ndarray
-            Which receivers.
-        turns : range
-            Which turns.
-        spoil : bool
-            As in `turn`.
-
-        Returns
-        -------
-        list of dict
-            What `turn` returned.
+        `bound`: bound to as many receivers as there are rows.
         """
         records = []
         for number in turns:
@@ -132,24 +73,7 @@ class Trial(ABC, Generic[T]):
 
 
 def run_trial(trial: Trial[T]) -> list[Record]:
-    """Check what has nothing to do with what the subject is for.
-
-    Parameters
-    ----------
-    trial : Trial
-        The subject and its turns.
-
-    Returns
-    -------
-    list of dict
-        What the turns brought about.
-
-    Raises
-    ------
-    AssertionError
-        When there is chance, when something is kept outside of the memory, or when receivers
-        depend on each other.
-    """
+    """Check what has nothing to do with what the subject is for."""
     everyone, turns = np.arange(trial.receivers), range(trial.turns)
     bound = trial.bind(everyone)
     check_memory(bound, trial.receivers, trial.word)
@@ -176,22 +100,7 @@ def run_trial(trial: Trial[T]) -> list[Record]:
 
 
 def check_memory(subject: Remembering, receivers: int, word: str) -> None:
-    """Check that a subject remembers declared arrays of B rows.
-
-    Parameters
-    ----------
-    subject : object
-        Bound.
-    receivers : int
-        B.
-    word : str
-        What it is, for messages.
-
-    Raises
-    ------
-    AssertionError
-        When the memory is none, or an array is not declared or has lost its shape.
-    """
+    """Check that a subject remembers declared arrays of B rows."""
     memory = getattr(subject, "memory", None)
     if not isinstance(memory, Memory):
         raise AssertionError(

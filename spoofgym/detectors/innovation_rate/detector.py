@@ -67,17 +67,7 @@ def channel_quantiles(false_alarm: float, channels: int) -> FloatArray:
 
     .. math:: z_{a_0 / 2}, \qquad a_0 = 1 - (1 - P_{fa})^{1/n}
 
-    Parameters
-    ----------
-    false_alarm : float
-        P_fa, in (0, 1).
-    channels : int
-        Largest n.
-
-    Returns
-    -------
-    ndarray
-        (channels + 1,); the entry of no channel is that of one.
+    `false_alarm`: P_fa, in (0, 1); returns (channels + 1,); the entry of no channel is that of one.
     """
     shares = [-math.expm1(math.log1p(-false_alarm) / max(n, 1)) for n in range(channels + 1)]
     return np.array([two_sided_quantile(share) for share in shares])
@@ -108,30 +98,10 @@ def judge_rates(
 ) -> None:
     """Advance all filters by one epoch.
 
-    Parameters
-    ----------
-    time, interval, innovation, innovation_cov, visible : ndarray
-        Of the epoch.
-    told : ndarray
-        (B, n) what is added to the pseudorange innovations [m].
-    quantiles : ndarray
-        (n+1,) z by the number of visible satellites.
-    fixed_threshold : float
-        Threshold [1/s]; 0 for that of the filter's variance.
-    correlation, noise, memory_s : float
-        Alpha [1/s], epsilon [1/s^3], and the time in which the past is forgotten [s].
-    start_s, settled_s : float
-        When the filter begins, and when it may alarm and weigh [s].
-    weight_scale : float
-        m; 0 for weights of 1.
-    state, covariance : ndarray
-        (B, n, 3), (B, n, 6) memory, overwritten.
-    size, threshold : ndarray
-        (B, n), written: statistic and threshold [1/s].
-    weights : ndarray
-        (B, 2n), written: IGG-III for pseudoranges, 1 for range rates.
-    alarm : ndarray
-        (B, n), written.
+    `told` (B, n) what is added to the pseudorange innovations [m]; `quantiles` (n+1,) z by the
+    number of visible satellites; `state`, `covariance` (B, n, 3), (B, n, 6) memory, overwritten;
+    `size`, `threshold` (B, n), written: statistic and threshold [1/s]; `weights` (B, 2n), written:
+    IGG-III for pseudoranges, 1 for range rates; `alarm` (B, n), written.
     """
     channels = visible.shape[1]
     for b in range(visible.shape[0]):
@@ -172,22 +142,10 @@ def guard_against_lockout(
 ) -> None:
     """Let satellites in again that were out for too long, or that are needed.
 
-    Parameters
-    ----------
-    interval, visible : ndarray
-        Of the epoch.
-    size, threshold : ndarray
-        (B, n) statistic and threshold.
-    max_exclusion_s : float
-        Longest time at weight zero [s]; then the channel begins anew.
-    min_satellites : int
-        How many visible ones have a weight at least, if so many are visible.
-    excluded_s : ndarray
-        (B, n) time at weight zero, overwritten.
-    state, covariance : ndarray
-        (B, n, 3), (B, n, 6) memory of the filters, overwritten.
-    weights : ndarray
-        (B, 2n), overwritten.
+    `size`, `threshold` (B, n) statistic and threshold; `max_exclusion_s`: longest time at weight
+    zero [s]; then the channel starts again; `excluded_s` (B, n) time at weight zero, overwritten;
+    `state`, `covariance` (B, n, 3), (B, n, 6) memory of the filters, overwritten; `weights`
+    (B, 2n), overwritten.
     """
     for b in range(visible.shape[0]):
         used = 0
@@ -266,13 +224,7 @@ class InnovationRate(Detector):
         check_limits(self.max_exclusion_s, self.min_satellites)
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the filters of all satellites.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes.
-        """
+        """Begin the filters of all satellites."""
         super().bind(context)
         shape = (context.receivers, context.channels)
         self.memory.declare("state", np.zeros((*shape, 3)))
@@ -282,32 +234,14 @@ class InnovationRate(Detector):
         self._nothing = np.zeros(shape)
 
     def told(self, epoch: Epoch) -> FloatArray:
-        """What is added to the innovations: nothing, but in the oracles.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        ndarray
-            (B, n) [m].
-        """
+        """What is added to the innovations: nothing, but in the oracles.  Returns (B, n) [m]."""
         return self._nothing
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch.
 
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        Verdict
-            (B, n) size of the rates [1/s], thresholds, alarms; (B, 2n) weights, 1 for range rates.
+        Returns (B, n) size of the rates [1/s], thresholds, alarms; (B, 2n) weights, 1 for range
+        rates.
         """
         shape = epoch.visible.shape
         size, threshold = np.empty(shape), np.empty(shape)

@@ -53,13 +53,7 @@ class _Oracle(InnovationRate):
             self.channels = tuple(self.channels)
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the filters, and find the slots of the channels.
-
-        Parameters
-        ----------
-        context : DetectorContext
-            Sizes and satellites.
-        """
+        """Begin the filters, and find the slots of the channels."""
         super().bind(context)
         ids = context.satellite_ids
         unknown = [name for name in self.channels or () if name not in ids]
@@ -71,18 +65,7 @@ class _Oracle(InnovationRate):
         self._mask = np.array([self.channels is None or name in self.channels for name in ids])
 
     def told(self, epoch: Epoch) -> FloatArray:
-        """What is added to the innovations.
-
-        Parameters
-        ----------
-        epoch : Epoch
-            Read-only.
-
-        Returns
-        -------
-        ndarray
-            (B, n) [m].
-        """
+        """What is added to the innovations: (B, n) [m]."""
         since = epoch.time - self.onset_s
         offset = np.where(since >= 0.0, self.offset_m(np.maximum(since, 0.0)), 0.0)
         added: FloatArray = offset[:, None] * self._mask
@@ -90,18 +73,7 @@ class _Oracle(InnovationRate):
 
     @abstractmethod
     def offset_m(self, since_s: FloatArray) -> FloatArray:
-        """Offset of the attack.
-
-        Parameters
-        ----------
-        since_s : ndarray
-            (B,) time since the onset [s].
-
-        Returns
-        -------
-        ndarray
-            (B,) [m].
-        """
+        """Offset of the attack.  `since_s` (B,) time since the onset [s]; returns (B,) [m]."""
 
 
 @dataclass
@@ -131,18 +103,7 @@ class OracleStep(_Oracle):
             raise ValueError(f"`size_m` must be finite, got {self.size_m}")
 
     def offset_m(self, since_s: FloatArray) -> FloatArray:
-        """Offset of the attack.
-
-        Parameters
-        ----------
-        since_s : ndarray
-            (B,) time since the onset [s].
-
-        Returns
-        -------
-        ndarray
-            (B,) [m].
-        """
+        """Offset of the attack.  `since_s` (B,) time since the onset [s]; returns (B,) [m]."""
         return np.full_like(since_s, self.size_m)
 
 
@@ -173,16 +134,5 @@ class OracleRamp(_Oracle):
             raise ValueError(f"`rate_mps` must be finite, got {self.rate_mps}")
 
     def offset_m(self, since_s: FloatArray) -> FloatArray:
-        """Offset of the attack.
-
-        Parameters
-        ----------
-        since_s : ndarray
-            (B,) time since the onset [s].
-
-        Returns
-        -------
-        ndarray
-            (B,) [m].
-        """
+        """Offset of the attack.  `since_s` (B,) time since the onset [s]; returns (B,) [m]."""
         return self.rate_mps * since_s

@@ -34,13 +34,7 @@ FIRST_COVARIANCE = (2.0, 0.0, 0.0, 1.0, 0.0, 1.0)
 
 @inlined
 def restart(state: FloatArray, covariance: FloatArray) -> None:
-    """Forget all samples.
-
-    Parameters
-    ----------
-    state, covariance : ndarray
-        (3,) and (6,), overwritten.
-    """
+    """Forget all samples.  `state`, `covariance` (3,) and (6,), overwritten."""
     state[0] = state[1] = state[2] = 0.0
     covariance[0], covariance[1], covariance[2] = 2.0, 0.0, 0.0
     covariance[3], covariance[4], covariance[5] = 1.0, 0.0, 1.0
@@ -65,20 +59,9 @@ def advance(
 
     then :math:`P \leftarrow \gamma (\Phi P \Phi^T + Q)` and the update with R = 1.
 
-    Parameters
-    ----------
-    state : ndarray
-        (3,) s, v, a; overwritten.
-    covariance : ndarray
-        (6,) P_ss, P_sv, P_sa, P_vv, P_va, P_aa; overwritten.
-    sample : float
-        Normalized innovation.
-    interval : float
-        T [s].
-    correlation, noise : float
-        Alpha [1/s] and epsilon [1/s^3].
-    growth : float
-        Gamma, at least 1: how much of the past is forgotten.
+    `state` (3,) s, v, a; overwritten; `covariance` (6,) P_ss, P_sv, P_sa, P_vv, P_va, P_aa;
+    overwritten; `interval`: T [s]; `correlation`, `noise`: alpha [1/s] and epsilon [1/s^3];
+    `growth`: Gamma, at least 1: how much of the past is forgotten.
     """
     e = math.exp(-correlation * interval)
     g = (1.0 - e) / correlation

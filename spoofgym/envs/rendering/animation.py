@@ -100,10 +100,7 @@ def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps:
 def gif_palette() -> NDArray[np.uint8]:
     """Tints of all colours of the pictures, as smooth edges have them, and shades of grey.
 
-    Returns
-    -------
-    ndarray
-        (c, 3) red, green and blue of up to 256 colours.
+    Returns (c, 3) red, green and blue of up to 256 colours.
     """
     named = (*COLOURS[:6], RED, GREY)
     full = np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in named])
@@ -117,15 +114,8 @@ def gif_palette() -> NDArray[np.uint8]:
 def nearest_colours(palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Nearest colour of a palette for every colour of five bits a channel.
 
-    Parameters
-    ----------
-    palette : ndarray
-        (c, 3) uint8, c up to 256.
-
-    Returns
-    -------
-    ndarray
-        (32768,) uint8, index into the palette, by red, green and blue from the highest bits on.
+    `palette` (c, 3) uint8, c up to 256; returns (32768,) uint8, index into the palette, by red,
+    green and blue from the highest bits on.
     """
     level = np.linspace(0.0, 255.0, 32)
     colours = np.stack(np.meshgrid(level, level, level, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -137,18 +127,7 @@ def nearest_colours(palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def ffmpeg_program() -> str:
-    """FFmpeg of this machine, or that of the package ``imageio-ffmpeg``.
-
-    Returns
-    -------
-    str
-        Its path.
-
-    Raises
-    ------
-    ImportError
-        When there is neither.
-    """
+    """FFmpeg of this machine, or that of the package ``imageio-ffmpeg``."""
     found = shutil.which("ffmpeg")
     if found is not None:
         return found

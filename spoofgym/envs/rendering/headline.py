@@ -35,18 +35,7 @@ WIDTH = 8
 
 
 class Tiles:
-    """Pictures of single characters.
-
-    Parameters
-    ----------
-    dpi : float
-        Resolution.
-
-    Attributes
-    ----------
-    width, height : int
-        Of a tile [pixels].
-    """
+    """Pictures of single characters.  `width`, `height`: of a tile [pixels]."""
 
     def __init__(self, dpi: float) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -67,14 +56,8 @@ class Tiles:
     def write(self, frame: NDArray[np.uint8], x: int, y: int, text: str) -> None:
         """Put a text into a frame.
 
-        Parameters
-        ----------
-        frame : ndarray
-            (H, W, 3) uint8, written.
-        x, y : int
-            Left upper corner, from the left upper one of the frame [pixels].
-        text : str
-            Of `CHARACTERS`.
+        `frame` (H, W, 3) uint8, written; `x`, `y`: left upper corner, from the left upper one of
+        the frame [pixels].
         """
         row = np.concatenate([self._tiles[letter] for letter in text], axis=1)
         frame[y : y + row.shape[0], x : x + row.shape[1]] = row
@@ -83,12 +66,7 @@ class Tiles:
 class Headline:
     """Title, present numbers, and whether the detector has alarmed.
 
-    Parameters
-    ----------
-    figure : Figure
-        Where; it has a canvas.
-    stage : Stage
-        What stays.
+    `figure`: where; it has a canvas.
     """
 
     def __init__(self, figure: Figure, stage: Stage) -> None:
@@ -108,18 +86,7 @@ class Headline:
             x = (corner[0] + (WIDTH + 3) * self._tiles.width) / width
 
     def fit(self, history: RenderHistory) -> bool:
-        """Tell of the first alarm.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-
-        Returns
-        -------
-        bool
-            Whether it has just come.
-        """
+        """Show the first alarm."""
         first = history.first_alarm
         if first is None or self._alarm.get_text():
             return False
@@ -127,15 +94,7 @@ class Headline:
         return True
 
     def write(self, history: RenderHistory, frame: NDArray[np.uint8]) -> None:
-        """Write the present numbers into a frame.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-        frame : ndarray
-            (H, W, 3) uint8, written.
-        """
+        """Write the present numbers into a frame.  `frame` (H, W, 3) uint8, written."""
         for (x, y), (name, _, form) in zip(self._corners, NUMBERS, strict=True):
             number = form.format(history.number(name)[-1]).rjust(WIDTH)
             self._tiles.write(frame, x, y, number)

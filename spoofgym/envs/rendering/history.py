@@ -48,16 +48,7 @@ class RenderHistory:
         self._alarm = np.zeros(size, dtype=np.bool_)
 
     def add(self, attacked: Sight, twin: Sight, info: Mapping[str, Any]) -> None:
-        """Append an instant.
-
-        Parameters
-        ----------
-        attacked, twin : Sight
-            The receiver, and its clean twin at the same epoch.
-        info : mapping
-            Of the environment: ``time_s``, and after a step ``alarm`` and
-            ``undetected_displacement_m``.
-        """
+        """Append an instant."""
         k, self.count = self.count, self.count + 1
         apart = attacked.error_ne - twin.error_ne
         since = info["time_s"] - self.stage.onset_s
@@ -85,34 +76,15 @@ class RenderHistory:
     def number(self, name: str) -> FloatArray:
         """A number at every instant.
 
-        Parameters
-        ----------
-        name : str
-            ``time_s`` since the onset; ``counted_s``, that of the last command; ``ratio`` and
-            ``twin_ratio`` of the statistic to its threshold; ``induced_m`` from the clean twin;
-            ``error_m`` from the truth; ``undetected_m``, the undetected displacement.
-
-        Returns
-        -------
-        ndarray
-            (K,) a view.
+        `name`: ``time_s`` since the onset; ``counted_s``, that of the last command; ``ratio`` and
+        ``twin_ratio`` of the statistic to its threshold; ``induced_m`` from the clean twin;
+        ``error_m`` from the truth; ``undetected_m``, the undetected displacement; returns (K,) a
+        view.
         """
         return self._numbers[name][: self.count]
 
     def pair(self, name: str) -> FloatArray:
-        """A north and an east at every instant.
-
-        Parameters
-        ----------
-        name : str
-            ``position_ne`` of the truth from the onset; ``error_ne`` and ``twin_error_ne``,
-            estimate minus truth; ``displacement_ne``, commanded.
-
-        Returns
-        -------
-        ndarray
-            (K, 2) [m], a view.
-        """
+        """A north and an east at every instant: (K, 2) [m], a view."""
         return self._pairs[name][: self.count]
 
     @property

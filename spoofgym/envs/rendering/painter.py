@@ -58,15 +58,8 @@ class Painter:
     def paint(self, history: RenderHistory) -> NDArray[np.uint8]:
         """Draw the episode as it stands.
 
-        Parameters
-        ----------
-        history : RenderHistory
-            Of this painter's stage, with at least one instant.
-
-        Returns
-        -------
-        ndarray
-            (H, W, 3) uint8, a new array.
+        `history`: of this painter's stage, with at least one instant; returns (H, W, 3) uint8, a
+        new array.
         """
         changed = [panel.fit(history) for panel in self._panels]
         changed.append(self._headline.fit(history))

@@ -52,38 +52,13 @@ class Panel(Protocol):
 
 
 def moving_line(ax: Axes, look: str, **settings: Any) -> Line2D:
-    """Line without points yet, which is drawn apart from what stays.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    look : str
-        As in ``ax.plot``.
-    **settings
-        As in ``ax.plot``.
-
-    Returns
-    -------
-    Line2D
-        The line.
-    """
+    """Line without points yet, which is drawn apart from what stays."""
     (line,) = ax.plot([], [], look, animated=True, **settings)
     return line
 
 
 def head(ax: Axes, title: str, columns: int = 4) -> None:
-    """Title of a panel, and its key between title and panel.
-
-    Parameters
-    ----------
-    ax : Axes
-        With labelled artists.
-    title : str
-        The title.
-    columns : int
-        Of the key.
-    """
+    """Title of a panel, and its key between title and panel."""
     ax.set_title(title, loc="left", fontsize=10, fontweight="bold", pad=20)
     ax.legend(
         loc="lower left",
@@ -101,15 +76,7 @@ def head(ax: Axes, title: str, columns: int = 4) -> None:
 
 
 class FlightMap:
-    """The flight, with both estimates; their errors are magnified, by a factor that is told.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    stage : Stage
-        What stays.
-    """
+    """The flight, with both estimates; their errors are magnified, by a factor that is shown."""
 
     def __init__(self, ax: Axes, stage: Stage) -> None:
         style(ax)
@@ -149,18 +116,7 @@ class FlightMap:
         )
 
     def fit(self, history: RenderHistory) -> bool:
-        """Magnify less where errors have grown.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-
-        Returns
-        -------
-        bool
-            Whether the factor changed.
-        """
+        """Magnify less where errors have grown."""
         largest = max(float(history.number("error_m").max()), LEAST_M)
         factor = max(round_down(MAGNIFIED * self._extent / largest), 1.0)
         if factor >= self._factor:
@@ -170,13 +126,7 @@ class FlightMap:
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the way so far.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-        """
+        """Draw the way so far."""
         truth = history.pair("position_ne")
         ways = (
             truth + self._factor * history.pair("twin_error_ne"),
@@ -191,15 +141,7 @@ class FlightMap:
 
 
 class ErrorPlane:
-    """Estimate minus truth, north and east, with circles of equal distance.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    stage : Stage
-        What stays.
-    """
+    """Estimate minus truth, north and east, with circles of equal distance."""
 
     def __init__(self, ax: Axes, stage: Stage) -> None:
         style(ax)
@@ -225,18 +167,7 @@ class ErrorPlane:
         head(ax, "Estimate minus truth", 4)
 
     def fit(self, history: RenderHistory) -> bool:
-        """Widen the plane where errors have grown.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-
-        Returns
-        -------
-        bool
-            Whether it was.
-        """
+        """Widen the plane where errors have grown."""
         from matplotlib.patches import Circle
 
         largest = max(
@@ -256,13 +187,7 @@ class ErrorPlane:
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the errors so far.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-        """
+        """Draw the errors so far."""
         for name, line, end in self._ways:
             north, east = history.pair(name).T
             line.set_data(east, north)
@@ -274,13 +199,7 @@ class ErrorPlane:
 
 
 class SkyPlot:
-    """Satellites by azimuth and elevation, zenith in the middle: authentic, spoofed, excluded.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    """
+    """Satellites by azimuth and elevation, zenith in the middle: authentic, spoofed, excluded."""
 
     def __init__(self, ax: Axes) -> None:
         from matplotlib.patches import Circle
@@ -309,18 +228,7 @@ class SkyPlot:
         head(ax, "Satellites", 3)
 
     def fit(self, history: RenderHistory) -> bool:
-        """Write the names anew where satellites have moved, risen or set.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-
-        Returns
-        -------
-        bool
-            Whether they were.
-        """
+        """Write the names again where satellites have moved, risen or set."""
         sky = history.sky
         if sky is None:
             return False
@@ -343,13 +251,7 @@ class SkyPlot:
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the present sky.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-        """
+        """Draw the present sky."""
         sky = history.sky
         if sky is None:
             return
@@ -365,17 +267,7 @@ class SkyPlot:
 def beside(place: FloatArray, visible: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Lower left corners of names beside satellites, where they lie on nothing else if possible.
 
-    Parameters
-    ----------
-    place : ndarray
-        (2, n) of the satellites on the plot.
-    visible : ndarray
-        (n,) bool, which of them are drawn.
-
-    Returns
-    -------
-    list of tuple of float
-        n corners.
+    `place` (2, n) of the satellites on the plot; `visible` (n,) bool, which of them are drawn.
     """
     width, height = NAME_SIZE
     marks = [(x - 0.08, y - 0.08, 0.16, 0.16) for x, y in place.T.tolist()]
@@ -412,15 +304,7 @@ def _on_sky(sky: Sky) -> FloatArray:
 
 
 class TimePanel:
-    """What panels over time share: phases, and the time of the first alarm.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    stage : Stage
-        What stays.
-    """
+    """What panels over time share: phases, and the time of the first alarm."""
 
     def __init__(self, ax: Axes, stage: Stage) -> None:
         style(ax)
@@ -445,13 +329,7 @@ class TimePanel:
         self.artists: list[Artist] = [self._first]
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the time of the first alarm.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-        """
+        """Draw the time of the first alarm."""
         first = history.first_alarm
         if first is not None:
             time = history.number("time_s")[first]
@@ -459,15 +337,7 @@ class TimePanel:
 
 
 class StatisticPanel(TimePanel):
-    """Largest statistic over its threshold, attacked and twin; logarithmic where it explodes.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    stage : Stage
-        What stays.
-    """
+    """Largest statistic over its threshold, attacked and twin; logarithmic where it explodes."""
 
     def __init__(self, ax: Axes, stage: Stage) -> None:
         super().__init__(ax, stage)
@@ -480,18 +350,7 @@ class StatisticPanel(TimePanel):
         head(ax, "Statistic over threshold", 4)
 
     def fit(self, history: RenderHistory) -> bool:
-        """Raise the axis where the statistic has grown.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-
-        Returns
-        -------
-        bool
-            Whether it was.
-        """
+        """Raise the axis where the statistic has grown."""
         largest = max(_largest(history.number(name)) for name in ("ratio", "twin_ratio"))
         top = 2.0 if largest < 1.8 else round_up(1.15 * largest)
         if top <= self._top:
@@ -505,13 +364,7 @@ class StatisticPanel(TimePanel):
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the statistics so far.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-        """
+        """Draw the statistics so far."""
         super().follow(history)
         time, ratio, alarm = history.number("time_s"), history.number("ratio"), history.alarm
         self._twin.set_data(time, history.number("twin_ratio"))
@@ -520,15 +373,7 @@ class StatisticPanel(TimePanel):
 
 
 class ErrorPanel(TimePanel):
-    """Distance from the clean twin, what was commanded, and what of it counts as undetected.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    stage : Stage
-        What stays.
-    """
+    """Distance from the clean twin, what was commanded, and what of it counts as undetected."""
 
     def __init__(self, ax: Axes, stage: Stage) -> None:
         super().__init__(ax, stage)
@@ -546,18 +391,7 @@ class ErrorPanel(TimePanel):
         head(ax, "Displacement of the victim [m]", 4)
 
     def fit(self, history: RenderHistory) -> bool:
-        """Raise the axis where errors have grown.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-
-        Returns
-        -------
-        bool
-            Whether it was.
-        """
+        """Raise the axis where errors have grown."""
         sizes = [history.number(name) for name, _ in self._lines]
         if self._commanded is not None:
             sizes.append(_size(history.pair("displacement_ne")))
@@ -569,13 +403,7 @@ class ErrorPanel(TimePanel):
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the errors so far.
-
-        Parameters
-        ----------
-        history : RenderHistory
-            So far.
-        """
+        """Draw the errors so far."""
         super().follow(history)
         time = history.number("time_s")
         for name, line in self._lines:

@@ -49,18 +49,7 @@ class Seen(Protocol):
 
 
 def detector_name(detector: Detector) -> str:
-    """Registered name of a detector, else that of its class.
-
-    Parameters
-    ----------
-    detector : Detector
-        Any.
-
-    Returns
-    -------
-    str
-        For titles.
-    """
+    """Registered name of a detector, else that of its class."""
     found = (name for name, kind in DETECTORS.items() if kind is type(detector))
     return next(found, type(detector).__name__)
 
@@ -89,13 +78,7 @@ class GameRecorder:
         return setup.repeat * setup.scenario.epoch_interval_s
 
     def begin(self) -> Stage:
-        """Take the twin.
-
-        Returns
-        -------
-        Stage
-            Of the episode.
-        """
+        """Take the twin."""
         setup, batch = self._game.setup, self._game.engine.batch
         if self._twin is None:
             self._twin = Batch(setup, 1, run_serially)
@@ -127,13 +110,7 @@ class GameRecorder:
         return local
 
     def look(self) -> tuple[Sight, Sight]:
-        """Let the twin follow, and look at both.
-
-        Returns
-        -------
-        attacked, twin : Sight
-            At the same epoch.
-        """
+        """Let the twin follow, and look at both."""
         batch, twin = self._game.engine.batch, self._twin
         if twin is None:
             raise RuntimeError("no episode has begun: call begin() before look()")
@@ -196,13 +173,7 @@ class PlantRecorder:
         return self._game.plant.interval_s
 
     def begin(self) -> Stage:
-        """Take the twin.
-
-        Returns
-        -------
-        Stage
-            Of the episode.
-        """
+        """Take the twin."""
         plant = self._game.plant
         if self._twin is None:
             self._twin = plant.spawn(1)
@@ -222,13 +193,7 @@ class PlantRecorder:
         )
 
     def look(self) -> tuple[Sight, Sight]:
-        """Let the twin follow, and look at both.
-
-        Returns
-        -------
-        attacked, twin : Sight
-            At the same epoch.
-        """
+        """Let the twin follow, and look at both."""
         plant, twin = self._game.plant, self._twin
         if twin is None:
             raise RuntimeError("no episode has begun: call begin() before look()")

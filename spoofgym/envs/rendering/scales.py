@@ -14,16 +14,6 @@ STEPS = (1.0, 2.0, 5.0, 10.0)
 def round_up(value: float) -> float:
     """Least of 1, 2, 5, 10, 20 ... that is no less than a value.
 
-    Parameters
-    ----------
-    value : float
-        Above 0.
-
-    Returns
-    -------
-    float
-        The round number.
-
     Examples
     --------
     >>> round_up(3.1), round_up(0.02), round_up(60.0)
@@ -35,16 +25,6 @@ def round_up(value: float) -> float:
 
 def round_down(value: float) -> float:
     """Largest of 1, 2, 5, 10, 20 ... that is no more than a value.
-
-    Parameters
-    ----------
-    value : float
-        Above 0.
-
-    Returns
-    -------
-    float
-        The round number.
 
     Examples
     --------
@@ -58,12 +38,7 @@ def round_down(value: float) -> float:
 def equal_limits(ax: Axes, low: tuple[float, float], high: tuple[float, float]) -> None:
     """Show a rectangle in the middle of a panel, with one scale for both axes.
 
-    Parameters
-    ----------
-    ax : Axes
-        The panel; its shape stays.
-    low, high : tuple of float
-        Corners (x, y) of the rectangle.
+    `low`, `high`: corners (x, y) of the rectangle.
     """
     box = ax.get_window_extent()
     scale = max((high[0] - low[0]) / box.width, (high[1] - low[1]) / box.height)

@@ -45,25 +45,13 @@ class Screen:
         return {**self.__dict__, "_painter": None, "_window": None}
 
     def begin(self, info: Mapping[str, Any]) -> None:
-        """Begin an episode, at its onset.
-
-        Parameters
-        ----------
-        info : mapping
-            Of the environment's reset.
-        """
+        """Begin an episode, at its onset."""
         self._history = RenderHistory(self._recorder.begin(), self._recorder.interval_s)
         self._painter = None
         self.add(info)
 
     def add(self, info: Mapping[str, Any]) -> None:
-        """Record a step; in mode ``human`` show it.
-
-        Parameters
-        ----------
-        info : mapping
-            Of the environment's step.
-        """
+        """Record a step; in mode ``human`` show it."""
         history = self._begun("add")
         history.add(*self._recorder.look(), info)
         if self.mode == "human":
@@ -75,18 +63,7 @@ class Screen:
         return self._history
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw the episode as it stands.
-
-        Returns
-        -------
-        ndarray or None
-            (H, W, 3) uint8; None in mode ``human``.
-
-        Raises
-        ------
-        RuntimeError
-            Before the first episode, and in mode ``human`` without a display.
-        """
+        """Draw the episode as it is: (H, W, 3) uint8; None in mode ``human``."""
         frame = self.frame()
         if self.mode == "rgb_array":
             return frame
@@ -96,13 +73,7 @@ class Screen:
         return None
 
     def frame(self) -> NDArray[np.uint8]:
-        """Draw the episode as it stands, in any mode.
-
-        Returns
-        -------
-        ndarray
-            (H, W, 3) uint8, a new array.
-        """
+        """Draw the episode as it is, in any mode: (H, W, 3) uint8, a new array."""
         history = self._begun("render")
         if self._painter is None:
             self._painter = Painter(history.stage)

@@ -12,20 +12,7 @@ from .painter import DPI, SIZE_IN
 
 
 class Window:
-    """A window on the screen.
-
-    Parameters
-    ----------
-    title : str
-        Of the window.
-
-    Raises
-    ------
-    RuntimeError
-        When matplotlib finds no display.
-    ImportError
-        When it is not installed.
-    """
+    """A window on the screen."""
 
     def __init__(self, title: str) -> None:
         figure_class()  # tells how to install matplotlib
@@ -50,13 +37,7 @@ class Window:
         self._image: Any = None
 
     def show(self, frame: NDArray[np.uint8]) -> None:
-        """Show a frame; nothing where the user has closed the window.
-
-        Parameters
-        ----------
-        frame : ndarray
-            (H, W, 3) uint8.
-        """
+        """Show a frame; nothing where the user has closed the window.  `frame` (H, W, 3) uint8."""
         from matplotlib import pyplot
 
         if not pyplot.fignum_exists(self._figure.number):

@@ -104,34 +104,12 @@ class RecordEpochs(_Base, RecordConstructorArgs):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode; one that is not over is written as it is.
-
-        Parameters
-        ----------
-        seed, options : optional
-            As the environment takes them.
-
-        Returns
-        -------
-        observation, info
-            Of the environment.
-        """
+        """Begin an episode; one that is not over is written as it is."""
         self.recorder.finish(FIRST, complete=False)
         return super().reset(seed=seed, options=options)
 
     def step(self, action: Observation) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
-        """Give one command; write the episode when it is over.
-
-        Parameters
-        ----------
-        action : ndarray
-            As the environment takes it.
-
-        Returns
-        -------
-        observation, reward, terminated, truncated, info
-            Of the environment.
-        """
+        """Give one command; write the episode when it is over."""
         result = super().step(action)
         if result[2] or result[3]:
             self.recorder.finish(FIRST, complete=True)

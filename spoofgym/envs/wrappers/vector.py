@@ -98,36 +98,14 @@ class RecordEpochs(Wrapper):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin episodes; those that are not over are written as they are.
-
-        Parameters
-        ----------
-        seed, options : optional
-            As the environment takes them.
-
-        Returns
-        -------
-        observation, info
-            Of the environment.
-        """
+        """Begin episodes; those that are not over are written as they are."""
         mask = mask_of(options, self.num_envs)
         rows = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask)
         self.recorder.finish(rows, complete=False)
         return super().reset(seed=seed, options=options)  # type: ignore[arg-type]
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Give one command to every receiver; write the episodes that are over.
-
-        Parameters
-        ----------
-        actions : ndarray
-            As the environment takes them.
-
-        Returns
-        -------
-        observation, reward, terminated, truncated, info
-            Of the environment.
-        """
+        """Give one command to every receiver; write the episodes that are over."""
         result = super().step(actions)
         over = result[2] | result[3]
         if over.any():
@@ -135,12 +113,6 @@ class RecordEpochs(Wrapper):
         return result
 
     def close(self, **kwargs: Any) -> None:
-        """Write episodes that are not over, and close the environment.
-
-        Parameters
-        ----------
-        **kwargs
-            As the environment takes them.
-        """
+        """Write episodes that are not over, and close the environment."""
         self.recorder.finish(np.arange(self.num_envs), complete=False)
         super().close(**kwargs)

@@ -49,18 +49,7 @@ def card_of(name: str) -> Card:
 
 
 def spec_of_shipped(name: str) -> dict[str, Any]:
-    """Registered name and settings of a shipped spoofer.
-
-    Parameters
-    ----------
-    name : str
-        Its name.
-
-    Returns
-    -------
-    dict
-        For `make_spoofer`; its label in results is the name.
-    """
+    """Registered name and settings of a shipped spoofer."""
     card = card_of(name)
     if card.file is None:
         return {"name": card.kind, **card.settings, "label": name}
