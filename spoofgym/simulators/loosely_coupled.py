@@ -84,7 +84,7 @@ class LooselyCoupledSetup(Setup):
         f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")
     )
     weight_names = ("east", "north", "up")
-    scales: Mapping[str, float] = {  # noqa: RUF012  (read only)
+    scales: Mapping[str, float] = {
         "displacement_m": 25.0,
         "position_m": 10_000.0,
         "velocity_mps": 100.0,
@@ -127,7 +127,7 @@ class LooselyCoupledSetup(Setup):
         )
         self.epochs_each = self.world.epochs
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, flight))
-        self.epoch_time = np.arange(self.epochs_each) * INTERVAL_S
+        self.epoch_time = INTERVAL_S * np.arange(self.epochs_each, dtype=np.float64)
         # to ECEF from local north, east, down axes
         self.C_en = np.ascontiguousarray(self.world.C_el[:, :, [1, 0, 2]] * [1.0, 1.0, -1.0])
 

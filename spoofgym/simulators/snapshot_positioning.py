@@ -64,7 +64,8 @@ class SnapshotSetup(Setup):
         Of the constellation: another geometry.
     domain : mapping or Domain, optional
         What differs from episode to episode beside the noise: `turned_deg`, the vehicle's heading,
-        and `constellation_time_s`, with `worlds` and `world_seed`; nothing by default.
+        and `constellation_time_s`, with `worlds` and `world_seed`, and `satellites` in view in all
+        worlds; nothing by default.
     target_heading_deg : float or {"random", "worst"}
         Direction in which displacement counts, clockwise from north; drawn for every episode; or
         that in which it is largest.
@@ -97,7 +98,7 @@ class SnapshotSetup(Setup):
     )
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"position_{axis}" for axis in AXES[:3])
-    scales: Mapping[str, float] = {  # noqa: RUF012  (read only)
+    scales: Mapping[str, float] = {
         "displacement_m": 100.0,
         "position_m": 10_000.0,
         "velocity_mps": 100.0,

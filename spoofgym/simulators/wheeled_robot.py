@@ -173,7 +173,7 @@ class WheeledRobotSetup(Setup):
             )
         self.epochs_each = self.length + math.floor(late / self.interval_s + 1e-6) + 1
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, "the course"))
-        self.epoch_time = np.arange(self.epochs_each) * self.interval_s
+        self.epoch_time = self.interval_s * np.arange(self.epochs_each, dtype=np.float64)
         samples = (self.epochs_each - 1) * self.samples
         self.track = self.loop.track(samples, self.odometer.sample_interval_s)
         self.wheels = self.track.wheels(self.odometer.wheel_base_m)
@@ -188,11 +188,13 @@ class WheeledRobotSetup(Setup):
         right = pairs.ndim == 2 and pairs.shape[1] == 2
         if not (right and (pairs[:, 0] > 0.0).all() and (pairs[:, 0] < pairs[:, 1]).all()):
             raise ValueError(
-                "`interruptions_s` must be pairs (begin, end) with 0 < begin < end, got "
+                "`interruptions_s` must be pairs (start, end) with 0 < start < end, got "
                 f"{interruptions_s}"
             )
-        time = np.arange(self.length + 1)[:, None] * self.interval_s
-        self.available = ((time < pairs[:, 0]) | (time >= pairs[:, 1])).all(axis=1)
+        time = self.epoch_time[: self.length + 1]
+        self.available = np.ones(len(time), dtype=np.bool_)
+        for start, end in pairs:
+            self.available &= (time < start) | (time >= end)
 
     def simulator(self, receivers: int, run: Run) -> WheeledRobotSimulator:
         """B robots, not begun yet."""
