@@ -92,8 +92,12 @@ def epoch_view(buffers: ReceiverBuffers) -> Epoch:
         "predicted_position": s.position_e,
         "predicted_velocity": s.velocity_e,
     }
-    views: dict[str, NDArray[Any]] = {}
-    for name, array in arrays.items():
-        views[name] = array.view()
-        views[name].flags.writeable = False
+    return read_only(**arrays)
+
+
+def read_only(**arrays: NDArray[Any]) -> Epoch:
+    """Epoch of read-only views."""
+    views = {name: array.view() for name, array in arrays.items()}
+    for view in views.values():
+        view.flags.writeable = False
     return Epoch(**views)

@@ -21,7 +21,7 @@ from .._registry import build_record
 from ..earth.wgs84 import STANDARD_GRAVITY
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
-from .epoch import Epoch
+from .epoch import Epoch, read_only
 from .loose_model import POSITION, STATES
 
 FloatArray = NDArray[np.float64]
@@ -159,7 +159,6 @@ class LooseReceivers:
             "satellite_velocity": no_vector,
             "visible": np.zeros((b, 0), dtype=np.bool_),
         }
-        self._constant = {name: _read_only(array) for name, array in self._constant.items()}
 
     @property
     def state(self) -> LooseState:
@@ -203,21 +202,15 @@ class LooseReceivers:
         north, up.
         """
         state = self.state
-        return Epoch(
-            time=_read_only(time),
-            innovation=_read_only(state.innovation),
-            innovation_cov=_read_only(state.innovation_cov),
-            predicted_cov=_read_only(state.covariance),
-            predicted_position=_read_only(state.position_e),
-            predicted_velocity=_read_only(state.velocity_e),
-            transition=_read_only(self._transition),
-            imu_delta=_read_only(self._imu_delta),
-            gnss_position=_read_only(self.fix_e),
+        return read_only(
+            time=time,
+            innovation=state.innovation,
+            innovation_cov=state.innovation_cov,
+            predicted_cov=state.covariance,
+            predicted_position=state.position_e,
+            predicted_velocity=state.velocity_e,
+            transition=self._transition,
+            imu_delta=self._imu_delta,
+            gnss_position=self.fix_e,
             **self._constant,
         )
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    view = array.view()
-    view.flags.writeable = False
-    return view

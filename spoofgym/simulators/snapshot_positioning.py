@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .._registry import build_record
 from ..detectors import Detector, DetectorContext
-from ..receiver.epoch import Epoch
+from ..receiver.epoch import Epoch, read_only
 from ..receiver.snapshot import (
     EXPECTED_CLOCK_SD_M,
     EXPECTED_POSITION_SD_M,
@@ -66,14 +66,8 @@ class SnapshotSetup(Setup):
         What differs from episode to episode beside the noise: `turned_deg`, the vehicle's heading,
         and `constellation_time_s`, with `worlds` and `world_seed`, and `satellites` in view in all
         worlds; nothing by default.
-    target_heading_deg : float or {"random", "worst"}
-        Direction in which displacement counts, clockwise from north; drawn for every episode; or
-        that in which it is largest.
-    decision_interval_s : float, optional
-        Time between decisions, a multiple of `interval_s`, of which the attack window holds a whole
-        number; every epoch by default.
-    between : {"hold", "linear"}
-        What is commanded at the epochs between two decisions.
+    target_heading_deg, decision_interval_s, between : float or str, optional
+        As in `TightlyCoupledSetup`.
 
     Attributes
     ----------
@@ -287,21 +281,17 @@ class SnapshotSimulator(RateSimulator):
             self._cov,
             self._design,
         )
-        arrays = {
+        return read_only(
+            time=self.time_s(),
+            innovation=self._innovation,
+            innovation_cov=self._cov,
+            design=self._design,
+            pseudorange=self._pseudorange,
+            satellite_position=self._satellites,
+            satellite_velocity=self.setup.sky.satellite_velocity_e[memory["epoch"]],
+            predicted_position=memory["position_e"],
             **self._constant,
-            "time": self.time_s(),
-            "innovation": self._innovation,
-            "innovation_cov": self._cov,
-            "design": self._design,
-            "pseudorange": self._pseudorange,
-            "satellite_position": self._satellites,
-            "satellite_velocity": self.setup.sky.satellite_velocity_e[memory["epoch"]],
-            "predicted_position": memory["position_e"],
-        }
-        views = {name: array.view() for name, array in arrays.items()}
-        for view in views.values():
-            view.flags.writeable = False
-        return Epoch(**views)
+        )
 
     def _correct(self, weights: FloatArray | None) -> None:
         """Make a fix; where there is none, the last one stays."""

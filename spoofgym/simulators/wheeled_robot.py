@@ -72,14 +72,8 @@ class WheeledRobotSetup(Setup):
         What differs from episode to episode beside the noise: `start_s`, the time on the course
         at which the robot is switched on; None as the latest is one lap after the earliest.
         Nothing by default.
-    target_heading_deg : float or {"random", "worst"}
-        Direction in which displacement counts, clockwise from north; drawn for every episode; or
-        that in which it is largest.
-    decision_interval_s : float, optional
-        Time between decisions, a multiple of `interval_s`, of which the attack window holds a whole
-        number; every epoch by default.
-    between : {"hold", "linear"}
-        What is commanded at the epochs between two decisions.
+    target_heading_deg, decision_interval_s, between : float or str, optional
+        As in `TightlyCoupledSetup`.
 
     Attributes
     ----------
