@@ -20,7 +20,7 @@ extras_train := report,train
 tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py
 
 .DEFAULT_GOAL := help
-.PHONY: help venv bench test test-ray check perf train
+.PHONY: help venv bench test test-cpus test-ray check perf train
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
@@ -32,6 +32,9 @@ bench: $(VENV)/.installed-bench ## play the benchmark and write its report
 
 test: $(VENV)/.installed-test ## run all tests; a part of them with ARGS="-k word"
 	$(python) -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
+
+test-cpus: $(VENV)/.installed-test ## test on other kinds of processors that the same bits come out; some with ARGS="haswell znver4"
+	$(python) -m tests.cpus $(ARGS)
 
 test-ray: $(VENV_RAY)/.installed ## test RLlib and the oldest Gymnasium, in an environment of its own
 	$(VENV_RAY)/bin/python -m pytest $(tests_ray) $(ARGS)

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from spoofgym._describe import differences
 from spoofgym._files import write_file
 from spoofgym.bench.budget import MARGIN, reach
-from spoofgym.bench.store import differences
 from spoofgym.bench.suite import Suite
 from spoofgym.bench.tune import TuningResult, tune
 from spoofgym.spoofers.card import NAME, Card
@@ -225,7 +225,8 @@ class ProfileRun:
         changed = differences(config, json.loads(json.dumps(self.config)))
         if changed:
             raise ValueError(
-                f"{self.path} is the record of another search (different: {', '.join(changed)}); "
+                f"{self.path} is the record of another search (different: "
+                f"{', '.join(name for name, _, _ in changed)}); "
                 "--overwrite replaces it, or choose another --out"
             )
         self.ramps, self.start = ramps, start

@@ -1,17 +1,24 @@
-"""Settings as JSON, and a digest of them."""
+"""Settings as JSON, a digest of them, and digests of what is not spoofgym's."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+import inspect
 import json
 import math
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
 from datetime import date
-from pathlib import PurePath
+from pathlib import Path, PurePath
+from types import ModuleType
 from typing import Any
 
 import numpy as np
+
+LIBRARIES = {"spoofgym", "numpy", "pandas", *sys.stdlib_module_names}
+"""Packages that versions and digests of their own stand for."""
+INSTALLED = {"site-packages", "dist-packages"}
 
 
 def describe(value: Any) -> Any:
@@ -55,15 +62,98 @@ def digest_of(config: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def unlike(card: Any, here: Any, where: str = "") -> list[str]:
-    """Where settings differ from those on a card."""
-    if isinstance(card, Mapping) and isinstance(here, Mapping):
-        names = [*card, *(name for name in here if name not in card)]
-        lines = []
-        for name in names:
+def outside_sources(*things: Any) -> dict[str, str | None]:
+    """Digests of what is not spoofgym's in `things` and their settings, by name.
+
+    They are those of modules: of the classes, their bases, and what these import, but for what is
+    installed; and those of ONNX files and their cards.  A class whose source can't be read, such
+    as one that was typed in, has None.
+    """
+    found: dict[str, str | None] = {}
+    for thing in _within(things):
+        if isinstance(thing, str | PurePath):
+            file = Path(thing)
+            for path in (file, file.with_suffix(".json")) if file.suffix == ".onnx" else ():
+                if path.is_file():
+                    found[str(path)] = _digest_of_file(path)
+            continue
+        for kind in type(thing).__mro__:
+            if _is_outside(kind.__module__, type(thing)):
+                try:
+                    inspect.getsource(kind)
+                except (OSError, TypeError):
+                    found[f"{kind.__module__}:{kind.__qualname__}"] = None
+                else:
+                    found |= _sources(kind)
+    return found
+
+
+def _within(value: Any) -> Iterator[Any]:
+    """An object that `describe` takes, and all that its settings hold."""
+    yield value
+    if value is None or isinstance(value, bool | int | float | str | np.generic | np.ndarray):
+        return
+    if isinstance(value, date | PurePath):
+        return
+    if isinstance(value, Mapping):
+        parts = list(value.values())
+    elif isinstance(value, list | tuple):
+        parts = list(value)
+    else:
+        parts = [getattr(value, name, None) for name in inspect.signature(type(value)).parameters]
+    for part in parts:
+        yield from _within(part)
+
+
+def _digest_of_file(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def _is_outside(module: str, kind: type) -> bool:
+    """Whether a module is the user's; an installed one is where the class is of its package."""
+    package = module.partition(".")[0]
+    file = getattr(sys.modules.get(module), "__file__", None) or ""
+    installed = bool(INSTALLED & {*Path(file).parts})
+    own = package == kind.__module__.partition(".")[0]
+    return package not in LIBRARIES and (own or not installed)
+
+
+def _sources(kind: type) -> dict[str, str]:
+    """Digests of the module of a class and of the user's modules that it imports, by name."""
+    found: dict[str, str] = {}
+    waiting = [kind.__module__]
+    while waiting:
+        name = waiting.pop()
+        module = sys.modules.get(name)
+        file = getattr(module, "__file__", None)
+        if name in found or file is None or not _is_outside(name, kind):
+            continue
+        found[name] = _digest_of_file(Path(file))
+        for value in list(vars(module).values()):
+            inner = getattr(value, "__module__", None)
+            if isinstance(value, ModuleType):
+                # what a package holds depends on what else was imported
+                inner = None if value.__name__.startswith(f"{name}.") else value.__name__
+            if isinstance(inner, str):
+                waiting.append(inner)
+    return found
+
+
+def differences(one: Any, other: Any, where: str = "") -> list[tuple[str, Any, Any]]:
+    """Dotted names of JSON-able settings that differ, with both values."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        found = []
+        for name in [*one, *(name for name in other if name not in one)]:
             inside = f"{where}.{name}" if where else str(name)
-            lines += unlike(card.get(name), here.get(name), inside)
-        return lines
-    if isinstance(card, list | tuple) and isinstance(here, list | tuple):
-        card, here = list(card), list(here)
-    return [] if card == here else [f"{where}: {card!r} on the card, {here!r} here"]
+            found += differences(one.get(name), other.get(name), inside)
+        return found
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        one, other = list(one), list(other)
+    return [] if one == other else [(where, one, other)]
+
+
+def unlike(card: Any, here: Any, where: str = "") -> list[str]:
+    """Where settings differ from those on a card, a line each."""
+    return [
+        f"{name}: {a!r} on the card, {b!r} here" for name, a, b in differences(card, here, where)
+    ]

@@ -1,20 +1,80 @@
-"""Files that are whole or absent."""
+"""Files that are whole or absent, whoever else writes there: the one way to write them."""
 
 from __future__ import annotations
 
 import os
+import platform
+import re
+import uuid
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+_PART = re.compile(r"spoofgym-([0-9a-f]{8})-(\d+)-[0-9a-f]{32}\.part")
 
-def write_file(path: Path, content: bytes) -> None:
-    """Write a file as a whole: to a temporary name beside it, which is renamed."""
+
+def write_file(path: Path, content: bytes, *, exclusive: bool = False) -> None:
+    """Write all of a file, as `whole_file` does."""
+    with whole_file(path, exclusive=exclusive) as part:
+        part.write_bytes(content)
+
+
+@contextmanager
+def whole_file(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
+    """Temporary file in the folder of `path`, which takes its name when the block has ended well.
+
+    The folder is made where it is missing.  A file of that name is replaced, or, if `exclusive`,
+    is left and raises FileExistsError.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    part = path.with_name(f"spoofgym-{_machine()}-{os.getpid()}-{uuid.uuid4().hex}.part")
     try:
-        with part.open("wb") as file:
-            file.write(content)
-            file.flush()
+        yield part
+        with part.open("rb+") as file:
             os.fsync(file.fileno())
-        part.replace(path)
+        if exclusive:
+            _link(part, path)
+        else:
+            os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def _link(part: Path, path: Path) -> None:
+    """Give a file a name that nobody has."""
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        with path.open("xb") as file:
+            file.write(part.read_bytes())
+
+
+def remove_stale_parts(folder: Path) -> None:
+    """Remove temporary files of processes of this machine that have died."""
+    for part in folder.glob("spoofgym-*.part"):
+        found = _PART.fullmatch(part.name)
+        if found and found[1] == _machine() and not _may_live(int(found[2])):
+            part.unlink(missing_ok=True)
+
+
+def _machine() -> str:
+    """Digits of where a process number means one process: the host and, on Linux, the container."""
+    name = platform.node()
+    with suppress(OSError):
+        name += os.readlink("/proc/self/ns/pid")
+    return f"{zlib.crc32(name.encode()):08x}"
+
+
+def _may_live(process: int) -> bool:
+    if os.name == "nt":  # where signal 0 is an interrupt
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True

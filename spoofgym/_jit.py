@@ -3,24 +3,34 @@
 numba's own cache notices an edit of the file a function stands in, not of the files of the
 functions it calls, and then goes on to run the old machine code.  Here the folder is named by a
 digest of the sources and of the numba version, so that any edit of them starts afresh.
+
+numba runs whatever its files hold.  Here each ends with a checksum; one that is damaged counts as
+absent, so that its function is compiled again and the file replaced.  The checksum is no signature:
+against others the folder has to be this user's own, as the files are unpickled.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
+import math
 import os
 import shutil
 import stat
+import sys
 import tempfile
+import time
 import warnings
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache, lru_cache
+from io import BytesIO
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 import platformdirs
+from numba.core import event
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -28,8 +38,46 @@ CACHE_VARIABLE = "SPOOFGYM_CACHE_DIR"
 COMPILED_LAYERS = ("earth", "sim", "attacks", "receiver", "detectors", "simulators", "envs")
 """Packages with compiled code, each of which calls only those before it (import-linter's order)."""
 KEPT_DIGESTS = 16
-FASTMATH = {"contract", "arcp", "nsz"}
-"""Relaxed rules of floating point; ``reassoc`` is left out, see the notes of `njit`."""
+CHECKSUM_SIZE = 16
+FASTMATH = {"arcp", "nsz"}
+"""Relaxed rules of floating point; not ``contract``, not ``reassoc``: see the notes of `njit`."""
+
+NOTICE_S = 2.0
+NOTICE = "spoofgym: compiling for this machine, once; takes about a minute"
+
+
+class _Notice(event.Listener):  # type: ignore[misc]
+    """Says once, on stderr, what takes so long: when `NOTICE_S` have gone into compiling."""
+
+    said = False
+
+    def __init__(self) -> None:
+        self._depth, self._spent, self._since = 0, 0.0, math.inf
+
+    def on_start(self, happened: event.Event) -> None:
+        """Count from the outermost function, where it is one of the package."""
+        of = happened.data["dispatcher"].py_func.__module__
+        if self._depth == 0 and of.partition(".")[0] == __package__:
+            self._since = time.monotonic()
+        self._depth += 1
+        self._look()
+
+    def on_end(self, happened: event.Event) -> None:
+        """Keep what the outermost function took."""
+        self._look()
+        self._depth -= 1
+        if self._depth == 0:
+            self._spent += max(time.monotonic() - self._since, 0.0)
+            self._since = math.inf
+
+    def _look(self) -> None:
+        spent = self._spent + time.monotonic() - self._since
+        if spent >= NOTICE_S and not self.said:
+            self.said = True
+            print(NOTICE, file=sys.stderr, flush=True)
+
+
+event.register("numba:compile", _Notice())
 
 
 def layer_of(module: str) -> int:
@@ -55,32 +103,29 @@ def source_digest(layer: int) -> str:
     return digest.hexdigest()[:16]
 
 
-def _is_writable(folder: Path) -> bool:
+def _fault(folder: Path) -> str:
+    """Why a folder, made where it is missing, can't hold compiled code; empty if it can."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
-        return False
-
-
-def _is_own(folder: Path) -> bool:
-    """Whether nobody else can leave code there, which is loaded unseen."""
+            status = folder.stat()
+    except OSError as error:
+        return f"can't be written ({error.strerror})"
     if not hasattr(os, "getuid"):
-        return True
-    status = folder.stat()
-    return status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        return ""
+    if status.st_uid != os.getuid():
+        return f"must belong to user {os.getuid()}, who runs its code, not to {status.st_uid}"
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        mode = stat.S_IMODE(status.st_mode)
+        return f"must be writable by nobody else, got mode {mode:o} (`chmod go-w` mends it)"
+    return ""
 
 
 def _temporary_parent() -> Path:
-    """Folder for when the user's own cannot be written: of this user, or else of this process."""
+    """Folder for when the user's own can't be used: of this user, or else of this process."""
     user = getattr(os, "getuid", lambda: "user")()
     folder = Path(tempfile.gettempdir()) / f"spoofgym-cache-{user}"
-    with contextlib.suppress(OSError):
-        folder.mkdir(mode=0o700)
-    if _is_writable(folder) and _is_own(folder):
-        return folder
-    return Path(tempfile.mkdtemp(prefix="spoofgym-cache-"))
+    return Path(tempfile.mkdtemp(prefix="spoofgym-cache-")) if _fault(folder) else folder
 
 
 def _prune(parent: Path, keep: Path) -> None:
@@ -100,15 +145,15 @@ def cache_parent() -> Path:
     """Folder of all compiled code, created when missing.
 
     ``SPOOFGYM_CACHE_DIR`` overrides the user's cache folder.  When the folder can't be written,
-    one warning is issued and a temporary folder of this user is taken.
+    or others may write to it, one warning is issued and a temporary folder of this user is taken.
     """
     wanted = os.environ.get(CACHE_VARIABLE)
     parent = Path(wanted) if wanted else Path(platformdirs.user_cache_dir("spoofgym")) / "numba"
-    if _is_writable(parent):
+    if not (fault := _fault(parent)):
         return parent
     fallback = _temporary_parent()
     warnings.warn(
-        f"the cache folder {parent} is not writable; compiled code goes to {fallback} "
+        f"the cache folder {parent} {fault}; compiled code goes to {fallback} "
         f"(set {CACHE_VARIABLE} to choose another folder)",
         RuntimeWarning,
         stacklevel=2,
@@ -120,26 +165,82 @@ def cache_parent() -> Path:
 def cache_folder(layer: int) -> Path:
     """Folder of one layer's compiled code."""
     folder = cache_parent() / f"{COMPILED_LAYERS[layer]}-{source_digest(layer)}"
-    folder.mkdir(parents=True, exist_ok=True)
+    if fault := _fault(folder):  # left from when others could write to its parent
+        _say(f"{folder} {fault}; it is removed, and its code compiled again")
+        shutil.rmtree(folder)
+        folder.mkdir(mode=0o700)
     _prune(cache_parent(), folder)
     return folder
+
+
+@cache
+def _say(line: str) -> None:
+    """Say it once in this process."""
+    print(f"spoofgym: {line}", file=sys.stderr)
+
+
+def _checksum(content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=CHECKSUM_SIZE).digest()
+
+
+class _CheckedFiles(IndexDataCacheFile):  # type: ignore[misc]
+    """Index and code of one function; every file ends with its checksum, which pickle ignores."""
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[BytesIO]:
+        with super()._open_for_write(filepath) as file:
+            content = BytesIO()
+            yield content
+            file.write(content.getvalue() + _checksum(content.getvalue()))
+
+    def _is_whole(self, path: str) -> bool:
+        try:
+            content = Path(path).read_bytes()
+        except FileNotFoundError:
+            return False
+        whole = _checksum(content[:-CHECKSUM_SIZE]) == content[-CHECKSUM_SIZE:]
+        if not whole:
+            _say(f"compiled code in {cache_parent()} is damaged; it is compiled again where needed")
+        return whole
+
+    def _load_index(self) -> dict[Any, str]:
+        return super()._load_index() if self._is_whole(self._index_path) else {}
+
+    def _load_data(self, name: str) -> Any:
+        return super()._load_data(name) if self._is_whole(self._data_path(name)) else (None, None)
+
+    # Two processes that save the first two signatures at once give both the same file name.
+    def save(self, key: Any, data: Any) -> None:
+        super().save(key, (key, data))
+
+    def load(self, key: Any) -> Any:
+        saved_key, data = super().load(key) or (None, None)
+        return data if saved_key == key else None
+
+
+class _CheckedCache(FunctionCache):  # type: ignore[misc]
+    def __init__(self, function: Callable[..., object]) -> None:
+        super().__init__(function)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
 
 
 def _compile(function: F, forceinline: bool) -> F:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache_folder(layer_of(function.__module__)))
     try:
-        compiled: F = numba.njit(
-            cache=True,
+        compiled: Any = numba.njit(
             nogil=True,
             fastmath=FASTMATH,
             error_model="numpy",
             boundscheck=False,
             forceinline=forceinline,
         )(function)
+        if compiled is not function:  # as it is under NUMBA_DISABLE_JIT=1
+            compiled._cache = _CheckedCache(function)
     finally:
         numba.config.CACHE_DIR = before
-    return compiled
+    return cast(F, compiled)
 
 
 def njit(function: F) -> F:
@@ -158,12 +259,14 @@ def njit(function: F) -> F:
     Notes
     -----
     The relaxed floating-point rules leave NaN and infinity alone, since inputs are screened for
-    them.  Sums are not regrouped (``reassoc``): LLVM optimizes a function once by itself and once
-    more within each caller, and would group otherwise each time.  Which of these copies runs
-    depends on what the process has loaded first, so that one that compiles, whose callees are all
-    loaded, would end in other last bits than one that finds the callers in the cache.  There is no
-    ``parallel``: after a parallel region of GNU OpenMP a forked child dies, and
-    Gymnasium's ``AsyncVectorEnv`` with it.
+    them.  Two rules are left out, so that a receiver has the same bits in any batch, thread and
+    process of one machine.  With ``contract``, a multiplication and an addition may become one
+    operation with one rounding: LLVM chooses them in the body of a vectorized loop otherwise than
+    in its remainder, and how many receivers the body holds depends on the processor.  With
+    ``reassoc``, sums may be regrouped: LLVM optimizes a function once by itself and once more
+    within each caller, and would group otherwise each time.  Which of these copies runs depends on
+    what the process has loaded first.  There is no ``parallel``: after a parallel region of GNU
+    OpenMP a forked child dies, and Gymnasium's ``AsyncVectorEnv`` with it.
     """
     return _compile(function, forceinline=False)
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from ._files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,6 +38,14 @@ def figure_class() -> type[Figure]:
     except ImportError as error:
         raise ImportError("pictures need matplotlib: pip install spoofgym[report]") from error
     return Figure
+
+
+def save_figure(figure: Figure, path: Path, dpi: float | Literal["figure"] = "figure") -> Path:
+    """Write a picture whole or not at all; its ending tells the format, PNG where it has none."""
+    path = path if path.suffix else path.with_suffix(".png")
+    with whole_file(path) as part:
+        figure.savefig(part, format=path.suffix[1:], dpi=dpi)
+    return path
 
 
 def style(ax: Axes) -> None:

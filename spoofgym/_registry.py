@@ -127,6 +127,17 @@ def is_number(value: object) -> bool:
     return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
 
 
+def whole_number(name: str, value: Any, least: int = 0) -> int:
+    """A count or a seed as Python's own int, also of NumPy's; raises unless it is at least `least`.
+
+    `name` is how the message names it, with its quotes.
+    """
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not whole or value < least:
+        raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    return int(value)
+
+
 def check_keywords(
     whose: Callable[..., Any] | str, given: Iterable[str], valid: Iterable[str]
 ) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,9 +26,13 @@ if TYPE_CHECKING:
     from .bench.suite import Suite
     from .sim.scenario import Scenario
 
+_signals: list[int] = []
+"""What has asked the program to end."""
 P = ParamSpec("P")
 R = TypeVar("R")
 TRACEBACK_VARIABLE = "SPOOFGYM_TRACEBACK"
+LARGEST_RUNS = 1_000_000
+"""More are a slip of the keyboard."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
@@ -123,6 +128,7 @@ TrainingOption = Annotated[
     int,
     typer.Option(
         min=2,
+        max=LARGEST_RUNS,
         help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
     ),
 ]
@@ -138,6 +144,12 @@ TaskOption = Annotated[
     typer.Option(
         help="Task of spoofgym-bench-v1, T1 to T6, which sets scenario, receiver, attack, times "
         "and detectors; see `spoofgym tasks`."
+    ),
+]
+RunOption = Annotated[
+    int,
+    typer.Option(
+        "--run", min=0, max=LARGEST_RUNS - 1, help="Which of the benchmark's evaluation runs."
     ),
 ]
 OutOption = Annotated[Path, typer.Option(help="Folder of the results.")]
@@ -286,7 +298,9 @@ class _Bar:
         self.task = self.bar.add_task("compiling, a minute the first time", total=total)
 
     def advance(self, amount: float, now: str) -> None:
-        """Show it."""
+        """Show it; end here where an interrupt was lost, as in a destructor."""
+        if _signals:
+            raise KeyboardInterrupt
         if amount > 0.0:
             self.bar.update(self.task, advance=amount, description=now)
 
@@ -342,10 +356,10 @@ def run(
     spoofer: Annotated[
         str, typer.Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")
     ] = "ramp",
-    number: Annotated[
-        int, typer.Option("--run", min=0, help="Which of the benchmark's evaluation runs.")
-    ] = 0,
-    out: Annotated[Path, typer.Option(help="File of the picture.")] = Path("episode.png"),
+    number: RunOption = 0,
+    out: Annotated[Path, typer.Option(help="File of the picture; .png without an ending.")] = Path(
+        "episode.png"
+    ),
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     as_json: JsonOption = False,
     scenario: ScenarioOption = "zhong2025",
@@ -386,8 +400,7 @@ def run(
     episode = play_episode(suite, suite.detector_entries[0], player, number)
     summary = episode.summary()
     if picture:
-        draw_episode(episode, out)
-        summary["picture"] = str(out)
+        summary["picture"] = str(draw_episode(episode, out))
     if as_json:
         _print_json({**summary, "input": None if real is None else real.reports})
         return
@@ -402,9 +415,7 @@ def render(
     spoofer: Annotated[
         str, typer.Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")
     ] = "ramp",
-    number: Annotated[
-        int, typer.Option("--run", min=0, help="Which of the benchmark's evaluation runs.")
-    ] = 0,
+    number: RunOption = 0,
     out: Annotated[
         Path, typer.Option(help="File of the moving picture, .gif or .mp4 (needs FFmpeg).")
     ] = Path("run.gif"),
@@ -562,7 +573,10 @@ def bench(
         ),
     ] = None,
     seeds: Annotated[
-        int, typer.Option(min=2, help="Evaluation runs of every cell, the same for all.")
+        int,
+        typer.Option(
+            min=2, max=LARGEST_RUNS, help="Evaluation runs of every cell, the same for all."
+        ),
     ] = 200,
     out: OutOption = Path("results"),
     overwrite: Annotated[
@@ -867,6 +881,18 @@ def _report(folder: Any, as_json: bool, reports: Any) -> None:
     typer.echo(f"written: {', '.join(str(path) for path in written)}")
 
 
+def _interrupt(number: int, _: Any) -> None:
+    _signals.append(number)
+    raise KeyboardInterrupt
+
+
 def main() -> None:
-    """Run the command line."""
-    app()
+    """Run the command line; Ctrl-C and SIGTERM end it in order, with 130 and 143."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as in the background of a shell
+            signal.signal(number, _interrupt)
+    try:
+        app()
+    finally:
+        if _signals:
+            sys.exit(128 + _signals[0])

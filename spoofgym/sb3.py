@@ -33,7 +33,7 @@ from .envs.infos import InfoSpec, chosen, info_keys
 from .envs.played import Turn
 from .envs.presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
 from .envs.recorder import EpochRecorder
-from .envs.resets import warn_unknown
+from .envs.resets import HALFWAY, warn_unknown, whole_reset
 from .envs.setup import Timeline
 from .envs.spaces import action_space, checked_action, observation_space
 from .envs.tally import Tally
@@ -158,6 +158,7 @@ class SpoofVecEnv(VecEnv):
         self.render_mode = None
         self._rngs: list[np.random.Generator] = []
         self._actions: Array | None = None
+        self._halfway = False
         self._returns = np.zeros(num_envs)
         self._began = time.perf_counter()
         super().__init__(num_envs, observation_space(self.game), action_space(self.game))
@@ -185,7 +186,8 @@ class SpoofVecEnv(VecEnv):
         given = self._told()
         self._reset_seeds()
         self._reset_options()
-        self.game.reset(self._rngs, given=given)
+        with whole_reset(self):
+            self.game.reset(self._rngs, given=given)
         self._returns[:] = 0.0
         self._actions = None
         return self.game.observe()
@@ -200,6 +202,8 @@ class SpoofVecEnv(VecEnv):
         """
         if not self._rngs:
             raise RuntimeError("call reset() before step()")
+        if self._halfway:
+            raise RuntimeError(HALFWAY)
         shape = (self.num_envs, len(self.action_names))
         self._actions = checked_action(actions, shape, self.action_names)
 
@@ -219,6 +223,7 @@ class SpoofVecEnv(VecEnv):
         """
         if self._actions is None:
             raise RuntimeError("call step_async() before step_wait()")
+        self._halfway = True
         turn, observations = self.game.turn(self._actions)
         self._actions = None
         self._returns += turn.reward
@@ -232,6 +237,7 @@ class SpoofVecEnv(VecEnv):
             self.game.reset([self._rngs[row] for row in rows], rows)
             self._returns[rows] = 0.0
             observations = self.game.observe()
+        self._halfway = False
         return observations, turn.reward.astype(np.float32), over, infos
 
     def _at_the_end(self, row: int, observations: Array, info: dict[str, Array]) -> dict[str, Any]:

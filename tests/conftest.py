@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -31,6 +32,7 @@ LONG = (
     "docs/test_train_your_own.py",
     "train/",
     "test_cli.py",
+    "test_interrupts.py",
     "baselines/",
     "papers/",
     "conformance/test_detectors.py",
@@ -41,6 +43,11 @@ WINDOW = "module://tests.window"
 os.environ["MPLBACKEND"] = WINDOW
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let one try more moments than usual at which a campaign is interrupted."""
+    parser.addoption("--interrupts", type=int, default=20, help="moments of an interrupt")
+
+
 @pytest.fixture(autouse=True)
 def _window_of_the_tests() -> Iterator[None]:
     """Take back matplotlib's backend where a program under test has chosen one for its process."""
@@ -48,6 +55,14 @@ def _window_of_the_tests() -> Iterator[None]:
     matplotlib = sys.modules.get("matplotlib")
     if matplotlib is not None and matplotlib.get_backend() != WINDOW:
         matplotlib.use(WINDOW)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _no_word_of_compiling() -> None:
+    """In which test the notice would appear on stderr depends on the machine and the order."""
+    from spoofgym import _jit
+
+    _jit.NOTICE_S = math.inf
 
 
 @pytest.fixture(scope="session")

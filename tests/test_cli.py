@@ -7,13 +7,16 @@ import signal
 import subprocess
 import sys
 import time
+import types
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import pytest
 from typer.testing import CliRunner, Result
 
 from spoofgym import __version__
+from spoofgym.bench import perf
 from spoofgym.bench.store import ResultsFolder
 from spoofgym.cli import app
 from spoofgym.detectors import DETECTORS
@@ -57,7 +60,7 @@ def test_help_of_every_command() -> None:
 
 
 def test_it_starts_quickly_and_as_a_module() -> None:
-    began = time.perf_counter()
+    """By what is imported, since a clock measures how busy the machine is."""
     done = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "spoofgym", "--help"],
         capture_output=True,
@@ -65,9 +68,9 @@ def test_it_starts_quickly_and_as_a_module() -> None:
         check=True,
     )
     assert "bench" in done.stdout
-    assert time.perf_counter() - began < 10.0  # what is imported counts, not a busy machine
     for slow in ("matplotlib", "pandas", "scipy", "numba"):
         assert f" {slow}\n" not in done.stderr
+    assert done.stderr.count("import time:") < 1000
 
 
 def test_list_names_all_there_is() -> None:
@@ -84,6 +87,17 @@ def test_list_names_all_there_is() -> None:
     told = [row["name"] for row in found["detectors"] if row["oracle"]]
     assert told == ["oracle-ramp", "oracle-step"]
     assert (ramp["tunable"], ramp["knowledge"]) == ("rate_mps", "blind")
+    settings = {row["name"]: row["settings"] for row in found["envs"]}
+    for name, told in settings.items():
+        assert told.items() >= json.loads(json.dumps(gym.spec(name).kwargs)).items()
+    plain = settings["spoofgym/TightlyCoupled-v0"]
+    assert plain["target_heading_deg"] == 90.0
+    assert {**plain, **settings["spoofgym/RandomStart-v0"]} == {
+        **plain,
+        "domain": {"start_s": [0.0, None]},
+        "target_heading_deg": "random",
+    }
+    assert "target_heading_deg=random" in " ".join(call("list", "envs").output.split())
     table = call("list", "detectors").output
     assert "snapshot-chi2" in table
     assert "[oracle, told what no receiver knows]" in " ".join(table.split())
@@ -215,23 +229,31 @@ def test_an_interrupted_bench_is_kept_and_goes_on(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.slow
 def test_ctrl_c_keeps_what_is_finished() -> None:
     command = [*QUICK, "--detector", "ewma", "--spoofer", "ramp:rate_mps=0.4", "--out", "out"]
-    # so many runs that there is time to interrupt it after the first cell
     long = ["bench", *command, "--seeds", "2000", "--attack-s", "100"]
     # a shell starts its background jobs, and so perhaps these tests, deaf to Ctrl-C
-    listening = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-        "from spoofgym.cli import main; main()"
-    )
+    # the second cell waits for the interrupt, should it be finished before
+    listening = """
+import signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from spoofgym.bench import perf
+from spoofgym.bench.store import ResultsFolder
+from spoofgym.cli import main
+put_cell = ResultsFolder.put_cell
+def put_the_first(folder, cell):
+    while any(folder.path.glob("cells/*.jsonl")):
+        time.sleep(0.05)
+    put_cell(folder, cell)
+ResultsFolder.put_cell = put_the_first
+main()
+"""
     process = subprocess.Popen(
         [sys.executable, "-c", listening, *long], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    deadline = time.monotonic() + 300.0
     while not Path("out", "cells", "ewma--none.jsonl").exists():
         assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60.0)
+    _, said = process.communicate(timeout=600.0)
     assert process.returncode == 130
     assert b"interrupted: 1 of 2 cells are finished and kept in out" in said
     assert b"Traceback" not in said
@@ -240,8 +262,21 @@ def test_ctrl_c_keeps_what_is_finished() -> None:
     assert "**Not finished**: ewma / ramp" in Path("out", "results.md").read_text()
 
 
-def test_perf_measures_both_environments() -> None:
-    result = call("perf", "--num-envs", "2", "--threads", "1", "--duration", "0.1", "--json")
+def test_perf_measures_both_environments(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = 0
+
+    def count(frame: Any, kind: str, argument: Any) -> None:
+        nonlocal calls
+        calls += kind in {"call", "c_call"}
+
+    # a call for a microsecond of processor time, which would depend on the machine's load
+    clock = types.SimpleNamespace(perf_counter=time.perf_counter, thread_time=lambda: calls * 1e-6)
+    monkeypatch.setattr(perf, "time", clock)
+    sys.setprofile(count)
+    try:
+        result = call("perf", "--num-envs", "2", "--threads", "1", "--duration", "0.1", "--json")
+    finally:
+        sys.setprofile(None)
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert found["single"]["steps_per_s"] > 0.0
@@ -252,6 +287,36 @@ def test_perf_measures_both_environments() -> None:
     assert all(0.0 < each["engine_us"] < each["env_us"] for each in found["overhead"])
 
 
+@pytest.mark.parametrize(
+    ("command", "option", "largest"),
+    [
+        ("run", "--run", 999_999),
+        ("render", "--run", 999_999),
+        ("bench", "--seeds", 1_000_000),
+        ("tune", "--training-seeds", 1_000_000),
+    ],
+)
+def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: int) -> None:
+    result = call(command, option, "99999999999")
+    assert result.exit_code == 2
+    assert f"Invalid value for '{option}'" in result.stderr
+    assert str(largest) in result.stderr
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize("duration", ["nan", "inf", "-1", "1e9"])
+def test_perf_refuses_a_duration_that_never_ends(duration: str) -> None:
+    said = refused("perf", "--duration", duration)
+    assert f"must be 0 to 3600 s, got {float(duration):g} s" in said
+
+
+def test_a_late_run_is_that_of_a_long_campaign() -> None:
+    suite = small_suite()
+    one = suite.generators("evaluation", 900, 899)
+    assert len(one) == 1
+    assert one[0].random() == suite.generators("evaluation", 900)[899].random()
+
+
 def test_run_draws_one_attack() -> None:
     result = call("run", *SHORT, "--spoofer", "step:size_m=20", "--out", "a.png", "--json")
     assert result.exit_code == 0, result.output
@@ -259,6 +324,9 @@ def test_run_draws_one_attack() -> None:
     assert summary["spoofer"]["size_m"] == 20
     assert summary["largest_error_m"] > 1.0
     assert Path("a.png").is_file()
+    named = call("run", *SHORT, "--spoofer", "step:size_m=20", "--out", "run1")
+    assert "run1.png" in named.stdout.split()
+    assert Path("run1.png").is_file()
     plain = call("run", *SHORT, "--no-picture")
     assert "undetected_displacement_m" in plain.output
     assert not Path("episode.png").exists()

@@ -6,10 +6,12 @@ import os
 import shutil
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import numba
 import pytest
+from numba.core import event
 
 from spoofgym import _jit
 from spoofgym.earth import wgs84
@@ -80,7 +82,7 @@ def test_what_is_no_source_does_not_count(tree):
 def test_the_decorator_and_numba_s_version_count_for_all(tree, monkeypatch):
     before = digests()
     path = tree / "_jit.py"
-    path.write_text(path.read_text().replace('"contract"', '"fast"'))
+    path.write_text(path.read_text().replace('"arcp"', '"fast"'))
     assert changed(before) == list(_jit.COMPILED_LAYERS)
     before = digests()
     monkeypatch.setattr(numba, "__version__", "0.0.0")
@@ -128,10 +130,63 @@ def test_compiling_leaves_numba_s_own_settings_alone():
     assert before == numba.config.CACHE_DIR
 
 
+NOTICED = """
+import sys
+import numba
+from spoofgym import _jit
+_jit.NOTICE_S = 0.0
+numba.njit(lambda x: x)(1.0)
+print("compiled one of the user's", file=sys.stderr)
+from spoofgym.earth import wgs84
+for _ in range(2):
+    wgs84.gravity(6378137.0, 0.0, 0.0)
+wgs84.gravity(6378137, 0, 0)  # of whole numbers it is another function
+"""
+
+
+def test_compiling_is_said_once_on_stderr_and_loading_is_not(tmp_path):
+    environment = os.environ | {_jit.CACHE_VARIABLE: str(tmp_path)}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", NOTICED],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stderr.splitlines()
+        for _ in range(2)
+    ]
+    assert said == [["compiled one of the user's", _jit.NOTICE], ["compiled one of the user's"]]
+
+
+def test_compiling_is_said_when_it_has_taken_two_seconds_in_all(monkeypatch, capsys):
+    monkeypatch.setattr(_jit, "NOTICE_S", 2.0)
+    clock = 0.0
+    monkeypatch.setattr(_jit, "time", types.SimpleNamespace(monotonic=lambda: clock))
+    notice = _jit._Notice()
+    ours, theirs = {"dispatcher": wgs84.gravity}, {"dispatcher": numba.njit(lambda x: x)}
+    # who compiles, how long, and whether it has been said afterwards
+    for compiled, seconds, said in ((theirs, 5.0, ""), (ours, 1.5, ""), (ours, 0.25, "")):
+        notice.on_start(event.Event("numba:compile", event.EventStatus.START, compiled))
+        clock += seconds
+        notice.on_end(event.Event("numba:compile", event.EventStatus.END, compiled))
+        clock += 60.0  # in which nothing is compiled
+        assert capsys.readouterr().err == said
+    notice.on_start(event.Event("numba:compile", event.EventStatus.START, ours))
+    clock += 0.3
+    notice.on_start(event.Event("numba:compile", event.EventStatus.START, theirs))  # called by it
+    assert capsys.readouterr().err == f"{_jit.NOTICE}\n"
+    notice.on_end(event.Event("numba:compile", event.EventStatus.END, theirs))
+    assert capsys.readouterr().err == ""
+
+
 SCRIPT = """
 import sys, warnings
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
+    from spoofgym import _jit
+    _jit.NOTICE_S = float("inf")  # whether compiling takes that long depends on the machine
     from spoofgym.earth import ranging, wgs84  # two modules, one warning
     from spoofgym.sim import noise  # another layer
     assert abs(wgs84.gravity(6378137.0, 0.0, 0.0)[0] + 9.78) < 1e-3
@@ -140,16 +195,35 @@ print(len(told), *told, sep="\\n")
 """
 
 
-def in_a_new_process(folder, temporary):
+def in_new_processes(folder, temporary, number=1, **variables):
+    """Number and texts of warnings, and the lines on stderr, of processes that run at once."""
     temporary.mkdir(exist_ok=True)
     environment = os.environ | {_jit.CACHE_VARIABLE: str(folder), "TMPDIR": str(temporary)}
+    environment |= variables
     environment.pop("NUMBA_DISABLE_JIT", None)
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    count, *told = done.stdout.splitlines()
-    return int(count), told
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", SCRIPT],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(number)
+    ]
+    results = []
+    for process in running:
+        said, errors = process.communicate()
+        assert process.returncode == 0, errors
+        count, *told = said.splitlines()
+        results.append((int(count), told, errors.splitlines()))
+    return results
+
+
+def in_a_new_process(folder, temporary, **variables):
+    ((count, told, errors),) = in_new_processes(folder, temporary, **variables)
+    assert errors == []
+    return count, told
 
 
 def test_a_folder_that_cannot_be_written_gives_one_warning_and_works(tmp_path):
@@ -178,6 +252,117 @@ def test_code_is_not_loaded_from_where_others_may_leave_it(tmp_path, monkeypatch
     other = _jit._temporary_parent()
     assert other != own
     assert other.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
+@pytest.mark.parametrize("given", [True, False])
+def test_a_cache_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, given):
+    folder = tmp_path / "cache"
+    if given:
+        monkeypatch.setenv(_jit.CACHE_VARIABLE, str(folder))
+    else:
+        monkeypatch.delenv(_jit.CACHE_VARIABLE, raising=False)
+        monkeypatch.setattr(_jit.platformdirs, "user_cache_dir", lambda name: str(tmp_path / name))
+        folder = tmp_path / "spoofgym" / "numba"
+    monkeypatch.setattr(_jit.tempfile, "tempdir", str(tmp_path))
+    find = _jit.cache_parent.__wrapped__
+    assert find() == folder
+    assert folder.stat().st_mode & 0o777 == 0o700
+    fallback = tmp_path / f"spoofgym-cache-{os.getuid()}"
+    for mode in (0o720, 0o702, 0o777):
+        folder.chmod(mode)
+        with pytest.warns(RuntimeWarning, match=f"writable by nobody else, got mode {mode:o}"):
+            assert find() == fallback
+    folder.chmod(0o755)
+    assert find() == folder
+    uid = os.getuid()
+    monkeypatch.setattr(_jit.os, "getuid", lambda: uid + 1)
+    with pytest.warns(RuntimeWarning, match=f"must belong to user {uid + 1}, .* not to {uid}"):
+        other = find()
+    assert other not in (folder, fallback)
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
+def test_a_layer_that_others_could_write_to_is_removed(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(_jit, "cache_parent", lambda: tmp_path)
+    find = _jit.cache_folder.__wrapped__
+    folder = find(0)
+    (folder / "kept").touch()
+    assert (find(0) / "kept").exists()
+    folder.chmod(0o770)
+    assert find(0) == folder
+    assert list(folder.iterdir()) == []
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert f"{folder} must be writable by nobody else" in capsys.readouterr().err
+
+
+def test_any_damage_to_a_file_makes_it_absent(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(_jit, "cache_parent", lambda: tmp_path)
+    _jit._say.cache_clear()
+    files = _jit._CheckedFiles(str(tmp_path), "function", "stamp")
+    files.save("one", [1.0])
+    files.save("two", [2.0])
+    index, one = tmp_path / "function.nbi", tmp_path / "function.1.nbc"
+    assert (files.load("one"), files.load("two"), files.load("three")) == ([1.0], [2.0], None)
+    assert capsys.readouterr().err == ""
+    for path in (index, one):
+        whole = path.read_bytes()
+        flipped = [bytes([*whole[:k], whole[k] ^ 4, *whole[k + 1 :]]) for k in range(len(whole))]
+        for damaged in (*flipped, *(whole[:k] for k in range(len(whole))), whole + b"x"):
+            path.write_bytes(damaged)
+            assert files.load("one") is None
+        if path == one:
+            assert files.load("two") == [2.0]
+        files.save("one", [3.0])  # compiled again
+        assert files.load("one") == [3.0]
+        path.write_bytes(whole)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
+        f"spoofgym: compiled code in {tmp_path} is damaged; it is compiled again where needed"
+    ]
+
+
+def test_code_of_another_signature_is_not_taken(tmp_path):
+    """Of two processes that save a first signature each, one's index may meet the other's code."""
+    first = _jit._CheckedFiles(str(tmp_path / "a"), "function", "stamp")
+    second = _jit._CheckedFiles(str(tmp_path / "b"), "function", "stamp")
+    for files, key in ((first, "one"), (second, "two")):
+        Path(files._cache_path).mkdir()
+        files.save(key, [key])
+    shutil.copy(tmp_path / "b" / "function.1.nbc", tmp_path / "a")
+    assert first.load("one") is None
+    first.save("one", ["again"])
+    assert first.load("one") == ["again"]
+
+
+@pytest.mark.slow
+def test_a_damaged_cache_is_compiled_again_with_one_line(tmp_path):
+    folder, temporary = tmp_path / "cache", tmp_path / "temporary"
+    results = in_new_processes(folder, temporary, 3)  # compiled by three at once
+    assert results == [(0, [], [])] * 3
+    written = sorted(folder.rglob("*.nb[ic]"))
+    whole = [path.read_bytes() for path in written]
+
+    def flip(content):
+        changed = bytearray(content)
+        for k in range(0, len(changed), 97):
+            changed[k] ^= 0xFF
+        return bytes(changed)
+
+    for suffix, damage in (
+        (".nbi", lambda content: b""),
+        (".nbi", lambda content: content[: len(content) // 2]),
+        (".nbc", lambda content: content[: len(content) // 2]),
+        (".nbc", flip),
+    ):
+        for path, content in zip(written, whole, strict=True):
+            path.write_bytes(damage(content) if path.suffix == suffix else content)
+        ((count, told, errors),) = in_new_processes(folder, temporary)
+        assert (count, told) == (0, [])
+        assert errors == [
+            f"spoofgym: compiled code in {folder} is damaged; it is compiled again where needed"
+        ]
+    assert in_a_new_process(folder, temporary) == (0, [])
 
 
 def test_a_folder_that_can_be_written_is_made_and_used(tmp_path):

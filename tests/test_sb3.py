@@ -120,6 +120,8 @@ def test_a_reset_goes_on_and_a_seeded_one_begins_anew():
     envs.seed(3)
     assert np.array_equal(envs.reset(), first)
     assert np.array_equal(envs.reset(), second)
+    envs.seed(np.int64(3))
+    assert np.array_equal(envs.reset(), first)
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from spoofgym._files import write_file
-from spoofgym._pictures import BLUE, ORANGE, figure_class, style
+from spoofgym._pictures import BLUE, ORANGE, figure_class, save_figure, style
 from spoofgym.bench.metrics import wilson
 from spoofgym.spoofers.card import Card
 
@@ -163,9 +163,7 @@ def draw(result: dict[str, Any], path: Path) -> None:
     )
     ax.set_ylim(bottom=0.0)
     ax.legend(fontsize=9, framealpha=0.9)
-    part = path.with_name(path.name + ".part")
-    figure.savefig(part, format="png", dpi=130)
-    part.replace(path)
+    save_figure(figure, path, dpi=130)
 
 
 def _arms(estimates: list[dict[str, float]], unit: float) -> list[list[float]]:

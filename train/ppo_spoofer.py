@@ -77,7 +77,7 @@ from agents.imitation import check_imitable, demonstrations, imitate
 from agents.networks import InformedCritic, MlpShape
 from agents.record import TrainingRecord
 from spoofgym._describe import unlike
-from spoofgym._files import write_file
+from spoofgym._files import remove_stale_parts, write_file
 from spoofgym._registry import check_choice
 from spoofgym.attacks import Attack
 from spoofgym.bench.budget import (
@@ -787,6 +787,7 @@ def open_folder(args: Arguments, console: Console) -> dict[str, Any]:
     A folder with a run in it is gone on with under `--resume` only, and by the same settings only.
     """
     path = args.out / CONFIG
+    remove_stale_parts(args.out)
     if not path.is_file():
         if args.resume:
             console.print(f"there is no run in {args.out} yet: it begins anew")

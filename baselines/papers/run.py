@@ -275,7 +275,9 @@ def run_papers(runs: Sequence[PaperRun], jobs: int, tick: Tick, say: Say) -> lis
             }
             while waiting:
                 done, _ = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in done:
+                # those that have failed last, so that the others are kept before the error
+                ended = sorted((f for f in waiting if f in done), key=lambda f: bool(f.exception()))
+                for future in ended:
                     run, part = waiting.pop(future)
                     _take(run, part, future)
                     tick(weights[id(part)], f"{run.key}: {part.name}")

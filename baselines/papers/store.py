@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from spoofgym._files import write_file
+from spoofgym._files import remove_stale_parts, write_file
 from spoofgym.bench.specs import slug
 
 from .frame import Part
@@ -30,6 +30,7 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        remove_stale_parts(folder)
 
     def path(self, part: str) -> Path:
         """File of a part.

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from .._registry import whole_number
 from ..envs.game import Game
 from ..envs.presets import make_game
 from ..envs.rendering import GameRecorder, Screen
@@ -22,13 +23,12 @@ def play_frames(
 
     Yields (H, W, 3) uint8.
     """
-    if every < 1:
-        raise ValueError(f"`every` must be at least 1, got {every}")
+    run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
     setup = suite.setup(detector)
     player, observer = make_bound_spoofer(spoofer.spec, setup, 1)
     game: Game = make_game(1, setup, end_at_alarm=False, threads=1)
     screen = Screen("rgb_array", GameRecorder(game))
-    game.reset([suite.generators("evaluation", run + 1)[run]])
+    game.reset(suite.generators("evaluation", run + 1, run))
     screen.begin({name: array[0] for name, array in game.begin_info().items()})
     yield screen.frame()
     for step in range(1, setup.steps + 1):

@@ -175,6 +175,8 @@ def _cells(
             "knowledge": knowledge_of(entry, setup, detector),
             "attack": setup.attack.label,
             "tuned_within_budget": None if tuning is None else tuning.within_budget,
+            "runs": suite.runs,
+            "entropy": suite.entropy,
             "campaign": suite.digest,
         }
         folder.put_cell(make_cell(setup, head, start.warmup_alarm, attacked, twin))
@@ -187,8 +189,7 @@ def knowledge_of(entry: Entry, setup: Setup, detector: Entry) -> dict[str, Any]:
     None where it was made for none, or has no card that says so; ``transfer``, what is another one
     here than where it was made.
     """
-    settings = {key: value for key, value in entry.spec.items() if key != entry.tuned}
-    spoofer = build_spoofer(settings)
+    spoofer = build_spoofer(entry.untuned)
     known: dict[str, Any] = {
         "run_time": spoofer.knowledge,
         "design_time": spoofer.designed_on,

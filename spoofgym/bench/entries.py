@@ -35,6 +35,11 @@ class Entry:
         """Setting that is to be searched for."""
         return next((key for key, value in self.spec.items() if value == TUNED), None)
 
+    @property
+    def untuned(self) -> Spec:
+        """Settings without the one that is to be searched for."""
+        return {key: value for key, value in self.spec.items() if key != self.tuned}
+
     def with_value(self, value: float) -> Spec:
         """Settings with the tuned one at a value."""
         return {**self.spec, str(self.tuned): value}

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._pictures import BLUE, GREEN, GREY, ORANGE, figure_class, style
+from .._pictures import BLUE, GREEN, GREY, ORANGE, figure_class, save_figure, style
+from .._registry import whole_number
 from ..earth.frames import ecef_to_geodetic
 from ..envs.engine import Engine
 from .entries import Entry
@@ -107,11 +108,12 @@ class Episode:
 
 def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) -> Episode:
     """Play one of the evaluation runs, attacked and not, side by side."""
+    run = whole_number("`run`", run)
     setup = suite.setup(detector)
     player, observer = make_bound_spoofer(spoofer.spec, setup, 2)
     engine = Engine(2, setup, threads=1)
     batch = engine.batch
-    batch.begin([suite.generators("evaluation", run + 1)[run] for _ in range(2)])
+    batch.begin([suite.generators("evaluation", run + 1, run)[0] for _ in range(2)])
     batch.quiet_epochs(setup.quiet)
     batch.clean = np.array([not player.transmits, True])
     epochs = setup.steps + setup.hold
@@ -154,8 +156,11 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
     )
 
 
-def draw_episode(episode: Episode, path: Path) -> None:
-    """Picture of an episode: the flight, the displacement, the statistic, the error."""
+def draw_episode(episode: Episode, path: Path) -> Path:
+    """Picture of an episode: the flight, the displacement, the statistic, the error.
+
+    The ending of `path` tells the format, PNG without one; returns the path with it.
+    """
     figure = figure_class()(figsize=(11.0, 8.2), layout="constrained")
     axes = figure.subplots(2, 2)
     for ax in axes.flat:
@@ -170,8 +175,7 @@ def draw_episode(episode: Episode, path: Path) -> None:
         f"run {episode.run}",
         fontsize=13,
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
+    return save_figure(figure, path, dpi=130)
 
 
 def _draw_flight(ax: Any, episode: Episode) -> None:

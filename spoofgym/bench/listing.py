@@ -77,11 +77,12 @@ def _envs() -> list[dict[str, Any]]:
             continue
         entry = spec.entry_point
         creator = load_env_creator(entry) if isinstance(entry, str) else entry
+        assert creator is not None  # of ours, each has one
         rows.append(
             {
                 "name": name,
                 "summary": summary_of(creator),
-                "settings": _defaults(creator) if creator is not None else {},
+                "settings": {**_defaults(creator), **describe(spec.kwargs)},
             }
         )
     return rows

@@ -22,6 +22,12 @@ SETTINGS: dict[str, Any] = {
     "detector": "ewma",
     "end_at_alarm": False,
 }
+LONGEST_S = 3600.0
+
+
+def _check_duration(duration_s: float) -> None:
+    if not 0.0 <= duration_s <= LONGEST_S:
+        raise ValueError(f"the duration must be 0 to {LONGEST_S:g} s, got {duration_s:g} s")
 
 
 def vector_speed(
@@ -33,6 +39,7 @@ def vector_speed(
     """
     import gymnasium as gym
 
+    _check_duration(duration_s)
     envs = gym.make_vec(ENV, num_envs=num_envs, threads=threads, **{**SETTINGS, **settings})
     used = envs.unwrapped.game.engine.threads  # type: ignore[attr-defined]
     envs.action_space.seed(0)
@@ -64,6 +71,7 @@ def single_speed(duration_s: float = 5.0, **settings: Any) -> dict[str, Any]:
     """Steps a second of the single environment, resets included."""
     import gymnasium as gym
 
+    _check_duration(duration_s)
     env = gym.make(ENV, **{**SETTINGS, **settings})
     env.action_space.seed(0)
     env.reset(seed=0)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._pictures import figure_class
+from .._pictures import figure_class, save_figure
 from .panels import Look, draw_course, draw_exceedance, draw_means, draw_trade, looks
 from .store import PICTURE, ResultsFolder
 
@@ -64,11 +64,7 @@ def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
             frameon=False,
             handlelength=3.5,
         )
-    path = folder.path / PICTURE
-    part = path.with_name(path.name + ".part")
-    figure.savefig(part, format="png", dpi=130)
-    part.replace(path)
-    return path
+    return save_figure(figure, folder.path / PICTURE, dpi=130)
 
 
 def _draw_column(

@@ -1,21 +1,29 @@
-"""The folder of a campaign: every finished part is a file of its own, complete or absent."""
+"""The folder of a campaign: every finished part is a file of its own, complete or absent.
+
+A part says which campaign it is of, and is not taken for one of another.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from .._describe import differences
+from .._files import remove_stale_parts, write_file
 from .cells import Cell
+from .entries import TUNED
 from .specs import digest_of, slug
 from .suite import Suite
 from .tune import TuningResult
 
 CONFIG, TABLE, SUMMARY, PICTURE = "config.json", "results.md", "summary.json", "campaign.png"
 CELLS, TUNINGS = "cells", "tuning"
-OWN = (CONFIG, TABLE, SUMMARY, PICTURE, CELLS, TUNINGS)
+OWN = (CELLS, TUNINGS, TABLE, SUMMARY, PICTURE, CONFIG)
+"""In the order in which they are removed: what says whose results they are comes last."""
 
 
 class ResultsFolder:
@@ -29,11 +37,14 @@ class ResultsFolder:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
+        self._campaign: str | None = None
 
     def open(self, suite: Suite, *, overwrite: bool = False) -> None:
         """Begin a campaign, or go on with it."""
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"{self.path} is not a folder; choose another one with --out")
+        for folder in (self.path, self.path / CELLS, self.path / TUNINGS):
+            remove_stale_parts(folder)
         config = self.path / CONFIG
         leftover = [item for item in self._content() if not item.name.endswith(".part")]
         if not config.is_file():
@@ -43,17 +54,21 @@ class ResultsFolder:
                     f"({', '.join(sorted(item.name for item in leftover)[:5])}); choose another "
                     "folder with --out"
                 )
-        elif digest_of(self.config()) != suite.digest:
-            if not overwrite:
-                changed = ", ".join(differences(self.config(), suite.config))
+        elif overwrite:
+            self.config()  # which raises where it is no campaign's
+            self._clear()
+        text = json.dumps(suite.config, indent=1, allow_nan=False)
+        try:
+            write_file(config, text.encode(), exclusive=True)
+        except FileExistsError:  # to be gone on with, or of one that has begun in this moment
+            found = self.config()
+            if digest_of(found) != suite.digest:
+                changed = ", ".join(name for name, _, _ in differences(found, suite.config))
                 raise ValueError(
                     f"{self.path} holds the results of another campaign (different: {changed}); "
                     "choose another folder with --out, or --overwrite to replace them"
-                )
-            self._clear()
-        elif overwrite:
-            self._clear()
-        self._write(config, json.dumps(suite.config, indent=1, allow_nan=False))
+                ) from None
+        self._campaign = suite.digest
 
     def _content(self) -> list[Path]:
         return list(self.path.iterdir()) if self.path.is_dir() else []
@@ -87,58 +102,80 @@ class ResultsFolder:
         return self.path / TUNINGS / f"{slug(detector)}--{slug(spoofer)}.json"
 
     def has_cell(self, detector: str, spoofer: str) -> bool:
-        """Whether a cell is finished."""
-        return self._cell_path(detector, spoofer).is_file()
+        """Whether a cell is finished, of this campaign."""
+        there = self._cell_path(detector, spoofer).is_file()
+        return there and self.cell(detector, spoofer) is not None
 
     def put_cell(self, cell: Cell) -> None:
         """Write a finished cell."""
         text = "\n".join(cell.to_lines()) + "\n"
-        self._write(self._cell_path(cell.detector, cell.spoofer), text)
+        self._own_config()
+        write_file(self._cell_path(cell.detector, cell.spoofer), text.encode())
 
     def cell(self, detector: str, spoofer: str) -> Cell:
-        """Read a finished cell."""
+        """Read a finished cell of this campaign."""
         path = self._cell_path(detector, spoofer)
         try:
-            return Cell.from_lines(path.read_text(encoding="utf-8").splitlines())
-        except (ValueError, KeyError, IndexError) as error:
+            cell = Cell.from_lines(path.read_text(encoding="utf-8").splitlines())
+        except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
             raise ValueError(f"{path} is damaged ({error}); delete it and run again") from error
+        head = {**cell.head, "runs": cell.runs}
+        self._check(path, head, detector=detector, spoofer=spoofer)
+        return cell
 
     def put_tuning(self, result: TuningResult) -> None:
         """Write a finished search."""
-        text = json.dumps(result.as_dict(), indent=1, allow_nan=False) + "\n"
-        self._write(self._tuning_path(result.detector, result.spoofer), text)
+        config = self._own_config()
+        head = {"entropy": config["entropy"], "campaign": digest_of(config)}
+        text = json.dumps({**head, **result.as_dict()}, indent=1, allow_nan=False) + "\n"
+        write_file(self._tuning_path(result.detector, result.spoofer), text.encode())
 
     def tuning(self, detector: str, spoofer: str) -> TuningResult | None:
-        """Read a finished search."""
+        """Read a finished search of this campaign; None where there is none."""
         path = self._tuning_path(detector, spoofer)
         if not path.is_file():
             return None
-        return TuningResult.from_dict(json.loads(path.read_text(encoding="utf-8")))
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            head = {key: found.pop(key) for key in ("entropy", "campaign")}
+            result = TuningResult.from_dict(found)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{path} is damaged ({error}); delete it and run again") from error
+        head |= {"detector": result.detector, "spoofer": result.spoofer}
+        self._check(path, head, detector=detector, spoofer=spoofer)
+        return result
 
     def put_text(self, name: str, text: str) -> Path:
         """Write a report."""
-        self._write(self.path / name, text)
+        write_file(self.path / name, text.encode())
         return self.path / name
 
-    @staticmethod
-    def _write(path: Path, text: str) -> None:
-        """Write a file as a whole: to a temporary one that is renamed."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(path.name + ".part")
-        with part.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
+    def _own_config(self) -> dict[str, Any]:
+        """Configuration of the campaign that was opened here, as long as the folder is its."""
+        config = self.config()
+        if self._campaign not in (None, digest_of(config)):
+            raise ValueError(
+                f"{self.path} has been taken by another campaign meanwhile; choose another folder "
+                "with --out"
+            )
+        return config
 
-
-def differences(mine: Any, yours: Any, where: str = "") -> list[str]:
-    """Settings that differ between two configurations."""
-    if isinstance(mine, dict) and isinstance(yours, dict):
-        names = [*mine, *(key for key in yours if key not in mine)]
-        found = []
-        for name in names:
-            inside = f"{where}.{name}" if where else str(name)
-            found += differences(mine.get(name), yours.get(name), inside)
-        return found
-    return [] if mine == yours else [where]
+    def _check(self, path: Path, head: Mapping[str, Any], **named: str) -> None:
+        """Raise where the head of a part is not what the campaign of the folder asks for."""
+        config = self.config()
+        asked = {**named, "entropy": config["entropy"], "campaign": digest_of(config)}
+        if "runs" in head:
+            asked["runs"] = config["runs"]
+            for kind, label in named.items():
+                specs = {entry["label"]: entry["spec"] for entry in config[f"{kind}s"]}
+                asked[f"{kind}_settings"] = specs.get(label)
+        found = [
+            f"{name} is {there!r} and not {wanted!r}"
+            for name, there, wanted in differences({key: head.get(key) for key in asked}, asked)
+            if wanted != TUNED
+        ]
+        if found:
+            raise ValueError(
+                f"{path} is of another campaign than its folder: {'; '.join(found)}; delete it and "
+                "run again"
+            )

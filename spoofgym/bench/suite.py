@@ -6,6 +6,8 @@ import copy
 import dataclasses
 import hashlib
 import math
+import uuid
+import warnings
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +19,8 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from .._describe import outside_sources
+from .._registry import whole_number
 from ..attacks import ATTACKS, Attack, make_attack
 from ..detectors import DETECTORS, Detector
 from ..envs.attach import spoofer_context as spoofer_context
@@ -42,22 +46,23 @@ from .entries import (
 from .shipped import fitting
 from .specs import describe, digest_of, make, spec_of
 
-FORMAT = 3
+FORMAT = 4
 """Of the results; those of another one are not scored."""
 SPLITS = {"training": 0, "calibration": 1, "evaluation": 2, "bootstrap": 3}
 """First element of the spawn keys; runs of different splits share no noise."""
 
 
 def seed_sequences(
-    entropy: int, split: str, scenario: str, runs: int
+    entropy: int, split: str, scenario: str, runs: int, first: int = 0
 ) -> list[np.random.SeedSequence]:
     """Seeds of the runs of a split; the first ones are the same for any number of runs.
 
-    `entropy`: of the campaign, at least 0.
+    `entropy`: of the campaign, at least 0; `first`: run to start with.
     """
     key = zlib.crc32(scenario.encode())
     return [
-        np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run)) for run in range(runs)
+        np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run))
+        for run in range(first, runs)
     ]
 
 
@@ -91,16 +96,12 @@ class Tuning:
     def __post_init__(self) -> None:
         """Check the numbers."""
         for name, least in (("runs", 2), ("sift_runs", 1), ("values", 3), ("refined", 2)):
-            _check_count(f"tuning.{name}", getattr(self, name), least)
+            count = whole_number(f"`tuning.{name}`", getattr(self, name), least)
+            object.__setattr__(self, name, count)
         if not 0.0 <= self.budget < 1.0:
             raise ValueError(f"`tuning.budget` must be in [0, 1), got {self.budget}")
         if not (math.isfinite(self.margin) and self.margin >= 0.0):
             raise ValueError(f"`tuning.margin` must be finite and >= 0, got {self.margin}")
-
-
-def _check_count(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise ValueError(f"`{name}` must be a whole number of at least {least}, got {value!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,8 +161,8 @@ class Suite:
 
     def __post_init__(self) -> None:
         """Check names and settings; no receiver is simulated yet."""
-        _check_count("runs", self.runs, 2)
-        _check_count("entropy", self.entropy, 0)
+        for name, least in (("runs", 2), ("entropy", 0)):
+            object.__setattr__(self, name, whole_number(f"`{name}`", getattr(self, name), least))
         if not (math.isfinite(self.alert_limit_m) and self.alert_limit_m > 0.0):
             raise ValueError(f"`alert_limit_m` must be finite and > 0, got {self.alert_limit_m}")
         for entries in (self.detector_entries, self.spoofer_entries):
@@ -253,18 +254,35 @@ class Suite:
         setup.detector = make("detector", DETECTORS, Detector, detector.spec)
         return setup
 
-    def generators(self, split: str, runs: int) -> list[np.random.Generator]:
-        """Sources of chance of the runs of a split."""
-        seeds = seed_sequences(self.entropy, split, self.world.name, runs)
+    def generators(self, split: str, runs: int, first: int = 0) -> list[np.random.Generator]:
+        """Sources of chance of the runs of a split, from `first` on."""
+        seeds = seed_sequences(self.entropy, split, self.world.name, runs, first)
         return [np.random.Generator(np.random.PCG64(seed)) for seed in seeds]
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """Everything that the results depend on, JSON-able."""
+        """Everything that the results depend on, JSON-able.
+
+        What comes from outside of spoofgym is there by digests of its sources.  Where one can't be
+        read, a number of this suite alone is in its place, so that no other one takes up its
+        results; this is warned of.
+        """
         setup = self._setup
+        judges = [make("detector", DETECTORS, Detector, e.spec) for e in self.detector_entries]
+        players = [build_spoofer(entry.untuned) for entry in self.spoofer_entries]
+        world = (self.world, setup.receiver, setup.attack, setup.timeline, setup.domain)
+        outside = outside_sources(*judges, *players, *world)
+        unknown = [
+            f"the source of {name} can't be read: its results are never taken up again"
+            for name, digest in outside.items()
+            if digest is None
+        ]
+        for line in unknown:
+            warnings.warn(line, UserWarning, stacklevel=2)
         return {
             "format": FORMAT,
             "versions": versions(),
+            "outside": {name: d or f"unknown, {uuid.uuid4().hex}" for name, d in outside.items()},
             "scenario": describe(self.world),
             "receiver": describe(setup.receiver),
             "attack": spec_of("attack", ATTACKS, setup.attack),
@@ -280,7 +298,7 @@ class Suite:
             "splits": dict(SPLITS),
             "tuning": dataclasses.asdict(self.tuning),
             "alert_limit_m": float(self.alert_limit_m),
-            "notes": [*self.notes, *self._oracle_notes, *self.left_out],
+            "notes": [*self.notes, *self._oracle_notes, *self.left_out, *unknown],
         }
 
     @cached_property

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .._memory import Memory
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
+from .verdicts import judged
 
 FloatArray = NDArray[np.float64]
 NATURE, OPPONENT = 1, 2
@@ -184,7 +185,7 @@ class PooledDetector(Detector):
         merged: Verdict | None = None
         opponent = self.memory["opponent"]
         for k in np.unique(opponent):
-            verdict = self._of_pool(self.judges[k].judge(epoch), epoch.innovation.shape)
+            verdict = self._of_pool(judged(self.judges[k], epoch), epoch.innovation.shape)
             rows = opponent == k
             if merged is None:
                 copies: list[Any] = [None if part is None else np.array(part) for part in verdict]

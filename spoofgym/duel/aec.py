@@ -9,6 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
+from ..envs.resets import HALFWAY, whole_reset
 from .rules import AGENTS, DETECTOR, SPOOFER, Rules
 
 
@@ -40,6 +41,7 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
         self.render_mode = None
         self.possible_agents: list[str] = list(AGENTS)
         self.agents: list[str] = []
+        self._halfway = False
         self.observation_spaces = self.rules.observation_spaces
         self.action_spaces = self.rules.action_spaces
 
@@ -53,7 +55,8 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Begin an episode: warm-up, then the onset."""
-        self.rules.begin(seed, options)
+        with whole_reset(self):
+            self.rules.begin(seed, options)
         self.agents = list(AGENTS)
         self.agent_selection = SPOOFER
         self._skip_agent_selection = None
@@ -76,6 +79,8 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
 
         `action` (a,) in [-1, 1]; None for an agent whose episode is over.
         """
+        if self._halfway:
+            raise RuntimeError(HALFWAY)
         if not self.agents:
             raise RuntimeError("the episode is over: call reset() before step()")
         agent = self.agent_selection
@@ -83,6 +88,7 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
             self._was_dead_step(action)
             return
         given = self.rules.checked(agent, action)
+        self._halfway = True
         self._cumulative_rewards[agent] = 0.0
         self._clear_rewards()
         if agent == SPOOFER:
@@ -93,6 +99,7 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
             if not (self.terminations[SPOOFER] or self.rules.decides):
                 self._arrive(None)
         self._accumulate_rewards()
+        self._halfway = False
 
     def _arrive(self, given: NDArray[np.float64] | None) -> None:
         """Begin an epoch, on which the detector is to decide."""

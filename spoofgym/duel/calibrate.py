@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._describe import describe, digest_of
-from .._registry import is_number
+from .._registry import is_number, whole_number
 from ..detectors import DetectorContext
 from .agent import policy_context
 from .calibration import Calibration, fewest_runs, quantile_of
@@ -83,6 +83,7 @@ def calibrate(
     )
     duel.threshold = FixedThreshold(np.inf, duel.receivers)
     told = digest_of(_told(duel))
+    seed, runs = whole_number("`seed`", seed), int(runs)
     request = {"false_alarm": false_alarm, "runs": runs, "seed": seed, "confidence": confidence}
     path = None
     if store is not None:

@@ -71,6 +71,11 @@ class DetectorGame(Stepwise):
         return self.duel.agent.action_names
 
     @property
+    def episode_steps(self) -> int:
+        """Epochs that are judged."""
+        return self.duel.epochs
+
+    @property
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Least and largest observation, (o,) each."""
         return self.duel.agent.sight.low, self.duel.agent.sight.high

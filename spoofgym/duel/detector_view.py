@@ -87,6 +87,8 @@ class DetectorVectorView(PooledVectorView[DetectorGame]):
         Threads of the engine.
     infos : {"all", "none"} or sequence of str
         Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
+    max_episode_steps : int, optional
+        Of `gymnasium.make_vec`, from a spec: more than an episode has, and without effect.
     render_mode : None
         There is nothing to render.
     **settings
@@ -102,6 +104,7 @@ class DetectorVectorView(PooledVectorView[DetectorGame]):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         infos: InfoSpec = "all",
+        max_episode_steps: int | None = None,
         render_mode: None = None,
         **settings: Any,
     ) -> None:
@@ -109,7 +112,7 @@ class DetectorVectorView(PooledVectorView[DetectorGame]):
         check_vector_settings(num_envs, render_mode)
         check_keywords(DetectorVectorView, settings, VALID)
         duel = make_duel(num_envs, threads=threads, **settings)
-        super().__init__(DetectorGame(duel, pool, weights), mode, infos)
+        super().__init__(DetectorGame(duel, pool, weights), mode, infos, max_episode_steps)
 
     @property
     def opponents(self) -> list[str]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .._registry import is_number
 from ..attacks import Attack
 from ..detectors.pool import NATURE, uniforms
+from ..detectors.verdicts import checked
 from ..envs.domain import Domain
 from ..envs.engine import Batch
 from ..envs.presets import DEFAULT_ATTACK, make_game, make_setup
@@ -170,7 +171,7 @@ class Duel:
         engine, batch, ledger = self.game.engine, self.game.engine.batch, self.ledger
         limit = self.threshold.values.copy()
         verdict = self.agent.verdict(action, limit, batch.epoch.visible, batch.epoch.interval)
-        batch.verdict = verdict
+        batch.verdict = checked(verdict, self.agent, batch.epoch)
         engine.update(verdict)
         alarm = np.asarray(verdict.alarm.any(axis=1))
         displacement = self.game.displacement()

@@ -10,6 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from ..envs.resets import HALFWAY, whole_reset
 from .rules import AGENTS, DETECTOR, SPOOFER, Rules
 
 Observation = NDArray[np.float32]
@@ -38,6 +39,7 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
         self.render_mode = None
         self.possible_agents: list[str] = list(AGENTS)
         self.agents: list[str] = []
+        self._halfway = False
         self.observation_spaces = self.rules.observation_spaces
         self.action_spaces = self.rules.action_spaces
 
@@ -53,7 +55,8 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         """Begin an episode: warm-up, then the onset."""
-        self.rules.begin(seed, options)
+        with whole_reset(self):
+            self.rules.begin(seed, options)
         self.agents = list(AGENTS)
         return self.rules.observe(), self.rules.begin_infos()
 
@@ -70,6 +73,8 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
 
         `actions` (a,) in [-1, 1] by agent, in any order.
         """
+        if self._halfway:
+            raise RuntimeError(HALFWAY)
         if not self.agents:
             raise RuntimeError("the episode is over: call reset() before step()")
         if set(actions) != set(AGENTS):
@@ -78,8 +83,10 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
                 f"{', '.join(map(str, actions)) or 'nobody'}"
             )
         given = {agent: self.rules.checked(agent, actions[agent]) for agent in AGENTS}
+        self._halfway = True
         self.rules.duel.arrive(given[SPOOFER])
         turn = self.rules.duel.decide(given[DETECTOR])
+        self._halfway = False
         over = bool(turn.terminated[0])
         if over:
             self.agents = []

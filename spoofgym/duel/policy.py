@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._describe import describe, digest_of
+from .._describe import describe, digest_of, outside_sources
 from .._memory import Memory
 
 FloatArray = NDArray[np.float64]
@@ -88,13 +88,18 @@ class DetectorPolicy(ABC):
         Returns
         -------
         str or None
-            16 hexadecimal digits, of the settings of a dataclass; None where there is no telling,
-            and a calibration can't be stored.
+            16 hexadecimal digits, of the settings of a dataclass and of the source of its class;
+            None where there is no telling, and a calibration can't be stored.
         """
         try:
-            return digest_of({"class": type(self).__qualname__, "settings": describe(self)})
+            settings = describe(self)
         except TypeError:
             return None
+        sources = outside_sources(self)
+        if None in sources.values():
+            return None
+        named = {"class": type(self).__qualname__, "settings": settings, "sources": sources}
+        return digest_of(named)
 
 
 class FunctionPolicy(DetectorPolicy):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .._registry import check_keywords
 from ..envs.game_env import told_domain
-from ..envs.resets import warn_unknown
+from ..envs.resets import checked_seed, warn_unknown
 from ..envs.spaces import action_space, checked_action, observation_space
 from .duel import Duel, DuelTurn, duel_setup
 
@@ -100,6 +100,7 @@ class Rules:
         """Begin an episode."""
         warn_unknown(options, OPTIONS)
         given = told_domain(options)
+        seed = checked_seed(seed)
         if seed is not None or self._rng is None:
             self._rng = seeding.np_random(seed)[0]
         self.duel.reset([self._rng], given=given)

@@ -166,6 +166,8 @@ class SpooferVectorView(PooledVectorView[Game]):
         Threads of the engine.
     infos : {"all", "none"} or sequence of str
         Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
+    max_episode_steps : int, optional
+        Of `gymnasium.make_vec`, from a spec: more than an episode has, and without effect.
     render_mode : None
         There is nothing to render.
     **settings
@@ -181,6 +183,7 @@ class SpooferVectorView(PooledVectorView[Game]):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         infos: InfoSpec = "all",
+        max_episode_steps: int | None = None,
         render_mode: None = None,
         **settings: Any,
     ) -> None:
@@ -188,7 +191,7 @@ class SpooferVectorView(PooledVectorView[Game]):
         check_vector_settings(num_envs, render_mode)
         check_settings(SpooferVectorView, settings, pool)
         self._side = SpooferSide(num_envs, pool, weights, {**settings, "threads": threads})
-        super().__init__(self._side.game, mode, infos)
+        super().__init__(self._side.game, mode, infos, max_episode_steps)
 
     @property
     def opponents(self) -> list[str]:

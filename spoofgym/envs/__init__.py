@@ -1,40 +1,40 @@
-"""The game: engine, observations, actions, rewards, and its views for Gymnasium."""
+"""What Gymnasium sees: one step path over any victim, terms, wrappers, single and vector."""
 
-from .attach import attach
-from .engine import Batch, Engine
-from .game import Game
-from .loose_env import LooselyCoupledEnv, LooselyCoupledVectorEnv
-from .observations import terms_of
+from ..simulators import Domain, Engine, Setup, TightlyCoupledSetup, Timeline
+from .core import SpoofCore
 from .observer import Observer
-from .played import Turn
-from .presets import make_game, make_setup
-from .robot_env import WheeledRobotEnv, WheeledRobotVectorEnv
-from .setup import Setup, Timeline
-from .snapshot_env import SnapshotEnv, SnapshotVectorEnv
-from .spoof_env import SpoofEnv
+from .spoofer_binding import attach
 from .terms import TERMS, make_terms
-from .vector_env import SpoofVectorEnv
+from .terms.observation import default_terms
+from .victims import (
+    LooselyCoupledEnv,
+    LooselyCoupledVectorEnv,
+    SnapshotEnv,
+    SnapshotVectorEnv,
+    SpoofEnv,
+    SpoofVectorEnv,
+    WheeledRobotEnv,
+    WheeledRobotVectorEnv,
+)
 
 __all__ = [
     "TERMS",
-    "Batch",
+    "Domain",
     "Engine",
-    "Game",
     "LooselyCoupledEnv",
     "LooselyCoupledVectorEnv",
     "Observer",
     "Setup",
     "SnapshotEnv",
     "SnapshotVectorEnv",
+    "SpoofCore",
     "SpoofEnv",
     "SpoofVectorEnv",
+    "TightlyCoupledSetup",
     "Timeline",
-    "Turn",
     "WheeledRobotEnv",
     "WheeledRobotVectorEnv",
     "attach",
-    "make_game",
-    "make_setup",
+    "default_terms",
     "make_terms",
-    "terms_of",
 ]

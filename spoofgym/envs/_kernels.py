@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from .._jit import njit
@@ -35,13 +33,14 @@ def within(values, limit):
 def own_command(displacement, rate, per_displacement, per_rate, out):
     """Commanded displacement and rate, scaled.
 
-    `displacement`, `rate` (B, a) [m], [m/s]; `out` (B, o), whose first 2 a columns are written.
+    `displacement`, `rate` (B, a) [m], [m/s]; `per_rate` (a,); `out` (B, o), of which the first
+    2 a columns are written.
     """
     axes = displacement.shape[1]
     for b in range(displacement.shape[0]):
         for i in range(axes):
             out[b, i] = displacement[b, i] * per_displacement
-            out[b, axes + i] = rate[b, i] * per_rate
+            out[b, axes + i] = rate[b, i] * per_rate[i]
 
 
 @njit
@@ -55,44 +54,38 @@ def clip_columns(out, low, high, first, last):
                 out[b, i] = high[i]
 
 
-# rows of what a step has brought, as `tally.Tally` names them; parts of the reward come between
+# rows of what a step has brought, as `step_result` names them; parts of the reward come between
 TIME, DISPLACEMENT, UNDETECTED, COST = 0, 1, 2, 3
 PARTS = 4
 GAIN, RETRACTION, REWARD = -3, -2, -1
 ALARM, DETECTED, WARMUP_ALARM, COASTING, FIRST, FINISHED, TERMINATED, TRUNCATED = range(8)
+# what comes first in the rules of `finish`, before shares of the reward and times of the epochs
+STEPS, HOLD, WINDOW, AT_ALARM, SHARES, COMMAND_COLUMN, PER_DISPLACEMENT, LEAST, MOST = range(9)
+RULES = 9
 
 
 @njit
-def score(
-    alarms,
-    early,
-    at_alarm,
-    steps,
-    hold,
-    step_count,
-    detected,
-    ended,
-    credited,
-    largest,
-    values,
-    marks,
-):
-    """Keep the books of one epoch of every receiver.
+def score(alarms, early, rules, step_count, detected, ended, undetected, largest, values, marks):
+    """Score one epoch of every receiver; True where any has to run the time to alert.
 
-    `alarms` (B, c) bool, of the verdict; `early` (B,) bool, whose last command this was, before the
-    end of the window; `step_count` (B,) epochs before this one; one more after it; `detected` (B,)
-    bool, whether there was an alarm before this epoch; with it after; `ended` (B,) bool, whose
-    episode was over before this epoch; nothing counts for them; `credited` (B,) undetected
-    displacement before this epoch, and after it [m]; `largest` (steps + 1, B) largest displacement
-    so far after each epoch, this one's is written [m].
+    With M_j the largest displacement in steps 0 to j, the undetected displacement is M_N without an
+    alarm, and M_(a-h-1) with the first alarm at epoch a, h being the epochs of the time to alert.
+    After the last command nothing more is gained; where the `WINDOW` of an episode ends there,
+    those that have not alarmed run the time to alert at once.
+
+    `alarms` (B, c) of the verdict; `early` (B,) whose last command this was; the others as in
+    `DisplacementScore` and `StepResult`, of which displacement and truncation are read.
     """
+    steps, hold, window = int(rules[STEPS]), int(rules[HOLD]), int(rules[WINDOW])
     held = False
     for b in range(step_count.shape[0]):
         # a receiver whose episode is over may be stepped once more before it is reset
         step_count[b] += 1
-        j = min(step_count[b], steps)
-        before = largest[j - 1, b]
-        now = max(before, values[DISPLACEMENT, b])
+        count = step_count[b]
+        commanded = count <= steps
+        j = min(count, steps)
+        before = largest[j - 1, b] if commanded else largest[j, b]
+        now = max(before, values[DISPLACEMENT, b]) if commanded else before
         largest[j, b] = now
         alarm = False
         for c in range(alarms.shape[1]):
@@ -100,50 +93,41 @@ def score(
         running = not ended[b]
         alarm = alarm and running
         first = alarm and not detected[b]
-        finished = running and (step_count[b] == steps or early[b])
+        finished = running and (count == window or early[b])
+        kept = min(max(count - hold - 1, 0), steps)
         values[GAIN, b] = now - before if running and not alarm and not detected[b] else 0.0
-        values[RETRACTION, b] = largest[max(j - hold - 1, 0), b] - before if first else 0.0
+        values[RETRACTION, b] = largest[kept, b] - before if first else 0.0
         detected[b] = detected[b] or first
-        credited[b] += values[GAIN, b]
-        credited[b] += values[RETRACTION, b]
-        over = finished or (at_alarm and detected[b])
+        undetected[b] += values[GAIN, b]
+        undetected[b] += values[RETRACTION, b]
+        over = finished or (rules[AT_ALARM] != 0.0 and detected[b])
         marks[ALARM, b], marks[FIRST, b], marks[FINISHED, b] = alarm, first, finished
         marks[TERMINATED, b] = over
         marks[TRUNCATED, b] = marks[TRUNCATED, b] and running and not over
         held = held or (finished and not detected[b])
-    return held and hold > 0
+    return held and hold > 0 and window == steps
 
 
 @njit
-def tell(
-    detected,
-    ended,
-    credited,
-    warmup_alarm,
-    coasting,
-    epoch_time,
-    epochs,
-    shares,
-    values,
-    marks,
-):
-    """Write what is told of a step, and its reward.
+def settle(rules, detected, ended, undetected, warmup_alarm, coasting, epochs, values, marks):
+    """Write what is reported of a step whose score is settled, and its reward.
 
-    `ended` (B,) bool, overwritten: with those whose episode this step has ended; `epoch_time` (K,)
-    [s]; `epochs` (B,) the epoch that each receiver is at; `shares` (r, 4) of every term of the
-    reward in gain, retraction, first alarm and alarm; `values`, `marks`: of `Tally`, whose
-    remaining rows are written.
+    `rules` end with (r, 4) shares of every term of the reward in gain, retraction, first alarm and
+    alarm, and (K,) times of the epochs [s]; `ended` (B,) gets those whose episode is over now.
     """
+    terms = int(rules[SHARES])
+    shares = rules[RULES : RULES + 4 * terms].reshape((terms, 4))
+    time = rules[RULES + 4 * terms :]
     for b in range(detected.shape[0]):
         ended[b] = ended[b] or marks[TERMINATED, b] or marks[TRUNCATED, b]
         marks[DETECTED, b] = detected[b]
         marks[WARMUP_ALARM, b] = warmup_alarm[b]
         marks[COASTING, b] = coasting[b]
-        values[TIME, b] = epoch_time[epochs[b]]
-        values[UNDETECTED, b] = credited[b]
+        values[TIME, b] = time[epochs[b]]
+        values[UNDETECTED, b] = undetected[b]
         values[COST, b] = 1.0 if marks[FIRST, b] else 0.0
         values[REWARD, b] = 0.0
-    for r in range(shares.shape[0]):
+    for r in range(terms):
         for b in range(detected.shape[0]):
             # a share of 0 leaves nothing to be rounded
             part = shares[r, 0] * values[GAIN, b] + shares[r, 1] * values[RETRACTION, b]
@@ -151,27 +135,28 @@ def tell(
             part += shares[r, 3] if marks[ALARM, b] else 0.0
             values[PARTS + r, b] = part
     # apart from the loop above, so that the sum is one of rounded parts
-    for r in range(shares.shape[0]):
+    for r in range(terms):
         for b in range(detected.shape[0]):
             values[REWARD, b] += values[PARTS + r, b]
 
 
 @njit
-def look(table, epochs, displacement, rate, first, scales, out):
+def observe(rules, per_rate, table, epochs, displacement, rate, out):
     """Observe what is tabled, and one's own command.
 
-    `table` (K, o) float32, what is observed at every epoch; `epochs` (B,) the epoch that each
-    receiver is at; `displacement`, `rate` (B, a) commanded [m], [m/s]; `scales` (4,) factors on
-    displacement and rate, and bounds of both; `out` (B, o) float32, written.
+    `table` (K, o) float32, what is observed at every epoch; `displacement`, `rate` (B, a)
+    commanded, and `per_rate` (a,) factor on the rate; the factor on the displacement, bounds and
+    first column of the command, -1 where it is not observed, are in `rules`; `out` (B, o).
     """
     for b in range(out.shape[0]):
         row = table[epochs[b]]
         for i in range(out.shape[1]):
             out[b, i] = row[i]
+    first = int(rules[COMMAND_COLUMN])
     if first >= 0:
         part = out[:, first : first + 2 * displacement.shape[1]]
-        own_command(displacement, rate, scales[0], scales[1], part)
-        least, most = np.float32(scales[2]), np.float32(scales[3])
+        own_command(displacement, rate, rules[PER_DISPLACEMENT], per_rate, part)
+        least, most = np.float32(rules[LEAST]), np.float32(rules[MOST])
         for b in range(part.shape[0]):
             for i in range(part.shape[1]):
                 if part[b, i] < least:
@@ -181,99 +166,55 @@ def look(table, epochs, displacement, rate, first, scales, out):
 
 
 @njit
-def unpack_books(raw, receivers, steps):
-    """Name the arrays of the books: views of their bytes.  `raw` (B (8 (steps + 3) + 3),) uint8."""
+def unpack_score(raw, receivers, steps):
+    """Name the arrays of a `DisplacementScore`: views of its bytes."""
     b, o = receivers, 8 * receivers
     step_count = raw[:o].view(np.int64)
-    credited = raw[o : 2 * o].view(np.float64)
+    undetected = raw[o : 2 * o].view(np.float64)
     last = (steps + 3) * o
     largest = raw[2 * o : last].view(np.float64).reshape((steps + 1, b))
     detected = raw[last : last + b].view(np.bool_)
     ended = raw[last + b : last + 2 * b].view(np.bool_)
     nobody = raw[last + 2 * b :].view(np.bool_)
-    return step_count, credited, largest, detected, ended, nobody
+    return step_count, undetected, largest, detected, ended, nobody
 
 
 @njit
-def play(
-    floats,
-    flags,
-    twin_floats,
-    epochs,
-    books,
+def finish(
+    scored,
+    raw,
     rules,
+    per_rate,
     table,
-    begun,
     alarms,
+    early,
+    warmup_alarm,
+    epochs,
+    coasting,
     displacement,
     rate,
     numbers,
-    flags_told,
+    flags,
     seen,
 ):
-    """Displace, keep the books, tell and observe, where nothing comes between.
+    """Score an epoch unless `scored`, settle it and observe; True if nothing is settled yet.
 
     To hand over an array costs as much as all that this does for one receiver, so most of them
-    come several in one.
-
-    `epochs` (B,) the epoch that each receiver is at; `rules` (11 + 4 r + 13 K,) of `rules_of`;
-    `table` (K, o) as in `look`; `begun` (5 B,) onset, heading and `origin` as in `displace`,
-    `warmup_alarm` as in `tell`; `numbers`, `flags_told`, `seen`: of `Tally`, and `out` of `look` in
-    one row; written.
+    come several in one: `raw` of `DisplacementScore`, `rules` of `FusedStep`, `numbers` and `flags`
+    of `StepResult`; `seen` (B o,) float32 is written, or has no element where nothing is observed.
     """
-    receivers, K = epochs.shape[0], table.shape[0]
-    channels, steps, hold, first = int(rules[0]), int(rules[4]), int(rules[5]), int(rules[6])
-    end = rules.shape[0] - 13 * K
-    shares, truth = rules[11:end].reshape(((end - 11) // 4, 4)), rules[end:]
+    receivers = epochs.shape[0]
     values = numbers.reshape((numbers.shape[0] // receivers, receivers))
-    marks = flags_told.reshape((flags_told.shape[0] // receivers, receivers))
-    # the positions come first in `unpack`, which would name many more
-    position_e = floats[: 3 * receivers].reshape((receivers, 3))
-    coasting = flags[channels * receivers :]
-    step_count, credited, largest, detected, ended, nobody = unpack_books(books, receivers, steps)
-    if rules[1] != 0.0:
-        reference_e = twin_floats[: 3 * receivers].reshape((receivers, 3))
-        rows = np.arange(receivers)
-    else:
-        reference_e, rows = truth[: 3 * K].reshape((K, 3)), epochs
-    displace(
-        position_e,
-        reference_e,
-        rows,
-        truth[3 * K : 12 * K].reshape((K, 3, 3)),
-        begun[:receivers].astype(np.int64),
-        begun[receivers : 2 * receivers],
-        rules[2] != 0.0,
-        begun[2 * receivers : 4 * receivers].reshape((receivers, 2)),
-        values[DISPLACEMENT],
+    marks = flags.reshape((flags.shape[0] // receivers, receivers))
+    step_count, undetected, largest, detected, ended, _ = unpack_score(
+        raw, receivers, int(rules[STEPS])
     )
-    held = score(
-        alarms,
-        nobody,
-        rules[3] != 0.0,
-        steps,
-        hold,
-        step_count,
-        detected,
-        ended,
-        credited,
-        largest,
-        values,
-        marks,
+    held = not scored and score(
+        alarms, early, rules, step_count, detected, ended, undetected, largest, values, marks
     )
     if not held:
-        tell(
-            detected,
-            ended,
-            credited,
-            begun[4 * receivers :] != 0.0,
-            coasting,
-            truth[12 * K :],
-            epochs,
-            shares,
-            values,
-            marks,
-        )
-        out = seen.reshape((receivers, table.shape[1]))
-        look(table, epochs, displacement, rate, first, rules[7:11], out)
+        settle(rules, detected, ended, undetected, warmup_alarm, coasting, epochs, values, marks)
+        if seen.shape[0] > 0:
+            out = seen.reshape((receivers, table.shape[1]))
+            observe(rules, per_rate, table, epochs, displacement, rate, out)
     return held

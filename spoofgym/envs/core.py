@@ -1,93 +1,146 @@
-"""The game: episodes of B receivers, with observations, rewards and ends."""
+"""The one step path of all environments: episodes of B receivers, scored, rewarded and observed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from ..detectors import Detector, Verdict
-from ._kernels import (
-    ALARM,
-    DISPLACEMENT,
-    FIRST,
-    GAIN,
-    RETRACTION,
-    REWARD,
-    TRUNCATED,
-    displace,
-    tell,
-)
-from .actions import ActionTerm, Actor, FullCommand
-from .at_once import AtOnce, rules_of
-from .books import Books
+from .._registry import check_choice
+from ..detectors import Detector, Verdict, make_detector
+from ..simulators.base import run_serially
+from ..simulators.engine import Engine
+from ..simulators.monitors import PassiveDetectors, needed_monitors
+from ..simulators.setup import Setup
+from ._kernels import ALARM, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
 from .checks import check_truth
-from .ends import AtAlarm, Ends, EndTerm, Standing
-from .engine import Engine
-from .kept import Kept
-from .observations import ObservationTerm
 from .observer import Observer
-from .played import Stepwise, Told, check_end_at_alarm
-from .rewards import SHARED, Outcome, RewardTerm, named_terms, reward_of, shares_of
-from .setup import Setup
-from .snapshot import Snapshot, position_error_n
-from .tally import MARK_NAMES, VALUE_NAMES, Heads, Tally
-from .watching import WatchBooks, needed
-from .witness import Watch
+from .scoring import DisplacementScore, FusedStep
+from .step_result import MARK_NAMES, VALUE_NAMES, Info, PlainResult, StepResult
+from .terms.action import CommandMap, FullCommand
+from .terms.base import Snapshot
+from .terms.observation import KNOWLEDGE, default_terms
+from .terms.registry import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
+from .terms.reward import Outcome, default_rewards, named_terms, reward_of, shares_of
+from .terms.termination import AtAlarm, Ends, EpochState
 
 FloatArray = NDArray[np.float64]
-Listener = Callable[["Game", Standing, Verdict], None]
+Mask = NDArray[np.bool_]
+Rows = NDArray[np.intp]
+Listener = Callable[["SpoofCore", EpochState, Verdict], None]
 """Called after every epoch of a command, before the time to alert, if it was the last."""
-Apart = tuple[Any, Any, Any, Any, Any, Any, bool, FloatArray]
-"""The first arguments of `displace`."""
-BEGIN_NAMES = ("time_s", "warmup_alarm", "coasting")
-"""Keys of the information at the begin of an episode."""
+WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any] | Detector]
+"""Passive detectors: they judge the same epochs as the one in the loop, and change nothing."""
+SingleStep = tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]
+"""Observation, reward, terminated, truncated, and information, of a batch of one."""
+RESET_NAMES = ("time_s", "warmup_alarm", "coasting")
+"""Keys of the information of a reset."""
+DEFAULT_PENALTY_M = 10.0
+NOTHING_SEEN = np.empty(0, dtype=np.float32)
 
 
-class Game(Stepwise):
-    r"""Episodes of B receivers under attack.
+class Core(Protocol):
+    """Episodes of B receivers, as an environment of either side needs them."""
+
+    @property
+    def receivers(self) -> int:
+        """B."""
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """Name of every element of an observation."""
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Name of every element of an action."""
+
+    @property
+    def reset_names(self) -> tuple[str, ...]:
+        """Keys of the information of a reset."""
+
+    @property
+    def info_names(self) -> tuple[str, ...]:
+        """Keys of the information of a step."""
+
+    @property
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Least and largest observation, (o,) each."""
+
+    @property
+    def episode_steps(self) -> int:
+        """Steps of an episode that nothing ends early."""
+
+    def reset(
+        self,
+        rngs: Sequence[np.random.Generator],
+        rows: Rows | None = None,
+        given: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Start new episodes of some receivers, all by default; one generator a row."""
+
+    def step(self, action: FloatArray) -> tuple[StepResult | PlainResult, NDArray[np.float32]]:
+        """Run a step with (B, a) actions; result and (B, o) observation."""
+
+    def single(self, action: FloatArray) -> SingleStep:
+        """`step` of a batch of one, as a Gymnasium environment returns it."""
+
+    def observe(self) -> NDArray[np.float32]:
+        """Observe all receivers, (B, o), a new array."""
+
+    def reset_info(self) -> Info:
+        """Information of a reset."""
+
+    def close(self) -> None:
+        """End the threads."""
+
+
+class SpoofCore:
+    r"""Episodes of B receivers in which the learner is the spoofer.
 
     The displacement of a step is the position error of the victim along the target direction, less
-    what it was at the onset, or, with twins, the distance from the clean twin along it; with
-    :math:`M_j` its largest value in steps 0 to j, the undetected displacement of an episode
-    without an alarm is :math:`M_N`, and that of an episode with its
-    first alarm at epoch a is :math:`M_{a-h-1}`, h being the epochs of the time to alert.  After the
-    last command the offsets hold their rate for h epochs, in which an alarm still counts.
-
-    A decision may last several epochs.  Its reward is the sum of theirs.  A receiver whose episode
-    ends at one of them is observed and told as it stands there.
+    what it was at the onset, or, with twins, the distance from the clean twin along it.  What of it
+    counts is in `scoring`.  After the last command the offsets hold their rate for the time to
+    alert, in which an alarm still counts.  A decision may last several epochs; its reward is the
+    sum of theirs, and a receiver whose episode ends at one of them is observed as it is then.
 
     Parameters
     ----------
     receivers : int
         B.
     setup : Setup
-        World, victim, attack, detector, timeline.
-    observation : sequence of ObservationTerm
-        Terms of the observation.
-    reward : sequence of RewardTerm
-        Terms of the reward.
-    action : sequence of ActionTerm, optional
-        Terms of the action; every element that the attack takes by default.
-    end : sequence of EndTerm, optional
-        Terms of the end; by `end_at_alarm` if there are none given.
-    watch : sequence of Detector
-        Detectors that judge every epoch beside the one in the loop, and tell in ``info``.
+        Of any victim.
+    knowledge : {"tracking", "blind", "oracle"}
+        What the spoofer observes.
+    observation : str, mapping, path, ObservationTerm or sequence of them, optional
+        Own list of terms instead of `knowledge`, as `make_terms` takes them.
+    action : str, mapping, path, ActionTerm or sequence of them, optional
+        Own list of terms instead of the attack's elements.
+    reward : str, mapping, path, RewardTerm or sequence of them, optional
+        Own list of terms instead of the default reward.
+    end : str, mapping, path, EndTerm or sequence of them, optional
+        Own list of terms instead of `end_at_alarm`.
+    watch : sequence of str, mapping or Detector
+        Passive detectors: they judge the same epochs and change nothing;
+        ``info["watch_NAME_alarm"]`` and more report them.
+    alarm_penalty_m : float
+        Price of an alarm.
     end_at_alarm : bool
-        Whether an alarm ends the episode.  If not, it goes on without further reward.
-    threads : int, optional
-        As in `Engine`.
-    prefetch, twin : bool
+        Whether an alarm ends the episode, where `end` does not say it.  If not, it goes on without
+        further reward.
+    twin : bool
+        Whether a clean twin of the victim runs, too, and displacement is the distance from it
+        instead of the error less that at the onset.  It takes up to twice the time.
+    threads, prefetch : optional
         As in `Engine`.
 
     Attributes
     ----------
     engine : Engine
         The receivers.
-    books : Books
+    score : DisplacementScore
         What counts of the running episodes.
     end_at_alarm : bool
         Whether an alarm ends the episode.
@@ -95,8 +148,6 @@ class Game(Stepwise):
         Arguments as they were given, for `altered`.
     listeners : list of callable
         Each a `Listener`.
-    begin_names, info_names : tuple of str
-        Keys of `begin_info`, and of the information of a step.
     """
 
     def __init__(
@@ -104,55 +155,68 @@ class Game(Stepwise):
         receivers: int,
         setup: Setup,
         *,
-        observation: Sequence[ObservationTerm],
-        reward: Sequence[RewardTerm],
-        action: Sequence[ActionTerm] | None = None,
-        end: Sequence[EndTerm] | None = None,
-        watch: Sequence[Detector] = (),
+        knowledge: str = "tracking",
+        observation: ObservationSpec | None = None,
+        action: ActionSpec | None = None,
+        reward: RewardSpec | None = None,
+        end: EndSpec | None = None,
+        watch: WatchSpec = (),
+        alarm_penalty_m: float = DEFAULT_PENALTY_M,
         end_at_alarm: bool = True,
+        twin: bool = False,
         threads: int | None = None,
         prefetch: bool = False,
-        twin: bool = False,
     ) -> None:
-        check_end_at_alarm(end_at_alarm)
-        check_truth("twin", twin)
-        check_truth("prefetch", prefetch)
+        check_choice("knowledge", knowledge, KNOWLEDGE)
+        for name, value in (
+            ("end_at_alarm", end_at_alarm),
+            ("twin", twin),
+            ("prefetch", prefetch),
+        ):
+            check_truth(name, value)
+        ends = None if end is None else make_terms("end", end)
+        _check_overruled(alarm_penalty_m, reward, end_at_alarm, ends)
+        seen = (
+            default_terms(setup, knowledge)
+            if observation is None
+            else make_terms("observation", observation)
+        )
+        rewards = (
+            default_rewards(alarm_penalty_m) if reward is None else make_terms("reward", reward)
+        )
         self.settings: dict[str, Any] = {
+            "knowledge": knowledge,
             "observation": observation,
+            "action": None if action is None else make_terms("action", action),
             "reward": reward,
-            "action": action,
-            "end": end,
-            "watch": watch,
+            "end": ends,
+            "watch": make_watch(watch),
+            "alarm_penalty_m": alarm_penalty_m,
             "end_at_alarm": end_at_alarm,
+            "twin": twin,
             "threads": threads,
             "prefetch": prefetch,
-            "twin": twin,
         }
-        ends = ((AtAlarm(),) if end_at_alarm else ()) if end is None else tuple(end)
-        self._ends = Ends(ends)
-        self.end_at_alarm = self._ends.at_alarm
-        self.watch = Watch(watch) if watch else None
-        witnesses = needed([*observation, *ends])
-        if self.watch is not None:
-            witnesses.append(self.watch)
-        if witnesses or setup.witnesses:
-            setup = setup.altered(witnesses=witnesses)
-        self.setup = setup
-        self.engine = Engine(receivers, setup, threads=threads, prefetch=prefetch, twin=twin)
-        self._kept = Kept(self.engine)
-        self.observer = Observer(observation, setup)
+        self._ends = Ends(((AtAlarm(),) if end_at_alarm else ()) if ends is None else ends)
+        self.end_at_alarm, self._has_ends = self._ends.at_alarm, bool(self._ends)
+        monitors = needed_monitors([*seen, *self._ends.terms])
+        passive = self.settings["watch"]
+        self._passive = PassiveInfo(PassiveDetectors(passive), receivers) if passive else None
+        if self._passive is not None:
+            monitors.append(self._passive.monitor)
+        self.setup = setup.altered(monitors=monitors)
+        self.engine = Engine(receivers, self.setup, threads=threads, prefetch=prefetch, twin=twin)
+        self.observer = Observer(seen, self.setup)
         self._origin = np.zeros((receivers, 2))
-        self._given = np.zeros((receivers, len(setup.attack.action_names(setup.world))))
-        self._rows = np.arange(receivers)
-        self.actor = Actor((FullCommand(),) if action is None else action, setup)
-        self.actor.aim(self.heading_rad)
-        self.books = Books(receivers, setup.steps, setup.hold)
+        self._decided = np.zeros((receivers, len(setup.action_names)))
+        self._everyone = np.arange(receivers)
+        commands = (FullCommand(),) if action is None else self.settings["action"]
+        self._map = CommandMap(commands, self.setup)
+        self._map.aim(self.heading_rad)
+        self.score = DisplacementScore(receivers, setup.steps, setup.hold)
         self.listeners: list[Listener] = []
-        self._watch = WatchBooks(self.watch.names, receivers) if self.watch is not None else None
-        self._observed = receivers * len(self.observation_names)
-        # whether something comes between the verdict of an epoch and what is told of it
-        self._in_pieces = bool(self._ends) or setup.repeat > 1
-        self.set_rewards(reward)
+        self._done: _DoneRows | None = None
+        self.set_rewards(rewards)
 
     @property
     def receivers(self) -> int:
@@ -170,9 +234,14 @@ class Game(Stepwise):
         return self.observer.low, self.observer.high
 
     @property
+    def episode_steps(self) -> int:
+        """Steps of an episode that nothing ends early."""
+        return self.setup.steps // self.setup.repeat
+
+    @property
     def heading_rad(self) -> FloatArray:
         """(B,) direction in which displacement counts, clockwise from north [rad]."""
-        return self.engine.batch.heading
+        return self.engine.simulator.heading
 
     @property
     def target_heading_deg(self) -> float | str:
@@ -182,259 +251,289 @@ class Game(Stepwise):
     @property
     def action_names(self) -> tuple[str, ...]:
         """Name of every element of an action."""
-        return self.actor.names
+        return self._map.names
 
     @property
-    def begin_names(self) -> tuple[str, ...]:
-        """Keys of `begin_info`."""
-        return BEGIN_NAMES if self._watch is None else (*BEGIN_NAMES, *self._watch.begin_names)
+    def reset_names(self) -> tuple[str, ...]:
+        """Keys of `reset_info`."""
+        return (*RESET_NAMES, *(self._passive.reset_names if self._passive else ()))
 
     @property
     def info_names(self) -> tuple[str, ...]:
         """Keys of the information of a step."""
         rewards = [key for key, _ in self._reward_parts]
-        watched = () if self._watch is None else self._watch.step_names
+        passive = self._passive.step_names if self._passive else ()
         captured = () if self.setup.attack.capture is None else ("captured_channels",)
-        told = (*VALUE_NAMES, *MARK_NAMES)
-        return (*told, *captured, *rewards, *self._ends.info_names, *watched)
+        return (*VALUE_NAMES, *MARK_NAMES, *captured, *rewards, *self._ends.info_names, *passive)
 
     @property
     def step_count(self) -> NDArray[np.int64]:
-        """(B,) commands given in the running episodes."""
-        return self.books.step_count
+        """(B,) epochs under attack in the running episodes."""
+        return self.score.step_count
 
-    def set_rewards(self, terms: Sequence[RewardTerm]) -> None:
+    def set_rewards(self, terms: Sequence[Any]) -> None:
         """Reward by these terms from the next step on."""
         self._reward_parts = named_terms(terms)
         shares = shares_of(terms)
         self._compiled = shares is not None
-        self._shares = np.zeros((0, len(SHARED))) if shares is None else shares
-        parts = [key for key, _ in self._reward_parts] if self._compiled else []
-        self._heads = Heads(self.receivers, parts)
-        self._scratch = Tally(self._heads)
-        rules = rules_of(self.engine, self.books, self.observer, self.end_at_alarm, self._shares)
-        self._at_once = AtOnce(self.engine, self.books, self.observer, rules)
-        self._at_once.begin(self.engine, self._origin)
-        captures = self.setup.attack.capture is not None
-        self._tells_more = captures or self._watch is not None or not self._compiled
-
-    def altered(self, setup: Setup | None = None, **changes: Any) -> Game:
-        """A new game, not begun yet, with some settings changed.
-
-        It has as many receivers, and no listeners.
-        """
-        return Game(
-            self.receivers,
-            self.setup if setup is None else setup,
-            **{**self.settings, **changes},
+        self._fused = FusedStep(
+            self.score,
+            self.setup.epoch_time,
+            at_alarm=self.end_at_alarm,
+            parts=tuple(key for key, _ in self._reward_parts) if self._compiled else (),
+            shares=shares,
+            table=self.observer.table,
+            command=self.observer.command,
+            per_rate=self.observer.per_rate,
         )
+        self._scratch = StepResult(self._fused.layout)
+        captures = self.setup.attack.capture is not None
+        self._reports_more = captures or self._passive is not None
+        self._needs_arrays = (
+            self._reports_more or self._has_ends or not self._compiled or self.setup.repeat > 1
+        )
+
+    def altered(self, setup: Setup | None = None, **changes: Any) -> SpoofCore:
+        """A new core, not begun yet, with another setup or other arguments, without listeners."""
+        chosen = self.setup if setup is None else setup
+        return SpoofCore(self.receivers, chosen, **{**self.settings, **changes})
 
     def close(self) -> None:
         """End the threads; they are started again when they are needed."""
         self.engine.close()
 
     def snapshot(self) -> Snapshot:
-        """The game as it is."""
-        return Snapshot(self.setup, self.engine.batch, self.step_count, self.engine.twin)
+        """The episodes now, as views that are valid until the next step."""
+        engine = self.engine
+        return Snapshot(self.setup, engine.simulator, self.score.step_count, engine.twin)
 
     def observe(self) -> NDArray[np.float32]:
-        """Observe all receivers: (B, o) a new array."""
+        """Observe all receivers, (B, o), a new array."""
         return self.observer.observe(self.snapshot())
 
     def reset(
         self,
         rngs: Sequence[np.random.Generator],
-        rows: NDArray[np.intp] | None = None,
+        rows: Rows | None = None,
         given: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin new episodes, and run their warm-up up to the onset."""
-        where = self._rows if rows is None else rows
+        """Start new episodes, and run their warm-up up to the onset; as `Engine.reset`."""
+        where = self._everyone if rows is None else rows
         self.engine.reset(rngs, rows, given)
-        self.books.reset(where)
-        self._given[where] = 0.0
-        self.actor.aim(self.heading_rad)
+        self.score.reset(where)
+        if self._done is not None:  # an interrupted decision may have left some
+            self._done.drop(where)
+        self._decided[where] = 0.0
+        self._map.aim(self.heading_rad)
         if self.engine.twin is None:
-            error_n = position_error_n(self.setup, self.engine.batch)
-            self._origin[where] = error_n[where, :2]
-        self._at_once.begin(self.engine, self._origin)
-        if self._watch is not None:
-            self._watch.reset(where, self._watched)
+            self._origin[where] = self.engine.simulator.origin_ne()[where]
+        if self._passive is not None:
+            self._passive.reset(where, self._passive_memory)
 
     @property
-    def _watched(self) -> Memory:
-        """What the detectors beside the one in the loop have seen."""
-        return self.engine.batch.witness(Watch).memory
+    def _passive_memory(self) -> Memory:
+        return self.engine.simulator.monitor(PassiveDetectors).memory
 
     def displacement(self) -> FloatArray:
-        """Displacement that counts, of this epoch, (B,) [m]."""
+        """(B,) displacement that counts, at this epoch [m]."""
         displacement = np.empty(self.receivers)
-        displace(*self._apart(), displacement)
+        self.engine.simulator.displacement(self._origin, self.engine.twin, displacement)
         return displacement
 
-    def _apart(self) -> Apart:
-        """What a displacement is computed from, as `displace` takes it."""
-        batch, twin, world = self.engine.batch, self.engine.twin, self.setup.world
-        return (
-            batch.buffers.state.position_e,
-            world.position_e if twin is None else twin.buffers.state.position_e,
-            batch.epochs if twin is None else self._rows,
-            world.C_en,
-            batch.onset,
-            batch.heading,
-            self.setup.target_heading_deg == "worst",
-            self._origin,
-        )
-
-    def _advance(self, command: FloatArray) -> Verdict:
-        """One epoch of the receivers, and of their twins."""
-        verdict = self.engine.step(command)
-        if self.engine.twin is not None:
-            self.engine.step_twin()
-        return verdict
-
-    def _play(self, command: FloatArray) -> Tally:
-        """One epoch, which is not told yet."""
-        verdict = self._advance(command)
-        tally = Tally(self._heads)
-        displace(*self._apart(), tally.values[DISPLACEMENT])
-        early = self._judge_ends(tally, verdict)
-        self.books.count(tally, verdict.alarm, early, self.end_at_alarm, self.engine.hold)
-        return tally
-
-    def _decide(self, command: FloatArray, action: FloatArray) -> Tally:
-        """All epochs of one decision; a receiver whose episode ends at one stands still then."""
-        books = self.books
-        before = books.ended.copy()
-        tally = self._play_and_tell(command, action, 0)
-        for epoch in range(1, self.setup.repeat):
-            over, counts = books.ended.copy(), books.step_count.copy()
-            if np.logical_and.reduce(over):
-                break
-            self._kept.put_aside(np.flatnonzero(over & ~before))
-            before = over
-            later = self._play_and_tell(command, action, epoch)
-            later.add(tally, over)
-            books.step_count[over] = counts[over]
-            tally = later
-        self._kept.put_back()
-        self._given[:] = command
-        return tally
-
-    def _play_and_tell(self, command: FloatArray, action: FloatArray, epoch: int) -> Tally:
-        """One epoch of a decision, as if it were the only one."""
-        tally = self._play(self.setup.command(self._given, command, epoch))
-        self._tell(tally)
-        if not self._compiled:
-            self._reward(tally, action)
-        return tally
-
-    def _decide_at_once(self, command: FloatArray, tally: Tally) -> NDArray[np.float32]:
-        """`_decide` and `observe` in one kernel, where nobody looks between; (B o,) observed."""
-        verdict = self._advance(command)
-        seen = np.empty(self._observed, dtype=np.float32)
-        if self._at_once(verdict, tally, seen):
-            self.books.score_hold(tally, self.engine.hold)
-            self._tell(tally)
-            return self.observe().ravel()
-        if self.observer.dynamic:
-            self.observer.complete(self.snapshot(), seen.reshape(self.receivers, -1))
-        return seen
-
-    def _tell(self, tally: Tally) -> None:
-        """Write what is told of a step."""
-        books, engine = self.books, self.engine
-        tell(
-            books.detected,
-            books.ended,
-            books.credited,
-            engine.warmup_alarm,
-            engine.batch.buffers.measured.coasting,
-            self.setup.world.epoch_time,
-            engine.batch.epochs,
-            self._shares,
-            tally.values,
-            tally.marks,
-        )
-
-    def step(self, action: FloatArray) -> Tally:
-        """One decision of all receivers, and the epochs until the next.
-
-        `action` (B, k) float64, C-contiguous, in [-1, 1].
-        """
-        return self.turn(action)[0]
-
-    def turn(self, action: FloatArray) -> tuple[Tally, NDArray[np.float32]]:
-        """`step`, then `observe`.  Returns `observation` (B, o) float32, new."""
-        if self._watch is not None:
-            self._watch.forget(self._watched)
-        command = self.actor.command(action)
-        if self._in_pieces or self.listeners:
-            tally = self._decide(command, action)
+    def step(self, action: FloatArray) -> tuple[StepResult, NDArray[np.float32]]:
+        """One decision of all receivers, (B, k) in [-1, 1]; its result and (B, o) observed."""
+        if self._passive is not None:
+            self._passive_memory["alarmed"][:] = False
+        if self.setup.repeat > 1:
+            result = self._decide(action)
             observation = self.observe()
         else:
-            tally = Tally(self._heads)
-            observation = self._decide_at_once(command, tally).reshape(self.receivers, -1)
-            if not self._compiled:
-                self._reward(tally, action)
-        if self._tells_more:
-            self._tell_more(tally)
-        return tally, observation
+            result = StepResult(self._fused.layout)
+            observation = self._epoch(action, result)
+        if self._reports_more:
+            self._report_more(result)
+        return result, observation
 
-    def _tell_more(self, tally: Tally) -> None:
-        """Tell of a step what compiled code does not."""
-        if self.setup.attack.capture is not None:
-            captured = self.engine.batch.attack.memory["captured"]
-            tally.more["captured_channels"] = captured.sum(axis=1)
-        if self._watch is not None:
-            tally.more.update(self._watch.step_info(self._watched))
-
-    def alone(self, action: FloatArray) -> Told:
-        """`turn` of the only receiver, as an environment returns it.
-
-        `action` (1, k) as in `step`.
-        """
-        if self._in_pieces or self.listeners or self._tells_more:
-            return super().alone(action)
+    def single(self, action: FloatArray) -> SingleStep:
+        """`step` of the only receiver, as an environment returns it."""
+        if self._needs_arrays or self.listeners:
+            result, observation = self.step(action)
+            return observation[0], *result.single()
         # nobody keeps its arrays: their values are handed out as numbers
-        tally = self._scratch
-        observation = self._decide_at_once(self.actor.command(action), tally)
-        return observation, *tally.alone()
+        return self._epoch(action, self._scratch)[0], *self._scratch.single()
 
-    def _reward(self, tally: Tally, action: FloatArray) -> None:
+    def _epoch(
+        self, action: FloatArray, result: StepResult, command: FloatArray | None = None
+    ) -> NDArray[np.float32]:
+        """One epoch; (B, o) observed, or nothing where `command` gives the command of the epoch."""
+        engine, observed = self.engine, command is None
+        if command is None:
+            command = action if self._map.is_plain else self._map.command(action)
+        verdict = engine.step(command)
+        simulator = engine.simulator
+        simulator.displacement(self._origin, engine.twin, result.displacement)
+        early = self.score.nobody
+        if self._has_ends or self.listeners:
+            early = self._judge_ends(result, verdict)
+        width = len(self.observer.names)
+        seen = np.empty(self.receivers * width, dtype=np.float32) if observed else NOTHING_SEEN
+        self._fused(simulator, verdict.alarm, early, engine.warmup_alarm, result, seen, engine.hold)
+        if not self._compiled:
+            self._reward(result, action)
+        if not observed:
+            return NOTHING_SEEN
+        observation = seen.reshape(self.receivers, width)
+        if self.observer.dynamic:
+            self.observer.complete(self.snapshot(), observation)
+        return observation
+
+    def _decide(self, action: FloatArray) -> StepResult:
+        """All epochs of one decision; a receiver whose episode ends at one stays as it is then."""
+        setup, score = self.setup, self.score
+        if self._done is None:
+            self._done = _DoneRows(self.engine)
+        command = self._map.command(action)
+        before = score.ended.copy()
+        result = StepResult(self._fused.layout)
+        self._epoch(action, result, setup.command(self._decided, command, 0))
+        for epoch in range(1, setup.repeat):
+            over, counts = score.ended.copy(), score.step_count.copy()
+            if np.logical_and.reduce(over):
+                break
+            self._done.keep(np.flatnonzero(over & ~before))
+            before = over
+            later = StepResult(self._fused.layout)
+            self._epoch(action, later, setup.command(self._decided, command, epoch))
+            later.add(result, over)
+            score.step_count[over] = counts[over]
+            result = later
+        self._done.restore()
+        self._decided[:] = command
+        return result
+
+    def _report_more(self, result: StepResult) -> None:
+        """Report of a step what kernels do not."""
+        if self.setup.attack.capture is not None:
+            captured = self.engine.simulator.attack.memory["captured"]
+            result.extra["captured_channels"] = captured.sum(axis=1)
+        if self._passive is not None:
+            result.extra.update(self._passive.step_info(self._passive_memory))
+
+    def _reward(self, result: StepResult, action: FloatArray) -> None:
         """Reward by the terms themselves."""
-        values, marks = tally.values, tally.marks
+        values, marks = result.values, result.marks
         outcome = Outcome(
             values[GAIN],
             values[RETRACTION],
             marks[FIRST],
             marks[ALARM],
             action,
-            self.books.credited,
-            tally.terminated | tally.truncated,
+            self.score.undetected,
+            result.terminated | result.truncated,
         )
-        values[REWARD] = reward_of(self._reward_parts, outcome, tally.more)
+        values[REWARD] = reward_of(self._reward_parts, outcome, result.extra)
 
-    def _judge_ends(self, tally: Tally, verdict: Verdict) -> NDArray[np.bool_]:
-        """Who has given the last command before the end of the window; tell the listeners, too."""
-        if not (self._ends or self.listeners):
-            return self.books.nobody
+    def _judge_ends(self, result: StepResult, verdict: Verdict) -> Mask:
+        """(B,) who has given the last command before the end of the window; calls the listeners."""
         snapshot = self.snapshot()._replace(step=self.step_count + 1)
-        standing = Standing(snapshot, tally.values[DISPLACEMENT])
+        state = EpochState(snapshot, result.values[DISPLACEMENT])
         for listener in self.listeners:
-            listener(self, standing, verdict)
-        if not self._ends:
-            return self.books.nobody
-        early, truncated = self._ends.judge(standing, tally.more)
-        tally.marks[TRUNCATED] = truncated
+            listener(self, state, verdict)
+        if not self._has_ends:
+            return self.score.nobody
+        early, truncated = self._ends.judge(state, result.extra)
+        result.marks[TRUNCATED] = truncated
         return early
 
-    def begin_info(self) -> dict[str, NDArray[Any]]:
-        """Information at the start of an episode."""
+    def reset_info(self) -> Info:
+        """Information of a reset: arrays with a leading axis of receivers."""
         engine = self.engine
-        watched = {} if self._watch is None else self._watch.begin_info()
         return {
-            "time_s": self.setup.world.epoch_time[engine.batch.epochs],
+            "time_s": engine.simulator.time_s(),
             "warmup_alarm": engine.warmup_alarm.copy(),
-            "coasting": engine.batch.buffers.measured.coasting.copy(),
-            **watched,
+            "coasting": engine.simulator.coasting.copy(),
+            **(self._passive.reset_info() if self._passive else {}),
         }
+
+
+class _DoneRows:
+    """Receivers whose episodes end within a decision, kept as they were then.
+
+    The engine runs all of its receivers in step; these are put back when the others have come to
+    the next decision.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        whole = [engine.simulator] if engine.twin is None else [engine.simulator, engine.twin]
+        self._pairs = [(each.setup.simulator(each.receivers, run_serially), each) for each in whole]
+        self._kept: Mask = np.zeros(engine.receivers, dtype=np.bool_)
+
+    def keep(self, rows: Rows) -> None:
+        """Keep some receivers as they are."""
+        if len(rows):
+            for copy, simulator in self._pairs:
+                copy.copy_rows(rows, simulator, rows)
+            self._kept[rows] = True
+
+    def restore(self) -> None:
+        """Put back all that have been kept."""
+        rows = np.flatnonzero(self._kept)
+        if len(rows):
+            for copy, simulator in self._pairs:
+                simulator.copy_rows(rows, copy, rows)
+            self._kept[:] = False
+
+    def drop(self, rows: Rows) -> None:
+        """Forget receivers that start a new episode."""
+        self._kept[rows] = False
+
+
+class PassiveInfo:
+    """What is reported of passive detectors: their alarms, and largest statistic ratios."""
+
+    def __init__(self, monitor: PassiveDetectors, receivers: int) -> None:
+        self.monitor, names = monitor, monitor.names
+        self.reset_names = tuple(f"watch_{name}_warmup_alarm" for name in names)
+        self._alarm_names = tuple(f"watch_{name}_alarm" for name in names)
+        self._ratio_names = tuple(f"watch_{name}_ratio" for name in names)
+        self.step_names = (*self.reset_names, *self._alarm_names, *self._ratio_names)
+        self._warmup_alarm = np.zeros((receivers, len(names)), dtype=np.bool_)
+
+    def reset(self, rows: Rows, memory: Memory) -> None:
+        """Take the alarms of the warm-up of new episodes."""
+        self._warmup_alarm[rows] = memory["alarmed"][rows]
+
+    def reset_info(self) -> Info:
+        """Information of a reset."""
+        return {name: self._warmup_alarm[:, k].copy() for k, name in enumerate(self.reset_names)}
+
+    def step_info(self, memory: Memory) -> Info:
+        """Information of a step, the time to alert included."""
+        alarms = {name: memory["alarmed"][:, k].copy() for k, name in enumerate(self._alarm_names)}
+        ratios = {name: memory["ratio"][:, k].copy() for k, name in enumerate(self._ratio_names)}
+        return {**self.reset_info(), **alarms, **ratios}
+
+
+def make_watch(spec: WatchSpec) -> tuple[Detector, ...]:
+    """Passive detectors, new ones, each as `make_detector` takes it."""
+    if isinstance(spec, str | Mapping | Detector):
+        spec = (spec,)
+    if not isinstance(spec, Sequence):
+        raise TypeError(f"`watch` must be a detector or a list of detectors, got {spec!r}")
+    return tuple(make_detector(each) for each in spec)
+
+
+def _check_overruled(
+    alarm_penalty_m: float,
+    reward: RewardSpec | None,
+    end_at_alarm: bool,
+    end: Sequence[Any] | None,
+) -> None:
+    """Raise where lists of terms leave a setting without an effect."""
+    if reward is not None and alarm_penalty_m != DEFAULT_PENALTY_M:
+        raise ValueError(
+            f"`alarm_penalty_m` is part of the default reward, and `reward` is given: list "
+            f"{{'name': 'alarm-penalty', 'penalty_m': {alarm_penalty_m!r}}} there"
+        )
+    if end is not None and not end_at_alarm and any(isinstance(term, AtAlarm) for term in end):
+        raise ValueError("`end` lists 'at-alarm', but `end_at_alarm` is False: leave out one")

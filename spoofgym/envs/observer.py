@@ -8,12 +8,11 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ._kernels import clip_columns, look
-from .compiled import told_beside_call
-from .engine import Engine
-from .observations import KNOWLEDGE, CommandTerm, DynamicTerm, ObservationTerm
-from .setup import Setup
-from .snapshot import Snapshot
+from ..simulators.engine import Engine
+from ..simulators.setup import Setup
+from ._kernels import clip_columns, observe
+from .terms.base import Snapshot, holds_for_call
+from .terms.observation import KNOWLEDGE, CommandTerm, DynamicTerm, ObservationTerm
 
 FloatArray = NDArray[np.float64]
 
@@ -39,10 +38,11 @@ class Observer:
     table : ndarray
         (K, o) float32, what is observed at every epoch, within the bounds; 0 where a term that
         depends on what has happened writes later.
-    command_column : int
-        First column of what the commanded displacement and rate are observed as; -1 for none.
-    command_scales : ndarray
-        (4,) their factors and bounds, as `look` takes them.
+    command : tuple of float
+        First column of the commanded displacement and rate, -1 for none; factor on the
+        displacement; bounds of both.
+    per_rate : ndarray
+        (a,) factor on the rate of every axis.
     dynamic : bool
         Whether there are further terms, which depend on what has happened.
     """
@@ -56,7 +56,8 @@ class Observer:
         low: list[float] = []
         high: list[float] = []
         tables: list[FloatArray] = []
-        self.command_column, self.command_scales = -1, np.zeros(4)
+        self.command = (-1.0, 0.0, 0.0, 0.0)
+        self.per_rate = np.zeros(len(setup.action_names))
         for term in terms:
             own = term.names(setup)
             part = slice(len(names), len(names) + len(own))
@@ -68,14 +69,14 @@ class Observer:
             if table is not None:
                 tables.append(np.clip(table, least, most))
                 continue
-            tables.append(np.zeros((setup.world.epochs, len(own))))
-            if told_beside_call(term, "factors"):
-                factors = cast("CommandTerm", term).factors(setup)
-                self.command_column = part.start
-                self.command_scales = np.array([*factors, least, most])
+            tables.append(np.zeros((len(setup.epoch_time), len(own))))
+            if holds_for_call(term, "factors"):
+                per_displacement, self.per_rate = cast("CommandTerm", term).factors(setup)
+                self.command = (float(part.start), per_displacement, least, most)
             else:
                 self._parts.append((cast("DynamicTerm", term), part))
         self.table = np.hstack(tables).astype(np.float32)
+        self._rules = np.array([0.0] * 5 + list(self.command))
         self.names = tuple(names)
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
@@ -91,25 +92,16 @@ class Observer:
         self.knowledge = KNOWLEDGE[max(KNOWLEDGE.index(term.knowledge) for term in terms)]
 
     def observe(self, snapshot: Snapshot) -> NDArray[np.float32]:
-        """Observe the game: (B, o) float32, a new array within the bounds."""
-        batch = snapshot.batch
-        memory = batch.attack.memory
-        out = np.empty((batch.receivers, len(self.names)), dtype=np.float32)
-        look(
-            self.table,
-            batch.epochs,
-            memory["displacement"],
-            memory["rate"],
-            self.command_column,
-            self.command_scales,
-            out,
-        )
+        """Observe the episodes: (B, o) float32, a new array within the bounds."""
+        epochs, _, displacement, rate = snapshot.simulator.step_arrays()
+        out = np.empty((len(epochs), len(self.names)), dtype=np.float32)
+        observe(self._rules, self.per_rate, self.table, epochs, displacement, rate, out)
         if self.dynamic:
             self.complete(snapshot, out)
         return out
 
     def complete(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the terms that `look` does not.  `out` (B, o), written by `look` before."""
+        """Write the terms that the kernel does not; `out` (B, o)."""
         for term, part in self._parts:
             term(snapshot, out[:, part])
         # all else lies within the bounds
@@ -118,7 +110,7 @@ class Observer:
     def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:
         """Observe receivers that are all at the same step.
 
-        `step`: commands given since the attack began; returns (B, o) float32.
+        `step`: commands given since the attack started; returns (B, o) float32.
         """
         steps = np.full(engine.receivers, step, dtype=np.int64)
-        return self.observe(Snapshot(self.setup, engine.batch, steps))
+        return self.observe(Snapshot(self.setup, engine.simulator, steps))

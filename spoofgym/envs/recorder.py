@@ -1,4 +1,4 @@
-"""Every epoch of a game as Parquet files, one for every episode of a receiver.
+"""Every epoch of an environment as Parquet files, one for every episode of a receiver.
 
 A file holds the epochs of the commands: neither the warm-up, nor the time to alert after the last
 command.  It is written as a whole when its episode is over, so that a run that is broken off leaves
@@ -13,24 +13,22 @@ import json
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._files import write_file
+from .._files import remove_stale_parts, write_file
 from ..detectors import Verdict
-from .ends import Standing
-
-if TYPE_CHECKING:
-    from .game import Game
+from .core import SpoofCore
+from .terms.termination import EpochState
 
 Array = NDArray[Any]
 PATTERN = re.compile(r"receiver-(\d+)-episode-(\d+)\.parquet")
 
 
 class EpochRecorder:
-    """Recorder of the receivers of a game; a `Listener`.
+    """Recorder of the receivers of a core; a `Listener`.
 
     `folder`: where the files go; made where it is missing.
     """
@@ -45,6 +43,7 @@ class EpochRecorder:
             raise ValueError(f"`folder` {str(folder)!r} can't be made: {error}") from error
         if not os.access(self.folder, os.W_OK | os.X_OK):
             raise ValueError(f"nothing can be written into the `folder` {str(folder)!r}")
+        remove_stale_parts(self.folder)
         self._episode = np.zeros(receivers, dtype=np.int64)
         for path in self.folder.glob("*.parquet"):
             found = PATTERN.fullmatch(path.name)
@@ -54,25 +53,24 @@ class EpochRecorder:
         self._rows: list[dict[str, list[Array]]] = [{} for _ in range(receivers)]
         self._satellites: tuple[str, ...] = ()
 
-    def __call__(self, game: Game, standing: Standing, verdict: Verdict) -> None:
+    def __call__(self, core: SpoofCore, state: EpochState, verdict: Verdict) -> None:
         """Take down an epoch of all receivers whose episodes are not over."""
-        self._satellites = game.setup.world.satellite_ids
-        batch = standing.snapshot.batch
-        epoch, sensors = batch.epoch, batch.sensors.state
+        simulator = state.snapshot.simulator
+        epoch = simulator.epoch
+        self._satellites = getattr(core.setup.world, "satellite_ids", ())
         columns: dict[str, Array] = {
             "time_s": epoch.time,
-            "step": standing.snapshot.step,
-            "displacement_m": standing.displacement,
+            "step": state.snapshot.step,
+            "displacement_m": state.displacement,
             "alarm": np.logical_or.reduce(verdict.alarm, axis=1),
             "statistic": verdict.statistic,
             "threshold": verdict.threshold,
             "innovation": epoch.innovation,
             "innovation_variance": np.diagonal(epoch.innovation_cov, axis1=1, axis2=2),
             "visible": epoch.visible,
-            "range_offset_m": sensors.range_offset,
-            "rate_offset_mps": sensors.rate_offset,
+            **simulator.recorded(),
         }
-        for row in np.flatnonzero(~game.books.ended):
+        for row in np.flatnonzero(~core.score.ended):
             kept = self._rows[row]
             for name, array in columns.items():
                 kept.setdefault(name, []).append(np.array(array[row]))

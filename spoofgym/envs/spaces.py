@@ -1,4 +1,4 @@
-"""Spaces of a game, and the check of an action."""
+"""Spaces of a core, and the check of an action."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from ._kernels import within
-from .played import Played
+from .core import Core
 
 TOLERANCE = 1e-6
 
 
-def observation_space(game: Played) -> spaces.Space[Any]:
+def observation_space(core: Core) -> spaces.Space[Any]:
     """Space of one receiver's observation: (o,) float32."""
-    low, high = game.bounds
+    low, high = core.bounds
     return spaces.Box(low.copy(), high.copy(), dtype=np.float32)
 
 
-def action_space(game: Played) -> spaces.Space[Any]:
+def action_space(core: Core) -> spaces.Space[Any]:
     """Space of one receiver's action: (a,) float32 in [-1, 1]."""
-    return spaces.Box(-1.0, 1.0, (len(game.action_names),), dtype=np.float32)
+    return spaces.Box(-1.0, 1.0, (len(core.action_names),), dtype=np.float32)
 
 
 def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) -> NDArray[Any]:

@@ -1,122 +1,284 @@
-"""The vector environment of the tightly coupled receiver."""
+"""The vector environment of any core: B receivers in step."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Generic
 
-from gymnasium.vector import AutoresetMode
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
 
-from ..attacks import Attack
-from ..detectors import Detector
-from ..receiver import TightlyCoupled
-from ..sim.scenario import Scenario
-from .domain import Domain
-from .game import Game
-from .game_vector_env import GameVectorEnv, autoreset_mode_of, check_vector_settings
-from .infos import InfoSpec
-from .presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
-from .setup import Timeline
-from .terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec
+from .._registry import whole_number
+from .env import C, with_length
+from .options import (
+    HALFWAY,
+    RESET_MASK,
+    Array,
+    InfoSpec,
+    chosen,
+    domain_option,
+    info_keys,
+    mask_of,
+    masked,
+    of_rows,
+    seeds_of,
+    warn_unknown,
+    whole_reset,
+)
+from .spaces import action_space, checked_action, observation_space
+from .step_result import PlainResult, StepResult
+
+LIMIT = "`max_episode_steps`"
+NEXT_STEP, SAME_STEP = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP
 
 
-class SpoofVectorEnv(GameVectorEnv[Game]):
-    """Vector environment of `SpoofEnv`; receiver i is the single one seeded with ``seed + i``.
+class CoreVectorEnv(VectorEnv[Array, Array, Array], Generic[C]):
+    """Environment of B receivers; receiver i is the single one seeded with ``seed + i``.
 
     Parameters
     ----------
-    num_envs : int
-        Receivers, at least 1.
-    autoreset_mode : {"next_step", "same_step", "disabled"} or AutoresetMode
-        When a finished receiver begins its next episode; with ``disabled``, when ``reset`` is
-        called with ``options={"reset_mask": ...}``.
+    core : Core
+        Of B receivers, not begun yet.
+    autoreset_mode : AutoresetMode
+        When a finished receiver begins its next episode: at the next step, at the same, or when
+        ``reset`` is called with a mask.
     infos : {"all", "none"} or sequence of str
-        Which information is handed out, by its keys; `final_obs` and `final_info` always are.
-    threads : int, optional
-        Threads of the engine; as many as processors by default.
-    prefetch : bool
-        Whether one more thread warms up every receiver's next episode while the present one runs,
-        also with ``threads=1``.  The bits are the same, unless those of the detector depend on the
-        size of the batch: such a one cannot be reproduced with it; see `Engine`.
-    scenario, detector, attack, receiver, timeline, knowledge, observation, action, reward, end
-        As in `SpoofEnv`.
-    watch, alarm_penalty_m, end_at_alarm, target_heading_deg, render_mode
-        As in `SpoofEnv`.
-    domain, decision_interval_s, between, twin
-        As in `SpoofEnv`.
+        Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
+    max_episode_steps : int, optional
+        As `gymnasium.make_vec` hands it on from a spec: more than an episode has.
+
+    Raises
+    ------
+    ValueError
+        When `max_episode_steps` would cut an episode short.
 
     Attributes
     ----------
+    core : Core
+        The same.
     observation_names, action_names : tuple of str
         Name of every element.
-    given_detector : object
-        Detector that has been set, as it was given; None for the default.
-
-    Examples
-    --------
-    >>> import gymnasium as gym
-    >>> import spoofgym
-    >>> envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=4, detector="never")
-    >>> envs.single_action_space
-    Box(-1.0, 1.0, (2,), float32)
-    >>> envs.close()
     """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012  (declared so by Gymnasium)
+        "render_modes": [],
+        "render_fps": 2,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+    closed = True  # until there is a game: older Gymnasium closes what has failed to be made
+
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
-        num_envs: int = 1,
-        *,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        core: C,
+        autoreset_mode: AutoresetMode,
         infos: InfoSpec = "all",
-        threads: int | None = None,
-        prefetch: bool = True,
-        scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
-        detector: str | Mapping[str, Any] | Detector | None = None,
-        attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
-        receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
-        timeline: Mapping[str, float] | Timeline | None = None,
-        knowledge: str = "tracking",
-        observation: ObservationSpec | None = None,
-        action: ActionSpec | None = None,
-        reward: RewardSpec | None = None,
-        end: EndSpec | None = None,
-        watch: WatchSpec = (),
-        alarm_penalty_m: float = 10.0,
-        end_at_alarm: bool = True,
-        target_heading_deg: float | str = 90.0,
-        domain: Mapping[str, Any] | Domain | None = None,
-        decision_interval_s: float | None = None,
-        between: str = "hold",
-        twin: bool = False,
-        render_mode: None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
-        mode = autoreset_mode_of(autoreset_mode)
-        check_vector_settings(num_envs, render_mode)
-        setup = make_setup(
-            scenario=scenario,
-            receiver=receiver,
-            attack=attack,
-            detector=detector,
-            timeline=timeline,
-            domain=domain,
-            target_heading_deg=target_heading_deg,
-            decision_interval_s=decision_interval_s,
-            between=between,
-        )
-        game = make_game(
-            num_envs,
-            setup,
-            knowledge=knowledge,
-            observation=observation,
-            action=action,
-            reward=reward,
-            end=end,
-            watch=watch,
-            alarm_penalty_m=alarm_penalty_m,
-            end_at_alarm=end_at_alarm,
-            threads=threads,
-            prefetch=prefetch,
-            twin=twin,
-        )
-        self.given_detector: Any = detector
-        super().__init__(game, mode, infos)
+        limit = max_episode_steps
+        if limit is not None and whole_number(LIMIT, limit) <= core.episode_steps:
+            raise ValueError(
+                f"{LIMIT} must be more than the {core.episode_steps} steps that an "
+                f"episode has, got {limit}; the end term 'at-steps' cuts it short"
+            )
+        self.autoreset_mode = autoreset_mode
+        self.metadata = {**type(self).metadata, "autoreset_mode": autoreset_mode}
+        self.render_mode = None
+        self._infos = infos
+        self.adopt(core)
+        self.closed = False
+
+    def adopt(self, core: C) -> None:
+        """Take a core that has not begun, instead of the present one."""
+        self.core, self.num_envs = core, core.receivers
+        self.observation_names, self.action_names = core.observation_names, core.action_names
+        self._action_shape = (self.num_envs, len(self.action_names))
+        self.single_observation_space = observation_space(core)
+        self.single_action_space = action_space(core)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._keys = info_keys(self._infos, core.info_names)
+        self._rngs: list[np.random.Generator] = []
+        self._halfway = False
+        self._over = np.ones(self.num_envs, dtype=np.bool_)
+        self._all = np.ones(self.num_envs, dtype=np.bool_)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gymnasium.make_vec` made it from; ``max_episode_steps`` is an episode's and one."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        """Fill in the limit."""
+        if given is not None:  # the limit has a field of its own, from which `make_vec` takes it
+            kwargs = {key: given.kwargs[key] for key in given.kwargs if key != "max_episode_steps"}
+            given = replace(given, kwargs=kwargs)
+        self._spec = with_length(given, self.core)
+
+    @property
+    def begun(self) -> bool:
+        """Whether it has been reset."""
+        return bool(self._rngs)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array, dict[str, Any]]:
+        """Start an episode in every receiver, or in some.
+
+        `options`: ``reset_mask``, (B,) bool, which receivers to reset, at least one (all by default
+        and at the first reset); ``domain``, circumstances not to be drawn, each one value or (B,)
+        of them, see `spoofgym.simulators.domain.CHOICES`.  Returns `observation` (B, o) float32.
+        """
+        warn_unknown(options, ("domain", RESET_MASK))
+        mask = mask_of(options, self.num_envs)
+        if mask is None:
+            mask = self._all.copy()
+        elif not self._rngs and not mask.all():
+            raise ValueError("the first reset must be that of all receivers")
+        elif self._halfway and not mask.all():
+            raise ValueError("the reset after an interrupted step must be that of all receivers")
+        seeds = seeds_of(seed, self.num_envs)
+        super().reset(seed=seeds[0] if isinstance(seed, int | np.integer) else None)
+        if not self._rngs:
+            self._rngs = [np.random.default_rng(s) for s in seeds]
+        else:
+            self._rngs = [
+                rng if s is None or not fresh else np.random.default_rng(s)
+                for rng, s, fresh in zip(self._rngs, seeds, mask, strict=True)
+            ]
+        given = domain_option(options)
+        with whole_reset(self):
+            if mask.all():
+                self.core.reset(self._rngs, given=given)
+                self._over[:] = False
+            else:
+                self._restart(mask, given)
+        return self.core.observe(), self._masked(self.core.reset_info(), mask)
+
+    def _restart(self, mask: NDArray[np.bool_], given: Mapping[str, Any] | None = None) -> None:
+        rows = np.flatnonzero(mask)
+        chosen_given = given and of_rows(given, rows, self.num_envs)
+        self.core.reset([self._rngs[row] for row in rows], rows, chosen_given)
+        self._over[rows] = False
+
+    def _masked(self, info: dict[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
+        """Arrays that are asked for, with the masks that tell which receivers have them."""
+        return masked(chosen(info, self._keys), mask)
+
+    def _reported(
+        self, result: StepResult | PlainResult
+    ) -> tuple[Array, Array, Array, dict[str, Any]]:
+        """Rewards, ends and information of a step that every receiver has made."""
+        if self._keys is None and isinstance(result, StepResult) and not result.extra:
+            return result.masked()
+        info = self._masked(result.info, self._all)
+        return result.reward, result.terminated, result.truncated, info
+
+    def _mark_all(self, info: dict[str, Any]) -> None:
+        """Mark what every receiver has, also one that was just reset."""
+        for name in self.core.reset_names:
+            if name in info:
+                info[f"_{name}"] = self._all.copy()
+
+    def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        """Give one command to every receiver, and run one epoch.
+
+        `actions` (B, a) in [-1, 1]; returns `observation` (B, o) float32; `reward` (B,) float64.
+        """
+        if not self._rngs:
+            raise RuntimeError("call reset() before step()")
+        if self._halfway:
+            raise RuntimeError(HALFWAY)
+        given = checked_action(actions, self._action_shape, self.action_names)
+        self._check_none_over()
+        self._halfway = True
+        mode = self.autoreset_mode
+        if mode is NEXT_STEP:
+            result = self._next_step(given)
+        else:
+            result = self._same_step(given) if mode is SAME_STEP else self._plain_step(given)
+        self._halfway = False
+        return result
+
+    def _check_none_over(self) -> None:
+        """Raise where a reset is due that no autoreset makes."""
+        if self.autoreset_mode is AutoresetMode.DISABLED and np.count_nonzero(self._over):
+            raise RuntimeError(
+                f"the episodes of receivers {', '.join(map(str, np.flatnonzero(self._over)))} are "
+                f"over: call reset(options={{'{RESET_MASK}': ...}}) before step()"
+            )
+
+    def _plain_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        result, observation = self.core.step(given)
+        reward, terminated, truncated, info = self._reported(result)
+        self._over = terminated | truncated
+        return observation, reward, terminated, truncated, info
+
+    def _next_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        over = np.count_nonzero(self._over)
+        if over == self.num_envs:
+            self._restart(self._all)
+            info = self._masked(self.core.reset_info(), self._all)
+            never = np.zeros_like(self._over)
+            return self.core.observe(), np.zeros(self.num_envs), never, never.copy(), info
+        result, observation = self.core.step(given)
+        if over:
+            reward, terminated, truncated = result.reward, result.terminated, result.truncated
+            reward[self._over] = 0.0
+            terminated[self._over] = truncated[self._over] = False
+            info = self._restart_instead(self._over, result.info)
+            observation = self.core.observe()
+        else:
+            reward, terminated, truncated, info = self._reported(result)
+        self._over = terminated | truncated
+        return observation, reward, terminated, truncated, info
+
+    def _restart_instead(self, fresh: NDArray[np.bool_], info: dict[str, Array]) -> dict[str, Any]:
+        """Start the next episode of receivers that ran one step more than theirs."""
+        fresh = fresh.copy()
+        self._restart(fresh)
+        start = self.core.reset_info()
+        for name, array in info.items():
+            array[fresh] = start[name][fresh] if name in start else 0
+        result = self._masked(info, ~fresh)
+        self._mark_all(result)
+        return result
+
+    def _same_step(self, given: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        result, observation = self.core.step(given)
+        over = result.terminated | result.truncated
+        if not np.count_nonzero(over):
+            return observation, *self._reported(result)
+        final = np.full(self.num_envs, None, dtype=object)
+        for row in np.flatnonzero(over):
+            final[row] = observation[row].copy()
+        wanted = chosen(result.info, self._keys)
+        last = {name: _where(over, array) for name, array in wanted.items()}
+        self._restart(over)
+        start = self.core.reset_info()
+        values = {name: _where(~over, array, start.get(name)) for name, array in wanted.items()}
+        info = masked(values, ~over)
+        self._mark_all(info)
+        info["final_obs"], info["_final_obs"] = final, over.copy()
+        info["final_info"] = masked(last, over)
+        info["_final_info"] = over.copy()
+        return self.core.observe(), result.reward, result.terminated, result.truncated, info
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads."""
+        self.core.close()
+
+
+def _where(mask: NDArray[np.bool_], array: Array, other: Array | None = None) -> Array:
+    """Elements of an array, and those of another, or zeros, elsewhere; of the same type."""
+    nothing = np.zeros((), array.dtype)  # a plain 0 would make numbers of truth values
+    return np.where(mask, array, nothing if other is None else other)

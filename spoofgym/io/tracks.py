@@ -5,16 +5,19 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .files import LARGEST_SIZE, FileError, read_file
 
 if TYPE_CHECKING:
     import pandas
@@ -54,6 +57,17 @@ QUANTITIES: dict[str, dict[str, float]] = {
     },
 }
 """Column names by quantity, each with what turns its unit into m, m/s or deg."""
+RANGES = {
+    "latitude": (-90.0, 90.0, "deg"),
+    "longitude": (-180.0, 360.0, "deg"),
+    "altitude": (-2_000.0, 50_000.0, "m"),
+    "groundspeed": (0.0, 3_000.0, "m/s"),
+    "track": (-360.0, 360.0, "deg"),
+    "vertical_rate": (-500.0, 500.0, "m/s"),
+}
+"""Valid values by quantity; beyond what ADS-B can say where that is bounded."""
+TIMES = (0.0, 4_102_444_800.0)
+"""Valid times since 1970-01-01 UTC [s]: to the year 2100."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,37 +103,45 @@ def read_track(
     """Read a recorded track from a CSV, Parquet or JSON file, compressed or not.
 
     `altitude_unit`: unit of the altitude column; by default feet, unless its name ends in _m.
+    A `spoofgym.io.files.FileError` says what is wrong with the file.
     """
     path = Path(path)
-    try:
-        import pandas
-    except ImportError as error:
-        raise ImportError(
-            "reading tracks needs pandas and pyarrow: pip install spoofgym[flights]"
-        ) from error
+    if find_spec("pandas") is None:
+        raise ImportError("reading tracks needs pandas and pyarrow: pip install spoofgym[flights]")
     kind = path.name.removesuffix(".gz").rsplit(".", 1)[-1].lower()
-    if kind == "csv":
-        try:
-            frame = pandas.read_csv(path)
-        except pandas.errors.EmptyDataError:
-            frame = pandas.DataFrame()
-    elif kind == "json":
-        frame = pandas.DataFrame(_json(path))
-    elif kind in {"parquet", "pq"}:
-        frame = pandas.read_parquet(path)
-    else:
+    if kind not in {"csv", "json", "parquet", "pq"}:
         raise ValueError(f"`path` must end in .csv, .json or .parquet, got {path.name!r}")
+    content = read_file(path)
+    try:
+        frame = _frame(content, kind)
+    except ImportError:
+        raise
+    except Exception as error:  # parsers raise what they like
+        raise FileError(f"{path} can't be read as {kind.upper()}: {error}") from error
     stem = path.name.split(".", 1)[0]
-    return track_from_frame(frame, stem, altitude_unit=altitude_unit, aircraft=aircraft)
+    try:
+        return track_from_frame(frame, stem, altitude_unit=altitude_unit, aircraft=aircraft)
+    except ValueError as error:
+        raise FileError(f"{path}: {error}") from error
 
 
-def _json(path: Path) -> Any:
-    """Contents of a JSON file: a list of records, or columns by name."""
-    data = path.read_bytes()
-    contents = json.loads(gzip.decompress(data) if path.suffix == ".gz" else data)
-    if not isinstance(contents, (list, dict)):
-        raise ValueError(f"{path.name!r} must hold a list of records or columns by name")
-    return contents
+def _frame(content: bytes, kind: str) -> pandas.DataFrame:
+    """The table of a file by the ending of its name."""
+    import pandas
+
+    if kind == "csv":
+        return pandas.read_csv(BytesIO(content)) if content.strip() else pandas.DataFrame()
+    if kind == "json":
+        found = json.loads(content)
+        if not isinstance(found, (list, dict)):
+            raise ValueError("it must hold a list of records or columns by name")
+        return pandas.DataFrame(found)
+    from pyarrow.parquet import read_metadata
+
+    about = read_metadata(BytesIO(content))
+    if (size := 8 * about.num_rows * about.num_columns) > LARGEST_SIZE:
+        raise ValueError(f"it must hold at most {LARGEST_SIZE // 8} values, got {size // 8}")
+    return pandas.read_parquet(BytesIO(content))
 
 
 def track_from_frame(
@@ -142,17 +164,20 @@ def track_from_frame(
     }
     _check_columns(frame, required)
     time = _seconds(frame, TIME)
+    position_time = _seconds(frame, POSITION_TIME)
     _check_times(time)
+    _check_range("time", time, *TIMES, "s")
+    _check_range("position time", position_time, *TIMES, "s")
     columns = {quantity: _numbers(frame, names) for quantity, names in QUANTITIES.items()}
     if altitude_unit is not None:
         factor = {"ft": FOOT, "m": 1.0}[altitude_unit]
         columns["altitude"] = _numbers(frame, dict.fromkeys(QUANTITIES["altitude"], factor))
-    _check_range("latitude", columns["latitude"], -90.0, 90.0)
-    _check_range("longitude", columns["longitude"], -180.0, 360.0)
+    for quantity, valid in RANGES.items():
+        _check_range(quantity, columns[quantity], *valid)
     return RawTrack(
         name,
         time,
-        _seconds(frame, POSITION_TIME),
+        position_time,
         np.radians(columns["latitude"]),
         np.radians(columns["longitude"]),
         columns["altitude"],
@@ -167,7 +192,7 @@ def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataF
     column = next((name for name in AIRCRAFT if name in frame), None)
     if column is None:
         return frame
-    found = [str(value) for value in frame[column].dropna().unique()]
+    found = frame[column].dropna().astype(str).unique().tolist()
     if aircraft is None and len(found) > 1:
         raise ValueError(f"`aircraft` must be one of {', '.join(found[:10])}, got none")
     if aircraft is None:
@@ -178,6 +203,8 @@ def _one_aircraft(frame: pandas.DataFrame, aircraft: str | None) -> pandas.DataF
 
 
 def _check_columns(frame: pandas.DataFrame, required: Mapping[str, tuple[str, ...]]) -> None:
+    if (twice := frame.columns[frame.columns.duplicated()]).size:
+        raise ValueError(f"a track must have each column once, got {twice[0]!r} twice")
     missing = {
         quantity: names
         for quantity, names in required.items()
@@ -205,7 +232,7 @@ def _as_numbers(frame: pandas.DataFrame, name: str) -> NDArray[np.float64]:
         values: NDArray[np.float64] = pandas.to_numeric(frame[name]).to_numpy(
             dtype=np.float64, na_value=math.nan
         )
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"`{name}` must hold numbers: {error}") from error
     return values
 
@@ -232,7 +259,7 @@ def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.floa
             return values / per_second
     try:
         moments = pandas.to_datetime(column, utc=True, format="ISO8601")
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise ValueError(f"`{name}` must hold numbers or ISO 8601 times: {error}") from error
     epoch = pandas.Timestamp(0, tz="UTC")
     seconds: NDArray[np.float64] = (moments - epoch).dt.total_seconds().to_numpy(np.float64)
@@ -250,10 +277,10 @@ def _check_times(time: NDArray[np.float64]) -> None:
         )
 
 
-def _check_range(name: str, value: NDArray[np.float64], low: float, high: float) -> None:
-    outside = np.flatnonzero((value < low) | (value > high) | np.isinf(value))
+def _check_range(name: str, value: NDArray[np.float64], low: float, high: float, unit: str) -> None:
+    outside = np.flatnonzero((value < low) | (value > high))
     if outside.size:
         raise ValueError(
-            f"`{name}` must lie between {low:g} and {high:g} deg, got {value[outside[0]]:g} deg "
-            f"in row {outside[0] + 1}"
+            f"`{name}` must lie between {low:.10g} and {high:.10g} {unit}, got "
+            f"{value[outside[0]]:.10g} {unit} in row {outside[0] + 1}"
         )

@@ -14,20 +14,21 @@ from .state import unpack
 from .strapdown import strapdown_step
 
 L = 8  # state.LANES, as a constant that the compiler sees
-WIDTH = 4  # lanes go by the width of a vector of doubles
 _X = 31 * L
 MEASURE, PREDICT, UPDATE = 1, 2, 4
 
 
 @njit
-def mechanize(state, measured, block, samples, imu_interval, group, hi, lanes, work):
+def mechanize(state, measured, block, samples, imu_interval, group, hi, work):
     """Run the samples of one interval through the strapdown, `L` receivers side by side.
 
     Lanes without a receiver repeat the last one, so that a receiver takes the same path in any
-    batch.  `work` is component by component: C_eb (9), velocity (3), position (3), accelerometer
-    and gyro bias (6), sums of specific force and angular rate (6), last specific force (3), dt.
+    batch.  Their number comes from the array: LLVM would unroll a loop of a known length instead of
+    vectorizing it.  `work` is component by component: C_eb (9), velocity (3), position (3),
+    accelerometer and gyro bias (6), sums of specific force and angular rate (6), last specific
+    force (3), dt.
     """
-    most = 0
+    lanes, most = samples.shape[2] // 6, 0
     for lane in range(lanes):
         b = min(group * L + lane, hi - 1)
         most = max(most, block[1, b])
@@ -111,21 +112,13 @@ def predict(
     """
     state, measured, noise_psd = unpack(floats, flags, receivers, channels)
     covariance_work, row_work = np.empty(289), np.empty(17)
-    lane_work = np.empty(_X)
+    lane_work = np.empty(_X + L)  # aligned below, or every vector of 64 bytes lies in two lines
+    aligned = (64 - lane_work.ctypes.data % 64) // 8
+    lane_work = lane_work[aligned : aligned + _X]
     n = channels
     for b in range(lo, hi):
         if b % L == 0:
-            mechanize(
-                state,
-                measured,
-                block,
-                samples,
-                imu_interval,
-                b // L,
-                hi,
-                WIDTH * ((min(hi - b, L) + WIDTH - 1) // WIDTH),
-                lane_work,
-            )
+            mechanize(state, measured, block, samples, imu_interval, b // L, hi, lane_work)
         C, v, r = state.C_eb[b], state.velocity_e[b], state.position_e[b]
         fx, fy, fz = (
             lane_work[27 * L + b % L],
@@ -404,7 +397,8 @@ def run_epochs(
     and root rates, as `World.run`; only the lengths are needed without `MEASURE`.
     """
     for _ in range(count):
-        if what & MEASURE:
+        advance = what & MEASURE  # no literal 1, for which `measure` would be compiled once more
+        if advance:
             measure(
                 sensor_floats,
                 keys,
@@ -421,7 +415,7 @@ def run_epochs(
                 channels,
                 padded_imu,
                 padded_gnss,
-                1,
+                advance,
                 lo,
                 hi,
             )

@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 from .._jit import njit
 from .._memory import Memory
-from .epoch import Epoch, read_only
+from .epoch import Epoch, frozen
 
 FloatArray = NDArray[np.float64]
 AXES = 2
@@ -223,17 +223,17 @@ class CredibleBatch:
             self.design,
             self.gnss_position,
         )
-        return read_only(
-            time=time,
-            innovation=self.innovation,
-            innovation_cov=self.innovation_cov,
-            predicted_cov=memory["covariance"],
-            design=self.design,
-            predicted_position=memory["position"],
-            gnss_position=self.gnss_position,
-            auxiliary_position=memory["odometry"],
-            **self._fixed,
-        )
+        arrays: dict[str, NDArray[Any]] = {
+            "time": time,
+            "innovation": self.innovation,
+            "innovation_cov": self.innovation_cov,
+            "predicted_cov": memory["covariance"],
+            "design": self.design,
+            "predicted_position": memory["position"],
+            "gnss_position": self.gnss_position,
+            "auxiliary_position": memory["odometry"],
+        }
+        return Epoch(**self._fixed, **{name: frozen(array) for name, array in arrays.items()})
 
     def update(self, weights: FloatArray | None) -> None:
         """Second half of an epoch.  `weights` (B, 2) of a verdict; None for ones."""
@@ -253,7 +253,7 @@ class CredibleBatch:
 
 def _empty_fields(b: int, interval_s: float) -> Mapping[str, NDArray[Any]]:
     """What an epoch of a receiver without channels has, but never changes."""
-    return {
+    fields: dict[str, NDArray[Any]] = {
         "interval": np.full(b, interval_s),
         "transition": np.tile(np.eye(AXES), (b, 1, 1)),
         "imu_delta": np.zeros((b, 6)),
@@ -264,3 +264,4 @@ def _empty_fields(b: int, interval_s: float) -> Mapping[str, NDArray[Any]]:
         "visible": np.zeros((b, 0), dtype=np.bool_),
         "predicted_velocity": np.zeros((b, 3)),
     }
+    return {name: frozen(array) for name, array in fields.items()}

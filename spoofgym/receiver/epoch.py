@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,12 +93,34 @@ def epoch_view(buffers: ReceiverBuffers) -> Epoch:
         "predicted_position": s.position_e,
         "predicted_velocity": s.velocity_e,
     }
-    return read_only(**arrays)
+    return Epoch(**{name: _sealed(array) for name, array in arrays.items()})
 
 
-def read_only(**arrays: NDArray[Any]) -> Epoch:
-    """Epoch of read-only views."""
-    views = {name: array.view() for name, array in arrays.items()}
-    for view in views.values():
-        view.flags.writeable = False
-    return Epoch(**views)
+class _Seal:
+    """Base of a read-only view, from which no attribute leads to the memory."""
+
+    __slots__ = ("__array_interface__", "__weakref__")
+    __array_interface__: dict[str, Any]
+
+
+_OWNERS: WeakKeyDictionary[_Seal, NDArray[Any]] = WeakKeyDictionary()
+"""Arrays that sealed views look at, which keeps them alive as long as the views."""
+
+
+def _sealed(array: NDArray[Any]) -> NDArray[Any]:
+    """View of an array that can't be made writable again: its base is no array, and has no buffer.
+
+    A forged address gets at the memory all the same, as ``ctypes`` does.
+    """
+    seal, interface = _Seal(), dict(array.__array_interface__)
+    interface["data"] = (interface["data"][0], True)
+    seal.__array_interface__ = interface
+    _OWNERS[seal] = array
+    view = np.asarray(seal)
+    del seal.__array_interface__
+    return view
+
+
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """C-contiguous copy in bytes that can't be changed, which costs hardly more than a view."""
+    return np.ndarray(array.shape, array.dtype, array.tobytes())

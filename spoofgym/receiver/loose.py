@@ -21,7 +21,7 @@ from .._registry import build_record
 from ..earth.wgs84 import STANDARD_GRAVITY
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
-from .epoch import Epoch, read_only
+from .epoch import Epoch, frozen
 from .loose_model import POSITION, STATES
 
 FloatArray = NDArray[np.float64]
@@ -159,6 +159,7 @@ class LooseReceivers:
             "satellite_velocity": no_vector,
             "visible": np.zeros((b, 0), dtype=np.bool_),
         }
+        self._constant = {name: frozen(array) for name, array in self._constant.items()}
 
     @property
     def state(self) -> LooseState:
@@ -198,19 +199,19 @@ class LooseReceivers:
     def epoch(self, time: FloatArray) -> Epoch:
         """What a detector may see, between `predict` and `update`.
 
-        `time` (B,) of the epoch [s]; returns read-only views; n = 0, and m = 3 coordinates, east,
+        `time` (B,) of the epoch [s]; returns read-only copies; n = 0, and m = 3 coordinates, east,
         north, up.
         """
         state = self.state
-        return read_only(
-            time=time,
-            innovation=state.innovation,
-            innovation_cov=state.innovation_cov,
-            predicted_cov=state.covariance,
-            predicted_position=state.position_e,
-            predicted_velocity=state.velocity_e,
-            transition=self._transition,
-            imu_delta=self._imu_delta,
-            gnss_position=self.fix_e,
+        return Epoch(
+            time=frozen(time),
+            innovation=frozen(state.innovation),
+            innovation_cov=frozen(state.innovation_cov),
+            predicted_cov=frozen(state.covariance),
+            predicted_position=frozen(state.position_e),
+            predicted_velocity=frozen(state.velocity_e),
+            transition=frozen(self._transition),
+            imu_delta=frozen(self._imu_delta),
+            gnss_position=frozen(self.fix_e),
             **self._constant,
         )

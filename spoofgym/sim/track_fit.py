@@ -75,13 +75,18 @@ class FitReport:
             f"{self.name}: {self.duration_s:.0f} s from {self.start_utc}, {self.fixes} fixes, "
             f"{self.doubted} measurements doubted",
             f"distance of the fixes: RMS {self.position_rms_m:.0f} m, largest "
-            f"{self.position_max_m:.0f} m; height RMS {self.height_rms_m:.1f} m; "
-            f"speed RMS {self.speed_rms_mps:.1f} m/s; course RMS {self.course_rms_deg:.1f} deg "
-            "(nan: none reported)",
+            f"{self.position_max_m:.0f} m; {_residual('height', self.height_rms_m, 'm')}; "
+            f"{_residual('speed', self.speed_rms_mps, 'm/s')}; "
+            f"{_residual('course', self.course_rms_deg, 'deg')}",
             f"speed {self.speed_min_mps:.0f} to {self.speed_max_mps:.0f} m/s, "
             f"load {self.load_min_g:.2f} to {self.load_max_g:.2f} g, bank up to "
             f"{self.bank_max_deg:.0f} deg, body rates up to {self.rate_max_degps:.1f} deg/s",
         ]
+
+
+def _residual(name: str, value: float, unit: str) -> str:
+    """A residual in words; NaN where the track has no such column."""
+    return f"{name} not reported" if math.isnan(value) else f"{name} RMS {value:.1f} {unit}"
 
 
 def fit_track(track: Track, *, rate_hz: float = 100.0) -> tuple[Flight, FitReport]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..detectors import DETECTORS, Detector, DetectorContext, PooledDetector, Verdict
+from ..detectors.verdicts import checked_weights, judged
 from ..receiver.epoch import Epoch
 from .domain import Choice, draw, given_choice
 from .frame import EpisodeLayout, FrameData
@@ -138,6 +139,10 @@ class Simulator(ABC):
         rate: FloatArray = self.memory["rate"]
         return rate
 
+    def step_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray]:
+        """Epochs, coasting, commanded displacement and rate, for kernels."""
+        return self.epochs, self.coasting, self.commanded_displacement, self.commanded_rate
+
     @abstractmethod
     def motion(
         self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
@@ -247,13 +252,15 @@ class Simulator(ABC):
 
     def judge(self) -> Verdict:
         """Let the detector judge the epoch, and the monitors look at it."""
-        self.verdict = self.detector.judge(self.epoch)
+        self.verdict = judged(self.detector, self.epoch)
         for monitor in self.monitors:
             monitor.update(self)
         return self.verdict
 
     def update(self, weights: FloatArray | None) -> None:
         """Second half of an epoch; `weights` (B, m) in [0, 1], C-contiguous, None for ones."""
+        if weights is not None and (self.verdict is None or weights is not self.verdict.weights):
+            checked_weights(weights, self.epoch)
         self.weights = self.ones if weights is None else weights
         self._correct(weights)
 
@@ -328,10 +335,11 @@ class Simulator(ABC):
         )
 
     def command_with(self, command: FloatArray | None) -> FloatArray | None:
-        """Command, 0 for receivers that are left alone."""
-        if command is None or self.clean is None:
-            return command
-        return np.where(self.clean[:, None], 0.0, command)
+        """Command within [-1, 1], 0 for receivers that are left alone."""
+        if command is None:
+            return None
+        within = np.clip(command, -1.0, 1.0)
+        return within if self.clean is None else np.where(self.clean[:, None], 0.0, within)
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         """Take over receivers `rows` of another simulator, with all that they remember."""
@@ -359,9 +367,7 @@ class Simulator(ABC):
         return largest
 
 
-def _merge(
-    mine: Verdict | None, theirs: Verdict, to: Rows, rows: Rows, receivers: int
-) -> Verdict:
+def _merge(mine: Verdict | None, theirs: Verdict, to: Rows, rows: Rows, receivers: int) -> Verdict:
     """Verdict with some rows of another."""
     merged: list[Any] = []
     for k, source in enumerate(theirs):

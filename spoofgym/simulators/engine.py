@@ -123,13 +123,21 @@ class Engine:
         `rngs` has one generator a row; `given` are circumstances that are not to be drawn, one
         value, or one per row (see `domain.CHOICES`).
         """
+        self._workers.settle()
         where = self._everyone if rows is None else rows
         if given:
             # refused before any episode has been started
             setup = self.setup
             nothing = draw(setup.bounds, np.zeros((len(where), 2), dtype=np.uint64))
             given_choice(given, nothing, setup.bounds, setup.combination_names, setup.interval_s)
-        self._reset(rngs, where, given)
+        try:
+            self._reset(rngs, where, given)
+        except Exception:
+            raise
+        except BaseException:  # an interrupt may have left the next episodes halfway
+            if self._next is not None:
+                self._next.forget()
+            raise
         if self.twin is not None:
             self.twin.copy_rows(where, self.simulator, where)
 
@@ -185,10 +193,10 @@ class Engine:
 
     def step(self, command: FloatArray | None) -> Verdict:
         """Both halves with the engine's own detector; the twins follow."""
-        if self._next is None:
-            return self._step(command)
-        with self._next.kept_waiting():
-            return self._step(command)
+        if self._next is not None:
+            with self._next.kept_waiting():
+                return self._step(command)
+        return self._step(command)
 
     def _step(self, command: FloatArray | None) -> Verdict:
         simulator = self.simulator

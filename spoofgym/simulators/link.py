@@ -6,12 +6,17 @@ import os
 import sys
 import threading
 from collections.abc import Callable
+from functools import partial
 from queue import SimpleQueue
 from typing import Any
+
+from .. import _threads
 
 JOIN_S = 5.0
 """How long a thread that has been stopped is waited for.  It ends within a millisecond or so, if no
 detector holds it up."""
+LOOK_S = 0.1
+"""How often a thread that may not compute looks whether it has been stopped."""
 
 
 class StoppedError(Exception):
@@ -44,14 +49,16 @@ class Link:
     def start(self, target: Callable[..., None], *args: Any) -> None:
         """Start the thread, unless it has been."""
         if self._thread is None:
-            self._thread = threading.Thread(
-                target=target, args=args, name="spoofgym-next", daemon=True
-            )
-            self._thread.start()
+            self._thread = _threads.start(partial(target, *args), self.stop, "spoofgym-next")
 
     def pause(self) -> None:
-        """Wait as long as the processors are needed elsewhere."""
-        self.free.wait()
+        """Wait as long as the processors are needed elsewhere.
+
+        Raises `StoppedError` when the thread is to end.
+        """
+        # an interrupt of the owner may have left it not free
+        while not (self.stopped or self.free.wait(LOOK_S)):
+            pass
         if self.stopped:
             raise StoppedError
 

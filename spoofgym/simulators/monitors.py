@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..detectors import DETECTORS, Detector, Verdict
+from ..detectors.verdicts import judged
 from ..receiver.epoch import Epoch
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +34,7 @@ class Monitored(Protocol):
 
 
 class Monitor(ABC):
-    """What looks at the epochs of a simulator.  `memory`: all that it remembers of every receiver."""
+    """What looks at the epochs of a simulator; `memory` is all that it remembers of receivers."""
 
     memory: Memory
 
@@ -85,7 +86,7 @@ class PassiveDetectors(Monitor):
         """Let every detector judge the epoch."""
         alarmed, ratio = self.memory["alarmed"], self.memory["ratio"]
         for k, detector in enumerate(self.detectors):
-            verdict = detector.judge(simulator.epoch)
+            verdict = judged(detector, simulator.epoch)
             alarmed[:, k] |= verdict.alarm.any(axis=1)
             ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
 

@@ -73,8 +73,8 @@ class NextEpisodes:
             free.set()
 
     def _linked(self) -> Link:
-        """Link of this process, anew after a fork."""
-        if self._link.process != os.getpid():
+        """Link of this process; another one after a fork, and when the thread has been stopped."""
+        if self._link.stopped or self._link.process != os.getpid():
             self._link = Link()
         return self._link
 
@@ -90,6 +90,11 @@ class NextEpisodes:
         link.stop()
         link.join()
         self._link = Link()
+
+    def forget(self) -> None:
+        """Throw away all that has been asked for; the generators go on from where they are."""
+        self.close()
+        self._asked, self._sources = [], [None] * self._receivers
 
     def __del__(self) -> None:
         """End the thread with its owner."""

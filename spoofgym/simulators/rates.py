@@ -66,7 +66,7 @@ class RateSimulator(Simulator):
             )
         command = self.command_with(command)
         if command is not None:
-            memory["rate"] = np.clip(command, -1.0, 1.0) * self.setup.attack.limits
+            memory["rate"] = command * self.setup.attack.limits
         memory["displacement"] = memory["displacement"] + memory["rate"] * self.setup.interval_s
 
     def _sky(self) -> SkyData | None:

@@ -128,7 +128,6 @@ class RateCommands:
         return self.names
 
 
-
 class Setup(ABC):
     """World, victim, commands, detector, phases and decisions, computed once and shared.
 
@@ -277,6 +276,14 @@ class Setup(ABC):
     @property
     def onsets(self) -> NDArray[np.int64] | None:
         """(K,) onset of the episodes that each epoch is part of; None where there is no table."""
+        return None
+
+    def motion_table(self, per_position: float, per_velocity: float) -> NDArray[np.float32] | None:
+        """(K, len(motion_names)) motion at every epoch, scaled; None where there is no table."""
+        return None
+
+    def geometry_table(self) -> FloatArray | None:
+        """(K, len(geometry_names)) geometry at every epoch; None where there is no table."""
         return None
 
     @abstractmethod

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .._registry import build_record
 from ..detectors import Detector, DetectorContext
-from ..receiver.epoch import Epoch, read_only
+from ..receiver.epoch import Epoch, frozen
 from ..receiver.snapshot import (
     EXPECTED_CLOCK_SD_M,
     EXPECTED_POSITION_SD_M,
@@ -214,7 +214,7 @@ class SnapshotSimulator(RateSimulator):
         self._innovation, self._cov = np.empty((b, 2 * n)), np.empty((b, 2 * n, 2 * n))
         self._design = np.empty((b, 2 * n, 4))
         belief = np.diag(np.square([*[EXPECTED_POSITION_SD_M] * 3, EXPECTED_CLOCK_SD_M]))
-        self._constant = {
+        constant = {
             "interval": np.full(b, self.setup.interval_s),
             "predicted_cov": np.tile(belief, (b, 1, 1)),
             "transition": np.tile(np.eye(4), (b, 1, 1)),
@@ -223,6 +223,7 @@ class SnapshotSimulator(RateSimulator):
             "visible": np.ones((b, n), dtype=np.bool_),
             "predicted_velocity": np.zeros((b, 3)),
         }
+        self._constant = {name: frozen(array) for name, array in constant.items()}
 
     def _context(self) -> DetectorContext:
         setup, n = self.setup, len(self.setup.weight_names)
@@ -281,17 +282,18 @@ class SnapshotSimulator(RateSimulator):
             self._cov,
             self._design,
         )
-        return read_only(
-            time=self.time_s(),
-            innovation=self._innovation,
-            innovation_cov=self._cov,
-            design=self._design,
-            pseudorange=self._pseudorange,
-            satellite_position=self._satellites,
-            satellite_velocity=self.setup.sky.satellite_velocity_e[memory["epoch"]],
-            predicted_position=memory["position_e"],
-            **self._constant,
-        )
+        arrays = {
+            "time": self.time_s(),
+            "innovation": self._innovation,
+            "innovation_cov": self._cov,
+            "design": self._design,
+            "pseudorange": self._pseudorange,
+            "satellite_position": self._satellites,
+            "satellite_velocity": self.setup.sky.satellite_velocity_e[memory["epoch"]],
+            "predicted_position": memory["position_e"],
+        }
+        seen = {name: frozen(array) for name, array in arrays.items()}
+        return Epoch(**seen, **self._constant)
 
     def _correct(self, weights: FloatArray | None) -> None:
         """Make a fix; where there is none, the last one stays."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from queue import SimpleQueue
 from typing import Any
 
+from .. import _threads
+
 Work = Callable[[int, int], None]
+Done = SimpleQueue[BaseException | None]
+Job = tuple[Done, Work, int, int]
 
 
 class Workers:
@@ -24,54 +27,69 @@ class Workers:
 
     def __init__(self, count: int) -> None:
         self.count = count
-        self._owner = 0
-        self._jobs: list[SimpleQueue[tuple[Work, int, int] | None]] = []
-        self._done: SimpleQueue[BaseException | None] = SimpleQueue()
+        self._threads: object = None
+        self._busy = False
+        self._jobs: list[SimpleQueue[Job | None]] = []
 
     def run(self, work: Work, bounds: Sequence[int]) -> None:
         """Call ``work(lo, hi)`` for all neighbouring bounds, the first in this thread.
 
-        `bounds`: one more than slices; at most as many slices as threads.
+        `bounds`: one more than slices; at most as many slices as threads.  What the work raised, or
+        an interrupt, is raised after all slices have ended.
         """
-        if self._owner != os.getpid():
+        if self._threads is not _threads.generation():
             self._start()
+        if self._busy:
+            self.settle()
         first, *slices = pairwise(bounds)
-        for queue, (lo, hi) in zip(self._jobs, slices, strict=False):
-            queue.put((work, lo, hi))
+        done: Done = SimpleQueue()  # of this call alone: no end of another one's slice comes here
         failure: BaseException | None = None
         try:
+            self._busy = True
+            for queue, (lo, hi) in zip(self._jobs, slices, strict=False):
+                queue.put((done, work, lo, hi))
             work(*first)
-        except BaseException as error:  # the other slices must end before it is raised
-            failure = error
-        left = len(slices)
-        while left:  # an interrupt, too, has to wait: the slices' arrays must outlive them
-            try:
-                failure = self._done.get() or failure
-                left -= 1
-            except BaseException as error:
-                failure = error
+            for _ in slices:
+                failure = done.get() or failure
+            self._busy = False
+        except BaseException:
+            self.settle()
+            raise
         if failure is not None:
             raise failure
 
+    def settle(self) -> None:
+        """Wait until no slice of an interrupted `run` is left; interrupts have to wait, too.
+
+        An interrupt may have lost an end, or have come before a slice was handed out.  So nothing
+        is counted: every thread is given one more job, which it comes to after all others.
+        """
+        interrupt: BaseException | None = None
+        while self._busy and self._threads is _threads.generation():
+            try:
+                done: Done = SimpleQueue()
+                for queue in self._jobs:
+                    queue.put((done, _nothing, 0, 0))
+                for _ in self._jobs:
+                    done.get()
+                self._busy = False
+            except BaseException as error:
+                interrupt = error
+        if interrupt is not None:
+            raise interrupt
+
     def _start(self) -> None:
-        self._owner = os.getpid()
-        self._done = SimpleQueue()
-        self._jobs = [SimpleQueue() for _ in range(self.count)]
-        for number, queue in enumerate(self._jobs):
-            threading.Thread(
-                target=_serve,
-                args=(queue, self._done),
-                name=f"spoofgym-{number}",
-                daemon=True,
-            ).start()
+        jobs: list[SimpleQueue[Job | None]] = [SimpleQueue() for _ in range(self.count)]
+        for number, queue in enumerate(jobs):
+            _threads.start(partial(_serve, queue), partial(queue.put, None), f"spoofgym-{number}")
+        self._busy, self._jobs, self._threads = False, jobs, _threads.generation()
 
     def close(self) -> None:
         """End the threads; a later run starts new ones."""
-        if self._owner == os.getpid():
+        if self._threads is _threads.generation():
             for queue in self._jobs:
                 queue.put(None)
-        self._owner = 0
-        self._jobs = []
+        self._threads, self._jobs = None, []
 
     def __del__(self) -> None:
         """End the threads with their owner."""
@@ -86,15 +104,17 @@ class Workers:
         self.__init__(state["count"])  # type: ignore[misc]
 
 
-def _serve(
-    jobs: SimpleQueue[tuple[Work, int, int] | None], done: SimpleQueue[BaseException | None]
-) -> None:
+def _nothing(lo: int, hi: int) -> None:
+    """Do nothing with receivers lo to hi."""
+
+
+def _serve(jobs: SimpleQueue[Job | None]) -> None:
     while (job := jobs.get()) is not None:
-        work, lo, hi = job
+        done, work, lo, hi = job
         try:
             work(lo, hi)
         except BaseException as error:  # handed to the caller
             done.put(error)
         else:
             done.put(None)
-        del job, work
+        del job, done, work

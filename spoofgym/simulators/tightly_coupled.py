@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from .._registry import build_record, check_choice
 from ..attacks import Attack, AttackContext, make_attack
 from ..detectors import Detector, DetectorContext
+from ..detectors.verdicts import checked_weights
 from ..receiver import TightlyCoupled, _kernels
 from ..receiver.epoch import Epoch, epoch_view
-from ..receiver.state import ReceiverBuffers
+from ..receiver.state import LANES, ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.scenario import Scenario, make_scenario
 from ..sim.sensors import SOURCES, SensorBuffers
@@ -40,6 +41,7 @@ FIRST_FIX = 4
 PIECE = 64
 """Epochs of single receivers that are run between two chances to wait: less than a millisecond."""
 AXES = ("north", "east", "down")
+ADVANCE = _kernels.MEASURE + _kernels.PREDICT
 
 
 class TightlyCoupledSetup(Setup):
@@ -92,7 +94,7 @@ class TightlyCoupledSetup(Setup):
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"{what}_{axis}" for what in ("position", "velocity") for axis in AXES)
     error_names = AXES
-    scales: Mapping[str, float] = {  # noqa: RUF012  (read only)
+    scales: Mapping[str, float] = {
         "displacement_m": 100.0,
         "position_m": 10_000.0,
         "velocity_mps": 100.0,
@@ -211,12 +213,19 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
         check_choice("receiver", given, RECEIVERS)
         given = RECEIVERS[given]
     victim = build_record("receiver", TightlyCoupled, given, {"grade": scenario.imu})
-    if isinstance(given, Mapping) and any(g != victim.grade for g in domain.imu):
-        if "grade" in given:
-            raise ValueError(
-                f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it "
-                f"draws from the domain's `imu` {', '.join(domain.imu)}: leave out one"
-            )
+    if (
+        isinstance(given, Mapping)
+        and "grade" in given
+        and {victim.grade}
+        < {
+            victim.grade,
+            *domain.imu,
+        }
+    ):
+        raise ValueError(
+            f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it draws "
+            f"from the domain's `imu` {', '.join(domain.imu)}: leave out one"
+        )
     return victim
 
 
@@ -244,6 +253,25 @@ class TightlyCoupledSimulator(Simulator):
         self.epoch = epoch_view(self.buffers)
         self._command: FloatArray | None = None
         self._everyone = np.arange(receivers)
+        self._serial = receivers <= LANES
+        buffers, sensors, receiver = self.buffers, self.sensors, self.setup.receiver
+        self._before = (buffers.floats, buffers.flags, buffers.block, buffers.samples)
+        self._after = (
+            sensors.floats,
+            sensors.keys,
+            sensors.epoch,
+            world.run,
+            world.epoch_time,
+            world.epoch_end,
+            world.satellites,
+            receivers,
+            world.channels,
+            self._imu_noise,
+            self._gnss_noise,
+            receiver.covariance_code,
+            receiver.min_satellites,
+            receiver.orthonormalize,
+        )
         self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
         self.attack = copy.deepcopy(self.setup.attack)
         self.attack.bind(AttackContext(receivers, world))
@@ -289,6 +317,12 @@ class TightlyCoupledSimulator(Simulator):
         rate: FloatArray = self.attack.memory["rate"]
         return rate
 
+    def step_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray]:
+        """Epochs, coasting, commanded displacement and rate, for kernels."""
+        memory = self.attack.memory
+        coasting = self.buffers.measured.coasting
+        return self.sensors.epoch, coasting, memory["displacement"], memory["rate"]
+
     def _draw(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.uint64]:
         self.sensors.draw_keys(self._everyone, rngs)
         return self.sensors.keys[SOURCES.index("domain")]
@@ -298,9 +332,7 @@ class TightlyCoupledSimulator(Simulator):
         setup, b, first = self.setup, self.receivers, self.memory["first"]
         combinations = setup.combinations
         self.sensors.epoch[:] = first
-        self.memory["combination"][:] = combinations.index(
-            choice.world, choice.grade, choice.error
-        )
+        self.memory["combination"][:] = combinations.index(choice.world, choice.grade, choice.error)
         self.attack.memory.reset()
         spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
         self.attack.begin(self._everyone, spoofer_keys, self.onset)
@@ -349,36 +381,10 @@ class TightlyCoupledSimulator(Simulator):
         )
 
     def _epochs(self, what: int, count: int, lo: int, hi: int) -> None:
-        buffers, sensors = self.buffers, self.sensors
-        world, receiver = self.setup.world, self.setup.receiver
-        _kernels.run_epochs(
-            buffers.floats,
-            buffers.flags,
-            buffers.block,
-            buffers.samples,
-            self.weights,
-            sensors.floats,
-            sensors.keys,
-            sensors.epoch,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            self.receivers,
-            world.channels,
-            self._imu_noise,
-            self._gnss_noise,
-            receiver.covariance_code,
-            receiver.min_satellites,
-            receiver.orthonormalize,
-            what,
-            count,
-            lo,
-            hi,
-        )
+        _kernels.run_epochs(*self._before, self.weights, *self._after, what, count, lo, hi)
 
     def _advance(self, lo: int, hi: int) -> None:
-        self._epochs(_kernels.MEASURE + _kernels.PREDICT, 1, lo, hi)
+        self._epochs(ADVANCE, 1, lo, hi)
 
     def _update(self, lo: int, hi: int) -> None:
         self._epochs(_kernels.UPDATE, 1, lo, hi)
@@ -394,22 +400,24 @@ class TightlyCoupledSimulator(Simulator):
             spared = lo + np.flatnonzero(self.clean[lo:hi])
             sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
             sensors.authentic[spared] = 1.0
-        self._epochs(_kernels.MEASURE + _kernels.PREDICT, 1, lo, hi)
+        _kernels.run_epochs(*self._before, self.weights, *self._after, ADVANCE, 1, lo, hi)
 
     def _measure(self, command: FloatArray | None) -> None:
-        self._command = command
-        self._run(self._attack_and_advance, self.receivers)
+        self.predict(command)
 
     def _form_epoch(self) -> Epoch:
         return self.epoch
 
     def _correct(self, weights: FloatArray | None) -> None:
-        self._run(self._update, self.receivers)
+        self.update(weights)
 
     def predict(self, command: FloatArray | None) -> Epoch:
         """First half of an epoch under attack; the epoch's arrays follow the buffers."""
         self._command = command
-        self._run(self._attack_and_advance, self.receivers)
+        if self._serial:
+            self._attack_and_advance(0, self.receivers)
+        else:
+            self._run(self._attack_and_advance, self.receivers)
         return self.epoch
 
     def advance(self) -> Epoch:
@@ -419,13 +427,19 @@ class TightlyCoupledSimulator(Simulator):
 
     def update(self, weights: FloatArray | None) -> None:
         """Second half of an epoch: the update with the weighted gain."""
+        if weights is not None and (self.verdict is None or weights is not self.verdict.weights):
+            checked_weights(weights, self.epoch)
         self.weights = self.ones if weights is None else weights
-        self._run(self._update, self.receivers)
+        if self._serial:
+            b = self.receivers
+            _kernels.run_epochs(*self._before, self.weights, *self._after, _kernels.UPDATE, 1, 0, b)
+        else:
+            self._run(self._update, self.receivers)
 
     def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
         """Run clean epochs without a detector, several in one kernel call."""
         self.weights = self.ones
-        what = _kernels.MEASURE + _kernels.PREDICT + _kernels.UPDATE
+        what = ADVANCE + _kernels.UPDATE
         piece = count if between is None else max(1, PIECE // self.receivers)
         for start in range(0, count, max(piece, 1)):
             if between is not None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Detector, Verdict, make_detector
+from ..detectors.verdicts import checked
 from ..receiver.epoch import Epoch
 from .contract import read_only_given, require, require_fresh, same_bits
 from .epochs import OPTIONAL, Script, engine_script, trying_script
@@ -110,17 +111,12 @@ class _DetectorTrial(Trial[Detector]):
         for view in seen.values():
             view.flags.writeable = False
         with read_only_given("detector", "epoch"):
-            verdict: object = bound.judge(Epoch(**seen))
+            verdict = bound.judge(Epoch(**seen))
         for name, array in own.items():
             require(
                 same_bits(array, given[name]),
                 f"the detector has changed `epoch.{name}`, which others see as well; copy the "
                 "array first",
-            )
-        if not isinstance(verdict, Verdict):
-            raise AssertionError(
-                f"`judge` must return a `Verdict`, got {type(verdict).__name__}; "
-                "`from spoofgym.detectors import Verdict`"
             )
         return verdict, own
 
@@ -175,8 +171,11 @@ def _check_verdicts(trial: _DetectorTrial) -> None:
     for number in range(trial.turns):
         verdict, own = trial.judge(bound, number, everyone)
         check_memory(bound, trial.receivers, "detector")
+        try:
+            checked(verdict, bound, trial.script.epochs[number])
+        except (TypeError, ValueError) as error:
+            raise AssertionError(f"on {trial.script.name}, {error}") from error
         _check_arrays(bound, verdict, own)
-        _check_shapes(bound, trial.script, number, verdict)
         _check_invisible(bound, trial.script, number, verdict)
         verdicts.append(verdict)
         copies.append(copy.deepcopy(verdict))
@@ -201,62 +200,11 @@ def _check_arrays(detector: Detector, verdict: Verdict, own: Mapping[str, NDArra
     for name, array in verdict._asdict().items():
         if array is None and name == "weights":
             continue
-        require(
-            isinstance(array, np.ndarray),
-            f"the verdict's `{name}` must be an array, got {type(array).__name__}",
-        )
         require_fresh(f"the verdict's `{name}`", array, owners, "the next epoch")
-    weights = verdict.weights
-    require(
-        weights is None or (weights.flags.c_contiguous and weights.flags.writeable),
-        "`weights` must be a C-contiguous array that may be written to, since the kernels are "
-        "compiled for such; `np.array(weights)` makes one",
-    )
 
 
 def _at(script: Script, number: int) -> str:
     return f"on {script.name}, at {script.epochs[number].time[0]:g} s,"
-
-
-def _check_shapes(detector: Detector, script: Script, number: int, verdict: Verdict) -> None:
-    b, m = script.epochs[number].innovation.shape
-    n = script.context.channels
-    columns = (n or m) if detector.scope == "channel" else 1
-    measured = f"{n} channels" if n else f"a position of {m} coordinates"
-    where = _at(script, number)
-    expected: dict[str, tuple[int, Any]] = {
-        "statistic": (columns, np.float64),
-        "threshold": (columns, np.float64),
-        "alarm": (columns, np.bool_),
-        "weights": (m, np.float64),
-    }
-    for name, (size, dtype) in expected.items():
-        array = getattr(verdict, name)
-        if array is None:
-            continue
-        require(
-            array.shape == (b, size),
-            f"{where} `{name}` must have shape {(b, size)} for {b} receivers with {measured} "
-            f"and scope {detector.scope!r}, got {array.shape}",
-        )
-        require(
-            array.dtype == dtype,
-            f"{where} `{name}` must be of type {np.dtype(dtype)}, got {array.dtype}; a comparison "
-            "gives bool, `np.empty(shape)` float64",
-        )
-        bad = ~np.isfinite(array)
-        require(
-            not bad.any(),
-            f"{where} `{name}` must be finite, got {array[bad][:1]} at {np.argwhere(bad)[:1]}; the "
-            "variance of a channel that isn't visible is 1, so that nothing is divided by 0",
-        )
-    if verdict.weights is not None:
-        outside = (verdict.weights < 0.0) | (verdict.weights > 1.0)
-        require(
-            not outside.any(),
-            f"{where} `weights` must lie within 0 and 1, got {verdict.weights[outside][:1]}; "
-            "`np.clip(weights, 0.0, 1.0)`",
-        )
 
 
 def _check_invisible(detector: Detector, script: Script, number: int, verdict: Verdict) -> None:

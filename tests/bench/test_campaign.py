@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -152,6 +155,95 @@ def test_a_damaged_cell_is_named(finished: ResultsFolder, tmp_path: Path) -> Non
         damaged.cell("ewma", "step")
 
 
+def test_cells_of_another_seed_detector_or_campaign_are_refused(
+    finished: ResultsFolder, tmp_path: Path
+) -> None:
+    one = tmp_path / "one"
+    shutil.copytree(finished.path, one)
+    other = campaign(tmp_path / "other", small_suite(entropy=1, spoofers=("step",)))
+    folder = ResultsFolder(one)
+    mine, theirs = (path / "cells" / "ewma--step.jsonl" for path in (one, other.path))
+    own = mine.read_bytes()
+    mine.write_bytes(theirs.read_bytes())
+    for look in (lambda: summarize(folder), lambda: expected_work(small_suite(), folder)):
+        with pytest.raises(ValueError, match=r"ewma--step.jsonl is .* entropy is 1 and not 0;"):
+            look()
+    mine.write_bytes((one / "cells" / "snapshot-chi2--step.jsonl").read_bytes())
+    with pytest.raises(ValueError, match=r"detector is 'snapshot-chi2' and not 'ewma';"):
+        folder.cell("ewma", "step")
+    mine.write_bytes(own.replace(small_suite().digest.encode(), b"0123456789abcdef"))
+    with pytest.raises(ValueError, match="folder: campaign is '0123456789abcdef' and not"):
+        folder.has_cell("ewma", "step")
+    lines = own.splitlines(keepends=True)
+    mine.write_bytes(b"".join(lines[:-2] + lines[-1:]))
+    with pytest.raises(ValueError, match="runs is 4 and not 5"):
+        folder.cell("ewma", "step")
+    mine.write_bytes(own)
+    search = one / "tuning" / "ewma--ramp-tuned.json"
+    search.write_text(search.read_text().replace('"entropy": 0', '"entropy": 7'))
+    with pytest.raises(ValueError, match=r"ewma--ramp-tuned.json .* entropy is 7 and not 0"):
+        summarize(folder)
+
+
+def test_campaigns_do_not_mix(tmp_path: Path) -> None:
+    first, second = ResultsFolder(tmp_path), ResultsFolder(tmp_path)
+    suite, other = small_suite(detectors=("never",), spoofers=()), small_suite(entropy=1)
+    first.open(suite)
+    run_campaign(suite, first, threads=1)
+    cell = first.cell("never", "none")
+    second.open(other, overwrite=True)
+    with pytest.raises(ValueError, match="has been taken by another campaign"):
+        first.put_cell(cell)
+    assert set(contents(tmp_path)) == {"config.json"}
+
+
+def test_of_two_that_begin_in_one_moment_one_is_refused(tmp_path: Path) -> None:
+    class Late:
+        """A suite that another one overtakes, when it has seen that the folder is empty."""
+
+        digest = small_suite().digest
+
+        @property
+        def config(self) -> dict[str, Any]:
+            if not (tmp_path / "config.json").exists():
+                ResultsFolder(tmp_path).open(small_suite(entropy=1))
+            return small_suite().config
+
+    late: Any = Late()
+    with pytest.raises(ValueError, match=r"another campaign \(different: entropy\)"):
+        ResultsFolder(tmp_path).open(late)
+    assert ResultsFolder(tmp_path).config()["entropy"] == 1
+
+
+def test_the_same_campaign_twice_at_once_ends_with_both_right(
+    finished: ResultsFolder, tmp_path: Path
+) -> None:
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom tests.bench.test_campaign import campaign\n"
+        "campaign(Path(sys.argv[1]))\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "results")]
+    both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    for each in both:
+        _, said = each.communicate(timeout=600)
+        assert each.returncode == 0, said
+    assert contents(tmp_path / "results") == contents(finished.path)
+
+
+def test_what_a_dead_process_left_is_removed_at_open(tmp_path: Path) -> None:
+    code = (
+        "import os, sys\nfrom pathlib import Path\nfrom spoofgym._files import whole_file\n"
+        "with whole_file(Path(sys.argv[1])) as part:\n"
+        "    part.write_bytes(b'half')\n    os._exit(0)\n"
+    )
+    ResultsFolder(tmp_path).open(small_suite())
+    for name in ("config.json", "cells/one.jsonl", "tuning/one.json"):
+        subprocess.run([sys.executable, "-c", code, str(tmp_path / name)], check=True)
+    assert len(contents(tmp_path)) == 4
+    ResultsFolder(tmp_path).open(small_suite())
+    assert set(contents(tmp_path)) == {"config.json"}
+
+
 def test_cells_come_back_as_they_were_written(finished: ResultsFolder) -> None:
     cell = finished.cell("ewma", "step")
     again = Cell.from_lines(cell.to_lines())
@@ -200,7 +292,7 @@ def test_results_of_another_format_are_not_scored(tmp_path: Path) -> None:
     folder.open(small_suite())
     config = folder.config()
     folder.put_text("config.json", json.dumps({**config, "format": 1}))
-    with pytest.raises(ValueError, match=r"holds results of format 1, .* scores format 3: play"):
+    with pytest.raises(ValueError, match=r"holds results of format 1, .* scores format 4: play"):
         summarize(folder)
 
 

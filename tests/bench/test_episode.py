@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,13 @@ def test_it_is_the_run_of_that_number(suite: Suite, episode: Episode) -> None:
     assert summary["peak_ratio"] == pytest.approx(attacked.peak[3], abs=1e-4)
 
 
+def test_a_number_may_be_one_of_numpy(suite: Suite, episode: Episode) -> None:
+    again = play_episode(suite, episode.detector, episode.spoofer, run=np.int64(3))
+    assert json.dumps(again.summary()) == json.dumps(episode.summary())
+    with pytest.raises(ValueError, match="`run` must be a whole number of at least 0, got -1"):
+        play_episode(suite, episode.detector, episode.spoofer, run=-1)
+
+
 def test_the_twin_is_not_attacked(episode: Episode) -> None:
     onset = episode.onset
     np.testing.assert_array_equal(episode.ratio[:onset, 0], episode.ratio[:onset, TWIN])
@@ -54,8 +62,9 @@ def test_it_can_be_drawn(tmp_path: Path, attack: str) -> None:
     suite = small_suite(detectors=(Ewma(false_alarm=0.5),), spoofers=("step",), attack=attack)
     drawn = play_episode(suite, suite.detector_entries[0], suite.spoofer_entries[1])
     assert drawn.summary()["alarm"]
-    draw_episode(drawn, tmp_path / "new" / "picture.png")
-    assert (tmp_path / "new" / "picture.png").stat().st_size > 10_000
+    written = draw_episode(drawn, tmp_path / "new" / "picture")
+    assert written == tmp_path / "new" / "picture.png"
+    assert written.stat().st_size > 10_000
 
 
 def test_its_spoofing_intervals_are_those_of_its_alarms(episode: Episode) -> None:

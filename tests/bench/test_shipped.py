@@ -69,8 +69,10 @@ def test_those_that_do_not_fit_are_named_with_the_reason() -> None:
 
 def test_one_that_does_not_fit_is_refused_when_it_is_asked_for(tmp_path: Path) -> None:
     suite = small_suite(attack={"name": "false-position", "rate_limit_mps": 2.0}, spoofers=["push"])
+    folder = ResultsFolder(tmp_path)
+    folder.open(suite)
     with pytest.raises(ValueError, match=r"conditions.rate_limit_mps: 5.0 on the card, 2.0 here"):
-        run_campaign(suite, ResultsFolder(tmp_path), threads=1)
+        run_campaign(suite, folder, threads=1)
 
 
 def test_the_file_is_part_of_the_campaign(tmp_path: Path) -> None:

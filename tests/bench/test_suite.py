@@ -63,6 +63,9 @@ def test_the_digest_follows_everything_that_results_depend_on() -> None:
     # a default that is written out changes nothing
     written_out = small_suite(detectors=("snapshot-chi2", {"name": "ewma", "smoothing": 0.1}))
     assert digest_of(written_out.config) == digests[0]
+    assert small_suite(entropy=np.int64(1)).digest == digests[2]
+    assert small_suite(runs=np.int64(6)).digest == digests[1]
+    assert small_suite(tuning=Tuning(budget=0.1, runs=np.int64(Tuning.runs))).digest == digests[-1]
 
 
 def test_the_clean_twin_is_always_played_first() -> None:

@@ -10,7 +10,7 @@ from spoofgym._jit import COMPILED_LAYERS, layer_of
 
 from . import sources
 
-PLAIN = {"_describe", "_files", "_jit", "_memory", "_pictures", "_registry"}
+PLAIN = {"_describe", "_files", "_jit", "_memory", "_pictures", "_registry", "_threads"}
 """Modules below all packages; they hold nothing that a kernel could take in but `_jit`'s own."""
 BRIDGES = {"envs/attach.py": ("spoofgym.envs", "attach")}
 """Files of compiled layers that may know of other packages, since nothing compiled imports them."""

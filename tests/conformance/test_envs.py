@@ -158,6 +158,66 @@ def test_the_spec_goes_through_json(name):
     np.testing.assert_array_equal(many.reset(seed=3)[0][0], seen)
 
 
+def played_on(name: str) -> dict[str, object]:
+    """Settings with which an alarm ends no episode; a detector that learns gives none at rest."""
+    return short(name, **({} if "DetectorView" in name else {"end_at_alarm": False}))
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_an_env_made_from_its_spec_is_the_same_to_the_last_step(name):
+    """With the length of an episode as its limit, a `TimeLimit` would truncate at the last step."""
+    env = gym.make(name, **played_on(name))
+    again = gym.make(env.spec)
+    steps = env.unwrapped.game.episode_steps
+    assert gym.spec(name).max_episode_steps is None
+    assert env.spec.max_episode_steps == again.spec.max_episode_steps == steps + 1
+    assert "TimeLimit" not in str(env)
+    assert "TimeLimit" in str(again)
+    action = np.zeros(env.action_space.shape, dtype=np.float32)
+    for _ in range(2):
+        assert_same(dict(enumerate(env.reset(seed=3))), dict(enumerate(again.reset(seed=3))), name)
+        for step in range(1, steps + 1):
+            mine, theirs = env.step(action), again.step(action)
+            assert_same(dict(enumerate(mine)), dict(enumerate(theirs)), f"{name}, step {step}")
+            assert mine[2:4] == (step == steps, False)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_vector_env_made_from_its_spec_is_the_same(name):
+    kwargs = {**played_on(name), "num_envs": 2, "autoreset_mode": "same_step"}
+    envs = gym.make_vec(name, **kwargs)
+    again = gym.make_vec(gym.make_vec(envs.spec).spec)
+    steps = envs.game.episode_steps
+    assert envs.spec == again.spec
+    assert envs.spec.max_episode_steps == steps + 1
+    single = gym.make(name, **played_on(name))
+    assert gym.make_vec(single.spec, num_envs=2).spec.max_episode_steps == steps + 1
+    envs.reset(seed=3)
+    again.reset(seed=3)
+    action = np.zeros(envs.action_space.shape, dtype=np.float32)
+    for step in range(1, steps + 3):
+        mine, theirs = envs.step(action), again.step(action)
+        assert_same(dict(enumerate(mine)), dict(enumerate(theirs)), f"{name}, step {step}")
+        assert mine[2].tolist() == [step == steps] * 2
+        assert not mine[3].any()
+    for limit in (steps, 1.5):
+        with pytest.raises(ValueError, match=rf"`max_episode_steps` must be .* got {limit}"):
+            gym.make_vec(name, max_episode_steps=limit, **kwargs)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_seed_may_be_one_of_numpy(name):
+    env, envs = gym.make(name, **short(name)), gym.make_vec(name, num_envs=2, **short(name))
+    expected = env.reset(seed=3)[0]
+    np.testing.assert_array_equal(env.reset(seed=np.int64(3))[0], expected)
+    assert env.unwrapped.np_random_seed == 3
+    each = envs.reset(seed=3)[0]
+    for seed in (np.uint16(3), [np.int64(3), 4], np.array([3, 4])):
+        np.testing.assert_array_equal(envs.reset(seed=seed)[0], each)
+    envs.reset(seed=np.int64(3))
+    assert envs.np_random_seed == 3
+
+
 CASES = [(name, {}) for name in IDS] + [(MAIN, kwargs) for kwargs in VARIANTS.values()]
 
 

@@ -2,9 +2,12 @@
 
 import re
 import sys
+import tomllib
 import types
 from pathlib import Path
 
+import gymnasium as gym
+import numpy as np
 import pytest
 
 from spoofgym.attacks import ATTACKS
@@ -23,7 +26,38 @@ def test_every_block_of_code_runs(number, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "readme", module)  # pickle looks classes up
     exec(compile(BLOCKS[number], f"README.md block {number}", "exec"), module.__dict__)
     if number == 0:
-        assert re.search(r"undetected: -?\d+\.\d m, alarm: (True|False)", capsys.readouterr().out)
+        assert f"It prints `{capsys.readouterr().out.strip()}`" in README
+
+
+def test_the_first_output_is_typical_of_its_push():
+    """As the README says of the seeds 0 to 99, the first block's among them."""
+    settings = {"detector": "ewma", "knowledge": "tracking"}
+    envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=100, **settings)
+    envs.reset(seed=0)
+    reached, alarms = np.full(100, np.nan), 0
+    while np.isnan(reached).any():
+        _, _, over, _, info = envs.step(np.tile([0.0, 0.2], (100, 1)))
+        ended = over & np.isnan(reached)
+        reached[ended] = info["undetected_displacement_m"][ended]
+        alarms += np.count_nonzero(info["detected"][ended])
+    low, middle, high = np.percentile(reached, [10, 50, 90])
+    said = (
+        f"over the seeds 0 to 99 the median is {middle:.0f} m, the 10th and the 90th percentile "
+        f"are {low:.1f} and {high:.0f} m, and {alarms} of them end with an alarm"
+    )
+    assert said in " ".join(README.split())
+    (seed,) = re.findall(r"seed=(\d+)", BLOCKS[0])
+    (printed,) = re.findall(r"`undetected: (\S+) m, alarm: True`", README)
+    assert float(printed) == pytest.approx(reached[int(seed)], abs=0.051)
+    assert np.percentile(reached, 40) < float(printed) < np.percentile(reached, 60)
+
+
+def test_it_says_how_to_install_and_with_which_extras():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lines = re.findall(r"^pip install '?\.(?:\[(.*)\])?", README, flags=re.MULTILINE)
+    assert lines[0] == ""
+    named = {extra for line in lines[1:] for extra in line.split(",")}
+    assert {"report", "flights", "train"} <= named <= {*extras["optional-dependencies"]}
 
 
 def test_the_first_loop_is_short():

@@ -87,7 +87,7 @@ def test_the_commands_run_in_their_order(tmp_path):
         env=environment,
         capture_output=True,
         text=True,
-        timeout=600,
+        timeout=3600,
     )
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     folder = tmp_path / "runs" / "my-first"

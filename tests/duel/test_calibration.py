@@ -119,6 +119,10 @@ def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):
     other = duel_v0.FunctionPolicy(wary, name="wary-2")
     assert duel_v0.calibrate(other, **SETTINGS, store=tmp_path).threshold == first.threshold
     assert len(list(tmp_path.iterdir())) == 2
+    numbers = {"runs": np.int64(SETTINGS["runs"]), "seed": np.int64(0)}
+    again = duel_v0.calibrate(other, **{**SETTINGS, **numbers}, store=tmp_path)
+    assert again.threshold == first.threshold
+    assert len(list(tmp_path.iterdir())) == 2
     with pytest.raises(ValueError, match="no digest to store"):
         duel_v0.calibrate(wary, **SETTINGS, store=tmp_path)
     path.write_text("{}")

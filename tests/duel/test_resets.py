@@ -62,6 +62,18 @@ def test_a_single_receiver(name):
         np.testing.assert_array_equal(told, was)
 
 
+@pytest.mark.parametrize("name", SINGLE)
+def test_a_seed_may_be_one_of_numpy_and_must_be_whole(name):
+    env = SINGLE[name]()
+    env.reset(seed=3)
+    drawn = circumstances(env)
+    env.reset(seed=np.int64(3))
+    for one, other in zip(circumstances(env), drawn, strict=True):
+        np.testing.assert_array_equal(one, other)
+    with pytest.raises(ValueError, match="a seed must be a whole number of at least 0, got -1"):
+        env.reset(seed=-1)
+
+
 @pytest.mark.parametrize("name", VECTOR)
 def test_a_batch(name):
     envs = VECTOR[name](autoreset_mode="disabled")

@@ -1,4 +1,4 @@
-"""What must be the same to the last bit."""
+"""What must be the same to the last bit, on one machine."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,10 @@ def test_row_37_of_64_is_the_single_env_over_an_autoreset(knowledge, end_at_alar
     np.testing.assert_array_equal(one[1], many[1])
 
 
-@pytest.mark.parametrize(("receivers", "threads"), [(1, 1), (7, 1), (40, 1), (40, 2), (40, 3)])
+@pytest.mark.parametrize(
+    ("receivers", "threads"),
+    [(1, 1), (3, 1), (4, 1), (5, 1), (7, 1), (12, 2), (40, 1), (40, 2), (40, 3)],
+)
 def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(receivers, threads):
     setup = make_setup(timeline=SHORT)
 

@@ -17,6 +17,8 @@ from spoofgym.envs.prefetch import copy_of, take_episode
 from spoofgym.envs.presets import make_game, make_setup
 from spoofgym.envs.vector_env import SpoofVectorEnv
 
+PATIENCE_S = 900.0
+"""After which a thread or a process counts as hanging, however busy the machine."""
 TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
 
 
@@ -152,7 +154,7 @@ def test_a_fork_while_locks_are_held(setup, steps):
     held.wait()
     child = os.fork()
     if child == 0:  # pragma: no cover
-        signal.alarm(60)  # ends a child that hangs
+        signal.alarm(int(PATIENCE_S))  # ends a child that hangs
         status = 1
         try:
             for _ in range(steps):
@@ -209,7 +211,7 @@ def test_nothing_is_begun_before_a_failure_has_been_told(setup, monkeypatch):
     game.reset(rngs)
     link = episodes._link
     with link.change:
-        assert link.change.wait_for(lambda: link.failure is not None, timeout=60.0)
+        assert link.change.wait_for(lambda: link.failure is not None, timeout=PATIENCE_S)
     episodes.serve(link)
     assert len(calls) == 1
     with pytest.raises(MemoryError, match="for once"):
@@ -218,6 +220,7 @@ def test_nothing_is_begun_before_a_failure_has_been_told(setup, monkeypatch):
 
 
 def test_an_interrupted_wait_leaves_no_urgency(setup, monkeypatch):
+    monkeypatch.setattr("spoofgym.envs.link.JOIN_S", 0.01)
     game, rngs = game_of(setup, True), generators()
     go_on = threading.Event()
     episodes = game.engine._next
@@ -246,6 +249,7 @@ def running():
 
 
 def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
+    monkeypatch.setattr("spoofgym.envs.link.JOIN_S", PATIENCE_S)
     before = running()
     game, rngs = game_of(setup, True), generators()
     begun = threading.Event()
@@ -259,7 +263,7 @@ def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(game.engine._next, "_warm_up", endless)
         game.reset(rngs)
-        assert begun.wait(20)
+        assert begun.wait(PATIENCE_S)
         (thread,) = running() - before
         game.close()
         assert not thread.is_alive()
@@ -281,12 +285,12 @@ def test_a_thread_that_ends_late_writes_nothing(setup, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(episodes, "_warm_up", held_up)
         game.reset(rngs)
-        assert begun.wait(20)
+        assert begun.wait(PATIENCE_S)
         (thread,) = running() - before
         game.close()
     assert thread.is_alive()
     go_on.set()
-    thread.join(timeout=20)
+    thread.join(timeout=PATIENCE_S)
     assert not thread.is_alive()
     assert not episodes._ready.any()
     assert_same(played(setup, prefetch=False), course(game, rngs, 40, np.random.default_rng(1)))
@@ -304,19 +308,21 @@ def test_a_thread_may_close_its_owner(setup):
 
     game.engine._next._warm_up = closing
     game.reset(rngs)
-    assert closed.wait(20)
+    assert closed.wait(PATIENCE_S)
     for thread in running() - before:
-        thread.join(timeout=20)
+        thread.join(timeout=PATIENCE_S)
         assert not thread.is_alive()
 
 
 def test_an_environment_that_is_not_closed_lets_the_interpreter_end():
     code = f"""
+from spoofgym import _jit
 from spoofgym.envs.vector_env import SpoofVectorEnv
+_jit.NOTICE_S = float("inf")
 envs = SpoofVectorEnv(40, threads=1, timeline={TIMELINE})
 envs.reset(seed=1)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=PATIENCE_S)
     assert (done.returncode, done.stderr) == (0, b"")
 
 
@@ -329,7 +335,7 @@ def test_threads_end_with_the_game(setup):
     (thread,) = running() - before
     del game
     gc.collect()
-    thread.join(timeout=20)
+    thread.join(timeout=PATIENCE_S)
     assert not thread.is_alive()
 
 

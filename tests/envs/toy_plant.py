@@ -6,6 +6,7 @@ import numpy as np
 
 from spoofgym._memory import Memory
 from spoofgym.detectors import Detector, DetectorContext, Verdict, make_detector
+from spoofgym.detectors.verdicts import judged
 from spoofgym.envs.plant import Plant
 from spoofgym.envs.plant_env import PlantEnv, PlantVectorEnv
 from spoofgym.envs.setup import Timeline
@@ -87,7 +88,7 @@ class ToyPlant(Plant):
         m["offset"] = m["offset"] + self.interval_s * m["rate"]
         noise = m["noise"][np.arange(self.receivers), m["k"]]
         m["k"] = m["k"] + 1
-        verdict = self.detector.judge(self._epoch(noise + m["offset"]))
+        verdict = judged(self.detector, self._epoch(noise + m["offset"]))
         weight = np.ones(2) if verdict.weights is None else verdict.weights
         innovation = noise + m["offset"] - m["estimate"]
         m["estimate"] = m["estimate"] + self.gain * weight * innovation

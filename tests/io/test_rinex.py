@@ -180,11 +180,23 @@ def test_copies_are_read_and_counted_by_the_screening(written: Any) -> None:
         ("".join(G05.splitlines(True)[:5]), "line 13: a record has 8 lines, got 5"),
         (G05.replace("0.700000000000D+00", "0.7000000x0000D+00"), "line 13: could not convert"),
         (G05.replace("0.120000000000D-01", " " * 18), "line 13: could not convert"),
-        (G05.replace("0.120000000000D-01", "0.120000000000D+01"), r"0 <= e < 1, got 1\.2"),
-        (G05.replace("0.515370000000D+04", "0.000000000000D+00"), "sqrt A must be positive"),
-        (G05.replace("0.597600000000D+06", "0.999999999999D+09"), "within a week"),
+        (
+            G05.replace("0.120000000000D-01", "0.120000000000D+00"),
+            r"`eccentricity` must be within 0 to 0\.03, got 0\.12",
+        ),
+        (
+            G05.replace("0.515370000000D+04", "0.000000000000D+00"),
+            "`root_semi_major_axis` must be within 2530 to 8192, got 0",
+        ),
+        (
+            G05.replace("0.597600000000D+06", "0.999999999999D+09"),
+            "`second_of_week` must be within 0 to 604800, got 1e\\+09",
+        ),
         (G05.replace("0.965000000000D+00", "               nan"), "must be finite, got"),
         (G05.replace("24  9 14", "24 13 14"), "line 13: month must be"),
+        (G05.replace(" 0.0-0.15", "1e99-0.15"), "line 13: the epoch must be a date to 2099"),
+        (G05.replace(" 5 24", "-5 24"), "line 13: the satellite must be 1 to 63, got -5"),
+        (G05.replace("0.965000000000D+00", "0.965000000000D+99"), "line 13: `inclination` must be"),
     ],
 )
 def test_malformed_records_are_left_out_with_a_warning(written: Any, bad: str, said: str) -> None:
@@ -207,6 +219,10 @@ def test_malformed_records_are_left_out_with_a_warning(written: Any, bad: str, s
         (HEADER_3.replace("3.04", "abcd"), "no RINEX version"),
         (HEADER_2[: HEADER_2.index("        END")] + "\n" + G05, "header has no end"),
         (HEADER_2, "no usable GPS satellite: 0 malformed"),
+        (
+            HEADER_2 + G05[:99],
+            r"1 malformed GPS records \(the first at line 5: a record has 8 lines",
+        ),
         (HEADER_3 + R07, "no usable GPS satellite: 0 malformed GPS records, 1 records of other"),
     ],
 )

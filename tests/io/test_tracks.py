@@ -188,6 +188,14 @@ def spoil(table, column, row, value):
         ),
         (lambda t: spoil(t, "latitude", 5, 91.5), r"-90 and 90 deg, got 91.5 deg in row 6"),
         (lambda t: spoil(t, "longitude", 5, -200.0), r"-180 and 360 deg, got -200 deg in row 6"),
+        (lambda t: spoil(t, "longitude", 5, np.inf), r"360 deg, got inf deg in row 6"),
+        (lambda t: spoil(t, "altitude", 5, 1e9), r"`altitude` must .* 50000 m, got 304800000 m in"),
+        (lambda t: spoil(t, "altitude", 5, 10**400), "`altitude` must hold numbers"),
+        (
+            lambda t: t.assign(timestamp=9e9),
+            r"`time` must lie between 0 and 4102444800 s, got 9000000000 s in row 1",
+        ),
+        (lambda t: t.assign(LATITUDE=0.0), "each column once, got 'latitude' twice"),
         (lambda t: spoil(t, "altitude", 5, "high"), "`altitude` must hold numbers"),
         (lambda t: t.iloc[:4], "at least 6 rows with a position and an altitude, got 4"),
         (lambda t: t.assign(latitude=np.nan), "at least 6 rows with a position .*, got 0"),
@@ -208,7 +216,7 @@ def test_an_empty_or_unknown_file_is_refused(tmp_path):
     with pytest.raises(ValueError, match="must have rows, got none in 'empty'"):
         read_track(tmp_path / "empty.json")
     (tmp_path / "number.json").write_text("1")
-    with pytest.raises(ValueError, match=r"'number\.json' must hold a list"):
+    with pytest.raises(ValueError, match=r"number\.json .* must hold a list"):
         read_track(tmp_path / "number.json")
     with pytest.raises(ValueError, match=r"must end in \.csv, .* got 'a\.txt'"):
         read_track(tmp_path / "a.txt")

@@ -144,6 +144,17 @@ def test_the_report_says_what_the_flight_does():
     assert report.start_utc == "2024-01-01T00:00:00+00:00"
     assert json.loads(json.dumps(report.as_dict()))["fixes"] == report.fixes == 61
     assert f"{report.position_rms_m:.0f} m" in " ".join(report.lines())
+    assert "height RMS 0.0 m; speed RMS " in " ".join(
+        dataclasses.replace(report, height_rms_m=0.0).lines()
+    )
+
+
+def test_the_report_says_what_a_track_does_not_tell():
+    _, report = fit_track(sampled(true_flight()))
+    unknown = {"speed_rms_mps": math.nan, "course_rms_deg": math.nan}
+    said = " ".join(dataclasses.replace(report, **unknown).lines())
+    assert "; speed not reported; course not reported" in said
+    assert "nan" not in said
 
 
 def test_attitude_on_a_circle_and_on_a_climb():

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spoofgym._pictures import save_figure
+
 from .campaign import SEEN_FROM, THRESHOLD
 from .tables import RAMPS, STEPS, Data, unit
 
@@ -61,8 +63,7 @@ def three_channels(data: Data, kind: str, path: Path) -> Path:
         trace = part[f"{method}/trace"]
         traces = {f"C{c + 1}": trace[:, c] for c in range(trace.shape[1])}
         rate_panel(axes, f"{method}, {kind} on C1, C2 and C3", traces, 6.0 * THRESHOLD)
-    figure.savefig(path, dpi=120)
-    return path
+    return save_figure(figure, path, dpi=120)
 
 
 def sizes(data: Data, path: Path) -> Path:
@@ -89,8 +90,7 @@ def sizes(data: Data, path: Path) -> Path:
             f"{size:g} {unit(kind)}": data[f"{kind} {size:g}"]["M2/trace"][:, 2] for size in known
         }
         rate_panel(axes, f"M2, {kind} on C3", traces, 6.0 * THRESHOLD)
-    figure.savefig(path, dpi=120)
-    return path
+    return save_figure(figure, path, dpi=120)
 
 
 def oracle_and_error(data: Data, kind: str, path: Path) -> Path:
@@ -131,8 +131,7 @@ def oracle_and_error(data: Data, kind: str, path: Path) -> Path:
     rate_panel(left, f"M2 and {name}, {kind} on C3", traces, 6.0 * THRESHOLD)
     right.set(title=f"Error of the position under {name}", xlabel="time [s]", ylabel="error [m]")
     right.legend(fontsize="small", ncols=2)
-    figure.savefig(path, dpi=120)
-    return path
+    return save_figure(figure, path, dpi=120)
 
 
 def draw(data: Data, folder: Path) -> list[Path]:

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from spoofgym._pictures import save_figure
+
 from .runs import RAMPS, THRESHOLD
 
 NAMES = {"conventional": "common filter, R x 0.26", "tuned": "self-tuning filter, w = 100"}
@@ -33,9 +35,7 @@ def draw(run: dict[str, Any], folder: Path) -> list[Path]:
     paths = []
 
     def save(figure: Figure, name: str) -> None:
-        path = folder / f"shadmehri2025_{name}.png"
-        figure.savefig(path, dpi=120)
-        paths.append(path)
+        paths.append(save_figure(figure, folder / f"shadmehri2025_{name}.png", dpi=120))
 
     save(_track(run), "fig1")
     time = np.asarray(run["time"])

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from spoofgym._pictures import save_figure
+
 from .rows import joined_sweep
 
 Data = dict[str, dict[str, Any]]
@@ -46,8 +48,7 @@ def draw(data: Data, folder: Path) -> list[Path]:
         drawn.append((f"song2021-fig{number + 1}.png", _tracks(plt, data["traces"], data_set)))
     paths = []
     for name, figure in drawn:
-        paths.append(folder / name)
-        figure.savefig(paths[-1], dpi=110)
+        paths.append(save_figure(figure, folder / name, dpi=110))
         plt.close(figure)
     return paths
 

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from spoofgym._pictures import save_figure
+
 from .draws import displacements, subsets
 from .geometry import SATELLITES, sky
 from .separation import separate
@@ -63,7 +65,6 @@ def draw_figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
     list of Path
         PNG files.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     picture = {name: np.asarray(value) for name, value in data["pictures"].items()}
@@ -86,8 +87,7 @@ def draw_figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
         ylim=(70.0, 100.0),
     )
     axes.legend(title="NH0", loc="lower right")
-    first = folder / "wu2024_figure_1.png"
-    FigureCanvasAgg(figure).print_png(str(first))
+    first = save_figure(figure, folder / "wu2024_figure_1.png")
 
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     space = figure.add_subplot(projection="3d")
@@ -109,6 +109,4 @@ def draw_figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
         zlabel="z, ECEF [km]",
     )
     space.legend(title="NH0")
-    second = folder / "wu2024_figure_2.png"
-    FigureCanvasAgg(figure).print_png(str(second))
-    return [first, second]
+    return [first, save_figure(figure, folder / "wu2024_figure_2.png")]

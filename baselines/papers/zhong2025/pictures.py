@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from spoofgym._pictures import save_figure
 from spoofgym.detectors.thresholds import two_sided_quantile
 from spoofgym.earth.frames import ecef_to_geodetic
 
@@ -23,9 +24,7 @@ def _time(count: int) -> Any:
 
 
 def _save(figure: Any, folder: Path, name: str) -> Path:
-    path = folder / f"zhong2025_{name}.png"
-    figure.savefig(path)
-    return path
+    return save_figure(figure, folder / f"zhong2025_{name}.png")
 
 
 def _panels(count: int, title: str) -> tuple[Any, list[Any]]:

@@ -3,17 +3,15 @@
 from .animation import save_animation
 from .history import RenderHistory
 from .painter import Painter
-from .recorders import GameRecorder, PlantRecorder, Recorder, Seen
+from .recorders import CoreRecorder, Recorder
 from .screen import RENDER_MODES, Screen
 
 __all__ = [
     "RENDER_MODES",
-    "GameRecorder",
+    "CoreRecorder",
     "Painter",
-    "PlantRecorder",
     "Recorder",
     "RenderHistory",
     "Screen",
-    "Seen",
     "save_animation",
 ]

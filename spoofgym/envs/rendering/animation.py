@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._files import whole_file
 from ..._pictures import COLOURS, GREY, RED
 from ..._registry import check_choice
 
@@ -57,13 +58,8 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
     first = next(stream, None)
     if first is None:
         raise ValueError("an animation needs at least one frame")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    try:
+    with whole_file(path) as part:
         writers[ending](chain([first], stream), first.shape[:2], part, fps)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
     return path
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._pictures import RED, figure_class
-from ..sight import Stage
+from ...simulators.frame import EpisodeLayout
 from .history import RenderHistory
 
 if TYPE_CHECKING:
@@ -69,8 +69,8 @@ class Headline:
     `figure`: where; it has a canvas.
     """
 
-    def __init__(self, figure: Figure, stage: Stage) -> None:
-        figure.text(LEFT, 0.975, stage.title, fontsize=13, fontweight="bold", va="top")
+    def __init__(self, figure: Figure, layout: EpisodeLayout) -> None:
+        figure.text(LEFT, 0.975, layout.title, fontsize=13, fontweight="bold", va="top")
         self._alarm = figure.text(
             0.985, 0.975, "", fontsize=11, fontweight="bold", color=RED, ha="right", va="top"
         )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..sight import Sight, Sky, Stage
+from ...simulators.frame import EpisodeLayout, FrameData, SkyData
 
 FloatArray = NDArray[np.float64]
 NUMBERS = ("time_s", "counted_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")
@@ -20,26 +20,26 @@ class RenderHistory:
 
     Parameters
     ----------
-    stage : Stage
+    layout : EpisodeLayout
         What does not change in it.
     decision_s : float
         Time between two instants, but for the last one, which comes after the time to alert.
 
     Attributes
     ----------
-    stage : Stage
+    layout : EpisodeLayout
         The same.
     count : int
         Instants so far, K.
-    sky : Sky or None
+    sky : SkyData or None
         The present one.
     """
 
-    def __init__(self, stage: Stage, decision_s: float) -> None:
-        self.stage, self.count = stage, 0
+    def __init__(self, layout: EpisodeLayout, decision_s: float) -> None:
+        self.layout, self.count = layout, 0
         self._decision_s = decision_s
-        self.sky: Sky | None = None
-        size = stage.steps + 1
+        self.sky: SkyData | None = None
+        size = layout.steps + 1
         self._numbers = {name: np.full(size, np.nan) for name in NUMBERS}
         self._pairs = {
             name: np.full((size, 2), np.nan)
@@ -47,11 +47,11 @@ class RenderHistory:
         }
         self._alarm = np.zeros(size, dtype=np.bool_)
 
-    def add(self, attacked: Sight, twin: Sight, info: Mapping[str, Any]) -> None:
+    def add(self, attacked: FrameData, twin: FrameData, info: Mapping[str, Any]) -> None:
         """Append an instant."""
         k, self.count = self.count, self.count + 1
         apart = attacked.error_ne - twin.error_ne
-        since = info["time_s"] - self.stage.onset_s
+        since = info["time_s"] - self.layout.onset_s
         for name, value in {
             "time_s": since,
             "counted_s": min(since, k * self._decision_s),

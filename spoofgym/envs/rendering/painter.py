@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._pictures import figure_class
-from ..sight import Stage
+from ...simulators.frame import EpisodeLayout
 from .headline import Headline
 from .history import RenderHistory
 from .panels import ErrorPanel, ErrorPlane, FlightMap, Panel, SkyPlot, StatisticPanel
@@ -25,7 +25,7 @@ class Painter:
 
     Parameters
     ----------
-    stage : Stage
+    layout : EpisodeLayout
         What stays the same in it.
 
     Raises
@@ -34,7 +34,7 @@ class Painter:
         When matplotlib is not installed.
     """
 
-    def __init__(self, stage: Stage) -> None:
+    def __init__(self, layout: EpisodeLayout) -> None:
         figure = figure_class()(figsize=SIZE_IN, dpi=DPI)
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -43,22 +43,22 @@ class Painter:
         grid = figure.add_gridspec(
             2, 6, left=0.066, right=0.985, bottom=0.065, top=0.832, hspace=0.42, wspace=0.9
         )
-        half = 2 if stage.has_sky else 3
+        half = 2 if layout.has_sky else 3
         self._panels: list[Panel] = [
-            FlightMap(figure.add_subplot(grid[0, :half]), stage),
-            ErrorPlane(figure.add_subplot(grid[0, half : 2 * half]), stage),
-            StatisticPanel(figure.add_subplot(grid[1, :3]), stage),
-            ErrorPanel(figure.add_subplot(grid[1, 3:]), stage),
+            FlightMap(figure.add_subplot(grid[0, :half]), layout),
+            ErrorPlane(figure.add_subplot(grid[0, half : 2 * half]), layout),
+            StatisticPanel(figure.add_subplot(grid[1, :3]), layout),
+            ErrorPanel(figure.add_subplot(grid[1, 3:]), layout),
         ]
-        if stage.has_sky:
+        if layout.has_sky:
             self._panels.append(SkyPlot(figure.add_subplot(grid[0, 4:])))
-        self._headline = Headline(figure, stage)
+        self._headline = Headline(figure, layout)
         self._kept: Any = None
 
     def paint(self, history: RenderHistory) -> NDArray[np.uint8]:
         """Draw the episode as it stands.
 
-        `history`: of this painter's stage, with at least one instant; returns (H, W, 3) uint8, a
+        `history`: of this painter's layout, with at least one instant; returns (H, W, 3) uint8, a
         new array.
         """
         changed = [panel.fit(history) for panel in self._panels]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._pictures import BLUE, GREEN, GREY, GRID, ORANGE, RED, style
-from ..sight import FloatArray, Sky, Stage
+from ...simulators.frame import EpisodeLayout, FloatArray, SkyData
 from .history import RenderHistory
 from .scales import equal_limits, round_down, round_up
 
@@ -78,14 +78,14 @@ def head(ax: Axes, title: str, columns: int = 4) -> None:
 class FlightMap:
     """The flight, with both estimates; their errors are magnified, by a factor that is shown."""
 
-    def __init__(self, ax: Axes, stage: Stage) -> None:
+    def __init__(self, ax: Axes, layout: EpisodeLayout) -> None:
         style(ax)
         self._ax = ax
-        extent = np.ptp(stage.route_ne, axis=0).max()
+        extent = np.ptp(layout.track_ne, axis=0).max()
         self._unit, name = (1000.0, "km") if extent > 2000.0 else (1.0, "m")
         self._extent = max(float(extent), 1.0)
         self._factor = round_down(MAGNIFIED * self._extent / LEAST_M)
-        north, east = (stage.route_ne / self._unit).T
+        north, east = (layout.track_ne / self._unit).T
         ax.plot(east, north, color=GRID, lw=5, solid_capstyle="round", label="way ahead", zorder=1)
         self._twin = moving_line(ax, "-", color=BLUE, lw=1.4, label="clean twin")
         self._estimate = moving_line(ax, "-", color=ORANGE, lw=1.8, label="estimate")
@@ -143,12 +143,12 @@ class FlightMap:
 class ErrorPlane:
     """Estimate minus truth, north and east, with circles of equal distance."""
 
-    def __init__(self, ax: Axes, stage: Stage) -> None:
+    def __init__(self, ax: Axes, layout: EpisodeLayout) -> None:
         style(ax)
         self._ax, self._radius = ax, 0.0
         ax.plot(0, 0, "+", color="black", ms=9, mew=1.4, ls="none", label="truth")
         ends = [("twin_error_ne", BLUE, "-", "clean twin"), ("error_ne", ORANGE, "-", "estimate")]
-        if stage.commands_position:
+        if layout.commands_position:
             ends.insert(0, ("displacement_ne", GREEN, "--", "commanded"))
         self._ways: list[tuple[str, Line2D, Line2D]] = [
             (
@@ -297,7 +297,7 @@ def _overlap(box: Box, others: Sequence[Box]) -> float:
     return shared
 
 
-def _on_sky(sky: Sky) -> FloatArray:
+def _on_sky(sky: SkyData) -> FloatArray:
     """(2, n) to the right and up on a sky plot of radius 1, north up and east to the right."""
     radius = 1.0 - 2.0 * sky.elevation / np.pi
     return np.stack([radius * np.sin(sky.azimuth), radius * np.cos(sky.azimuth)])
@@ -306,15 +306,15 @@ def _on_sky(sky: Sky) -> FloatArray:
 class TimePanel:
     """What panels over time share: phases, and the time of the first alarm."""
 
-    def __init__(self, ax: Axes, stage: Stage) -> None:
+    def __init__(self, ax: Axes, layout: EpisodeLayout) -> None:
         style(ax)
         self._ax = ax
-        end = stage.attack_s + stage.hold_s
+        end = layout.attack_s + layout.hold_s
         ax.set_xlim(0.0, end)
-        if stage.hold_s:
-            ax.axvspan(stage.attack_s, end, color=GREY, alpha=0.12, lw=0)
+        if layout.hold_s:
+            ax.axvspan(layout.attack_s, end, color=GREY, alpha=0.12, lw=0)
             ax.text(
-                stage.attack_s,
+                layout.attack_s,
                 0.03,
                 " time to alert",
                 transform=ax.get_xaxis_transform(),
@@ -339,8 +339,8 @@ class TimePanel:
 class StatisticPanel(TimePanel):
     """Largest statistic over its threshold, attacked and twin; logarithmic where it explodes."""
 
-    def __init__(self, ax: Axes, stage: Stage) -> None:
-        super().__init__(ax, stage)
+    def __init__(self, ax: Axes, layout: EpisodeLayout) -> None:
+        super().__init__(ax, layout)
         ax.axhline(1.0, color="black", lw=1.0, ls=":", label="threshold")
         self._twin = moving_line(ax, "-", color=BLUE, lw=1.0, label="clean twin")
         self._attacked = moving_line(ax, "-", color=ORANGE, lw=1.6, label="attacked")
@@ -375,15 +375,15 @@ class StatisticPanel(TimePanel):
 class ErrorPanel(TimePanel):
     """Distance from the clean twin, what was commanded, and what of it counts as undetected."""
 
-    def __init__(self, ax: Axes, stage: Stage) -> None:
-        super().__init__(ax, stage)
+    def __init__(self, ax: Axes, layout: EpisodeLayout) -> None:
+        super().__init__(ax, layout)
         self._lines: list[tuple[str, Line2D]] = [
             ("error_m", moving_line(ax, "-", color="#aaaaaa", lw=1.0, label="from truth")),
             ("induced_m", moving_line(ax, "-", color=ORANGE, lw=1.8, label="from clean twin")),
             ("undetected_m", moving_line(ax, "-", color="black", lw=1.2, label="undetected")),
         ]
         self._commanded = None
-        if stage.commands_position:
+        if layout.commands_position:
             self._commanded = moving_line(ax, "--", color=GREEN, lw=1.3, label="commanded")
             self.artists.append(self._commanded)
         self.artists += [line for _, line in self._lines]

@@ -25,7 +25,7 @@ class Screen:
     mode : {"human", "rgb_array"}
         Whether frames go to a window or to the caller.
     recorder : Recorder
-        Looks at the game.
+        Where frames come from.
 
     Raises
     ------
@@ -41,11 +41,11 @@ class Screen:
         self._window: Window | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """State without pictures, which a copy draws anew."""
+        """State without pictures, which a copy draws again."""
         return {**self.__dict__, "_painter": None, "_window": None}
 
     def begin(self, info: Mapping[str, Any]) -> None:
-        """Begin an episode, at its onset."""
+        """Start an episode, at its onset."""
         self._history = RenderHistory(self._recorder.begin(), self._recorder.interval_s)
         self._painter = None
         self.add(info)
@@ -53,13 +53,13 @@ class Screen:
     def add(self, info: Mapping[str, Any]) -> None:
         """Record a step; in mode ``human`` show it."""
         history = self._begun("add")
-        history.add(*self._recorder.look(), info)
+        history.add(*self._recorder.frames(), info)
         if self.mode == "human":
             self.render()
 
     def _begun(self, what: str) -> RenderHistory:
         if self._history is None:
-            raise RuntimeError(f"no episode has begun: call reset() before {what}()")
+            raise RuntimeError(f"no episode has started: call reset() before {what}()")
         return self._history
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -68,7 +68,7 @@ class Screen:
         if self.mode == "rgb_array":
             return frame
         if self._window is None:
-            self._window = Window(f"spoofgym: {self._begun('render').stage.title}")
+            self._window = Window(f"spoofgym: {self._begun('render').layout.title}")
         self._window.show(frame)
         return None
 
@@ -76,7 +76,7 @@ class Screen:
         """Draw the episode as it is, in any mode: (H, W, 3) uint8, a new array."""
         history = self._begun("render")
         if self._painter is None:
-            self._painter = Painter(history.stage)
+            self._painter = Painter(history.layout)
         return self._painter.paint(history)
 
     def close(self) -> None:

@@ -12,10 +12,10 @@ from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
 from ...detectors import Detector
-from ..compose import compose, composed
-from ..ends import AtStealthBudget
-from ..presets import WatchSpec
+from ..core import WatchSpec
+from ..factory import composable, compose
 from ..recorder import EpochRecorder
+from ..terms.termination import AtStealthBudget
 
 Observation = NDArray[np.float32]
 Env = gym.Env[Observation, Observation]
@@ -39,7 +39,7 @@ class DetectorWrapper(_Base, RecordConstructorArgs):
     >>> import spoofgym
     >>> from spoofgym.envs.wrappers import DetectorWrapper
     >>> env = DetectorWrapper(gym.make("spoofgym/TightlyCoupled-v0"), "snapshot-chi2")
-    >>> type(env.unwrapped.game.setup.detector).__name__
+    >>> type(env.unwrapped.core.setup.detector).__name__
     'SnapshotChi2'
     >>> env.close()
     """
@@ -51,7 +51,7 @@ class DetectorWrapper(_Base, RecordConstructorArgs):
 
 
 class WatchWrapper(_Base, RecordConstructorArgs):
-    """Adds detectors that watch, as the argument ``watch=`` does.
+    """Adds passive detectors, as the argument ``watch=`` does.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class RecordEpochs(_Base, RecordConstructorArgs):
         RecordConstructorArgs.__init__(self, folder=str(folder))
         gym.Wrapper.__init__(self, env)
         self.recorder = EpochRecorder(folder, 1)
-        composed(env).game.listeners.append(self.recorder)
+        composable(env).core.listeners.append(self.recorder)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

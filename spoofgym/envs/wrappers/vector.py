@@ -14,11 +14,11 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
 from ...detectors import Detector
-from ..compose import compose, composed
-from ..ends import AtStealthBudget
-from ..presets import WatchSpec
+from ..core import WatchSpec
+from ..factory import composable, compose
+from ..options import mask_of
 from ..recorder import EpochRecorder
-from ..resets import mask_of
+from ..terms.termination import AtStealthBudget
 
 Array = NDArray[Any]
 Envs = VectorEnv[Array, Array, Array]
@@ -45,7 +45,7 @@ class DetectorWrapper(Wrapper):
 
 
 class WatchWrapper(Wrapper):
-    """Adds detectors that watch, as the argument ``watch=`` does.
+    """Adds passive detectors, as the argument ``watch=`` does.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class RecordEpochs(Wrapper):
     def __init__(self, env: Envs, folder: str | Path) -> None:
         super().__init__(env)
         self.recorder = EpochRecorder(folder, env.num_envs)
-        composed(env).game.listeners.append(self.recorder)
+        composable(env).core.listeners.append(self.recorder)
 
     def reset(
         self,

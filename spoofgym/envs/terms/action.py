@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .setup import Setup
+from ...simulators.setup import Setup
 
 FloatArray = NDArray[np.float64]
 
@@ -57,14 +57,9 @@ class ActionTerm(Protocol):
         """
 
 
-def command_names(setup: Setup) -> tuple[str, ...]:
-    """Name of every element of a command."""
-    return setup.attack.action_names(setup.world)
-
-
 def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
     """Which elements of the command belong to some axes or satellites."""
-    stems = [name.rsplit("_", 1)[0] for name in command_names(setup)]
+    stems = [name.rsplit("_", 1)[0] for name in setup.action_names]
     for stem in wanted:
         if stem not in stems:
             raise ValueError(
@@ -84,11 +79,11 @@ class FullCommand:
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """Those of the attack."""
-        return command_names(setup)
+        return setup.action_names
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
         """The identity."""
-        axes = len(command_names(setup))
+        axes = len(setup.action_names)
         return np.tile(np.eye(axes), (len(heading_rad), 1, 1))
 
 
@@ -105,13 +100,19 @@ class AlongTarget:
             raise ValueError(
                 "an element along the target direction needs one; `target_heading_deg` is 'worst'"
             )
-        _columns(setup, ("north", "east"), "axis")
+        north, east = _columns(setup, ("north", "east"), "axis")
+        limits = np.broadcast_to(setup.attack.rate_limit_mps, len(setup.action_names))
+        if limits[north] != limits[east]:
+            raise ValueError(
+                "an element along the target direction needs the same limit north and east, got "
+                f"{limits[north]:g} and {limits[east]:g}"
+            )
         return (f"along_target_{_unit(setup)}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
         """Cosine and sine of the heading."""
         north, east = _columns(setup, ("north", "east"), "axis")
-        result = np.zeros((len(heading_rad), len(command_names(setup)), 1))
+        result = np.zeros((len(heading_rad), len(setup.action_names), 1))
         result[:, north, 0], result[:, east, 0] = np.cos(heading_rad), np.sin(heading_rad)
         return result
 
@@ -125,7 +126,7 @@ class AcrossTarget:
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``across_target_acceleration`` or ``across_target_rate``."""
-        _columns(setup, ("north", "east"), "axis")
+        AlongTarget().names(setup)
         return (f"across_target_{_unit(setup)}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
@@ -155,7 +156,7 @@ class Channels:
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """Those of the attack."""
-        names = command_names(setup)
+        names = setup.action_names
         return tuple(names[i] for i in _columns(setup, self.ids, "channel"))
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
@@ -182,7 +183,7 @@ class CommonOffset:
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
         """A column of 1."""
-        return np.ones((len(heading_rad), len(command_names(setup)), 1))
+        return np.ones((len(heading_rad), len(setup.action_names), 1))
 
 
 ACTION_TERMS: dict[str, type[ActionTerm]] = {
@@ -195,7 +196,7 @@ ACTION_TERMS: dict[str, type[ActionTerm]] = {
 """Terms by name; one's own may be added."""
 
 
-class Actor:
+class CommandMap:
     """Commands of a list of terms.
 
     Parameters
@@ -209,6 +210,8 @@ class Actor:
     ----------
     names : tuple of str
         (k,) name of every element.
+    is_plain : bool
+        Whether an action is the command.
     """
 
     def __init__(self, terms: Sequence[ActionTerm], setup: Setup) -> None:
@@ -220,7 +223,7 @@ class Actor:
             twice = sorted({name for name in names if names.count(name) > 1})
             raise ValueError(f"two terms command by the same name: {', '.join(twice)}")
         self.names = tuple(names)
-        self._plain = len(self._terms) == 1 and isinstance(self._terms[0], FullCommand)
+        self.is_plain = len(self._terms) == 1 and isinstance(self._terms[0], FullCommand)
         self._matrix = np.zeros((0, 0, 0))
 
     def aim(self, heading_rad: FloatArray) -> None:
@@ -228,7 +231,7 @@ class Actor:
 
         `heading_rad` (B,) direction in which displacement counts, clockwise from north.
         """
-        if not self._plain:
+        if not self.is_plain:
             parts = [term.matrix(self.setup, heading_rad) for term in self._terms]
             self._matrix = np.ascontiguousarray(np.concatenate(parts, axis=2))
 
@@ -237,7 +240,7 @@ class Actor:
 
         `action` (B, k) in [-1, 1]; returns (B, a), C-contiguous; the attack limits it.
         """
-        if self._plain:
+        if self.is_plain:
             return action
         # a sum of products, since the bits of a matrix product depend on the size of the batch
         result: FloatArray = (self._matrix * action[:, None, :]).sum(axis=2)

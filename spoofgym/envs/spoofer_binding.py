@@ -10,6 +10,8 @@ from numbers import Real
 from typing import Any
 
 from .._describe import describe, unlike
+from ..simulators.setup import Setup
+from ..simulators.tightly_coupled import TightlyCoupledSetup
 from ..spoofers import (
     Card,
     ScriptedSpoofer,
@@ -20,16 +22,14 @@ from ..spoofers import (
     shipped,
 )
 from ..spoofers.aim import TARGET, has_heading
-from .game import Game
+from .core import SpoofCore
+from .factory import make_setup, settings_of
 from .observer import Observer
-from .presets import make_setup
-from .setup import Setup
 from .spaces import action_space, observation_space
-from .spoof_env import SpoofEnv
 
 ENV_ID = "spoofgym/TightlyCoupled-v0"
 """Environment that cards are compared with."""
-SETUP = tuple(inspect.signature(make_setup).parameters)
+SETUP = tuple(inspect.signature(TightlyCoupledSetup).parameters)
 """Settings that make the world, the victim, the attack, the detector and the decisions."""
 
 
@@ -74,14 +74,14 @@ def attach(
     >>> envs.close()
     """
     made = make_spoofer(dict(spoofer) if isinstance(spoofer, Mapping) else spoofer)
-    game = game_of(env)
-    context = spoofer_context(game.setup, game.receivers, game.observer)
-    context = context._replace(action_names=game.action_names)
+    core = core_of(env)
+    context = spoofer_context(core.setup, core.receivers, core.observer)
+    context = context._replace(action_names=core.action_names)
     card = card_behind(spoofer, made)
     if card is not None:
-        found = _wrapped(env, game, card) + card.differences(context)
+        found = _wrapped(env, core, card) + card.differences(context)
         if not transfer:
-            found += _other_settings(card, game)
+            found += _other_settings(card, core)
         if found:
             hint = "" if transfer else " (`transfer=True` allows for other settings alone)"
             raise ValueError(
@@ -89,13 +89,13 @@ def attach(
             )
     made.bind(context)
     made.reset()
-    warn_of_headings([made], game.setup)
+    warn_of_headings([made], core.setup)
     return made
 
 
 def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
     """Warn of spoofers that push along a fixed heading where the target direction is drawn."""
-    commands = setup.attack.action_names(setup.world)
+    commands = setup.action_names
     if setup.target_heading_deg != "random" or not has_heading(commands):
         return
     fixed = [
@@ -116,20 +116,24 @@ def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
 def spoofer_context(
     setup: Setup, receivers: int = 1, observer: Observer | None = None
 ) -> SpooferContext:
-    """What a spoofer is told of an attack.
+    """What a spoofer knows of an attack.
 
     `observer`: what it observes; by default it does not know.
     """
     attack = setup.attack
+    if not isinstance(attack.rate_limit_mps, Real):
+        raise ValueError(
+            f"a spoofer needs one limit of the rate for all axes, got {attack.rate_limit_mps}"
+        )
     context = SpooferContext(
         receivers=receivers,
         # of its decisions: a ramp that is held for n epochs must not get to n times its rate
-        interval_s=setup.scenario.epoch_interval_s * setup.repeat,
+        interval_s=setup.interval_s * setup.repeat,
         steps=setup.steps // setup.repeat,
         control=attack.control,
         acceleration_limit_mps2=attack.acceleration_limit_mps2,
         rate_limit_mps=attack.rate_limit_mps,
-        action_names=attack.action_names(setup.world),
+        action_names=setup.action_names,
     )
     if observer is None:
         return context
@@ -140,22 +144,22 @@ def spoofer_context(
     )
 
 
-def game_of(env: Any) -> Game:
-    """Game behind an environment."""
-    game = getattr(getattr(env, "unwrapped", env), "game", None)
-    if not isinstance(game, Game):
+def core_of(env: Any) -> SpoofCore:
+    """Core behind an environment."""
+    core = getattr(getattr(env, "unwrapped", env), "core", None)
+    if not isinstance(core, SpoofCore):
         raise TypeError(
             "`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv, wrapped or not, got "
             f"{env!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
         )
-    return game
+    return core
 
 
 def setup_of_card(card: Card) -> Setup:
     """World, victim, attack, detector and timeline that a spoofer was made for."""
     if card.env_id != ENV_ID:
         raise ValueError(f"card of {card.name!r}: `env_id` must be {ENV_ID}, got {card.env_id!r}")
-    valid = inspect.signature(SpoofEnv).parameters
+    valid = settings_of(TightlyCoupledSetup)
     unknown = [name for name in card.env_kwargs if name not in valid]
     if unknown:
         raise ValueError(
@@ -163,7 +167,7 @@ def setup_of_card(card: Card) -> Setup:
             f"{', '.join(valid)}"
         )
     try:
-        return make_setup(**{k: value for k, value in card.env_kwargs.items() if k in SETUP})
+        return make_setup(TightlyCoupledSetup, card.env_kwargs)
     except (TypeError, ValueError) as error:
         raise ValueError(f"card of {card.name!r}: `env_kwargs`: {error}") from error
 
@@ -177,10 +181,10 @@ def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card 
     return card
 
 
-def _wrapped(env: Any, game: Game, card: Card) -> list[str]:
+def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:
     """Which spaces a wrapper has changed."""
     found = []
-    for word, inner in (("observation", observation_space(game)), ("action", action_space(game))):
+    for word, inner in (("observation", observation_space(core)), ("action", action_space(core))):
         if word == "observation" and card.observation is None:
             continue
         single = f"single_{word}_space"
@@ -190,17 +194,17 @@ def _wrapped(env: Any, game: Game, card: Card) -> list[str]:
     return found
 
 
-def _other_settings(card: Card, game: Game) -> list[str]:
+def _other_settings(card: Card, core: SpoofCore) -> list[str]:
     """Where the environment is another one than that of a card."""
-    return unlike(_settings(setup_of_card(card)), _settings(game.setup))
+    return unlike(_settings(setup_of_card(card)), _settings(core.setup))
 
 
 def _settings(setup: Setup) -> dict[str, Any]:
     """Everything that decides what a spoofer meets, JSON-able."""
-    return {name: _told(getattr(setup, name)) for name in SETUP}
+    return {name: _described(getattr(setup, name)) for name in SETUP}
 
 
-def _told(part: Any) -> Any:
+def _described(part: Any) -> Any:
     """A part of the setup by its settings; a class of the user, by its name."""
     if part is None or isinstance(part, str):
         return part

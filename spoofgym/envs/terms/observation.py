@@ -14,12 +14,12 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import check_choice
-from ._kernels import local_motion, own_command, time_fractions
-from .checks import check_above_zero
-from .divergence import Divergence
-from .setup import Setup
-from .snapshot import Snapshot, position_error_n
+from ..._registry import check_choice
+from ...simulators.divergence import Divergence
+from ...simulators.setup import Setup
+from .._kernels import own_command, time_fractions
+from ..checks import check_above_zero
+from .base import Snapshot
 
 FloatArray = NDArray[np.float64]
 KNOWLEDGE = ("blind", "tracking", "oracle")
@@ -86,7 +86,7 @@ class CommandTerm(DynamicTerm, Protocol):
     Compiled code then writes it, to the same bits.
     """
 
-    def factors(self, setup: Setup) -> tuple[float, float]:
+    def factors(self, setup: Setup) -> tuple[float, FloatArray]:
         """Factors on displacement and rate.
 
         Parameters
@@ -96,8 +96,10 @@ class CommandTerm(DynamicTerm, Protocol):
 
         Returns
         -------
-        per_displacement, per_rate : float
-            In 1/m and s/m.
+        per_displacement : float
+            In 1/m.
+        per_rate : ndarray
+            (a,) in s/m.
         """
 
 
@@ -120,10 +122,6 @@ class TabledTerm(ObservationTerm, Protocol):
         """
 
 
-def _short(action_names: tuple[str, ...]) -> list[str]:
-    return [name.rsplit("_", 1)[0] for name in action_names]
-
-
 @dataclass(frozen=True)
 class OwnCommand:
     """Commanded displacement and rate.
@@ -143,21 +141,23 @@ class OwnCommand:
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``own_displacement_*`` and ``own_rate_*`` for every element of the action."""
-        axes = _short(setup.attack.action_names(setup.world))
+        axes = [name.rsplit("_", 1)[0] for name in setup.action_names]
         return (*(f"own_displacement_{a}" for a in axes), *(f"own_rate_{a}" for a in axes))
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """-10 and 10."""
         return -10.0, 10.0
 
-    def factors(self, setup: Setup) -> tuple[float, float]:
-        """Factors on displacement and rate, for compiled code that writes both."""
-        return 1.0 / self.scale_m, 1.0 / setup.attack.rate_limit_mps
+    def factors(self, setup: Setup) -> tuple[float, FloatArray]:
+        """Factors on displacement, and on the rate of every axis, for kernels that write both."""
+        limits = np.broadcast_to(setup.attack.rate_limit_mps, len(setup.action_names))
+        return 1.0 / self.scale_m, 1.0 / limits
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write displacement and rate over their scales."""
-        memory = snapshot.batch.attack.memory
-        own_command(memory["displacement"], memory["rate"], *self.factors(snapshot.setup), out)
+        simulator = snapshot.simulator
+        displacement, rate = simulator.commanded_displacement, simulator.commanded_rate
+        own_command(displacement, rate, *self.factors(snapshot.setup), out)
 
 
 @dataclass(frozen=True)
@@ -179,13 +179,15 @@ class Time:
         onsets = setup.onsets
         if onsets is None:
             return None
-        table = np.empty((setup.world.epochs, 2), dtype=np.float32)
-        time_fractions(np.arange(setup.world.epochs), onsets, setup.steps, table)
+        epochs = len(setup.epoch_time)
+        table = np.empty((epochs, 2), dtype=np.float32)
+        time_fractions(np.arange(epochs), onsets, setup.steps, table)
         return table
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the two fractions."""
-        time_fractions(snapshot.batch.epochs, snapshot.batch.onset, snapshot.setup.steps, out)
+        simulator = snapshot.simulator
+        time_fractions(simulator.epochs, simulator.onset, snapshot.setup.steps, out)
 
 
 @dataclass(frozen=True)
@@ -208,9 +210,8 @@ class TargetMotion:
         check_above_zero("velocity_scale_mps", self.velocity_scale_mps)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``target_position_*`` and ``target_velocity_*``."""
-        axes = ("north", "east", "down")
-        return (*(f"target_position_{a}" for a in axes), *(f"target_velocity_{a}" for a in axes))
+        """``target_position_*`` and ``target_velocity_*``, as far as the victim has them."""
+        return tuple(f"target_{name}" for name in setup.motion_names)
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """-10 and 10."""
@@ -218,36 +219,11 @@ class TargetMotion:
 
     def table(self, setup: Setup) -> NDArray[np.float32] | None:
         """Position and velocity over their scales, where every epoch belongs to one onset."""
-        onsets = setup.onsets
-        if onsets is None:
-            return None
-        table = np.empty((setup.world.epochs, 6), dtype=np.float32)
-        self._write(setup, np.arange(setup.world.epochs), onsets, table)
-        return table
+        return setup.motion_table(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write position and velocity over their scales."""
-        self._write(snapshot.setup, snapshot.batch.epochs, snapshot.batch.onset, out)
-
-    def _write(
-        self,
-        setup: Setup,
-        epochs: NDArray[np.int64],
-        onsets: NDArray[np.int64],
-        out: NDArray[np.float32],
-    ) -> None:
-        """Write what holds at some epochs, each with its onset."""
-        world = setup.world
-        local_motion(
-            world.position_e,
-            world.velocity_e,
-            world.C_en,
-            epochs,
-            onsets,
-            1.0 / self.position_scale_m,
-            1.0 / self.velocity_scale_mps,
-            out,
-        )
+        snapshot.simulator.motion(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps, out)
 
 
 @dataclass(frozen=True)
@@ -266,46 +242,55 @@ class TargetDirection:
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write cosine and sine of the heading."""
-        for i, heading in enumerate(snapshot.batch.heading.tolist()):
+        for i, heading in enumerate(snapshot.simulator.heading.tolist()):
             out[i, 0], out[i, 1] = math.cos(heading), math.sin(heading)
 
 
 @dataclass(frozen=True)
 class SatelliteGeometry:
-    """Line of sight to every slot in local axes, and whether it is visible; 0 where it is not."""
+    """Line of sight to every slot in local axes, then whether it is visible, or spoofed."""
 
     knowledge: ClassVar[str] = "tracking"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``sight_*_SLOT`` and ``visible_SLOT``."""
-        slots = [f"slot{s:02d}" for s in range(setup.world.channels)]
-        sights = [f"sight_{a}_{s}" for s in slots for a in ("north", "east", "down")]
-        return (*sights, *(f"visible_{s}" for s in slots))
+        """``sight_*_SLOT``, and ``visible_SLOT`` or ``spoofed_SLOT``."""
+        if not setup.geometry_names:
+            raise ValueError(f"{setup.whose} has no satellites to observe")
+        return setup.geometry_names
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """-1 and 1."""
         return -1.0, 1.0
 
-    def table(self, setup: Setup) -> FloatArray:
-        """Unit vectors, then 1 or 0."""
-        world = setup.world
-        sight = world.satellites[:, :, :3] - world.position_e[:, None, :]
-        sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-        sight = np.einsum("kji,knj->kni", world.C_en, sight) * world.visible[:, :, None]
-        return np.hstack([sight.reshape(world.epochs, -1), world.visible])
+    def table(self, setup: Setup) -> FloatArray | None:
+        """Unit vectors, 0 where not visible, then 1 or 0."""
+        return setup.geometry_table()
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write what is no table."""
+        snapshot.simulator.geometry(out)
 
 
 @dataclass(frozen=True)
 class StatisticRatio:
-    """The detector's statistic over its threshold: 1 is an alarm."""
+    """The detector's statistic over its threshold: 1 is an alarm.
 
+    Parameters
+    ----------
+    largest : bool
+        Whether only the largest of all channels is observed.
+    """
+
+    largest: bool = False
     knowledge: ClassVar[str] = "oracle"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``statistic_ratio_SLOT``, or ``statistic_ratio`` for a test of the whole receiver."""
-        if setup.detector.scope == "receiver":
+        """``statistic_ratio_SLOT``, or ``statistic_ratio`` for one of the whole receiver."""
+        if self.largest or setup.detector.scope == "receiver":
             return ("statistic_ratio",)
-        return tuple(f"statistic_ratio_slot{s:02d}" for s in range(setup.world.channels))
+        if not setup.weight_names:
+            raise ValueError(f"{setup.whose} has no channels: observe the `largest` ratio")
+        return tuple(f"statistic_ratio_{name}" for name in setup.weight_names)
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """0 and 10."""
@@ -313,22 +298,24 @@ class StatisticRatio:
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the ratios of the last verdict; 0 before the first."""
-        verdict = snapshot.batch.verdict
+        verdict = snapshot.simulator.verdict
         if verdict is None:
             out[:] = 0.0
+        elif self.largest:
+            out[:, 0] = snapshot.simulator.ratio()
         else:
             np.divide(verdict.statistic, verdict.threshold, out=out, casting="unsafe")
 
 
 @dataclass(frozen=True)
 class GainWeight:
-    """The detector's weight on the pseudorange of every slot; 1 where it only watches."""
+    """The detector's weight on every pseudorange, or on the position; 1 from a monitor."""
 
     knowledge: ClassVar[str] = "oracle"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``weight_SLOT``."""
-        return tuple(f"weight_slot{s:02d}" for s in range(setup.world.channels))
+        """``weight_SLOT`` or ``weight_AXIS``."""
+        return tuple(f"weight_{name}" for name in setup.weight_names)
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """0 and 1."""
@@ -336,7 +323,7 @@ class GainWeight:
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the weights of the last update."""
-        out[:] = snapshot.batch.weights[:, : out.shape[1]]
+        out[:] = snapshot.simulator.observed_weights()
 
 
 @dataclass(frozen=True)
@@ -357,8 +344,8 @@ class EstimateError:
         check_above_zero("scale_m", self.scale_m)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``estimate_error_north``, ``_east`` and ``_down``."""
-        return ("estimate_error_north", "estimate_error_east", "estimate_error_down")
+        """``error_north``, ``error_east``, and ``error_down`` of some victims."""
+        return tuple(f"error_{name}" for name in setup.error_names)
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """-10 and 10."""
@@ -366,7 +353,7 @@ class EstimateError:
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write estimate minus truth."""
-        out[:] = position_error_n(snapshot.setup, snapshot.batch) * (1.0 / self.scale_m)
+        out[:] = snapshot.simulator.error_n() * (1.0 / self.scale_m)
 
 
 @dataclass(frozen=True)
@@ -397,7 +384,7 @@ class DivergenceSpent:
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the part of the budget that is spent."""
-        spent = snapshot.batch.witness(Divergence).memory["divergence"]
+        spent = snapshot.simulator.monitor(Divergence).memory["divergence"]
         out[:, 0] = spent / self.budget_nats
 
 
@@ -414,36 +401,23 @@ OBSERVATION_TERMS: dict[str, type[ObservationTerm]] = {
 }
 """Terms by name; one's own may be added."""
 
-ALL_TERMS: tuple[ObservationTerm, ...] = (
-    OwnCommand(),
-    Time(),
-    TargetMotion(),
-    SatelliteGeometry(),
-    StatisticRatio(),
-    GainWeight(),
-    EstimateError(),
-)
-"""Terms of the levels of knowledge with their default scales, from the least to the most."""
 
+def default_terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
+    """Terms that a level of knowledge allows, with the scales of the victim.
 
-def terms_of(knowledge: str) -> tuple[ObservationTerm, ...]:
-    """Terms that a level of knowledge allows.
-
-    Parameters
-    ----------
-    knowledge : {"blind", "tracking", "oracle"}
-        The level.
-
-    Returns
-    -------
-    tuple
-        Terms.
-
-    Raises
-    ------
-    ValueError
-        When the level is unknown.
+    The target direction is among them where it differs from episode to episode.
     """
     check_choice("knowledge", knowledge, KNOWLEDGE)
+    scales = setup.scales
+    terms: list[ObservationTerm] = [
+        OwnCommand(scales["displacement_m"]),
+        Time(),
+        TargetMotion(scales["position_m"], scales.get("velocity_mps", 1.0)),
+        *([SatelliteGeometry()] if setup.geometry_names else []),
+        StatisticRatio(setup.ratio_is_largest),
+        GainWeight(),
+        EstimateError(scales["error_m"]),
+        *([TargetDirection()] if setup.target_heading_deg == "random" else []),
+    ]
     level = KNOWLEDGE.index(knowledge)
-    return tuple(term for term in ALL_TERMS if KNOWLEDGE.index(term.knowledge) <= level)
+    return tuple(term for term in terms if KNOWLEDGE.index(term.knowledge) <= level)

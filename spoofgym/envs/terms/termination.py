@@ -15,16 +15,16 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import check_above_zero
-from .divergence import Divergence
-from .snapshot import Snapshot
+from ...simulators.divergence import Divergence
+from ..checks import check_above_zero
+from .base import Snapshot
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-class Standing(NamedTuple):
-    """How the episodes stand after the epoch of a command.
+class EpochState(NamedTuple):
+    """The episodes after the epoch of a command.
 
     Attributes
     ----------
@@ -52,13 +52,13 @@ class EndTerm(Protocol):
     name: ClassVar[str]
     truncates: ClassVar[bool]
 
-    def __call__(self, standing: Standing) -> Mask:
+    def __call__(self, state: EpochState) -> Mask:
         """Which episodes it ends.
 
         Parameters
         ----------
-        standing : Standing
-            How they stand.
+        state : EpochState
+            After the epoch.
 
         Returns
         -------
@@ -74,12 +74,12 @@ class AtAlarm:
     name: ClassVar[str] = "alarm"
     truncates: ClassVar[bool] = False
 
-    def __call__(self, standing: Standing) -> Mask:
+    def __call__(self, state: EpochState) -> Mask:
         """Whether any channel alarms."""
-        batch = standing.snapshot.batch
-        if batch.verdict is None:
-            return np.zeros(batch.receivers, dtype=np.bool_)
-        alarm: Mask = np.logical_or.reduce(batch.verdict.alarm, axis=1)
+        simulator = state.snapshot.simulator
+        if simulator.verdict is None:
+            return np.zeros(simulator.receivers, dtype=np.bool_)
+        alarm: Mask = np.logical_or.reduce(simulator.verdict.alarm, axis=1)
         return alarm
 
 
@@ -90,9 +90,9 @@ class AtWindowEnd:
     name: ClassVar[str] = "window"
     truncates: ClassVar[bool] = False
 
-    def __call__(self, standing: Standing) -> Mask:
+    def __call__(self, state: EpochState) -> Mask:
         """Whether this was the last command."""
-        last: Mask = standing.snapshot.step >= standing.snapshot.setup.steps
+        last: Mask = state.snapshot.step >= state.snapshot.setup.steps
         return last
 
 
@@ -114,9 +114,9 @@ class AtDisplacement:
         """Check the limit."""
         check_above_zero("limit_m", self.limit_m)
 
-    def __call__(self, standing: Standing) -> Mask:
+    def __call__(self, state: EpochState) -> Mask:
         """Whether the victim is as far off."""
-        return standing.displacement >= self.limit_m
+        return state.displacement >= self.limit_m
 
 
 @dataclass(frozen=True)
@@ -138,9 +138,9 @@ class AtStealthBudget:
         """Check the budget."""
         check_above_zero("budget_nats", self.budget_nats)
 
-    def __call__(self, standing: Standing) -> Mask:
+    def __call__(self, state: EpochState) -> Mask:
         """Whether more is spent."""
-        spent = standing.snapshot.batch.witness(Divergence).memory["divergence"]
+        spent = state.snapshot.simulator.monitor(Divergence).memory["divergence"]
         return spent > self.budget_nats
 
 
@@ -164,9 +164,9 @@ class AtSteps:
         if not whole or self.steps < 1:
             raise ValueError(f"`steps` must be a whole number, at least 1, got {self.steps!r}")
 
-    def __call__(self, standing: Standing) -> Mask:
+    def __call__(self, state: EpochState) -> Mask:
         """Whether there were as many."""
-        snapshot = standing.snapshot
+        snapshot = state.snapshot
         over: Mask = snapshot.step >= self.steps * snapshot.setup.repeat
         return over
 
@@ -204,6 +204,7 @@ class Ends:
         if len(set(names)) < len(names):
             raise ValueError(f"two end terms have the same name, got {', '.join(names)}")
         self.at_alarm = any(isinstance(term, AtAlarm) for term in terms)
+        self.terms = tuple(terms)
         self._terms = [term for term in terms if not isinstance(term, AtAlarm | AtWindowEnd)]
         self.info_names = tuple(f"end_{term.name}" for term in self._terms)
 
@@ -211,10 +212,10 @@ class Ends:
         """Whether there is anything to judge."""
         return bool(self._terms)
 
-    def judge(self, standing: Standing, info: dict[str, NDArray[Any]]) -> tuple[Mask, Mask]:
+    def judge(self, state: EpochState, info: dict[str, NDArray[Any]]) -> tuple[Mask, Mask]:
         """Judge the episodes.  Returns `terminated`, `truncated` (B,) bool, new arrays."""
-        result = np.zeros((2, len(standing.displacement)), dtype=np.bool_)
+        result = np.zeros((2, len(state.displacement)), dtype=np.bool_)
         for key, term in zip(self.info_names, self._terms, strict=True):
-            info[key] = term(standing)
+            info[key] = term(state)
             result[int(term.truncates)] |= info[key]
         return result[0], result[1]

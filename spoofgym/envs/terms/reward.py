@@ -10,8 +10,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import check_finite
-from .compiled import told_beside_call
+from ..checks import check_finite
+from .base import holds_for_call
 
 FloatArray = NDArray[np.float64]
 
@@ -282,7 +282,7 @@ def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
     """
     shares = np.zeros((len(terms), len(SHARED)))
     for row, term in zip(shares, terms, strict=True):
-        if not told_beside_call(term, "share"):
+        if not holds_for_call(term, "share"):
             return None
         field, factor = cast("SharedTerm", term).share
         row[SHARED.index(field)] = factor

@@ -9,12 +9,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
-from .._describe import describe
-from .._registry import build, check_choice
-from .actions import ACTION_TERMS, ActionTerm
-from .ends import END_TERMS, EndTerm
-from .observations import OBSERVATION_TERMS, ObservationTerm
-from .rewards import REWARD_TERMS, RewardTerm
+from ..._describe import describe
+from ..._registry import build, check_choice
+from .action import ACTION_TERMS, ActionTerm
+from .observation import OBSERVATION_TERMS, ObservationTerm
+from .reward import REWARD_TERMS, RewardTerm
+from .termination import END_TERMS, EndTerm
 
 TERMS: dict[str, dict[str, type[Any]]] = {
     "observation": OBSERVATION_TERMS,

@@ -1,0 +1,104 @@
+"""From an environment's settings to its core, and another detector or more terms before a reset."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from .._registry import check_keywords
+from ..detectors import Detector, make_detector
+from ..simulators.setup import Setup
+from .core import SpoofCore, WatchSpec, make_watch
+from .terms.registry import EndSpec, make_terms
+from .terms.termination import AtAlarm
+
+_OWN = ("self", "receivers", "setup", "threads", "prefetch")
+CORE = {
+    name: parameter.replace(kind=parameter.KEYWORD_ONLY)
+    for name, parameter in inspect.signature(SpoofCore.__init__).parameters.items()
+    if name not in _OWN
+}
+"""Settings of an environment that are no settings of its victim."""
+
+
+def settings_of(setup_type: type[Setup]) -> dict[str, inspect.Parameter]:
+    """All settings of an environment of this victim, with their defaults."""
+    own = inspect.signature(setup_type).parameters
+    return {**own, **CORE}
+
+
+def signature_of(setup_type: type[Setup], own: inspect.Signature) -> inspect.Signature:
+    """Arguments `own` of an environment's class, with all settings in place of ``**settings``."""
+    kept = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD and p.name != "self"]
+    return own.replace(parameters=[*kept, *settings_of(setup_type).values()])
+
+
+def make_setup(setup_type: type[Setup], settings: Mapping[str, Any]) -> Setup:
+    """Setup from those settings that are the victim's; None stands for its default."""
+    own = inspect.signature(setup_type).parameters
+    chosen = {name: settings[name] for name in own if settings.get(name) is not None}
+    return setup_type(**chosen)
+
+
+def make_core(
+    setup_type: type[Setup],
+    receivers: int,
+    settings: Mapping[str, Any],
+    *,
+    threads: int | None = None,
+    prefetch: bool = False,
+    whose: str = "the environment",
+) -> SpoofCore:
+    """Core from settings that fit into JSON; an unknown one is a TypeError with the valid ones."""
+    check_keywords(whose, settings, settings_of(setup_type))
+    setup = make_setup(setup_type, settings)
+    chosen = {name: settings[name] for name in CORE if settings.get(name) is not None}
+    return SpoofCore(receivers, setup, threads=threads, prefetch=prefetch, **chosen)
+
+
+def compose(
+    env: Any,
+    *,
+    detector: str | Mapping[str, Any] | Detector | None = None,
+    watch: WatchSpec = (),
+    end: EndSpec = (),
+) -> None:
+    """Set the detector, add passive detectors and end terms, of an environment not reset yet."""
+    inner = composable(env)
+    if inner.begun:
+        raise RuntimeError("an episode has started: compose the environment before reset()")
+    changes: dict[str, Any] = {}
+    before: SpoofCore = inner.core
+    setup = before.setup
+    if detector is not None:
+        if inner.given_detector is not None:
+            raise ValueError(
+                f"two detectors are set at once: {inner.given_detector!r} and {detector!r}; "
+                "one alone can be in the loop, others are passive"
+            )
+        setup = setup.altered(detector=make_detector(detector))
+    if watch:
+        changes["watch"] = (*before.settings["watch"], *make_watch(watch))
+    if end:
+        present = before.settings["end"]
+        if present is None:
+            present = (AtAlarm(),) if before.end_at_alarm else ()
+        changes["end"] = (*present, *make_terms("end", end))
+    core = before.altered(setup, **changes)
+    core.listeners = before.listeners
+    inner.adopt(core)
+    before.close()
+    if detector is not None:
+        inner.given_detector = detector
+
+
+def composable(env: Any) -> Any:
+    """Environment of the spoofer's side inside all wrappers; a TypeError where there is none."""
+    inner = getattr(env, "unwrapped", env)
+    if not isinstance(getattr(inner, "core", None), SpoofCore):
+        raise TypeError(
+            "this wrapper needs an environment of spoofgym, single or vector, wrapped or not, got "
+            f"{inner!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
+        )
+    return inner

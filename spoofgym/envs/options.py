@@ -1,0 +1,162 @@
+"""What the caller of an environment asks for: seeds, options of a reset, choice of infos."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from .._registry import check_choice, whole_number
+
+Array = NDArray[Any]
+RESET_MASK = "reset_mask"
+InfoSpec = str | Sequence[str]
+WORDS = ("all", "none")
+AUTORESET_MODES = {
+    "next_step": AutoresetMode.NEXT_STEP,
+    "same_step": AutoresetMode.SAME_STEP,
+    "disabled": AutoresetMode.DISABLED,
+}
+HALFWAY = (
+    "an interrupt or error has left the last step or reset halfway: call reset() before step()"
+)
+
+
+@contextmanager
+def whole_reset(env: Any) -> Iterator[None]:
+    """Take an environment as halfway until its reset has ended; as before, if it is refused."""
+    before, env._halfway = env._halfway, True
+    try:
+        yield
+    except Exception:
+        env._halfway = before
+        raise
+    env._halfway = False
+
+
+def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -> None:
+    """Warn of options that nothing is done with."""
+    if options is not None and not isinstance(options, Mapping):
+        raise TypeError(f"`options` of a reset must be a dict, got {options!r}")
+    for name in options or ():
+        if name not in valid:
+            warnings.warn(
+                f"reset has no option {name!r}; valid: {', '.join(valid) or 'none'}",
+                UserWarning,
+                stacklevel=3,
+            )
+
+
+def mask_of(options: Mapping[str, Any] | None, receivers: int) -> NDArray[np.bool_] | None:
+    """Which receivers are to be reset: (B,) bool, a copy; None for all of them."""
+    if options is None or RESET_MASK not in options:
+        return None
+    mask = options[RESET_MASK]
+    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+        said = f"dtype {mask.dtype}" if isinstance(mask, np.ndarray) else repr(mask)
+        raise TypeError(f"`options['{RESET_MASK}']` must be an array of dtype bool, got {said}")
+    if mask.shape != (receivers,):
+        raise ValueError(
+            f"`options['{RESET_MASK}']` must have shape ({receivers},), got {mask.shape}"
+        )
+    if not mask.any():
+        raise ValueError(f"`options['{RESET_MASK}']` must be True for at least one receiver")
+    return mask.copy()
+
+
+def seeds_of(seed: Any, receivers: int) -> list[int | None]:
+    """Seed of every receiver.  Returns None where the stream of the receiver goes on."""
+    if seed is None:
+        return [None] * receivers
+    if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
+        first = whole_number("a seed", seed)
+        return [first + i for i in range(receivers)]
+    seeds = [checked_seed(each) for each in seed]
+    if len(seeds) != receivers:
+        raise ValueError(f"`seed` must have {receivers} elements, got {len(seeds)}")
+    return seeds
+
+
+def checked_seed(seed: Any) -> int | None:
+    """A seed as Python's own int, or None; raises where it is neither."""
+    return None if seed is None else whole_number("a seed", seed)
+
+
+def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:
+    """Circumstances of some receivers, of those given for all."""
+    chosen = {}
+    for name, value in given.items():
+        if isinstance(value, str) or np.ndim(value) == 0:
+            chosen[name] = value
+            continue
+        values = list(value)
+        if len(values) != count:
+            raise ValueError(f"`{name}` must be one value or {count} of them, got {len(values)}")
+        chosen[name] = [values[row] for row in rows]
+    return chosen
+
+
+def domain_option(options: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """Circumstances that a reset is given instead of drawing them, ``options["domain"]``."""
+    given = (options or {}).get("domain")
+    if given is not None and not isinstance(given, Mapping):
+        raise TypeError(f"the option `domain` of a reset must be a dict, got {given!r}")
+    return given
+
+
+def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
+    """Autoreset mode by name."""
+    if isinstance(given, str):
+        word = given.lower().removeprefix("autoresetmode.")
+        check_choice("autoreset mode", word, AUTORESET_MODES)
+        return AUTORESET_MODES[word]
+    if given not in AUTORESET_MODES.values():
+        raise ValueError(
+            f"`autoreset_mode` must be one of {', '.join(AUTORESET_MODES)}, got {given}"
+        )
+    return given
+
+
+def check_vector_settings(num_envs: int, render_mode: object) -> None:
+    """Raise unless there are receivers, and nothing is to be rendered."""
+    if not isinstance(num_envs, int | np.integer) or isinstance(num_envs, bool):
+        raise ValueError(f"`num_envs` must be a whole number, got {num_envs!r}")
+    if num_envs < 1:
+        raise ValueError(f"`num_envs` must be at least 1, got {num_envs}")
+    if render_mode is not None:
+        raise ValueError(
+            "`render_mode` must be None, there is nothing to render in a vector environment: the "
+            f"single one seeded with seed + i shows receiver i; got {render_mode!r}"
+        )
+
+
+def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
+    """Keys that are asked for."""
+    if isinstance(spec, str):
+        check_choice("choice of infos", spec, WORDS)
+        return None if spec == "all" else frozenset()
+    keys = tuple(spec)
+    for key in keys:
+        check_choice("info", key, valid)
+    return frozenset(keys)
+
+
+def chosen(info: Mapping[str, Array], keys: frozenset[str] | None) -> Mapping[str, Array]:
+    """Information that is asked for."""
+    if keys is None:
+        return info
+    return {name: array for name, array in info.items() if name in keys}
+
+
+def masked(info: Mapping[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Arrays with the masks of the receivers that have them.  `info` (B,) arrays."""
+    masks = np.empty((len(info), len(mask)), dtype=np.bool_)  # a row each, so that none is shared
+    masks[:] = mask
+    result: dict[str, Any] = dict(info)
+    result.update(zip(["_" + name for name in info], masks, strict=True))
+    return result

@@ -1,0 +1,153 @@
+"""Results of classes that are not ours follow their sources."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from spoofgym._describe import outside_sources
+from spoofgym.bench import ResultsFolder
+from spoofgym.bench.suite import Suite
+from spoofgym.detectors import Ewma
+from spoofgym.duel.policy import DetectorPolicy
+
+from .support import small_suite, write_policy
+
+MODULES = ("mine_a34", "helper_a34")
+DETECTOR = """
+from dataclasses import dataclass
+import numpy as np
+from helper_a34 import SCALE
+import helper_a34
+from spoofgym.attacks import make_attack
+from spoofgym.detectors import Ewma
+from spoofgym.duel.policy import DetectorPolicy
+from spoofgym.spoofers import Ramp
+
+@dataclass
+class Mine(Ewma):
+    def judge(self, epoch):
+        return super().judge(epoch)
+
+@dataclass
+class Pusher(Ramp):
+    pass
+
+@dataclass
+class Calm(DetectorPolicy):
+    def decide(self, observation):
+        return np.zeros((len(observation), 1))
+
+@dataclass(kw_only=True)
+class Grab(type(make_attack("false-position"))):
+    pass
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    write(tmp_path)
+    yield tmp_path
+    forget()
+
+
+def write(folder: Path, detector: str = DETECTOR, helper: str = "SCALE = 1.0\n") -> None:
+    for name, text in zip(MODULES, (detector, helper), strict=True):
+        (folder / f"{name}.py").write_text(text)
+    forget()
+
+
+def forget() -> None:
+    """As a new process begins."""
+    for name in MODULES:
+        sys.modules.pop(name, None)
+    importlib.invalidate_caches()
+
+
+def suites() -> dict[str, Suite]:
+    module: Any = importlib.import_module("mine_a34")
+    return {
+        "detector": small_suite(detectors=("ewma", "mine_a34:Mine")),
+        "detector, an object": small_suite(detectors=(module.Mine(),)),
+        "spoofer": small_suite(spoofers=({"name": "mine_a34:Pusher", "rate_mps": "tuned"},)),
+        "attack": small_suite(attack=module.Grab()),
+    }
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [{"detector": DETECTOR + "\n# another\n"}, {"helper": "SCALE = 2.0\n"}],
+    ids=["its file", "what it imports"],
+)
+def test_an_edited_class_is_another_campaign(folder: Path, edit: dict[str, str]) -> None:
+    for name, suite in suites().items():
+        ResultsFolder(folder / name).open(suite)
+    forget()
+    for name, suite in suites().items():
+        ResultsFolder(folder / name).open(suite)
+    write(folder, **edit)
+    for name, suite in suites().items():
+        with pytest.raises(ValueError, match=r"different: outside\.(mine|helper)_a34\)"):
+            ResultsFolder(folder / name).open(suite)
+
+
+def test_only_what_is_the_users_counts(folder: Path) -> None:
+    assert small_suite().config["outside"] == {}
+    for suite in suites().values():
+        assert set(suite.config["outside"]) == set(MODULES)
+
+
+def test_a_policy_and_its_card_count(tmp_path: Path) -> None:
+    path = tmp_path / "push.onnx"
+    write_policy(path, small_suite(), "blind", (0.0, 0.1))
+
+    def outside() -> Any:
+        return small_suite(spoofers=(str(path),)).config["outside"]
+
+    before = outside()
+    assert set(before) == {str(path), str(path.with_suffix(".json"))}
+    card = path.with_suffix(".json")
+    card.write_text(card.read_text().replace("ewma, by hand", "ewma, by foot"))
+    after = outside()
+    assert [name for name in after if after[name] != before[name]] == [str(card)]
+
+
+def test_a_class_without_a_source_is_never_taken_up_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed = type("Typed", (Ewma,), {"__module__": "__main__"})
+    monkeypatch.setattr(sys.modules["__main__"], "Typed", typed, raising=False)
+    suite = small_suite(detectors=(typed(),))
+    with pytest.warns(UserWarning, match="source of __main__:Typed can't be read: its results are"):
+        ResultsFolder(tmp_path).open(suite)
+    assert "never taken up again" in suite.config["notes"][-1]
+    ResultsFolder(tmp_path).open(suite)
+    again = small_suite(detectors=(typed(),))
+    with (
+        pytest.warns(UserWarning, match="can't be read"),
+        pytest.raises(ValueError, match=r"different: outside\.__main__:Typed"),
+    ):
+        ResultsFolder(tmp_path).open(again)
+
+
+def test_a_calibration_is_not_that_of_an_edited_policy(folder: Path) -> None:
+    def digest() -> Any:
+        return importlib.import_module("mine_a34").Calm().digest()
+
+    before = digest()
+    forget()
+    assert digest() == before
+    write(folder, DETECTOR.replace("np.zeros", "np.ones"))
+    assert digest() != before
+    members = {"decide": print, "__module__": "__main__"}
+    typed: Any = dataclass(type("Typed", (DetectorPolicy,), members))
+    assert None in outside_sources(typed()).values()
+    assert typed().digest() is None

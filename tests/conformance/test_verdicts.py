@@ -1,0 +1,296 @@
+"""What a detector says is checked in every simulation, and an epoch leads to no filter's memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import spoofgym  # noqa: F401  (registers the ids)
+from spoofgym import duel_v0
+from spoofgym.bench.episode import play_episode
+from spoofgym.bench.run import WarmStart, play
+from spoofgym.bench.suite import Suite
+from spoofgym.detectors import Detector, Verdict
+from spoofgym.envs import SpoofVectorEnv
+from spoofgym.envs.engine import Engine
+from spoofgym.envs.setup import Timeline
+
+B = 3
+PLANTS = {
+    "spoofgym/LooselyCoupled-v0": 0.1,
+    "spoofgym/Snapshot-v0": 1.0,
+    "spoofgym/WheeledRobot-v0": 1.0,
+}
+"""Ids, and the interval of their epochs [s]."""
+EPOCHS = {"warmup_s": 4, "live_s": 4, "attack_s": 6, "time_to_alert_s": 2}
+QUIET = 6
+"""Verdicts before the first wrong one, which comes at the second step."""
+
+
+def timeline(interval_s: float) -> dict[str, float]:
+    return {name: count * interval_s for name, count in EPOCHS.items()}
+
+
+def part(name: str, change: Callable[[np.ndarray], Any]) -> Callable[[Verdict], Any]:
+    return lambda verdict: verdict._replace(**{name: change(getattr(verdict, name))})
+
+
+def last(value: float) -> Callable[[np.ndarray], np.ndarray]:
+    """The last receiver's last column is another value."""
+
+    def change(array: np.ndarray) -> np.ndarray:
+        array[-1, -1] = value
+        return array
+
+    return change
+
+
+def more_rows(verdict: Verdict) -> Verdict:
+    return Verdict(*(np.vstack([array, array]) for array in verdict))
+
+
+FAULTS: dict[str, tuple[Callable[[Verdict], Any], type[Exception], str]] = {
+    "narrow weights": (part("weights", lambda w: w[:, :1].copy()), ValueError, "`weights` must ha"),
+    "flat weights": (part("weights", np.ravel), ValueError, "`weights` must have shape"),
+    "weights above 1": (part("weights", last(2.0)), ValueError, "lie within 0 and 1, got 2.0 for"),
+    "weights below 0": (part("weights", last(-0.1)), ValueError, "lie within 0 and 1, got -0.1"),
+    "NaN weights": (part("weights", last(np.nan)), ValueError, "lie within 0 and 1, got nan for"),
+    "single weights": (part("weights", np.float32), TypeError, "`weights` must be of type float64"),
+    "listed weights": (part("weights", np.ndarray.tolist), TypeError, "must be an array, got list"),
+    "weights by columns": (
+        part("weights", lambda w: np.ascontiguousarray(np.hstack([w, w]))[:, ::2]),
+        ValueError,
+        "`weights` must be a C-contiguous array",
+    ),
+    "NaN statistic": (part("statistic", last(np.nan)), ValueError, "be finite, got nan for"),
+    "infinite threshold": (part("threshold", last(np.inf)), ValueError, "be finite, got inf for"),
+    "float alarm": (part("alarm", np.float64), TypeError, "`alarm` must be of type bool, got flo"),
+    "wide alarm": (
+        part("alarm", lambda a: np.hstack([a, a])),
+        ValueError,
+        "`alarm` must have shap",
+    ),
+    "other receivers": (more_rows, ValueError, "`statistic` must have shape"),
+    "tuple": (tuple, TypeError, "must return a `Verdict`, got tuple"),
+}
+
+
+@dataclass
+class Wrong(Detector):
+    """Right verdicts, then wrong ones."""
+
+    fault: str = ""
+    quiet: int = QUIET
+
+    paper: ClassVar[str] = "barshalom2001"
+    watches: ClassVar[str] = "any"
+
+    def bind(self, context: Any) -> None:
+        super().bind(context)
+        self.memory.declare("judged", np.zeros(context.receivers))
+
+    def judge(self, epoch: Any) -> Any:
+        self.memory["judged"] = self.memory["judged"] + 1.0
+        one = np.ones((len(epoch.time), 1))
+        verdict = Verdict(0.0 * one, one, one < 0.0, np.ones_like(epoch.innovation))
+        wrong = self.fault and self.memory["judged"].min() > self.quiet
+        return FAULTS[self.fault][0](verdict) if wrong else verdict
+
+
+def single(detector: Detector) -> Iterator[None]:
+    env = gym.make("spoofgym/TightlyCoupled-v0", detector=detector, timeline=timeline(0.5))
+    yield from stepped(env)
+
+
+def watching(detector: Detector) -> Iterator[None]:
+    env = gym.make("spoofgym/TightlyCoupled-v0", watch=[detector], timeline=timeline(0.5))
+    yield from stepped(env)
+
+
+def stepped(env: Any) -> Iterator[None]:
+    env.reset(seed=1)
+    yield
+    for _ in range(EPOCHS["attack_s"] - 1):
+        env.step(np.zeros(env.action_space.shape))
+
+
+def several(detector: Detector) -> Iterator[None]:
+    yield from stepped(SpoofVectorEnv(B, detector=detector, timeline=timeline(0.5)))
+
+
+def pool(detector: Detector) -> Iterator[None]:
+    members = {"name": "pool", "members": [detector, Wrong()], "weights": [1.0, 0.0]}
+    yield from stepped(SpoofVectorEnv(B, detector=members, timeline=timeline(0.5)))
+
+
+def twin(detector: Detector) -> Iterator[None]:
+    settings = {"detector": detector, "timeline": timeline(0.5), "twin": True}
+    yield from stepped(SpoofVectorEnv(B, **settings))
+
+
+def view(detector: Detector) -> Iterator[None]:
+    yield from stepped(duel_v0.SpooferView(pool=[detector], timeline=timeline(0.5)))
+
+
+def plant(name: str) -> Callable[[Detector], Iterator[None]]:
+    def run(detector: Detector) -> Iterator[None]:
+        settings = {"detector": detector, "timeline": timeline(PLANTS[name])}
+        yield from stepped(
+            gym.make_vec(name, B, vectorization_mode="vector_entry_point", **settings)
+        )
+
+    return run
+
+
+def plant_watching(detector: Detector) -> Iterator[None]:
+    name = "spoofgym/WheeledRobot-v0"
+    yield from stepped(gym.make(name, watch=[detector], timeline=timeline(PLANTS[name])))
+
+
+def small_suite(detector: Detector) -> Suite:
+    return Suite(
+        timeline=Timeline(**timeline(0.5)), runs=B, detectors=(detector,), spoofers=("step",)
+    )
+
+
+def bench(detector: Detector) -> Iterator[None]:
+    suite = small_suite(detector)
+    setup = suite.setup(suite.detector_entries[0])
+    start = WarmStart(setup, suite.generators("evaluation", B), threads=1)
+    yield
+    play(start, "step")
+
+
+def episode(detector: Detector) -> Iterator[None]:
+    suite = small_suite(detector)
+    yield
+    play_episode(suite, suite.detector_entries[0], suite.spoofer_entries[0])
+
+
+SIMULATIONS: dict[str, tuple[int, Callable[[Detector], Iterator[None]]]] = {
+    "single": (1, single),
+    "watching": (1, watching),
+    "several": (B, several),
+    "pool": (B, pool),
+    "twin": (B, twin),
+    "view": (1, view),
+    **{name: (B, plant(name)) for name in PLANTS},
+    "plant watching": (1, plant_watching),
+    "bench": (B, bench),
+    "episode": (2, episode),
+}
+"""Receivers of each, and a run that stops once at the onset."""
+
+
+@pytest.mark.parametrize("name", SIMULATIONS)
+def test_a_right_detector_runs(name: str) -> None:
+    assert len(list(SIMULATIONS[name][1](Wrong()))) == 1
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("name", SIMULATIONS)
+def test_a_wrong_verdict_is_refused(name: str, fault: str) -> None:
+    receivers, simulate = SIMULATIONS[name]
+    _, error, words = FAULTS[fault]
+    run = simulate(Wrong(fault))
+    next(run)
+    with pytest.raises(error, match=rf"^Wrong, epoch at [\d.]+ s: .*{words}") as refused:
+        list(run)
+    if " for" in words:
+        assert f"for receiver {receivers - 1} of {receivers}, column" in str(refused.value)
+
+
+def test_a_wrong_verdict_of_the_warm_up_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"^Wrong, epoch at .* got 2\.0 for receiver 2 of 3"):
+        next(several(Wrong("weights above 1", quiet=1)))
+
+
+def test_a_duel_takes_no_decision_that_is_no_number() -> None:
+    view = duel_v0.DetectorView(pool=["none"], timeline=timeline(0.5), threshold=0.5)
+    view.reset(seed=1)
+    action = np.full((1, *view.action_space.shape), np.nan)
+    # past the environment, which refuses such an action by itself
+    with pytest.raises(ValueError, match=r"^DetectorAgent, epoch at .* `statistic` .* got nan for"):
+        view.game.duel.decide(action)
+
+
+def test_a_frozen_policy_is_checked_as_any_detector() -> None:
+    class NoNumber(duel_v0.DetectorPolicy):
+        """Does without the check of decisions that the policies of this package make."""
+
+        def decide(self, observation: np.ndarray) -> np.ndarray:
+            return np.full((len(observation), len(self.context.action_names)), np.nan)
+
+    detector = duel_v0.PolicyDetector(policy=NoNumber(), threshold=0.2)
+    with pytest.raises(ValueError, match=r"^PolicyDetector, epoch at .* `statistic` .* got nan"):
+        list(several(detector))
+
+
+def test_the_weights_of_an_update_are_checked_whoever_gives_them() -> None:
+    setup = small_suite(Wrong()).setup(small_suite(Wrong()).detector_entries[0])
+    engine = Engine(B, setup, threads=1)
+    engine.reset([np.random.default_rng(row) for row in range(B)])
+    engine.predict(None)
+    verdict = engine.judge()
+    for fault in ("narrow weights", "NaN weights", "weights by columns"):
+        change, error, words = FAULTS[fault]
+        with pytest.raises(error, match=f"^an update, epoch at .*{words}"):
+            engine.update(change(verdict._replace(weights=verdict.weights.copy())))
+    engine.update(verdict)
+
+
+WAYS: tuple[Callable[[Any], np.ndarray], ...] = (
+    lambda owner: owner,
+    lambda owner: owner.view(),
+    lambda owner: owner.reshape(-1),
+    np.asarray,
+    lambda owner: np.ndarray(1, np.uint8, owner),
+    lambda owner: np.frombuffer(owner, np.uint8),
+    lambda owner: np.asarray(memoryview(owner)),
+    lambda owner: np.lib.stride_tricks.as_strided(owner, writeable=True),
+)
+
+
+def ways_in(array: np.ndarray) -> Iterator[np.ndarray]:
+    """Writable arrays over the memory of an array, as attributes and views lead there."""
+    owner: Any = array
+    while owner is not None:
+        for attempt in WAYS:
+            try:
+                reached = attempt(owner)
+                reached.flags.writeable = True
+            except (TypeError, ValueError, AttributeError):
+                continue
+            if np.may_share_memory(reached, array):
+                yield reached
+        owner = getattr(owner, "base", getattr(owner, "obj", None))
+
+
+@dataclass
+class Burglar(Wrong):
+    """Writes wherever an epoch lets it."""
+
+    found: ClassVar[list[str]] = []
+    looked: ClassVar[int] = 0
+
+    def judge(self, epoch: Any) -> Verdict:
+        for name, array in epoch._asdict().items():
+            if array is not None and array.size:
+                type(self).looked += 1
+                self.found.extend(name for _ in ways_in(array))
+        return super().judge(epoch)
+
+
+@pytest.mark.parametrize("name", SIMULATIONS)
+def test_no_epoch_leads_to_memory_that_may_be_written(name: str) -> None:
+    # ctypes, forged addresses, `gc` and imports of this package's private names are not looked at
+    Burglar.found.clear()
+    before = Burglar.looked
+    list(SIMULATIONS[name][1](Burglar()))
+    assert Burglar.looked > before
+    assert not Burglar.found

@@ -1,0 +1,170 @@
+"""After an interrupt within a step or a reset nobody steps on, until a reset has made all whole."""
+
+from __future__ import annotations
+
+import threading
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from spoofgym import duel_v0
+from spoofgym.envs.engine import Batch
+from spoofgym.envs.prefetch import NextEpisodes
+from spoofgym.envs.presets import make_game, make_setup
+from spoofgym.envs.resets import HALFWAY
+from spoofgym.envs.snapshot_plant import SnapshotPlant
+
+TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
+FORMS = {
+    "single": lambda: gym.make("spoofgym/TightlyCoupled-v0", timeline=TIMELINE).unwrapped,
+    "small": lambda: gym.make("spoofgym/Snapshot-v0").unwrapped,
+    "spoofer's view": lambda: gym.make("spoofgym/SpooferView-v0", timeline=TIMELINE).unwrapped,
+    "detector's view": lambda: gym.make("spoofgym/DetectorView-v0", timeline=TIMELINE).unwrapped,
+    **{
+        mode: lambda mode=mode: gym.make_vec(
+            "spoofgym/TightlyCoupled-v0", 40, timeline=TIMELINE, autoreset_mode=mode, threads=2
+        )
+        for mode in ("next_step", "same_step", "disabled")
+    },
+    "SB3": lambda: sb3_env(),
+    "duel": lambda: duel_v0.env(timeline=TIMELINE),
+    "parallel duel": lambda: duel_v0.parallel_env(timeline=TIMELINE),
+}
+
+
+def sb3_env():
+    from spoofgym.sb3 import SpoofVecEnv
+
+    return SpoofVecEnv(40, timeline=TIMELINE, threads=2)
+
+
+def act(env):
+    """Step by nothing at all; what is observed, or paid."""
+    if hasattr(env, "agent_selection"):
+        agent = env.agent_selection
+        env.step(np.zeros(env.action_space(agent).shape))
+        return env.observe(env.agent_selection)
+    if hasattr(env, "possible_agents"):
+        zeros = {agent: np.zeros(env.action_space(agent).shape) for agent in env.possible_agents}
+        return env.step(zeros)[0][env.possible_agents[0]]
+    if hasattr(env, "step_async"):
+        return env.step(np.zeros((env.num_envs, *env.action_space.shape)))[0]
+    return env.step(np.zeros(env.action_space.shape))[0]
+
+
+def restart(env):
+    if hasattr(env, "step_async"):
+        env.seed(5)
+        env.reset()
+    else:
+        env.reset(seed=5)
+
+
+def interrupt_once(patch, owner, name):
+    """Interrupt the main thread's next call of a method at its end."""
+    original = getattr(owner, name)
+
+    def interrupted(self, *args, **kwargs):
+        if threading.current_thread() is not threading.main_thread():
+            return original(self, *args, **kwargs)
+        patch.undo()
+        original(self, *args, **kwargs)
+        raise KeyboardInterrupt
+
+    patch.setattr(owner, name, interrupted)
+
+
+@pytest.mark.parametrize("within", ["step", "reset"])
+@pytest.mark.parametrize("form", FORMS)
+def test_an_interrupted_environment_refuses_to_go_on_until_reset(form, within, monkeypatch):
+    if form == "SB3":
+        pytest.importorskip("stable_baselines3")
+    if form.endswith("duel"):
+        pytest.importorskip("pettingzoo")
+    env, fresh = FORMS[form](), FORMS[form]()
+    restart(env)
+    act(env)
+    plant = form == "small"
+    # with the duel's first step, the spoofer's, only the first half of an epoch is run
+    halves = {"step": "advance_attacked", "reset": "begin"}
+    names = {"step": "advance", "reset": "begin"} if plant else halves
+    interrupt_once(monkeypatch, SnapshotPlant if plant else Batch, names[within])
+    with pytest.raises(KeyboardInterrupt):
+        for _ in range(2):
+            act(env) if within == "step" else restart(env)
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match=HALFWAY.replace("(", r"\(").replace(")", r"\)")):
+            act(env)
+    restart(env)
+    restart(fresh)
+    for _ in range(4):
+        assert np.array_equal(act(env), act(fresh))
+    env.close()
+    fresh.close()
+
+
+def test_some_receivers_are_not_enough_for_the_reset_after_an_interrupt(monkeypatch):
+    env = FORMS["disabled"]()
+    env.reset(seed=5)
+    interrupt_once(monkeypatch, Batch, "update")
+    with pytest.raises(KeyboardInterrupt):
+        act(env)
+    with pytest.raises(ValueError, match="must be that of all receivers"):
+        env.reset(options={"reset_mask": np.arange(40) < 3})
+    env.reset()
+    act(env)
+    env.close()
+
+
+def test_a_refused_reset_leaves_the_episode_as_it_was():
+    env = FORMS["single"]()
+    env.reset(seed=5)
+    with pytest.raises(ValueError, match="start_s"):
+        env.reset(options={"domain": {"start_s": -1.0}})
+    act(env)
+
+
+@pytest.mark.parametrize("name", ["copy_rows", "_slots", "prepared"])
+def test_interrupted_books_of_the_next_episodes_are_thrown_away(name, monkeypatch):
+    setup = make_setup(timeline=TIMELINE)
+
+    def rngs():
+        return [np.random.default_rng(seed) for seed in range(9)]
+
+    def rewards(game):
+        return [game.step(np.full((9, 2), 0.3)).reward for _ in range(3)]
+
+    ahead, plain = (make_game(9, setup, threads=1, prefetch=on) for on in (True, False))
+    given = rngs()
+    ahead.reset(given)
+    interrupt_once(monkeypatch, Batch if name == "copy_rows" else NextEpisodes, name)
+    with pytest.raises(KeyboardInterrupt):
+        ahead.reset(given)
+    for game in (ahead, plain):
+        given = rngs()
+        for _ in range(4):
+            game.reset(given)
+    assert np.array_equal(rewards(ahead), rewards(plain))
+    ahead.close()
+
+
+def test_an_interrupted_decision_of_several_epochs_leaves_nothing_behind(monkeypatch):
+    settings = {"timeline": TIMELINE, "decision_interval_s": 2.0, "threads": 1}
+    settings["detector"] = {"name": "ewma", "false_alarm": 0.5}
+
+    def played(env):
+        return [env.step(np.full((9, 2), 0.5))[0] for _ in range(3)]
+
+    env, fresh = (
+        gym.make_vec("spoofgym/TightlyCoupled-v0", 9, **settings, autoreset_mode="same_step")
+        for _ in range(2)
+    )
+    env.reset(seed=5)
+    kept = type(env.unwrapped.game._kept)
+    interrupt_once(monkeypatch, kept, "put_aside")
+    with pytest.raises(KeyboardInterrupt):
+        played(env)
+    for each in (env, fresh):
+        each.reset(seed=7)
+    assert np.array_equal(played(env), played(fresh))

@@ -1,0 +1,169 @@
+"""Ctrl-C, SIGTERM, errors and ends at random moments: an exit code in time, and results that go on.
+
+``--interrupts 200`` tries more moments than the usual ones.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from spoofgym.cli import app
+
+SEED = 10
+IN_TIME_S = 10.0 if os.getloadavg()[0] <= (os.cpu_count() or 1) else 60.0
+"""On a machine that does nothing else; what is looked for under load is one that never ends."""
+TIMES = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "60", "--time-to-alert-s", "5"]
+CHOSEN = ["--detector", "ewma", "--spoofer", "none", "--spoofer", "ramp"]
+SIZE = ["--training-seeds", "48", "--budget", "0.25", "--seeds", "96", "--threads", "2"]
+BENCH = ["bench", *TIMES, *CHOSEN, *SIZE]
+ENVIRONMENT = """
+import itertools, random, sys, time
+from spoofgym.envs.vector_env import SpoofVectorEnv
+
+times = {"warmup_s": 100.0, "live_s": 50.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
+envs = SpoofVectorEnv(64, threads=2, timeline=times)
+envs.reset(seed=1)
+print("begun", flush=True)
+end, lasting_s = sys.argv[1], float(sys.argv[2])
+began = time.monotonic()
+for _ in itertools.count():
+    envs.step(envs.action_space.sample())
+    if end != "interrupt" and time.monotonic() - began > lasting_s:
+        break
+if end == "error":
+    raise ArithmeticError("on purpose")
+"""
+FAILING = """
+from spoofgym.detectors.ewma import Ewma
+
+
+class Failing(Ewma):
+    left = 70
+
+    def judge(self, epoch):
+        Failing.left -= 1
+        if not Failing.left:
+            raise ArithmeticError("on purpose")
+        return super().judge(epoch)
+"""
+pytestmark = pytest.mark.slow
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "moment" in metafunc.fixturenames:
+        metafunc.parametrize("moment", range(metafunc.config.getoption("--interrupts")))
+
+
+def started(*arguments: str, folder: Path) -> subprocess.Popen[bytes]:
+    """A child that hears Ctrl-C, also where these tests themselves don't."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-X", "faulthandler", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            cwd=folder,
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def code_of(process: subprocess.Popen[bytes], within_s: float) -> tuple[int, str]:
+    """Exit code as a shell has it, and what was said."""
+    try:
+        _, said = process.communicate(timeout=within_s)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGABRT)  # faulthandler prints where all threads are
+        _, said = process.communicate()
+        pytest.fail(f"it has not ended within {within_s:g} s: {said.decode()}")
+    code = process.returncode
+    return (code if code >= 0 else 128 - code), said.decode()
+
+
+def wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:
+    while not path.exists() and process.poll() is None:
+        time.sleep(2e-3)
+
+
+def cells_of(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for kind in ("cells", "tuning")
+        for path in sorted((folder / kind).iterdir())
+        if path.suffix != ".part"
+    }
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, bytes], float, float]:
+    """Results of a campaign that nothing interrupts, and how long it takes to start and to end."""
+    folder = tmp_path_factory.mktemp("whole")
+    for out in ("first", "out"):  # the first one may compile
+        began = time.monotonic()
+        process = started("-m", "spoofgym", *BENCH, "--out", out, folder=folder)
+        wait_for(folder / out / "config.json", process)
+        begun = time.monotonic()
+        assert code_of(process, 600.0)[0] == 0
+    cells = cells_of(folder / "out")
+    assert len(cells) == 3
+    return cells, begun - began, time.monotonic() - begun
+
+
+def test_a_campaign_ends_at_any_moment_and_goes_on(
+    moment: int, whole: tuple[dict[str, bytes], float, float], tmp_path: Path
+) -> None:
+    expected, starting_s, running_s = whole
+    rng = np.random.default_rng([SEED, moment])
+    number = signal.SIGTERM if rng.random() < 0.3 else signal.SIGINT
+    out = tmp_path / "out"
+    process = started("-m", "spoofgym", *BENCH, "--out", str(out), folder=tmp_path)
+    if rng.random() < 0.15:
+        time.sleep(rng.random() * starting_s)
+    else:
+        wait_for(out / "config.json", process)
+        time.sleep(rng.random() * running_s)
+    process.send_signal(number)
+    code, said = code_of(process, IN_TIME_S)
+    assert code == 128 + number or (code == 0 and (out / "campaign.png").exists()), said
+    assert all(
+        expected[name] == found
+        for name, found in (
+            cells_of(out) if (out / "cells").is_dir() and (out / "tuning").is_dir() else {}
+        ).items()
+    )
+    again = CliRunner().invoke(app, [*BENCH, "--out", str(out)])
+    assert again.exit_code == 0, again.output
+    assert cells_of(out) == expected
+
+
+def test_an_error_within_a_campaign_ends_it_with_1(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(FAILING)
+    arguments = [*BENCH, "--detector", "own:Failing", "--out", "out"]
+    process = started("-m", "spoofgym", *arguments, folder=tmp_path)
+    code, said = code_of(process, 120.0)
+    assert code == 1, said
+    assert "ArithmeticError: on purpose" in said
+
+
+@pytest.mark.parametrize("fraction", [0.1, 0.4, 0.7, 1.0])
+@pytest.mark.parametrize(("end", "expected"), [("interrupt", 130), ("error", 1), ("end", 0)])
+def test_an_environment_with_warm_ups_in_the_background_ends(
+    end: str, expected: int, fraction: float, tmp_path: Path
+) -> None:
+    process = started("-c", ENVIRONMENT, end, str(fraction), folder=tmp_path)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"begun\n"
+    time.sleep(fraction)
+    if end == "interrupt":
+        process.send_signal(signal.SIGINT)
+    code, said = code_of(process, IN_TIME_S)
+    assert code == expected, said

@@ -1,0 +1,248 @@
+"""The comparison of two trees finds what differs, and nothing else."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tools import frozen
+from tools.frozen import Case, Names, Scope
+from tools.frozen_probe import STEPS, Player, Record, cases_of
+
+CASE = Case("spoofgym/Snapshot-v0", "same_step", 3)
+
+
+def recorded(folder, values, names=None):
+    """Columns of a record that has gone through its file."""
+    record = Record()
+    for step, value in enumerate(values):
+        record.add(step, ("info",), value)
+    record.names = names or {}
+    record.save(folder / "record.npz")
+    return frozen.load_record(folder / "record.npz")
+
+
+def steps(**changes):
+    rng = np.random.default_rng(1)
+    made = [
+        {
+            "cost": rng.normal(size=3),
+            "_cost": np.ones(3, dtype=bool),
+            "count": k,
+            "label": "ramp",
+            "final_obs": np.array([None, np.float32([k, 2.0]), None], dtype=object),
+            "final_info": {"error": rng.normal(size=(3, 2)).astype(np.float32)},
+        }
+        for k in range(5)
+    ]
+    for key, change in changes.items():
+        made[3][key] = change(made[3][key])
+    return made
+
+
+def differences(tmp_path, new, scope=None, rtol=0.0, old=None):
+    before = recorded(tmp_path, steps() if old is None else old)
+    return frozen.compare(CASE, before, recorded(tmp_path, new), scope or Scope(), rtol)
+
+
+def one_bit(array):
+    changed = array.copy()
+    changed.view(np.uint8).reshape(-1)[-array.itemsize] ^= 1
+    return changed
+
+
+def test_equal_records_are_equal(tmp_path):
+    assert differences(tmp_path, steps()) == []
+
+
+@pytest.mark.parametrize(
+    ("key", "change", "named"),
+    [
+        ("cost", one_bit, "info/cost[2]"),
+        ("_cost", lambda mask: mask & [True, False, True], "info/_cost[1]"),
+        ("count", lambda k: k + 1, "info/count"),
+        ("label", lambda _: "step", "info/label"),
+        (
+            "final_obs",
+            lambda o: np.array([None, one_bit(o[1]), None], object),
+            "info/final_obs/[1]",
+        ),
+        ("final_info", lambda i: {"error": one_bit(i["error"])}, "info/final_info/error[2][1]"),
+    ],
+)
+def test_one_bit_is_found_and_named(tmp_path, key, change, named):
+    (found,) = differences(tmp_path, steps(**{key: change}))
+    assert found.step == 3
+    assert found.key.startswith(named)
+    assert found.old != found.new
+    assert str(found).startswith("spoofgym/Snapshot-v0 same_step B=3 step 3 info/")
+
+
+def test_a_sign_of_zero_differs_and_nan_is_nan():
+    old, new = np.array([0.0, np.nan, 1.0]), np.array([-0.0, np.nan, 1.0])
+    np.testing.assert_array_equal(frozen.unequal(old, new, 0.0), [True, False, False])
+    assert frozen.unequal(old, np.array([0.0, 2.0, 1.0]), 1e-3).tolist() == [False, True, False]
+
+
+def test_the_tolerance_is_relative_to_the_largest_value():
+    old = np.array([1000.0, 1.0])
+    assert not frozen.unequal(old, old + np.array([0.0, 0.9e-3]), 1e-6).any()
+    assert frozen.unequal(old, old + np.array([0.0, 1.1e-3]), 1e-6).tolist() == [False, True]
+
+
+def test_a_value_that_comes_at_another_step_differs(tmp_path):
+    new = steps()
+    del new[2]["count"]
+    (found,) = differences(tmp_path, new)
+    assert (found.step, found.key, found.old, found.new) == (2, "info/count", "there", "missing")
+
+
+@pytest.mark.parametrize("change", [np.float32, float, lambda x: np.int64(x)])
+def test_another_type_differs(tmp_path, change):
+    new = [{**each, "count": change(each["count"])} for each in steps()]
+    (found,) = differences(tmp_path, new)
+    assert found.key == "info/count"
+
+
+def renamed(step):
+    new = {key: value for key, value in step.items() if "cost" not in key}
+    return {**new, "price": step["cost"], "_price": step["_cost"]}
+
+
+def test_the_name_map_renames_keys_and_their_masks(tmp_path):
+    new = [renamed(step) for step in steps()]
+    found = {each.key for each in differences(tmp_path, new)}
+    assert found == {"info/cost", "info/_cost", "info/price", "info/_price"}
+    assert differences(tmp_path, new, Scope({"cost": "price"})) == []
+    new[3]["price"] = one_bit(new[3]["price"])
+    (found,) = differences(tmp_path, new, Scope({"cost": "price"}))
+    assert found.key == "info/price[2]"
+
+
+def test_a_part_of_a_name_is_not_renamed():
+    scope = Scope({"cost": "price", "a/b": "c"})
+    assert scope.rename(("info", "cost_m")) == ("info", "cost_m")
+    assert scope.rename(("info", "true_cost", "_cost")) == ("info", "true_cost", "_price")
+    assert scope.rename(("a", "b", "cost f()")) == ("c", "price f()")
+
+
+def test_added_and_dropped_keys_have_to_be_declared(tmp_path):
+    new = [{**step, "more": 1.0} for step in steps()]
+    for step in new:
+        del step["count"]
+    assert {each.key for each in differences(tmp_path, new)} == {"info/count", "info/more"}
+    scope = Scope(added={"more": "said why"}, dropped={"count": "said why"})
+    assert differences(tmp_path, new, scope) == []
+
+
+def test_a_declaration_that_is_wrong_is_found(tmp_path):
+    (found,) = differences(tmp_path, steps(), Scope(added={"count": "said why"}))
+    assert found.new == "declared as added"
+    (found,) = differences(tmp_path, steps(), Scope(dropped={"count": "said why"}))
+    assert found.new == "still there"
+
+
+def test_what_is_added_and_dropped_has_other_values(tmp_path):
+    both = Scope(added={"label": "reworded"}, dropped={"label": "reworded"})
+    assert differences(tmp_path, steps(label=lambda _: "step"), both) == []
+
+
+def test_elements_of_an_observation_are_named_and_mapped(tmp_path):
+    values = [{"observation": np.float32([[k, 1.0, 2.0]])} for k in range(4)]
+    swapped = [{"observation": each["observation"][:, [1, 0, 2]]} for each in values]
+    old = recorded(tmp_path, values, {"observation": ["east", "north", "up"]})
+
+    def found(values, names, scope=None):
+        new = recorded(tmp_path, values, {"observation": names})
+        return [each.key for each in frozen.compare(CASE, old, new, scope or Scope(), 0.0)]
+
+    assert found(values, ["east", "north", "up"]) == []
+    assert found(swapped, ["north", "east", "up"]) == ["names of the observation"]
+    assert found(values, ["east", "north", "height"], Scope({"up": "height"})) == []
+    assert "info/observation/up" in found(values, ["east", "north", "height"])
+    more = [{"observation": np.float32([[k, 1.0, 9.0, 2.0]])} for k in range(4)]
+    names = ["east", "north", "new", "up"]
+    assert found(more, names, Scope(added={"new": "said why"})) == []
+
+
+@pytest.mark.parametrize("key", ["final_obs", "terminal_observation"])
+def test_elements_of_a_last_observation_have_the_same_names(tmp_path, key):
+    values = np.array([None, np.float32([1.0, 2.0])], dtype=object)
+    columns = recorded(tmp_path, [{key: values}], {"observation": ["east", "north"]})
+    assert columns[("info", key, "[1]", "north")].values.tolist() == [2.0]
+
+
+def test_scopes_are_ids_and_patterns_without_variants():
+    names = Names(
+        renamed={"*": {"a": "b"}, "spoofgym/Snap*": {"c": "d"}},
+        dropped={"spoofgym/Snapshot-v0": {"e": "said why"}},
+    )
+    assert names.of("spoofgym/Snapshot-v0+twin") == Scope(
+        {"a": "b", "c": "d"}, {}, {"e": "said why"}
+    )
+    assert names.of("duel_v0+weighted") == Scope({"a": "b"})
+
+
+def test_ids_of_one_tree_alone_have_to_be_declared():
+    both, old, new = (Case(f"spoofgym/{name}-v0", "single") for name in ("Both", "Old", "New"))
+    cases, found = frozen.missing_cases([both, old], [both, new], Names())
+    assert cases == [both]
+    assert [(each.id, each.old, each.new) for each in found] == [
+        (old.id, "there", "missing"),
+        (new.id, "missing", "there"),
+    ]
+    names = Names(added={"*": {new.id: "said why"}}, dropped={"*": {old.id: "said why"}})
+    assert frozen.missing_cases([both, old], [both, new], names) == ([both], [])
+
+
+def test_an_error_of_either_tree_is_a_difference():
+    replies = {"old": {}, "new": {"error": "ValueError: no"}}
+    (found,) = frozen.judge(CASE, {}, replies, Names(), 0.0)
+    assert (found.old, found.new) == ("plays", "ValueError: no")
+    same = {tree: {"error": "ValueError: no"} for tree in ("old", "new")}
+    assert frozen.judge(CASE, {}, same, Names(), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("[rename]\n", "'rename'"), ('[dropped."*"]\nkey = ""\n', r"dropped \* key needs a reason")],
+)
+def test_the_name_map_is_checked(tmp_path, text, message):
+    file = tmp_path / "names.toml"
+    file.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        Names.load(file)
+
+
+def test_the_name_map_of_the_repository_can_be_read():
+    scope = Names.load(frozen.NAMES).of("bench")
+    assert scope.is_added(("json", "campaign"))
+    assert scope.is_dropped(("json", "campaign"))
+    assert not scope.is_added(("json", "cells", "[0]", "runs"))
+
+
+def test_every_id_has_every_form():
+    cases = cases_of(["spoofgym/Snapshot-v0", "spoofgym/BenchT1-v1"])
+    forms = {(case.form, case.batch) for case in cases if case.id == "spoofgym/BenchT1-v1"}
+    modes = {
+        (mode, b) for mode in ("next_step", "same_step", "disabled", "sb3") for b in (1, 3, 17)
+    }
+    assert forms == {("single", None), *modes}
+    assert len({case.name for case in cases}) == len(cases)
+    for case in cases:
+        assert frozen.is_wanted(case, quick=False, only=None)
+
+
+def test_actions_are_mild_random_and_pushes():
+    player = Player(CASE, {})
+    actions = np.array([player.action(k, (3, 2)) for k in range(STEPS)])
+    assert np.abs(actions).max(axis=(0, 2)).tolist() == pytest.approx([1.0, 1.0, 1.0], abs=0.01)
+    assert (np.abs(actions[:325, 0]) <= 0.03).all()
+    again = Player(CASE, {})
+    np.testing.assert_array_equal(actions[0], again.action(0, (3, 2)))
+
+
+def test_the_command_line_names_an_unknown_commit_and_an_unknown_case():
+    runner = CliRunner()
+    done = runner.invoke(frozen.app, ["--against", "no-such-commit"])
+    assert done.exit_code == 2
+    assert "no-such-commit" in done.output

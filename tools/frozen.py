@@ -1,0 +1,600 @@
+"""Whether this working tree behaves, to the last bit, as an older commit does.
+
+``python -m tools.frozen --against COMMIT`` plays every id in every form in both trees on this
+machine, and compares all that they return.  What has another name now is in ``frozen_names.toml``.
+What the commit did is kept in the user's cache folder, so that the next comparison with it plays
+the working tree alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import fnmatch
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import llvmlite.binding
+import numba
+import numpy as np
+import platformdirs
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from .frozen_probe import MAIN, SPEEDS, Case
+
+ROOT = Path(__file__).parents[1]
+PROBE = Path(__file__).with_name("frozen_probe.py")
+NAMES = Path(__file__).with_name("frozen_names.toml")
+KEPT_RESULTS = 4
+ROUNDS = 31
+QUICK_FORMS = (("single", None), ("same_step", 3))
+"""What ``--quick`` plays of every id; of the main one, and of the duel, it plays all."""
+ELEMENTS = {"final_obs": "observation", "terminal_observation": "observation"}
+"""Keys whose elements have the names of another."""
+Array = np.ndarray[Any, Any]
+Columns = dict[tuple[str, ...], "Column"]
+
+
+# --- names -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Names:
+    """The name map."""
+
+    imports: dict[str, str] = field(default_factory=dict)
+    renamed: dict[str, dict[str, str]] = field(default_factory=dict)
+    added: dict[str, dict[str, str]] = field(default_factory=dict)
+    dropped: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, file: Path) -> Names:
+        """Read the map from a file."""
+        with file.open("rb") as stream:
+            given = tomllib.load(stream)
+        valid = cls.__dataclass_fields__
+        for table in given:
+            if table not in valid:
+                raise ValueError(f"{file.name} has the table {table!r}; valid: {', '.join(valid)}")
+        for table in ("added", "dropped"):
+            for scope, keys in given.get(table, {}).items():
+                for key, reason in keys.items():
+                    if not (isinstance(reason, str) and reason.strip()):
+                        raise ValueError(
+                            f"{file.name}: {table} {scope} {key} needs a reason, got {reason!r}"
+                        )
+        return cls(**given)
+
+    def of(self, id_: str) -> Scope:
+        """What holds for one id."""
+        base = id_.partition("+")[0]
+        tables = [
+            {
+                key: value
+                for scope, keys in table.items()
+                if fnmatch.fnmatchcase(base, scope)
+                for key, value in keys.items()
+            }
+            for table in (self.renamed, self.added, self.dropped)
+        ]
+        return Scope(*tables)
+
+
+@dataclass(frozen=True)
+class Scope:
+    """The name map of one id."""
+
+    renamed: dict[str, str] = field(default_factory=dict)
+    added: dict[str, str] = field(default_factory=dict)
+    dropped: dict[str, str] = field(default_factory=dict)
+
+    def rename(self, path: tuple[str, ...]) -> tuple[str, ...]:
+        """Path in the new tree."""
+        whole = "/".join(path)
+        for old, new in self.renamed.items():
+            whole = re.sub(rf"(^|/)(_?){re.escape(old)}(?=$|/|\s)", rf"\1\2{new}", whole)
+        return tuple(whole.split("/"))
+
+    def is_added(self, path: tuple[str, ...]) -> bool:
+        """Whether the new tree alone has it."""
+        return _holds(path, self.added)
+
+    def is_dropped(self, path: tuple[str, ...]) -> bool:
+        """Whether the old tree alone has it."""
+        return _holds(path, self.dropped)
+
+
+def _holds(path: tuple[str, ...], keys: dict[str, str]) -> bool:
+    whole = "/".join(path)
+    return any(re.search(rf"(^|/)_?{re.escape(key)}($|/|\s)", whole) for key in keys)
+
+
+# --- comparison ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Column:
+    """Values of one key over steps."""
+
+    steps: Array
+    values: Array
+    types: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first place at which a column differs, and at how many it does."""
+
+    id: str
+    form: str
+    batch: int | None
+    step: int | None
+    key: str
+    old: str
+    new: str
+    places: int = 1
+
+    def __str__(self) -> str:
+        """One line."""
+        where = [self.id, self.form, "" if self.batch is None else f"B={self.batch}"]
+        where += ["" if self.step is None else f"step {self.step}", self.key]
+        more = f" ({self.places} places)" if self.places > 1 else ""
+        return f"{' '.join(filter(None, where))}: {self.old} -> {self.new}{more}"
+
+
+def load_record(file: Path) -> Columns:
+    """Columns of a record; those of elements that have names are taken apart."""
+    with np.load(file) as stored:
+        about = json.loads(str(stored["about"]))
+        columns: Columns = {}
+        for i, each in enumerate(about["columns"]):
+            values, path = stored[f"c{i}"], tuple(each["path"])
+            whole = Column(np.array(each["steps"]), values, tuple(each["types"]))
+            keys = (ELEMENTS.get(part, part) for part in path)
+            names = next((about["names"][key] for key in keys if key in about["names"]), None)
+            if names is None or not values.ndim or values.shape[-1] != len(names):
+                columns[path] = whole
+                continue
+            for k, name in enumerate(names):
+                columns[(*path, name)] = Column(whole.steps, values[..., k], whole.types)
+        for key, names in about["names"].items():
+            columns[("names", key)] = Column(np.array([-1]), np.array([names]), ("names",))
+    return columns
+
+
+def unequal(old: Array, new: Array, rtol: float) -> Array:
+    """Where two arrays of one shape differ; NaN equals NaN, and 0.0 is not -0.0."""
+    if old.dtype.kind not in "fc":
+        return np.asarray(old != new)
+    nan = np.isnan(old) & np.isnan(new)
+    if rtol:
+        finite = np.abs(old[np.isfinite(old)])
+        limit = rtol * (finite.max() if finite.size else 0.0)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(~((old == new) | (np.abs(old - new) <= limit) | nan))
+    return np.asarray(~(((old == new) & (np.signbit(old) == np.signbit(new))) | nan))
+
+
+def compare(case: Case, old: Columns, new: Columns, scope: Scope, rtol: float) -> list[Difference]:
+    """All columns that differ."""
+    found: list[Difference] = []
+
+    def differs(step: int | None, key: str, was: Any, is_: Any, places: int = 1) -> None:
+        found.append(Difference(*case, step, key, str(was), str(is_), places))
+
+    expected = {scope.rename(path): path for path in old if not scope.is_dropped(path)}
+    for path in new:
+        free = scope.is_added(path)
+        if scope.is_dropped(path) and not free:
+            differs(None, "/".join(path), "declared as dropped", "still there")
+        elif path not in expected and not free:
+            differs(None, "/".join(path), "missing", _brief(new[path]))
+    for path, before in expected.items():
+        key = "/".join(path)
+        if scope.is_added(path):
+            differs(None, key, _brief(old[before]), "declared as added")
+        elif path not in new:
+            differs(None, key, _brief(old[before]), "missing")
+        elif path[0] == "names":
+            _compare_names(path[1], old[before], new[path], scope, differs)
+        else:
+            _compare_column(key, old[before], new[path], rtol, differs)
+    return found
+
+
+def _brief(column: Column) -> str:
+    return f"{column.values.flat[0]} ({column.values.dtype})" if column.values.size else "empty"
+
+
+def _compare_names(key: str, old: Column, new: Column, scope: Scope, differs: Any) -> None:
+    """Compare names of elements and their order."""
+    expected = [
+        "/".join(scope.rename((name,))) for name in old.values[0] if not scope.is_dropped((name,))
+    ]
+    given = [str(name) for name in new.values[0] if not scope.is_added((name,))]
+    if expected != given:
+        differs(None, f"names of the {key}", ", ".join(expected), ", ".join(given))
+
+
+def _compare_column(key: str, old: Column, new: Column, rtol: float, differs: Any) -> None:
+    """Compare types, steps and values of a column that both have."""
+    kinds = [
+        (*c.types, c.values.dtype.kind if c.values.dtype.kind == "U" else str(c.values.dtype))
+        for c in (old, new)
+    ]
+    if kinds[0] != kinds[1]:
+        differs(None, key, " ".join(kinds[0]), " ".join(kinds[1]))
+    elif not np.array_equal(old.steps, new.steps):
+        alone = np.setxor1d(old.steps, new.steps)
+        first = int(alone[0]) if alone.size else None
+        there = ["there" if first in c.steps else "missing" for c in (old, new)]
+        if first is None:
+            there = [f"{len(c.steps)} times" for c in (old, new)]
+        differs(first, key, *there, max(len(alone), 1))
+    elif old.values.shape != new.values.shape:
+        differs(None, key, f"shape {old.values.shape[1:]}", f"shape {new.values.shape[1:]}")
+    else:
+        wrong = np.argwhere(unequal(old.values, new.values, rtol))
+        if len(wrong):
+            at = tuple(wrong[0])
+            place = "".join(f"[{i}]" for i in at[1:])
+            pair = [repr(c.values[at].item()) for c in (old, new)]
+            differs(int(old.steps[at[0]]), key + place, *pair, len(wrong))
+
+
+# --- trees -----------------------------------------------------------------------------------
+
+
+def git(*words: str) -> str:
+    """Output of git in this repository."""
+    done = subprocess.run(
+        ["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        raise typer.BadParameter(f"git {' '.join(words)}: {done.stderr.strip()}")
+    return done.stdout.strip()
+
+
+def cache_folder() -> Path:
+    """Folder of old results and of trees that are kept."""
+    return Path(platformdirs.user_cache_dir("spoofgym")) / "frozen"
+
+
+@contextlib.contextmanager
+def old_tree(commit: str, keep: bool) -> Iterator[Path]:
+    """Git worktree of a commit: temporary, or one that is kept with its compiled code."""
+    if keep:
+        tree = cache_folder() / "trees" / commit[:16]
+        tree.parent.mkdir(parents=True, exist_ok=True)
+        with tree.with_suffix(".lock").open("w") as lock:  # another run may want it, too
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (tree / ".complete").exists():
+                shutil.rmtree(tree, ignore_errors=True)
+                git("worktree", "prune")
+                git("worktree", "add", "--detach", str(tree), commit)
+                (tree / ".complete").touch()
+        yield tree
+        return
+    folder = tempfile.mkdtemp(prefix="spoofgym-frozen-")
+    tree = Path(folder) / "tree"
+    try:
+        git("worktree", "add", "--detach", str(tree), commit)
+        yield tree
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        git("worktree", "prune")
+
+
+class Child:
+    """The probe in one tree, which answers requests one after another."""
+
+    def __init__(self, tree: Path, imports: dict[str, str], compiled: Path | None = None) -> None:
+        self.tree, self.imports = tree, imports
+        own = {} if compiled is None else {"SPOOFGYM_CACHE_DIR": str(compiled)}
+        self._folder = tempfile.TemporaryDirectory()
+        self._process = subprocess.Popen(
+            [sys.executable, str(PROBE)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=self._folder.name,
+            env={**os.environ, **own, "PYTHONPATH": str(tree)},
+        )
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        """Answer to a request."""
+        self.send(**request)
+        return self.receive()
+
+    def send(self, **request: Any) -> None:
+        """Make a request, whose answer has to be received."""
+        assert self._process.stdin is not None
+        self._request = request
+        with contextlib.suppress(BrokenPipeError):  # seen when the answer is missing
+            self._process.stdin.write(json.dumps({**request, "imports": self.imports}) + "\n")
+            self._process.stdin.flush()
+
+    def receive(self) -> dict[str, Any]:
+        """Answer to what has been sent."""
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            status = self._process.wait()
+            raise RuntimeError(f"the probe of {self.tree} ended with {status} at {self._request}")
+        reply: dict[str, Any] = json.loads(line)
+        return reply
+
+    def cases(self) -> list[Case]:
+        """What can be played in the tree."""
+        reply = self.ask(do="cases")
+        if "error" in reply:
+            raise RuntimeError(f"{self.tree} can't be probed:\n{reply['traceback']}")
+        package = Path(reply["package"])
+        if not package.is_relative_to(self.tree):
+            raise RuntimeError(f"the probe of {self.tree} has imported {package}")
+        return [Case(*each) for each in reply["cases"]]
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.close()
+        try:
+            self._process.wait(10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._folder.cleanup()
+
+
+def results_folder(commit: str) -> Path:
+    """Where the old results are kept: of this commit, probe, processor and these versions."""
+    key = {
+        "probe": hashlib.sha256(PROBE.read_bytes()).hexdigest(),
+        "cpu": llvmlite.binding.get_host_cpu_name(),
+        "versions": [sys.version, numba.__version__, np.__version__],
+        "numba": {name: os.environ[name] for name in sorted(os.environ) if "NUMBA" in name},
+    }
+    digest = hashlib.sha256(json.dumps(key).encode()).hexdigest()[:16]
+    folder = cache_folder() / "results" / f"{commit[:16]}-{digest}"
+    folder.mkdir(parents=True, exist_ok=True)
+    os.utime(folder)
+    used = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in used[KEPT_RESULTS:]:
+        shutil.rmtree(path, ignore_errors=True)
+    return folder
+
+
+def file_of(folder: Path, case: Case) -> Path:
+    """File of a case's record."""
+    return folder / f"{case.name.replace('/', '--')}.npz"
+
+
+def is_wanted(case: Case, quick: bool, only: str | None) -> bool:
+    """Whether a case is asked for."""
+    if only is not None:
+        return fnmatch.fnmatchcase(case.name, only)
+    if not quick:
+        return True
+    return (
+        (case.form, case.batch) in QUICK_FORMS
+        or (case.id == MAIN and case.batch in (None, 3))
+        or case.id in ("duel_v0", "list", "bench")
+    )
+
+
+# --- the whole -------------------------------------------------------------------------------
+
+
+@dataclass
+class Report:
+    """What has come out."""
+
+    commit: str
+    cases: list[str] = field(default_factory=list)
+    ends: int = 0
+    differences: list[Difference] = field(default_factory=list)
+    speed: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+def missing_cases(
+    old: Sequence[Case], new: Sequence[Case], names: Names
+) -> tuple[list[Case], list[Difference]]:
+    """Cases of both trees, and those that only one has although the map does not say so."""
+    found = []
+    for case in dict.fromkeys([*old, *new]):
+        scope = names.of(case.id)
+        if case in old and case not in new and not scope.is_dropped((case.base,)):
+            found.append(Difference(*case, None, "the id or form", "there", "missing"))
+        if case in new and case not in old and not scope.is_added((case.base,)):
+            found.append(Difference(*case, None, "the id or form", "missing", "there"))
+    return [case for case in old if case in new], found
+
+
+def old_cases(folder: Path, child: Child | None) -> list[Case]:
+    """Cases of the old tree, kept beside its records."""
+    file = folder / "cases.json"
+    if child is not None:
+        file.write_text(json.dumps(child.cases()))
+    return [Case(*each) for each in json.loads(file.read_text())]
+
+
+def paired_speed(old: Child, new: Child, rounds: int, progress: Progress) -> dict[str, Any]:
+    """Microseconds a step of both, and median and quartiles of the paired differences."""
+    task = progress.add_task("speed", total=rounds * len(SPEEDS))
+    result = {}
+    for what in SPEEDS:
+        pairs = []
+        for k in range(-1, rounds):  # the first round warms up
+            order = (old, new) if k % 2 else (new, old)
+            told = {child.tree: child.ask(do="speed", what=what) for child in order}
+            for child in order:
+                if "error" in told[child.tree]:
+                    raise RuntimeError(f"{child.tree}: {told[child.tree]['traceback']}")
+            pairs.append([1e6 * told[child.tree]["seconds"] for child in (old, new)])
+            progress.advance(task)
+        times = np.array(pairs[1:])
+        low, middle, high = np.percentile(times[:, 1] - times[:, 0], [25, 50, 75])
+        result[what] = {
+            "old_us": float(np.median(times[:, 0])),
+            "new_us": float(np.median(times[:, 1])),
+            "difference_us": float(middle),
+            "low_us": float(low),
+            "high_us": float(high),
+        }
+    return result
+
+
+def examine(
+    commit: str,
+    names: Names,
+    wanted: Any,
+    *,
+    rtol: float,
+    keep: bool,
+    rounds: int,
+    progress: Progress,
+) -> Report:
+    """Play and compare."""
+    report, folder = Report(commit), results_folder(commit)
+    with contextlib.ExitStack() as stack:
+        out = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        new = Child(ROOT, names.imports)
+        stack.callback(new.close)
+
+        def start_old() -> Child:
+            tree = stack.enter_context(old_tree(commit, keep))
+            compiled = tree.parent / "compiled" if not keep else tree.parent.parent / "compiled"
+            child = Child(tree, {}, compiled)
+            stack.callback(child.close)
+            return child
+
+        old = None if (folder / "cases.json").exists() else start_old()
+        before = [case for case in old_cases(folder, old) if wanted(case)]
+        after = [case for case in new.cases() if wanted(case)]
+        both, report.differences = missing_cases(before, after, names)
+        task = progress.add_task("cases", total=len(both))
+        for case in both:
+            progress.update(task, description=case.name)
+            files = {"old": file_of(folder, case), "new": file_of(out, case)}
+            children = {"new": new}
+            if not files["old"].exists():
+                children["old"] = old = old or start_old()
+            for name, child in children.items():  # both at the same time
+                child.send(do="run", case=case, out=str(files[name]))
+            replies = {name: child.receive() for name, child in children.items()}
+            report.ends += replies["new"].get("ends", 0)
+            report.differences += judge(case, files, replies, names, rtol)
+            files["new"].unlink(missing_ok=True)
+            report.cases.append(case.name)
+            progress.advance(task)
+        if rounds:
+            report.speed = paired_speed(old or start_old(), new, rounds, progress)
+    return report
+
+
+def judge(
+    case: Case,
+    files: dict[str, Path],
+    replies: dict[str, dict[str, Any]],
+    names: Names,
+    rtol: float,
+) -> list[Difference]:
+    """Differences of one case, an error in either tree among them."""
+    errors = [replies.get(tree, {}).get("error", "plays") for tree in ("old", "new")]
+    if errors != ["plays", "plays"]:
+        return [Difference(*case, None, "error", *errors)]
+    return compare(
+        case, load_record(files["old"]), load_record(files["new"]), names.of(case.id), rtol
+    )
+
+
+app = typer.Typer(add_completion=False, context_settings={"help_option_names": ["-h", "--help"]})
+
+
+@app.command()
+def main(
+    against: Annotated[str, typer.Option(help="Commit whose behaviour is to be kept.")],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Play a part of it, without speed: under a minute.")
+    ] = False,
+    only: Annotated[
+        str | None,
+        typer.Option(help="Only cases like this, such as 'Snapshot-v0/*' or '*/sb3/17'."),
+    ] = None,
+    rtol: Annotated[
+        float,
+        typer.Option(min=0.0, help="Tolerance, relative to a column's largest absolute value."),
+    ] = 0.0,
+    speed: Annotated[
+        bool | None,
+        typer.Option(help="Compare speed too.  Default: unless --quick or --only is given."),
+    ] = None,
+    rounds: Annotated[int, typer.Option(min=3, help="Pairs of rounds of the speed.")] = ROUNDS,
+    keep: Annotated[
+        bool,
+        typer.Option(
+            "--keep",
+            help="Keep the commit's tree and its compiled code in the cache folder, and use what "
+            "is there.",
+        ),
+    ] = False,
+    json_: Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else.")] = False,
+) -> None:
+    """Compare what this working tree does with what a commit did; exit with 1 if it differs."""
+    commit = git("rev-parse", "--verify", f"{against}^{{commit}}")
+    console = Console(stderr=True, quiet=json_)
+    timed = (not quick and only is None) if speed is None else speed
+    with Progress(console=console, transient=True) as progress:
+        report = examine(
+            commit,
+            Names.load(NAMES),
+            lambda case: is_wanted(case, quick, only),
+            rtol=rtol,
+            keep=keep,
+            rounds=rounds if timed else 0,
+            progress=progress,
+        )
+    if not report.cases and not report.differences:
+        raise typer.BadParameter(f"no case is like {only!r}", param_hint="--only")
+    if json_:
+        print(json.dumps(asdict(report), indent=2))
+    else:
+        show(report)
+    raise typer.Exit(1 if report.differences else 0)
+
+
+def show(report: Report) -> None:
+    """Print a report."""
+    console = Console(soft_wrap=True, highlight=False)
+    for difference in report.differences:
+        console.print(str(difference), markup=False)
+    if report.speed:
+        table = Table(*("µs a step", "old", "new", "difference", "quartiles"))
+        for what, row in report.speed.items():
+            quartiles = f"{row['low_us']:+.2f} ... {row['high_us']:+.2f}"
+            middle = [f"{row[name]:.2f}" for name in ("old_us", "new_us")]
+            table.add_row(what, *middle, f"{row['difference_us']:+.2f}", quartiles)
+        console.print(table)
+    console.print(
+        f"{len(report.cases)} cases against {report.commit[:12]}, {report.ends} ends of episodes: "
+        + (f"{len(report.differences)} differences" if report.differences else "equal")
+    )
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,431 @@
+"""What a tree of spoofgym does, recorded to the last bit: the child process of `tools.frozen`.
+
+It runs with ``PYTHONPATH`` at the tree to be probed, reads one JSON request per line and answers
+with one JSON line.  Only the public surface is used, so that the same file probes trees of
+different insides.
+
+A record has a column for every leaf of what a step returns.  The path of a column is a tuple of
+keys, such as ``("info", "final_info", "cost")``; what a reset returns is under ``"reset"``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+SEED = 20261121
+STEPS, MILD_STEPS = 400, 325
+BATCHES = (1, 3, 17)
+MODES = ("next_step", "same_step", "disabled")
+MAIN = "spoofgym/TightlyCoupled-v0"
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 40.0, "time_to_alert_s": 2.0}
+WORLDS = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
+VARIANTS: dict[str, dict[str, Any]] = {
+    "twin": {"twin": True},
+    "watch": {"watch": ["snapshot-chi2", {"name": "cusum"}], "end_at_alarm": False},
+    "domain": {"domain": WORLDS, "target_heading_deg": "random"},
+    "oracle": {"knowledge": "oracle", "detector": {"name": "ewma", "false_alarm": 0.05}},
+    "worst": {"target_heading_deg": "worst", "twin": True},
+    "interval": {"decision_interval_s": 1.0, "between": "linear"},
+    "tracking-1m": {"attack": "tracking-1m", "receiver": "matched", "scenario": "realistic"},
+    "meaconer": {"attack": "meaconer", "detector": {"name": "cusum"}},
+}
+"""Settings of the main id that change what is simulated, in short episodes."""
+DUELS: dict[str, dict[str, Any]] = {
+    "": {},
+    "+weighted": {"payoff": "weighted", "threshold": 0.7, "timeline": SHORT},
+    "+channel": {"statistic": "channel", "timeline": SHORT, "threshold": 0.9},
+    "+interval": {"decision_interval_s": 1.0, "between": "linear", "timeline": SHORT},
+    "+domain": {"domain": WORLDS, "target_heading_deg": "random", "timeline": SHORT},
+}
+TURNS = {"spoofer_0": 0, "detector_0": 2}
+"""As which receiver of a batch an agent of the duel acts."""
+NO_SB3 = ("DetectorView", "SpooferView", "LooselyCoupled", "Snapshot", "WheeledRobot")
+"""Ids that stable-baselines3's adapter does not make."""
+IMPORTS = {
+    "sb3": "spoofgym.sb3:SpoofVecEnv",
+    "aec": "spoofgym.duel_v0:env",
+    "parallel": "spoofgym.duel_v0:parallel_env",
+    "register": "spoofgym:__name__",
+}
+"""What is imported, by use; the name map may give other names in the new tree."""
+CLI = {
+    "list": "list --json",
+    "bench": (
+        "bench --json --seeds 20 --training-seeds 16 --warmup-s 20 --live-s 10 --attack-s 20 "
+        "--time-to-alert-s 5 --detector snapshot-chi2 --detector ewma --spoofer none "
+        "--spoofer step:size_m=30 --spoofer ramp:rate_mps=tuned --out results"
+    ),
+}
+Array = np.ndarray[Any, Any]
+Path_ = tuple[str, ...]
+
+
+class Case(NamedTuple):
+    """One thing that is played."""
+
+    id: str
+    form: str
+    batch: int | None = None
+
+    @property
+    def name(self) -> str:
+        """As ``--only`` takes it."""
+        parts = (self.id.removeprefix("spoofgym/"), self.form, self.batch)
+        return "/".join(str(part) for part in parts if part not in (None, ""))
+
+    @property
+    def base(self) -> str:
+        """Id without the name of a variant."""
+        return self.id.partition("+")[0]
+
+
+def cases_of(ids: list[str]) -> list[Case]:
+    """Every case of a tree with these ids."""
+    made = []
+    for name in ids:
+        made += [Case(name, "single")]
+        made += [Case(name, mode, b) for mode in MODES for b in BATCHES]
+        if not name.removeprefix("spoofgym/").startswith(NO_SB3):
+            made += [Case(name, "sb3", b) for b in BATCHES]
+    for name in VARIANTS:
+        made += [Case(f"{MAIN}+{name}", form) for form in ("single",)]
+        made += [Case(f"{MAIN}+{name}", form, 3) for form in ("same_step", "sb3")]
+    made += [Case(f"duel_v0{name}", form) for name in DUELS for form in ("parallel", "aec")]
+    return [*made, *(Case(name, "") for name in CLI)]
+
+
+# --- records ---------------------------------------------------------------------------------
+
+
+class Record:
+    """Columns of values over steps; -1 is what comes before the first step."""
+
+    def __init__(self) -> None:
+        self.steps: dict[Path_, list[int]] = {}
+        self.values: dict[Path_, list[Array]] = {}
+        self.types: dict[Path_, set[str]] = {}
+        self.names: dict[str, list[str]] = {}
+        self.ends = 0
+
+    def add(self, step: int, path: Path_, value: Any) -> None:
+        """Keep a value, or the leaves of a mapping or a list of other things than numbers."""
+        if isinstance(value, Mapping):
+            for key, part in value.items():
+                self.add(step, (*path, str(key)), part)
+        elif isinstance(value, list | tuple) or _holds_objects(value):
+            for label, part in _labelled(value):
+                self.add(step, (*path, label), part)
+        else:
+            array = np.array(str(value) if value is None else value)
+            kind = type(value).__name__
+            if array.dtype == object:
+                raise TypeError(f"{path} is {value!r}, which has no bits to compare")
+            # a column has one type and one shape; another makes another column
+            other = path in self.values and (
+                self.values[path][0].shape != array.shape
+                or self.values[path][0].dtype.kind != array.dtype.kind
+            )
+            path = (*path[:-1], f"{path[-1]} {array.dtype.kind}{array.shape}") if other else path
+            self.steps.setdefault(path, []).append(step)
+            self.values.setdefault(path, []).append(array)
+            self.types.setdefault(path, set()).add(kind)
+
+    def save(self, file: Path) -> None:
+        """Write all columns into one ``.npz``, complete or not at all."""
+        columns = [
+            {"path": path, "steps": self.steps[path], "types": sorted(self.types[path])}
+            for path in self.values
+        ]
+        about = {"columns": columns, "names": self.names, "ends": self.ends}
+        part = file.with_suffix(f".{os.getpid()}.npz")
+        arrays = {f"c{i}": np.array(self.values[path]) for i, path in enumerate(self.values)}
+        np.savez_compressed(part, about=np.array(json.dumps(about)), **arrays)
+        part.replace(file)
+
+
+def _holds_objects(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype == object
+
+
+def _labelled(values: Any) -> Iterator[tuple[str, Any]]:
+    """Elements with their place, or with their own names where all of them have one."""
+    named = all(isinstance(value, Mapping) and "name" in value for value in values)
+    for i, value in enumerate(values):
+        if value is not None or not _holds_objects(values):
+            yield f"[{value['name'] if named else i}]", value
+
+
+# --- play ------------------------------------------------------------------------------------
+
+
+class Player:
+    """Actions of one case, and its record."""
+
+    def __init__(self, case: Case, imports: Mapping[str, str]) -> None:
+        self.case, self.imports = case, {**IMPORTS, **imports}
+        self.record = Record()
+        self.rng = np.random.default_rng(SEED)
+
+    def load(self, use: str) -> Any:
+        """Something of the package, by its use."""
+        module, _, name = self.imports[use].partition(":")
+        return getattr(importlib.import_module(module), name)
+
+    def action(self, step: int, shape: tuple[int, ...], turn: int = 0) -> Array:
+        """Receivers take turns: a whole mild episode then a hard push, random, pushes in between.
+
+        So episodes last until their time is over, or are ended by an alarm.
+        """
+        rows = np.arange(shape[0])[:, None] if len(shape) > 1 else np.array(turn)
+        ramp, push = np.zeros(shape), np.ones(shape)
+        ramp[..., 1 % shape[-1]] = 0.02
+        push[..., 0] = step % 20 == 0  # a detector's statistic: an alarm at every step takes long
+        first = ramp if step < MILD_STEPS else push
+        third = push if step // 40 % 2 else ramp
+        chosen = np.choose(rows % 3, [first, self.rng.uniform(-1.0, 1.0, shape), third])
+        return chosen.astype(np.float32)
+
+    def describe(self, env: Any, observation: Any, action: Any) -> None:
+        """Spaces, and the names of their elements."""
+        for name, space in (("observation", observation), ("action", action)):
+            for bound in ("low", "high"):
+                self.record.add(-1, ("space", name, bound), getattr(space, bound))
+            names = getattr(env, f"{name}_names", None)
+            if names is not None:
+                self.record.names[name] = list(names)
+
+    def keep(self, step: int, *result: Any) -> None:
+        """What a step returned."""
+        keys = ("observation", "reward", "terminated", "truncated", "info")
+        for key, value in zip(keys, result, strict=True):
+            self.record.add(step, (key,), value)
+
+    def keep_reset(self, step: int, observation: Any, info: Any) -> None:
+        """What a reset returned."""
+        self.record.add(step, ("reset", "observation"), observation)
+        self.record.add(step, ("reset", "info"), info)
+
+    def settings(self) -> dict[str, Any]:
+        """Of a variant."""
+        _, _, variant = self.case.id.partition("+")
+        return {"timeline": SHORT, **VARIANTS[variant]} if variant else {}
+
+    def play(self) -> Record:
+        """Play the case."""
+        plays: dict[str, Callable[[], None]] = {
+            "single": self.single,
+            "sb3": self.sb3,
+            "parallel": self.parallel,
+            "aec": self.aec,
+            "": self.command,
+            **dict.fromkeys(MODES, self.vector),
+        }
+        self.load("register")
+        plays[self.case.form]()
+        return self.record
+
+    def single(self) -> None:
+        """Play the single environment."""
+        import gymnasium as gym
+
+        env = gym.make(self.case.base, disable_env_checker=True, **self.settings()).unwrapped
+        self.describe(env, env.observation_space, env.action_space)
+        self.keep_reset(-1, *env.reset(seed=SEED))
+        for step in range(STEPS):
+            result = env.step(self.action(step, env.action_space.shape or ()))
+            self.keep(step, *result)
+            if result[2] or result[3]:
+                self.record.ends += 1
+                self.keep_reset(step, *env.reset())
+        env.close()
+
+    def vector(self) -> None:
+        """Play the vector environment."""
+        import gymnasium as gym
+
+        mode = self.case.form
+        given = {"autoreset_mode": mode, **self.settings()}
+        env = gym.make_vec(self.case.base, num_envs=self.case.batch or 1, **given).unwrapped
+        self.describe(env, env.single_observation_space, env.single_action_space)
+        self.keep_reset(-1, *env.reset(seed=SEED))
+        for step in range(STEPS):
+            result = env.step(self.action(step, env.action_space.shape or ()))
+            self.keep(step, *result)
+            over = result[2] | result[3]
+            self.record.ends += int(over.sum())
+            if mode == "disabled" and over.any():
+                self.keep_reset(step, *env.reset(options={"reset_mask": over.copy()}))
+        env.close()
+
+    def sb3(self) -> None:
+        """Play stable-baselines3's vector environment."""
+        import gymnasium as gym
+
+        given = {**(gym.spec(self.case.base).kwargs or {}), **self.settings()}
+        if "pool" in given:
+            given["detector"] = {"name": "pool", "members": given.pop("pool")}
+        env = self.load("sb3")(self.case.batch, seed=SEED, infos="all", **given)
+        self.describe(env, env.observation_space, env.action_space)
+        self.record.add(-1, ("reset", "observation"), env.reset())
+        shape = (env.num_envs, *env.action_space.shape)
+        for step in range(STEPS):
+            observation, reward, done, infos = env.step(self.action(step, shape))
+            self.keep(step, observation, reward, done, False, {})
+            for row, info in enumerate(infos):
+                stamped = dict(info)
+                if "episode" in stamped:  # its time is that of the clock
+                    stamped["episode"] = {k: v for k, v in info["episode"].items() if k != "t"}
+                self.record.add(step, ("info", f"[{row}]"), stamped)
+            self.record.ends += int(done.sum())
+        env.close()
+
+    def parallel(self) -> None:
+        """Play the duel's parallel form."""
+        env = self.load("parallel")(**DUELS[self.case.id.removeprefix("duel_v0")])
+        self._describe_duel(env)
+        self.keep_reset(-1, *env.reset(seed=SEED))
+        for step in range(STEPS):
+            actions = {
+                agent: self.action(step, env.action_space(agent).shape, TURNS[agent])
+                for agent in env.agents
+            }
+            self.keep(step, *env.step(actions))
+            if not env.agents:
+                self.record.ends += 1
+                self.keep_reset(step, *env.reset())
+        env.close()
+
+    def aec(self) -> None:
+        """Play the duel's form with turns."""
+        env = self.load("aec")(**DUELS[self.case.id.removeprefix("duel_v0")])
+        self._describe_duel(env)
+        env.reset(seed=SEED)
+        for turn in range(2 * STEPS):
+            agent, result = env.agent_selection, env.last()
+            for key, value in zip(
+                ("observation", "reward", "terminated", "truncated", "info"), result, strict=True
+            ):
+                self.record.add(turn // 2, (key, agent), value)
+            over = result[2] or result[3]
+            shape = env.action_space(agent).shape
+            env.step(None if over else self.action(turn // 2, shape, TURNS[agent]))
+            if not env.agents:
+                self.record.ends += 1
+                env.reset()
+        env.close()
+
+    def _describe_duel(self, env: Any) -> None:
+        for agent in env.possible_agents:
+            spaces = {
+                "observation": env.observation_space(agent),
+                "action": env.action_space(agent),
+            }
+            for name, space in spaces.items():
+                for bound in ("low", "high"):
+                    self.record.add(-1, ("space", agent, name, bound), getattr(space, bound))
+
+    def command(self) -> None:
+        """Run the command line, which prints JSON."""
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, "-m", "spoofgym", *CLI[self.case.id].split()]
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"{' '.join(command[1:])} exits {done.returncode}: {done.stderr}")
+        self.record.add(-1, ("json",), json.loads(done.stdout))
+
+
+# --- speed -----------------------------------------------------------------------------------
+
+SPEEDS = {"single": None, "vector 64": 64, "vector 256": 256}
+SPEED_STEPS = {"single": 250, "vector 64": 100, "vector 256": 40}
+
+
+class Stopwatch:
+    """Seconds a step, of environments that are made once and reset before every round."""
+
+    def __init__(self) -> None:
+        self._envs: dict[str, Any] = {}
+
+    def _env(self, what: str) -> Any:
+        if what not in self._envs:
+            import gymnasium as gym
+
+            batch = SPEEDS[what]
+            given: dict[str, Any] = {"detector": "never", "end_at_alarm": False}
+            self._envs[what] = (
+                gym.make(MAIN, disable_env_checker=True, **given).unwrapped
+                if batch is None
+                else gym.make_vec(
+                    MAIN, num_envs=batch, threads=1, prefetch=False, **given
+                ).unwrapped
+            )
+        return self._envs[what]
+
+    def round(self, what: str) -> float:
+        """Seconds a step over one round, without the reset."""
+        env, steps = self._env(what), SPEED_STEPS[what]
+        env.reset(seed=SEED)
+        action = np.zeros(env.action_space.shape, dtype=np.float32)
+        for _ in range(5):
+            env.step(action)
+        start = time.perf_counter()
+        for _ in range(steps):
+            env.step(action)
+        return (time.perf_counter() - start) / steps
+
+
+# --- requests --------------------------------------------------------------------------------
+
+
+def answer(request: dict[str, Any], stopwatch: Stopwatch) -> dict[str, Any]:
+    """Answer to one request."""
+    if request["do"] == "cases":
+        import gymnasium as gym
+
+        package = importlib.import_module(
+            request["imports"].get("register", "spoofgym:").split(":")[0]
+        )
+        ids = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
+        return {"cases": cases_of(ids), "package": package.__file__}
+    if request["do"] == "run":
+        case = Case(*request["case"])
+        start = time.perf_counter()
+        record = Player(case, request["imports"]).play()
+        record.save(Path(request["out"]))
+        return {"ends": record.ends, "seconds": time.perf_counter() - start}
+    return {"seconds": stopwatch.round(request["what"])}
+
+
+def main() -> None:
+    """Answer requests until there are no more."""
+    replies = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what the package prints is no answer
+    warnings.simplefilter("ignore")
+    stopwatch = Stopwatch()
+    for line in sys.stdin:
+        try:
+            reply = answer(json.loads(line), stopwatch)
+        except Exception as error:
+            reply = {
+                "error": f"{type(error).__name__}: {error}",
+                "traceback": traceback.format_exc(),
+            }
+        replies.write(json.dumps(reply) + "\n")
+        replies.flush()
+
+
+if __name__ == "__main__":
+    main()
