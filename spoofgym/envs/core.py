@@ -184,6 +184,7 @@ class SpoofCore:
         if self._passive is not None:
             monitors.append(self._passive.monitor)
         self.setup = setup.altered(monitors=monitors)
+        self.receivers = receivers
         self.engine = Engine(receivers, self.setup, threads=threads, prefetch=prefetch, twin=twin)
         self.observer = Observer(seen, self.setup)
         self._origin = np.zeros((receivers, 2))
@@ -196,11 +197,6 @@ class SpoofCore:
         self.listeners: list[Listener] = []
         self._done: _DoneRows | None = None
         self.set_rewards(rewards)
-
-    @property
-    def receivers(self) -> int:
-        """B."""
-        return self.engine.receivers
 
     @property
     def observation_names(self) -> tuple[str, ...]:
