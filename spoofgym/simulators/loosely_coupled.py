@@ -203,6 +203,12 @@ class LooselyCoupledSimulator(RateSimulator):
     def _correct(self, weights: FloatArray | None) -> None:
         self.victims.update(weights)
 
+    @property
+    def position(self) -> FloatArray:
+        """(B, 3) estimated, ECEF [m]."""
+        position_e: FloatArray = self.memory["position_e"]
+        return position_e
+
     def error_n(self) -> FloatArray:
         """(B, 2) error of the estimate in the local axes of the epoch: north, east [m]."""
         epochs = self.epochs

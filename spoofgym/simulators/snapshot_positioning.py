@@ -149,6 +149,8 @@ class SnapshotSetup(Setup):
             for turn, time in self.domain.pairs()
         ]
         self.sky, self.epoch_time = chain_skies(skies), np.tile(skies[0].time, len(skies))
+        self.true_position = self.sky.position_e
+        self.C_en = np.broadcast_to(self.sky.C_en, (len(self.epoch_time), 3, 3))
         self.bounds = self._bounds(len(skies), 1, 1, 0, 0)
         self.weight_names = tuple(f"slot{j:02d}" for j in range(satellites))
         self.geometry_names = (
@@ -312,6 +314,12 @@ class SnapshotSimulator(RateSimulator):
         """(B,) bool, whether the last epoch had no fix."""
         missing: NDArray[np.bool_] = self.memory["status"] != FIXED
         return missing
+
+    @property
+    def position(self) -> FloatArray:
+        """(B, 3) last fix, ECEF [m]."""
+        position_e: FloatArray = self.memory["position_e"]
+        return position_e
 
     def error_n(self) -> FloatArray:
         """(B, 2) error of the fix: north, east [m]."""
