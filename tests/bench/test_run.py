@@ -7,6 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from spoofgym.envs.engine import Engine
+from spoofgym.envs.presets import make_game
 
 from spoofgym.bench.run import (
     WarmStart,
@@ -18,8 +20,6 @@ from spoofgym.bench.run import (
 )
 from spoofgym.bench.suite import Suite, make_bound_spoofer
 from spoofgym.detectors import Ewma
-from spoofgym.envs.engine import Engine
-from spoofgym.envs.presets import make_game
 from spoofgym.spoofers import Spoofer
 
 from .support import small_suite

@@ -7,13 +7,13 @@ import threading
 import gymnasium as gym
 import numpy as np
 import pytest
+from spoofgym.envs.snapshot_plant import SnapshotPlant
 
 from spoofgym import duel_v0
-from spoofgym.envs.engine import Batch
-from spoofgym.envs.prefetch import NextEpisodes
-from spoofgym.envs.presets import make_game, make_setup
-from spoofgym.envs.resets import HALFWAY
-from spoofgym.envs.snapshot_plant import SnapshotPlant
+from spoofgym.envs import SpoofCore, TightlyCoupledSetup
+from spoofgym.envs.options import HALFWAY
+from spoofgym.simulators.prefetch import NextEpisodes
+from spoofgym.simulators.tightly_coupled import TightlyCoupledSimulator
 
 TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
 FORMS = {
@@ -87,9 +87,9 @@ def test_an_interrupted_environment_refuses_to_go_on_until_reset(form, within, m
     act(env)
     plant = form == "small"
     # with the duel's first step, the spoofer's, only the first half of an epoch is run
-    halves = {"step": "advance_attacked", "reset": "begin"}
+    halves = {"step": "predict", "reset": "begin"}
     names = {"step": "advance", "reset": "begin"} if plant else halves
-    interrupt_once(monkeypatch, SnapshotPlant if plant else Batch, names[within])
+    interrupt_once(monkeypatch, SnapshotPlant if plant else TightlyCoupledSimulator, names[within])
     with pytest.raises(KeyboardInterrupt):
         for _ in range(2):
             act(env) if within == "step" else restart(env)
@@ -107,7 +107,7 @@ def test_an_interrupted_environment_refuses_to_go_on_until_reset(form, within, m
 def test_some_receivers_are_not_enough_for_the_reset_after_an_interrupt(monkeypatch):
     env = FORMS["disabled"]()
     env.reset(seed=5)
-    interrupt_once(monkeypatch, Batch, "update")
+    interrupt_once(monkeypatch, TightlyCoupledSimulator, "update")
     with pytest.raises(KeyboardInterrupt):
         act(env)
     with pytest.raises(ValueError, match="must be that of all receivers"):
@@ -127,7 +127,7 @@ def test_a_refused_reset_leaves_the_episode_as_it_was():
 
 @pytest.mark.parametrize("name", ["copy_rows", "_slots", "prepared"])
 def test_interrupted_books_of_the_next_episodes_are_thrown_away(name, monkeypatch):
-    setup = make_setup(timeline=TIMELINE)
+    setup = TightlyCoupledSetup(timeline=TIMELINE)
 
     def rngs():
         return [np.random.default_rng(seed) for seed in range(9)]
@@ -135,10 +135,12 @@ def test_interrupted_books_of_the_next_episodes_are_thrown_away(name, monkeypatc
     def rewards(game):
         return [game.step(np.full((9, 2), 0.3)).reward for _ in range(3)]
 
-    ahead, plain = (make_game(9, setup, threads=1, prefetch=on) for on in (True, False))
+    ahead, plain = (SpoofCore(9, setup, threads=1, prefetch=on) for on in (True, False))
     given = rngs()
     ahead.reset(given)
-    interrupt_once(monkeypatch, Batch if name == "copy_rows" else NextEpisodes, name)
+    interrupt_once(
+        monkeypatch, TightlyCoupledSimulator if name == "copy_rows" else NextEpisodes, name
+    )
     with pytest.raises(KeyboardInterrupt):
         ahead.reset(given)
     for game in (ahead, plain):
@@ -161,7 +163,7 @@ def test_an_interrupted_decision_of_several_epochs_leaves_nothing_behind(monkeyp
         for _ in range(2)
     )
     env.reset(seed=5)
-    kept = type(env.unwrapped.game._kept)
+    kept = type(env.unwrapped.core._kept)
     interrupt_once(monkeypatch, kept, "put_aside")
     with pytest.raises(KeyboardInterrupt):
         played(env)

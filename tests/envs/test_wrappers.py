@@ -94,7 +94,7 @@ def test_make_vec_refuses_wrappers_where_there_is_a_vector_form():
 def test_the_spec_of_a_wrapped_environment_makes_it_again():
     env = wrappers.StealthBudget(wrappers.DetectorWrapper(single(), "snapshot-chi2"), 3.0)
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    assert type(again.unwrapped.game.setup.detector).__name__ == "SnapshotChi2"
+    assert type(again.unwrapped.core.setup.detector).__name__ == "SnapshotChi2"
     assert_same(transitions(env)[0], transitions(again)[0])
 
 
@@ -119,7 +119,7 @@ def test_detectors_that_watch_change_nothing_and_see_everything(prefetch):
     loud = Nervous()
     alone = vector(3, detector=loud, prefetch=prefetch, **kwargs)
     watched = vector(3, detector=loud, watch=[loud, "ewma", "ewma"], prefetch=prefetch, **kwargs)
-    assert [name for name in watched.game.info_names if name.endswith("_ratio")] == [
+    assert [name for name in watched.core.info_names if name.endswith("_ratio")] == [
         "watch_nervous_ratio",
         "watch_ewma_ratio",
         "watch_ewma_2_ratio",

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-from spoofgym.envs import make_game, make_setup
 from spoofgym.envs.loose_plant import LoosePlant
 from spoofgym.envs.plant_game import PlantGame
-from spoofgym.envs.rendering import GameRecorder, PlantRecorder, RenderHistory, Seen
-from spoofgym.envs.rendering.panels import NAME_SIZE, beside
 from spoofgym.envs.robot_plant import RobotPlant
 from spoofgym.envs.snapshot_plant import SnapshotPlant
+
+from spoofgym.envs import SpoofCore, TightlyCoupledSetup
+from spoofgym.envs.rendering import GameRecorder, PlantRecorder, RenderHistory, Seen
+from spoofgym.envs.rendering.panels import NAME_SIZE, beside
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
 PLANTS = [SnapshotPlant, LoosePlant, RobotPlant]
 
 
 def tight_game(**kwargs):
-    return make_game(1, make_setup(timeline=SHORT, **kwargs), end_at_alarm=False, threads=1)
+    return SpoofCore(
+        1, TightlyCoupledSetup(timeline=SHORT, **kwargs), end_at_alarm=False, threads=1
+    )
 
 
 def plant_game(kind):
@@ -40,7 +42,7 @@ def play(game, action, steps=8, seed=3):
     game.reset([np.random.default_rng(seed)])
     recorder = recorder_of(game)
     history = RenderHistory(recorder.begin(), recorder.interval_s)
-    history.add(*recorder.look(), {k: v[0] for k, v in game.begin_info().items()})
+    history.add(*recorder.look(), {k: v[0] for k, v in game.reset_info().items()})
     for _ in range(steps):
         turn = game.step(np.full((1, len(game.action_names)), action))
         history.add(*recorder.look(), {k: v[0] for k, v in turn.info.items()})
@@ -77,18 +79,18 @@ def test_the_twin_follows_through_the_time_to_alert():
 def test_displacement_error_and_verdict_are_those_of_the_game():
     game = tight_game()
     history = play(game, 1.0)
-    moved = game.engine.batch.attack.memory["displacement"][0]
+    moved = game.engine.simulator.attack.memory["displacement"][0]
     np.testing.assert_array_equal(history.pair("displacement_ne")[-1], moved)
-    verdict = game.engine.batch.verdict
+    verdict = game.engine.simulator.verdict
     assert history.number("ratio")[-1] == (verdict.statistic / verdict.threshold).max()
     east = history.pair("error_ne")[:, 1]
-    turn_m = game.books.credited[0]
+    turn_m = game.score.undetected[0]
     if not history.alarm.any():
         assert np.maximum.accumulate(east - east[0])[-1] == pytest.approx(turn_m)
 
 
 def test_the_sky_marks_what_is_spoofed():
-    world = make_setup(timeline=SHORT).world
+    world = TightlyCoupledSetup(timeline=SHORT).world
     chosen = tuple(name for name in world.satellite_ids if name)[:3]
     game = tight_game(attack={"name": "false-position", "channels": chosen})
     clean, attacked = play(game, 0.0).sky, play(game, 1.0).sky

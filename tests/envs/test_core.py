@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Detector, Never, Verdict
-from spoofgym.envs import Engine, make_game, make_setup
-from spoofgym.envs.observations import OwnCommand, Time, terms_of
+from spoofgym.envs import SpoofCore
+from spoofgym.envs.terms.observation import OwnCommand, Time, default_terms
+from spoofgym.simulators import Engine, TightlyCoupledSetup
 
 from .support import SHORT, single, vector
 
@@ -187,23 +188,23 @@ def test_an_own_list_of_terms():
     assert env.observation_names[0] == "time_since_onset"
     with pytest.raises(ValueError, match="two terms write the same"):
         single(observation=(Time(), Time()))
-    assert terms_of("blind")
+    assert default_terms(setup, "blind")
 
 
 def test_fewer_than_four_satellites_coast_and_say_so():
     """Satellites that sink after the first fix: the receiver coasts, and the detector is quiet."""
-    setup = make_setup(timeline=SHORT, detector="ewma")
+    setup = TightlyCoupledSetup(timeline=SHORT, detector="ewma")
     visible, satellites = setup.world.visible.copy(), setup.world.satellites.copy()
     visible[45:60, 3:] = False
     satellites[45:60, 3:, 6:] = 0.0
     setup.world = dataclasses.replace(setup.world, visible=visible, satellites=satellites)
-    game = make_game(2, setup)
-    game.reset([np.random.default_rng(i) for i in range(2)])
-    covariance = game.engine.batch.buffers.state.covariance
+    core = SpoofCore(2, setup)
+    core.reset([np.random.default_rng(i) for i in range(2)])
+    covariance = core.engine.simulator.buffers.state.covariance
     before = np.sqrt(covariance[:, 6, 6])
     coasting, spread = [], []
     for _ in range(25):
-        turn = game.step(np.zeros((2, 2)))
+        turn = core.step(np.zeros((2, 2)))
         coasting.append(turn.info["coasting"])
         spread.append(np.sqrt(covariance[:, 6, 6]))
     coasting, spread = np.array(coasting), np.array(spread)
@@ -212,11 +213,11 @@ def test_fewer_than_four_satellites_coast_and_say_so():
     assert not coasting[19:].any()
     assert (np.diff(spread[5:19], axis=0) > 0.0).all()
     assert (spread[-1] < 2.0 * before).all()
-    assert np.isfinite(game.observe()).all()
+    assert np.isfinite(core.observe()).all()
 
 
 def test_receivers_and_threads_are_checked():
-    setup = make_setup(timeline=SHORT)
+    setup = TightlyCoupledSetup(timeline=SHORT)
     with pytest.raises(ValueError, match="`receivers` must be at least 1, got 0"):
         Engine(0, setup)
     with pytest.raises(ValueError, match="`threads` must be at least 1, got 0"):

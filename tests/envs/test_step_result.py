@@ -5,11 +5,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.envs.ends import AtAlarm, AtDisplacement, Standing
-from spoofgym.envs.game import Game
-from spoofgym.envs.observations import OwnCommand, TargetMotion, Time, terms_of
-from spoofgym.envs.presets import make_setup
-from spoofgym.envs.rewards import (
+from spoofgym.envs import SpoofCore
+from spoofgym.envs.terms.observation import OwnCommand, TargetMotion, Time, default_terms
+from spoofgym.envs.terms.reward import (
     AlarmedEpochs,
     AlarmPenalty,
     DisplacementGain,
@@ -18,6 +16,8 @@ from spoofgym.envs.rewards import (
     RewardTerm,
     shares_of,
 )
+from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement, EpochState
+from spoofgym.simulators import TightlyCoupledSetup
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 TERMS = [AlarmPenalty(0.7), DisplacementGain(0.3), Retraction(1.7), AlarmedEpochs(0.1)]
@@ -45,7 +45,7 @@ class Nowhere(AtDisplacement):
 
     name = "nowhere"
 
-    def __call__(self, standing: Standing) -> Any:
+    def __call__(self, standing: EpochState) -> Any:
         return standing.displacement >= np.inf
 
 
@@ -201,19 +201,21 @@ def test_only_a_share_beside_its_own_call_is_believed() -> None:
 
 
 def test_only_factors_beside_their_own_call_are_believed() -> None:
-    setup = make_setup(timeline=SHORT, detector="never")
-    game = Game(2, setup, observation=[Backwards(1.0)], reward=[], end_at_alarm=False)
+    setup = TightlyCoupledSetup(timeline=SHORT, detector="never")
+    game = SpoofCore(2, setup, observation=[Backwards(1.0)], reward=[], end_at_alarm=False)
     game.reset(np.random.default_rng(0).spawn(2))
     for _ in range(3):
         _, seen = game.turn(np.ones((2, 2)))
-    moved = game.engine.batch.attack.memory["displacement"]
+    moved = game.engine.simulator.attack.memory["displacement"]
     assert (moved > 0.0).all()
     np.testing.assert_array_equal(seen[:, :2], -moved.astype(np.float32))
 
 
 def test_motion_and_time_are_tabled_to_the_bit() -> None:
-    setup = make_setup(timeline=SHORT, detector="never")
-    game = Game(2, setup, observation=terms_of("tracking"), reward=[], end_at_alarm=False)
+    setup = TightlyCoupledSetup(timeline=SHORT, detector="never")
+    game = SpoofCore(
+        2, setup, observation=default_terms(setup, "tracking"), reward=[], end_at_alarm=False
+    )
     game.reset(np.random.default_rng(0).spawn(2))
     for _ in range(setup.steps):
         game.step(np.zeros((2, 2)))
@@ -228,7 +230,7 @@ def test_motion_and_time_are_tabled_to_the_bit() -> None:
 
 
 def test_nothing_is_tabled_where_the_start_is_drawn() -> None:
-    setup = make_setup(timeline=SHORT, detector="never", domain={"start_s": (0.0, 10.0)})
+    setup = TightlyCoupledSetup(timeline=SHORT, detector="never", domain={"start_s": (0.0, 10.0)})
     assert setup.onsets is None
     assert Time().table(setup) is None
     assert TargetMotion().table(setup) is None
