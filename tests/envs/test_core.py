@@ -95,8 +95,7 @@ def test_the_target_direction_counts(kind):
     east = play(kind, Never(), target_heading_deg=90.0)[0]
     west = play(kind, Never(), target_heading_deg=270.0)[0]
     np.testing.assert_allclose(east, -west, atol=1e-9)
-    if kind != "LooselyCoupled":  # three seconds move its filter less than its errors
-        assert east[-1] > 1.0
+    assert east[-1] > 1.0
 
 
 def test_own_reward_terms_and_a_price_of_an_alarm(kind):

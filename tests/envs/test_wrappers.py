@@ -14,8 +14,7 @@ from spoofgym.envs import wrappers
 from spoofgym.envs.recorder import EpochRecorder
 from spoofgym.envs.wrappers import vector as vector_wrappers
 
-from .support import ID, SHORT, single, vector
-from .test_ends import AfterEpochs
+from .support import ID, LIVE, SHORT, AlarmAt, single, vector
 
 
 def transitions(env, steps=36, seed=4):
@@ -81,8 +80,9 @@ def test_a_game_that_has_begun_is_left_alone(make, module):
 
 
 def test_other_environments_are_refused():
-    with pytest.raises(TypeError, match="needs a SpoofEnv"):
-        wrappers.WatchWrapper(gym.make("spoofgym/SpooferView-v0", timeline=SHORT), ["cusum"])
+    for env in (gym.make("spoofgym/DetectorView-v0", timeline=SHORT), gym.make("CartPole-v1")):
+        with pytest.raises(TypeError, match="needs an environment of spoofgym, single or vector"):
+            wrappers.WatchWrapper(env, ["cusum"])
 
 
 def test_make_vec_refuses_wrappers_where_there_is_a_vector_form():
@@ -207,7 +207,7 @@ def test_what_is_written_are_the_epochs_of_the_commands_and_no_others(
 ):
     """Neither the warm-up nor the time to alert: the information tells of alarms there."""
     pytest.importorskip("pyarrow")
-    env = single(detector=AfterEpochs(at), decision_interval_s=decision_interval_s)
+    env = single(detector=AlarmAt(LIVE + at), decision_interval_s=decision_interval_s)
     env = wrappers.RecordEpochs(env, tmp_path)
     _, begun = env.reset(seed=3)
     assert begun["warmup_alarm"] == warmup_alarm

@@ -17,8 +17,7 @@ from spoofgym.envs.terms.registry import TERMS, term_table, written
 from spoofgym.envs.terms.reward import AlarmPenalty, DisplacementGain
 from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement
 
-from .support import single, vector
-from .test_ends import AfterEpochs
+from ..support import LIVE, AlarmAt, single, vector
 
 NEEDED = {"channels": {"ids": ["S05"]}, "at-displacement": {"limit_m": 5.0}}
 NEEDED |= {"at-stealth-budget": {"budget_nats": 2.0}, "at-steps": {"steps": 4}}
@@ -265,7 +264,7 @@ def test_the_same_bits_in_any_batch():
 
 
 def test_the_reward_is_exactly_the_sum_of_its_parts():
-    envs = vector(3, reward=list(TERMS["reward"]), end_at_alarm=False, detector=AfterEpochs(15))
+    envs = vector(3, reward=list(TERMS["reward"]), end_at_alarm=False, detector=AlarmAt(LIVE + 15))
     envs.reset(seed=1)
     seen = dict.fromkeys(envs.core.info_names, False)
     for _ in range(30):
