@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from .._registry import check_keywords
 from ..detectors import Detector, make_detector
@@ -13,6 +13,7 @@ from .core import SpoofCore, WatchSpec, make_watch
 from .terms.registry import EndSpec, make_terms
 from .terms.termination import AtAlarm
 
+S = TypeVar("S", bound=Setup)
 _OWN = ("self", "receivers", "setup", "threads", "prefetch")
 CORE = {
     name: parameter.replace(kind=parameter.KEYWORD_ONLY)
@@ -34,7 +35,7 @@ def signature_of(setup_type: type[Setup], own: inspect.Signature) -> inspect.Sig
     return own.replace(parameters=[*kept, *settings_of(setup_type).values()])
 
 
-def make_setup(setup_type: type[Setup], settings: Mapping[str, Any]) -> Setup:
+def make_setup(setup_type: type[S], settings: Mapping[str, Any]) -> S:
     """Setup from those settings that are the victim's; None stands for its default."""
     own = inspect.signature(setup_type).parameters
     chosen = {name: settings[name] for name in own if settings.get(name) is not None}
@@ -96,7 +97,10 @@ def compose(
 def composable(env: Any) -> Any:
     """Environment of the spoofer's side inside all wrappers; a TypeError where there is none."""
     inner = getattr(env, "unwrapped", env)
-    if not isinstance(getattr(inner, "core", None), SpoofCore):
+    # a view of the duel has a core of the spoofer's side, and a pool of its own to choose from
+    if not isinstance(getattr(inner, "core", None), SpoofCore) or not hasattr(
+        inner, "given_detector"
+    ):
         raise TypeError(
             "this wrapper needs an environment of spoofgym, single or vector, wrapped or not, got "
             f"{inner!r}; `gymnasium.make_vec` makes one by its default vectorization mode"

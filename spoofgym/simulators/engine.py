@@ -30,7 +30,7 @@ def _warmed_up(
     setup: Setup, rngs: Sequence[np.random.Generator], between: Callable[[], None]
 ) -> tuple[Simulator, NDArray[np.bool_]]:
     """Receivers at the onset, by one thread."""
-    simulator = setup.simulator(len(rngs), run_serially)
+    simulator: Simulator = setup.simulator(len(rngs), run_serially)
     return simulator, simulator.warm_up(rngs, between)
 
 
@@ -83,8 +83,10 @@ class Engine:
         useful = available_threads(receivers) if threads is None else threads
         self.threads = useful if setup.threaded else 1
         self._workers = Workers(self.threads - 1)
-        self.simulator = setup.simulator(receivers, self._run)
-        self.twin = setup.altered(monitors=()).simulator(receivers, self._run) if twin else None
+        self.simulator: Simulator = setup.simulator(receivers, self._run)
+        self.twin: Simulator | None = (
+            setup.altered(monitors=()).simulator(receivers, self._run) if twin else None
+        )
         self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
         self._few: dict[tuple[bool, int], Simulator] = {}
@@ -175,7 +177,7 @@ class Engine:
         if len(rows) == self.receivers:
             self.warmup_alarm = self.simulator.warm_up(rngs, given=given)
             return
-        part = self.setup.simulator(len(rngs), self._run)
+        part: Simulator = self.setup.simulator(len(rngs), self._run)
         self.warmup_alarm[rows] = part.warm_up(rngs, given=given)
         self.simulator.copy_rows(rows, part, np.arange(len(rows)))
 
@@ -241,7 +243,7 @@ class Engine:
         """Simulator whose rows are all to be overwritten; a small one is made once."""
         key = (whole is self.twin, receivers)
         if key not in self._few:
-            part = whole.setup.simulator(receivers, self._run)
+            part: Simulator = whole.setup.simulator(receivers, self._run)
             if receivers > KEPT:
                 return part
             self._few[key] = part

@@ -80,7 +80,8 @@ def test_a_game_that_has_begun_is_left_alone(make, module):
 
 
 def test_other_environments_are_refused():
-    for env in (gym.make("spoofgym/DetectorView-v0", timeline=SHORT), gym.make("CartPole-v1")):
+    ids = ("spoofgym/SpooferView-v0", "spoofgym/DetectorView-v0")
+    for env in (*(gym.make(name, timeline=SHORT) for name in ids), gym.make("CartPole-v1")):
         with pytest.raises(TypeError, match="needs an environment of spoofgym, single or vector"):
             wrappers.WatchWrapper(env, ["cusum"])
 

@@ -100,7 +100,7 @@ def test_the_sky_of_a_snapshot_receiver():
     sky = play(core, 1.0).sky
     np.testing.assert_array_equal(sky.spoofed, core.engine.simulator.memory["spoofed"][0])
     assert (sky.elevation > 0.0).all()
-    toward = core.engine.simulator._line_of_sight_n()[0]
+    toward = core.engine.simulator.lines_of_sight_n()[0]
     np.testing.assert_allclose(np.cos(sky.elevation) * np.cos(sky.azimuth), toward[:, 0])
     np.testing.assert_allclose(np.cos(sky.elevation) * np.sin(sky.azimuth), toward[:, 1])
 
