@@ -6,9 +6,8 @@ import pytest
 from spoofgym.attacks import PerChannel
 from spoofgym.detectors import Raim, SrvRaim, TraversalRaim
 from spoofgym.detectors.raim import residual_statistic
-from spoofgym.envs import Engine, make_setup
-from spoofgym.envs.snapshot import position_error_n
 from spoofgym.receiver.raim import fit_thresholds
+from spoofgym.simulators import Engine, TightlyCoupledSetup
 
 from .skies import LINE_OF_SIGHT, NOISE, SATELLITES, context, sky_epoch, spoofed_offset
 
@@ -205,7 +204,7 @@ def test_in_the_loop_of_the_tightly_coupled_receiver(kind):
     errors = {}
     for exclude in (False, True):
         attack = PerChannel(control="rate", rate_limit_mps=250.0, channels=("S10",), coherent=False)
-        setup = make_setup(detector=kind(exclude=exclude), attack=attack, timeline=SHORT)
+        setup = TightlyCoupledSetup(detector=kind(exclude=exclude), attack=attack, timeline=SHORT)
         engine = Engine(2, setup, threads=1)
         engine.reset([np.random.default_rng(i) for i in range(2)])
         assert not engine.warmup_alarm.any()
@@ -213,10 +212,10 @@ def test_in_the_loop_of_the_tightly_coupled_receiver(kind):
         for k in range(20):
             verdict = engine.step(np.full((2, 1), 0.5 * (k == 0)))
             assert verdict.alarm.all()
-            group = engine.batch.detector.memory["group"]
-            seen = engine.batch.epoch.visible
+            group = engine.simulator.detector.memory["group"]
+            seen = engine.simulator.epoch.visible
             np.testing.assert_array_equal(group[:, slot], 2)
             assert (group[seen] > 0).all()
             assert not group[~seen].any()
-        errors[exclude] = np.linalg.norm(position_error_n(setup, engine.batch), axis=1).max()
+        errors[exclude] = np.linalg.norm(engine.simulator.error_n(), axis=1).max()
     assert errors[True] < 10.0 < errors[False]

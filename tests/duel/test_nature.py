@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from spoofgym.duel.ledger import Ledger
+from spoofgym.envs.books import Books
 
 from spoofgym.detectors.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
-from spoofgym.duel.ledger import Ledger
 from spoofgym.envs import SpoofEnv
-from spoofgym.envs.books import Books
 
 from .support import ALARM, QUIET, SHORT, aec, parallel
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Ewma, Never
-from spoofgym.envs import Engine, make_setup
-from spoofgym.envs.recording import record_run
 from spoofgym.receiver import TightlyCoupled, replay
+from spoofgym.simulators import Engine, TightlyCoupledSetup
+from spoofgym.simulators.recording import record_run
 
-from .support import SHORT, single, vector
+from ..envs.support import SHORT, single, vector
 
 
 def rollout(env, seed, steps, row=None, rng_seed=0):
@@ -42,8 +42,8 @@ def test_row_37_of_64_is_the_single_env_over_an_autoreset(knowledge, end_at_alar
         "end_at_alarm": end_at_alarm,
         "detector": {"name": "ewma", "false_alarm": 0.05},  # so that some episodes end early
     }
-    batch = vector(64, autoreset_mode="same_step", threads=2, **kwargs)
-    many = rollout(batch, seed=100, steps=75, row=37)
+    simulator = vector(64, autoreset_mode="same_step", threads=2, **kwargs)
+    many = rollout(simulator, seed=100, steps=75, row=37)
     one = rollout(single(**kwargs).unwrapped, seed=137, steps=75)
     assert sum(one[2]) >= 2, "the test must go over an autoreset"
     assert one[2] == many[2]
@@ -56,14 +56,14 @@ def test_row_37_of_64_is_the_single_env_over_an_autoreset(knowledge, end_at_alar
     [(1, 1), (3, 1), (4, 1), (5, 1), (7, 1), (12, 2), (40, 1), (40, 2), (40, 3)],
 )
 def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(receivers, threads):
-    setup = make_setup(timeline=SHORT)
+    setup = TightlyCoupledSetup(timeline=SHORT)
 
     def final(count, number):
         engine = Engine(count, setup, threads=number)
         engine.reset([np.random.default_rng(i) for i in range(count)])
         for k in range(20):
             engine.step(np.full((count, 2), 0.1 * (k % 3)))
-        return engine.batch.buffers
+        return engine.simulator.buffers
 
     few, many = final(receivers, threads), final(64, 1)
     for name in ("position_e", "velocity_e", "C_eb", "covariance", "clock"):
@@ -75,7 +75,7 @@ def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(receivers, thr
 
 
 def test_zero_command_is_the_clean_run():
-    setup = make_setup(timeline=SHORT)
+    setup = TightlyCoupledSetup(timeline=SHORT)
 
     def run(action, attacked):
         engine = Engine(3, setup, threads=1)
@@ -84,16 +84,16 @@ def test_zero_command_is_the_clean_run():
             if attacked:
                 engine.step(action)
             else:
-                engine.batch.advance()
+                engine.simulator.advance()
                 engine.update(engine.judge())
-        return engine.batch.buffers.floats.copy()
+        return engine.simulator.buffers.floats.copy()
 
     np.testing.assert_array_equal(run(np.zeros((3, 2)), True), run(None, False))
 
 
 def test_an_attack_meets_the_same_noise():
     """Measured samples and white noise of ranges do not depend on what the attack does."""
-    setup = make_setup(timeline=SHORT, detector=Never())
+    setup = TightlyCoupledSetup(timeline=SHORT, detector=Never())
 
     def run(size):
         engine = Engine(2, setup, threads=1)
@@ -101,10 +101,10 @@ def test_an_attack_meets_the_same_noise():
         samples, ranges = [], []
         for _ in range(20):
             engine.predict(np.full((2, 2), size))
-            batch = engine.batch
-            samples.append(batch.buffers.samples.copy())
-            offset = batch.sensors.state.range_offset
-            ranges.append(batch.buffers.measured.pseudorange - offset * batch.epoch.visible)
+            simulator = engine.simulator
+            samples.append(simulator.buffers.samples.copy())
+            offset = simulator.sensors.state.range_offset
+            ranges.append(simulator.buffers.measured.pseudorange - offset * simulator.epoch.visible)
             engine.update(engine.judge())
         return np.array(samples), np.array(ranges), np.abs(offset).max()
 
@@ -117,11 +117,11 @@ def test_an_attack_meets_the_same_noise():
 
 def test_the_quiet_stretch_is_the_stepwise_run():
     """One compiled call for many epochs gives the bits of three calls an epoch."""
-    setup = make_setup(timeline=SHORT)
-    fused = Engine(5, setup, threads=1).batch
-    stepwise = Engine(5, setup, threads=1).batch
-    for batch in (fused, stepwise):
-        batch.begin([np.random.default_rng(i) for i in range(5)])
+    setup = TightlyCoupledSetup(timeline=SHORT)
+    fused = Engine(5, setup, threads=1).simulator
+    stepwise = Engine(5, setup, threads=1).simulator
+    for simulator in (fused, stepwise):
+        simulator.begin([np.random.default_rng(i) for i in range(5)])
     fused.quiet_epochs(30)
     for _ in range(30):
         stepwise.advance()
@@ -136,7 +136,7 @@ def test_the_quiet_stretch_is_the_stepwise_run():
 @pytest.mark.parametrize("attacked", [False, True])
 @pytest.mark.parametrize("grade", ["aviation", "consumer"])
 def test_an_exported_episode_replays_to_the_same_bits(attacked, grade):
-    setup = make_setup(timeline=SHORT, scenario={"imu": grade}, detector=Never())
+    setup = TightlyCoupledSetup(timeline=SHORT, scenario={"imu": grade}, detector=Never())
     action = np.array([[0.2, -0.9]])
     initial, recording, position_e = record_run(
         setup, np.random.default_rng(3), command=(lambda k: action) if attacked else None
@@ -147,9 +147,11 @@ def test_an_exported_episode_replays_to_the_same_bits(attacked, grade):
     engine.reset([np.random.default_rng(3)])
     for _ in range(setup.steps):
         engine.step(action if attacked else np.zeros((1, 2)))
-    np.testing.assert_array_equal(solution.position_e[-1], engine.batch.buffers.state.position_e[0])
     np.testing.assert_array_equal(
-        solution.sd[-1], np.sqrt(np.diagonal(engine.batch.buffers.state.covariance[0]))
+        solution.position_e[-1], engine.simulator.buffers.state.position_e[0]
+    )
+    np.testing.assert_array_equal(
+        solution.sd[-1], np.sqrt(np.diagonal(engine.simulator.buffers.state.covariance[0]))
     )
 
 
@@ -157,12 +159,12 @@ def test_episodes_of_one_seed_differ_and_repeat():
     env = single().unwrapped
     first, _ = env.reset(seed=4)
     second, _ = env.reset()
-    state = env.game.engine.batch.buffers.state.position_e.copy()
+    state = env.core.engine.simulator.buffers.state.position_e.copy()
     env.reset(seed=4)
     env.reset()
-    np.testing.assert_array_equal(state, env.game.engine.batch.buffers.state.position_e)
+    np.testing.assert_array_equal(state, env.core.engine.simulator.buffers.state.position_e)
     env.reset(seed=4)
-    assert not np.array_equal(state, env.game.engine.batch.buffers.state.position_e)
+    assert not np.array_equal(state, env.core.engine.simulator.buffers.state.position_e)
     assert first.shape == second.shape
 
 
@@ -177,7 +179,7 @@ def test_when_the_last_alarm_came_does_not_matter_for_the_next_episode():
         for _ in range(40):
             _, _, terminated, _, _ = envs.step(np.ones((2, 2)))
             for row in np.flatnonzero(terminated & ~done):
-                sensors = envs.game.engine.batch.sensors
+                sensors = envs.core.engine.simulator.sensors
                 biases[row] = (
                     sensors.state.satellite_bias[row].copy(),
                     sensors.keys[:, row].copy(),

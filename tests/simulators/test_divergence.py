@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spoofgym.envs import Engine, make_setup
-from spoofgym.envs.divergence import Divergence
+from spoofgym.simulators import Engine, TightlyCoupledSetup
+from spoofgym.simulators.divergence import Divergence
 
-from .support import SHORT
+from ..envs.support import SHORT
 
 
 def engines(detector, **settings):
-    setup = make_setup(timeline=SHORT, detector=detector, **settings)
-    setup = setup.altered(witnesses=[Divergence()])
+    setup = TightlyCoupledSetup(timeline=SHORT, detector=detector, **settings)
+    setup = setup.altered(monitors=[Divergence()])
     made = [Engine(2, setup), Engine(2, setup)]
     for engine in made:
         engine.reset([np.random.default_rng(5), np.random.default_rng(6)])
@@ -21,7 +21,7 @@ def engines(detector, **settings):
 
 
 def memory(engine):
-    return engine.batch.witness(Divergence).memory
+    return engine.simulator.monitor(Divergence).memory
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def test_it_is_that_of_the_difference_to_a_clean_twin(attack, command):
     total = run(attacked, clean, command)
     assert total.min() > 0.5
     np.testing.assert_allclose(memory(attacked)["divergence"], total, rtol=0.01)
-    moved = attacked.batch.buffers.state.position_e - clean.batch.buffers.state.position_e
+    moved = attacked.simulator.buffers.state.position_e - clean.simulator.buffers.state.position_e
     found = memory(attacked)["shift"][:, 6:9]
     np.testing.assert_allclose(found, moved, atol=0.01 * np.abs(moved).max())
 
@@ -55,24 +55,24 @@ def run(attacked, clean, command):
     for _ in range(24):
         attacked.step(np.tile(command, (2, 1)))
         clean.step(np.zeros((2, 2)))
-        shift = attacked.batch.epoch.innovation - clean.batch.epoch.innovation
-        S = attacked.batch.epoch.innovation_cov
+        shift = attacked.simulator.epoch.innovation - clean.simulator.epoch.innovation
+        S = attacked.simulator.epoch.innovation_cov
         total += 0.5 * np.array(
             [rho @ np.linalg.solve(cov, rho) for rho, cov in zip(shift, S, strict=True)]
         )
     return total
 
 
-def by_hand(batch, shift, weights):
+def by_hand(simulator, shift, weights):
     """Shift after an epoch, and what it adds to the divergence: the module's equations in NumPy."""
-    epoch, sensors = batch.epoch, batch.sensors.state
+    epoch, sensors = simulator.epoch, simulator.sensors.state
     seen = np.tile(epoch.visible[0], 2)
     H, P = epoch.design[0][seen], epoch.predicted_cov[0]
     S = epoch.innovation_cov[0][np.ix_(seen, seen)]
     a = np.r_[sensors.range_offset[0], sensors.rate_offset[0]][seen]
     predicted = epoch.transition[0] @ shift
     rho = a + H @ predicted
-    if epoch.visible[0].sum() < batch.setup.receiver.min_satellites:
+    if epoch.visible[0].sum() < simulator.setup.receiver.min_satellites:
         after = predicted
     else:
         after = predicted - P @ H.T @ np.linalg.inv(S) @ np.diag(weights[0][seen]) @ rho
@@ -99,23 +99,23 @@ def divergence_of_normals(mean, cov, mean_0, cov_0):
 @pytest.mark.parametrize("min_satellites", [4, 13])
 def test_it_is_the_sum_of_the_divergences_of_normal_distributions(detector, attack, min_satellites):
     """Epoch by epoch, with the run's own gain and weights, to rounding."""
-    setup = make_setup(
+    setup = TightlyCoupledSetup(
         timeline=SHORT,
         detector=detector,
         attack=attack,
         receiver={"min_satellites": min_satellites},
         domain={"start_s": (0.0, 60.0)},
-    ).altered(witnesses=[Divergence()])
+    ).altered(monitors=[Divergence()])
     engine = Engine(1, setup)
     engine.reset([np.random.default_rng(3)])
-    axes = len(setup.attack.action_names(setup.world))
+    axes = len(setup.action_names)
     rng, shift, total, weighed = np.random.default_rng(4), np.zeros(17), 0.0, False
     for _ in range(24):
         engine.predict(rng.uniform(-1.0, 1.0, (1, axes)))
         verdict = engine.judge()
         weights = np.ones((1, 24)) if verdict.weights is None else verdict.weights
         weighed |= bool((weights != 1.0).any())
-        shift, added = by_hand(engine.batch, shift, weights)
+        shift, added = by_hand(engine.simulator, shift, weights)
         total += added
         engine.update(verdict)
         np.testing.assert_allclose(memory(engine)["shift"][0], shift, rtol=1e-6, atol=1e-9)
@@ -133,6 +133,6 @@ def test_without_an_attack_there_is_none():
 
 
 def test_an_engine_without_one_says_so():
-    engine = Engine(1, make_setup(timeline=SHORT))
+    engine = Engine(1, TightlyCoupledSetup(timeline=SHORT))
     with pytest.raises(LookupError, match="no Divergence looks at these epochs"):
-        engine.batch.witness(Divergence)
+        engine.simulator.monitor(Divergence)

@@ -13,9 +13,8 @@ import time
 import numpy as np
 import pytest
 
-from spoofgym.envs.prefetch import copy_of, take_episode
-from spoofgym.envs.presets import make_game, make_setup
-from spoofgym.envs.vector_env import SpoofVectorEnv
+from spoofgym.envs import SpoofCore, SpoofVectorEnv, TightlyCoupledSetup
+from spoofgym.simulators.prefetch import copy_of, take_episode
 
 PATIENCE_S = 900.0
 """After which a thread or a process counts as hanging, however busy the machine."""
@@ -24,26 +23,29 @@ TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 
 
 @pytest.fixture(scope="module")
 def setup():
-    return make_setup(detector={"name": "ewma", "false_alarm": 0.3}, timeline=TIMELINE)
+    return TightlyCoupledSetup(detector={"name": "ewma", "false_alarm": 0.3}, timeline=TIMELINE)
 
 
-def game_of(setup, prefetch, receivers=9):
-    return make_game(receivers, setup, knowledge="oracle", threads=1, prefetch=prefetch)
+def core_of(setup, prefetch, receivers=9):
+    return SpoofCore(receivers, setup, knowledge="oracle", threads=1, prefetch=prefetch)
 
 
 def generators(receivers=9, seed=0):
     return [np.random.default_rng(seed + i) for i in range(receivers)]
 
 
-def course(game, rngs, steps, chance):
+def course(core, rngs, steps, chance):
     """Rewards, observations, warm-up alarms of some steps with autoresets."""
     seen = []
     for _ in range(steps):
-        turn = game.step(np.clip(chance.normal(0.3, 0.5, (game.receivers, 2)), -1, 1))
-        over = np.flatnonzero(turn.terminated)
+        result, observation = core.step(
+            np.clip(chance.normal(0.3, 0.5, (core.receivers, 2)), -1, 1)
+        )
+        over = np.flatnonzero(result.terminated)
         if len(over):
-            game.reset([rngs[row] for row in over], over)
-        seen.append((turn.reward, game.observe(), game.engine.warmup_alarm.copy()))
+            core.reset([rngs[row] for row in over], over)
+        observation = core.observe() if len(over) else observation
+        seen.append((result.reward, observation, core.engine.warmup_alarm.copy()))
     return [np.array(column) for column in zip(*seen, strict=True)]
 
 
@@ -53,9 +55,9 @@ def assert_same(one, other):
 
 
 def played(setup, prefetch, steps=40, seed=0):
-    game, rngs = game_of(setup, prefetch), generators(seed=seed)
-    game.reset(rngs)
-    return course(game, rngs, steps, np.random.default_rng(1))
+    core, rngs = core_of(setup, prefetch), generators(seed=seed)
+    core.reset(rngs)
+    return course(core, rngs, steps, np.random.default_rng(1))
 
 
 def test_same_bits_over_autoresets(setup):
@@ -66,31 +68,31 @@ def test_same_bits_over_autoresets(setup):
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
 def test_a_copy_goes_on_with_the_same_bits(setup, copied):
-    game, rngs = game_of(setup, True), generators()
-    game.reset(rngs)
+    core, rngs = core_of(setup, True), generators()
+    core.reset(rngs)
     chance = np.random.default_rng(1)
-    first = course(game, rngs, 15, chance)
-    game, rngs = copied((game, rngs))
-    second = course(game, rngs, 25, chance)
+    first = course(core, rngs, 15, chance)
+    core, rngs = copied((core, rngs))
+    second = course(core, rngs, 25, chance)
     whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
     assert_same(played(setup, prefetch=False), whole)
 
 
 def test_other_generators_begin_anew(setup):
-    game = game_of(setup, True)
-    game.reset(generators(seed=5))
+    core = core_of(setup, True)
+    core.reset(generators(seed=5))
     rngs = generators(seed=0)
-    game.reset(rngs)
-    assert_same(played(setup, prefetch=False), course(game, rngs, 40, np.random.default_rng(1)))
+    core.reset(rngs)
+    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
 
 
 def test_the_same_generators_go_on_to_their_next_episodes(setup):
     courses = []
     for prefetch in (False, True):
-        game, rngs = game_of(setup, prefetch), generators()
-        game.reset(rngs)
-        game.reset(rngs)
-        courses.append(course(game, rngs, 5, np.random.default_rng(1)))
+        core, rngs = core_of(setup, prefetch), generators()
+        core.reset(rngs)
+        core.reset(rngs)
+        courses.append(course(core, rngs, 5, np.random.default_rng(1)))
     assert_same(*courses)
 
 
@@ -113,16 +115,16 @@ def test_some_receivers_seeded_anew_leave_the_others_as_they_are():
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
 def test_a_forked_child_goes_on_with_the_same_bits(setup):
-    game, rngs = game_of(setup, True), generators()
-    game.reset(rngs)
+    core, rngs = core_of(setup, True), generators()
+    core.reset(rngs)
     chance = np.random.default_rng(1)
-    first = course(game, rngs, 15, chance)
+    first = course(core, rngs, 15, chance)
     read, write = os.pipe()
     child = os.fork()
     if child == 0:  # pragma: no cover
         status = 1
         try:
-            second = course(game, rngs, 25, chance)
+            second = course(core, rngs, 25, chance)
             with os.fdopen(write, "wb") as pipe:
                 pickle.dump(second, pipe)
             status = 0
@@ -140,9 +142,9 @@ def test_a_forked_child_goes_on_with_the_same_bits(setup):
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
 @pytest.mark.parametrize("steps", [0, 1])
 def test_a_fork_while_locks_are_held(setup, steps):
-    game, rngs = game_of(setup, True), generators()
-    game.reset(rngs)
-    link, held, forked = game.engine._next._link, threading.Event(), threading.Event()
+    core, rngs = core_of(setup, True), generators()
+    core.reset(rngs)
+    link, held, forked = core.engine._next._link, threading.Event(), threading.Event()
 
     def hold():
         with link.change, link.free._cond:
@@ -158,9 +160,9 @@ def test_a_fork_while_locks_are_held(setup, steps):
         status = 1
         try:
             for _ in range(steps):
-                game.step(np.zeros((game.receivers, 2)))
-            game.reset(rngs)
-            game.close()
+                core.step(np.zeros((core.receivers, 2)))
+            core.reset(rngs)
+            core.close()
             status = 0
         finally:
             os._exit(status)
@@ -185,45 +187,45 @@ def fail_once(monkeypatch, owner, name):
 
 @pytest.mark.parametrize("where", ["warm_up", "writing"])
 def test_what_goes_wrong_in_the_background_is_raised_once(setup, monkeypatch, where):
-    game, rngs = game_of(setup, True), generators()
-    episodes = game.engine._next
+    core, rngs = core_of(setup, True), generators()
+    episodes = core.engine._next
     owner, name = {
         "warm_up": (episodes, "_warm_up"),
         "writing": (episodes._waiting, "copy_rows"),
     }[where]
     calls = fail_once(monkeypatch, owner, name)
-    game.reset(rngs)
+    core.reset(rngs)
     with pytest.raises(MemoryError, match="for once"):
-        game.reset(rngs)
-    game.reset(rngs)
+        core.reset(rngs)
+    core.reset(rngs)
     assert len(calls) > 1
-    plain, other = game_of(setup, False), generators()
+    plain, other = core_of(setup, False), generators()
     plain.reset(other)
     plain.reset(other)
-    assert np.array_equal(game.observe(), plain.observe())
+    assert np.array_equal(core.observe(), plain.observe())
 
 
 def test_nothing_is_begun_before_a_failure_has_been_told(setup, monkeypatch):
     """A second call for work may be waiting already, and would have covered it up."""
-    game, rngs = game_of(setup, True), generators()
-    episodes = game.engine._next
+    core, rngs = core_of(setup, True), generators()
+    episodes = core.engine._next
     calls = fail_once(monkeypatch, episodes, "_warm_up")
-    game.reset(rngs)
+    core.reset(rngs)
     link = episodes._link
     with link.change:
         assert link.change.wait_for(lambda: link.failure is not None, timeout=PATIENCE_S)
     episodes.serve(link)
     assert len(calls) == 1
     with pytest.raises(MemoryError, match="for once"):
-        game.reset(rngs)
-    game.reset(rngs)
+        core.reset(rngs)
+    core.reset(rngs)
 
 
 def test_an_interrupted_wait_leaves_no_urgency(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.envs.link.JOIN_S", 0.01)
-    game, rngs = game_of(setup, True), generators()
+    monkeypatch.setattr("spoofgym.simulators.link.JOIN_S", 0.01)
+    core, rngs = core_of(setup, True), generators()
     go_on = threading.Event()
-    episodes = game.engine._next
+    episodes = core.engine._next
     warm_up = episodes._warm_up
 
     def slow(*args):
@@ -234,14 +236,14 @@ def test_an_interrupted_wait_leaves_no_urgency(setup, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(episodes, "_warm_up", slow)
-    game.reset(rngs)
+    core.reset(rngs)
     with monkeypatch.context() as patch:
         patch.setattr(episodes._link.change, "wait_for", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            game.reset(rngs)
+            core.reset(rngs)
     assert not episodes._link.urgent
     go_on.set()
-    game.reset(rngs)
+    core.reset(rngs)
 
 
 def running():
@@ -249,9 +251,9 @@ def running():
 
 
 def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.envs.link.JOIN_S", PATIENCE_S)
+    monkeypatch.setattr("spoofgym.simulators.link.JOIN_S", PATIENCE_S)
     before = running()
-    game, rngs = game_of(setup, True), generators()
+    core, rngs = core_of(setup, True), generators()
     begun = threading.Event()
 
     def endless(rngs, between):
@@ -261,20 +263,20 @@ def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
             time.sleep(1e-3)
 
     with monkeypatch.context() as patch:
-        patch.setattr(game.engine._next, "_warm_up", endless)
-        game.reset(rngs)
+        patch.setattr(core.engine._next, "_warm_up", endless)
+        core.reset(rngs)
         assert begun.wait(PATIENCE_S)
         (thread,) = running() - before
-        game.close()
+        core.close()
         assert not thread.is_alive()
-    assert_same(played(setup, prefetch=False), course(game, rngs, 40, np.random.default_rng(1)))
+    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
 
 
 def test_a_thread_that_ends_late_writes_nothing(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.envs.link.JOIN_S", 0.01)
+    monkeypatch.setattr("spoofgym.simulators.link.JOIN_S", 0.01)
     before = running()
-    game, rngs = game_of(setup, True), generators()
-    episodes = game.engine._next
+    core, rngs = core_of(setup, True), generators()
+    episodes = core.engine._next
     begun, go_on = threading.Event(), threading.Event()
 
     def held_up(rngs, between):
@@ -284,30 +286,30 @@ def test_a_thread_that_ends_late_writes_nothing(setup, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(episodes, "_warm_up", held_up)
-        game.reset(rngs)
+        core.reset(rngs)
         assert begun.wait(PATIENCE_S)
         (thread,) = running() - before
-        game.close()
+        core.close()
     assert thread.is_alive()
     go_on.set()
     thread.join(timeout=PATIENCE_S)
     assert not thread.is_alive()
     assert not episodes._ready.any()
-    assert_same(played(setup, prefetch=False), course(game, rngs, 40, np.random.default_rng(1)))
+    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
 
 
 def test_a_thread_may_close_its_owner(setup):
-    game, rngs = game_of(setup, True), generators()
+    core, rngs = core_of(setup, True), generators()
     before = running()
     closed = threading.Event()
 
     def closing(rngs, between):
-        game.close()
+        core.close()
         closed.set()
         between()
 
-    game.engine._next._warm_up = closing
-    game.reset(rngs)
+    core.engine._next._warm_up = closing
+    core.reset(rngs)
     assert closed.wait(PATIENCE_S)
     for thread in running() - before:
         thread.join(timeout=PATIENCE_S)
@@ -317,7 +319,7 @@ def test_a_thread_may_close_its_owner(setup):
 def test_an_environment_that_is_not_closed_lets_the_interpreter_end():
     code = f"""
 from spoofgym import _jit
-from spoofgym.envs.vector_env import SpoofVectorEnv
+from spoofgym.envs import SpoofVectorEnv
 _jit.NOTICE_S = float("inf")
 envs = SpoofVectorEnv(40, threads=1, timeline={TIMELINE})
 envs.reset(seed=1)
@@ -329,23 +331,23 @@ envs.reset(seed=1)
 def test_threads_end_with_the_game(setup):
     gc.collect()
     before = running()
-    game = game_of(setup, True)
-    game.reset(generators())
-    game.reset(generators())
+    core = core_of(setup, True)
+    core.reset(generators())
+    core.reset(generators())
     (thread,) = running() - before
-    del game
+    del core
     gc.collect()
     thread.join(timeout=PATIENCE_S)
     assert not thread.is_alive()
 
 
 def test_a_closed_game_can_be_played_on(setup):
-    game, rngs = game_of(setup, True), generators()
-    game.reset(rngs)
+    core, rngs = core_of(setup, True), generators()
+    core.reset(rngs)
     chance = np.random.default_rng(1)
-    first = course(game, rngs, 15, chance)
-    game.close()
-    second = course(game, rngs, 25, chance)
+    first = course(core, rngs, 15, chance)
+    core.close()
+    second = course(core, rngs, 25, chance)
     whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
     assert_same(played(setup, prefetch=False), whole)
 

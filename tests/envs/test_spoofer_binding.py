@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.envs.attach import attach, setup_of_card
+from spoofgym.envs.spoofer_binding import attach, setup_of_card
 from spoofgym.spoofers import Card, Ramp
 
 from ..spoofers.policies import ENV, TIMELINE, write_policy
@@ -73,7 +73,7 @@ def test_a_scripted_spoofer_goes_by_the_time_between_its_decisions(
     spoofer = attach(spec, env)
     assert (spoofer.context.interval_s, spoofer.context.steps) == (2.5, 6)
     observation, _ = env.reset(seed=1)
-    memory = env.unwrapped.game.engine.batch.attack.memory
+    memory = env.unwrapped.core.engine.simulator.attack.memory
     rates = []
     for _ in range(6):
         observation, *_ = env.step(spoofer.act(observation[None])[0])

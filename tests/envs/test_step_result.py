@@ -5,11 +5,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym.envs.ends import AtAlarm, AtDisplacement, Standing
-from spoofgym.envs.game import Game
-from spoofgym.envs.observations import OwnCommand, TargetMotion, Time, terms_of
-from spoofgym.envs.presets import make_setup
-from spoofgym.envs.rewards import (
+from spoofgym.envs import SpoofCore
+from spoofgym.envs.terms.observation import OwnCommand, TargetMotion, Time, default_terms
+from spoofgym.envs.terms.reward import (
     AlarmedEpochs,
     AlarmPenalty,
     DisplacementGain,
@@ -18,6 +16,8 @@ from spoofgym.envs.rewards import (
     RewardTerm,
     shares_of,
 )
+from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement, EpochState
+from spoofgym.simulators import TightlyCoupledSetup
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 TERMS = [AlarmPenalty(0.7), DisplacementGain(0.3), Retraction(1.7), AlarmedEpochs(0.1)]
@@ -41,11 +41,11 @@ class Own:
 
 @dataclass(frozen=True)
 class Nowhere(AtDisplacement):
-    """An end that nobody comes to, so that the epoch is played piece by piece."""
+    """An end that nobody comes to, for which a step hands out its arrays."""
 
     name = "nowhere"
 
-    def __call__(self, standing: Standing) -> Any:
+    def __call__(self, standing: EpochState) -> Any:
         return standing.displacement >= np.inf
 
 
@@ -75,7 +75,7 @@ def played(**settings: Any) -> list[dict[str, Any]]:
     rng, found = np.random.default_rng(1), []
     for _ in range(60):
         seen, reward, terminated, truncated, info = envs.step(rng.uniform(0.5, 1.0, (3, 2)))
-        if "alarm" in info:  # else all of them begin anew
+        if "alarm" in info:  # else all of them start again
             found.append({"seen": seen, "reward": reward, "over": terminated | truncated, **info})
     envs.close()
     return found
@@ -108,10 +108,6 @@ def test_the_reward_is_the_sum_of_its_parts(compiled: list[dict[str, Any]]) -> N
         np.testing.assert_array_equal(step["reward"], total)
 
 
-def test_an_epoch_in_one_kernel_is_an_epoch_piece_by_piece(compiled: list[dict[str, Any]]) -> None:
-    assert_same(compiled, played(reward=TERMS, detector=NERVOUS, end=[Nowhere(1.0)]))
-
-
 COMPOSITIONS: list[dict[str, Any]] = [
     {},
     {"twin": True},
@@ -137,20 +133,17 @@ def alone(**settings: Any) -> list[tuple[Any, ...]]:
 
 
 @pytest.mark.parametrize("settings", COMPOSITIONS, ids=str)
-def test_the_fast_twin_has_the_bits_of_the_pieces(settings: dict[str, Any]) -> None:
-    # the observations of the fast one are kept over all further steps
-    fast, pieces = alone(**settings), alone(**settings, end=[AtAlarm(), Nowhere(1.0)])
-    for mine, theirs in zip(fast, pieces, strict=True):
+def test_a_single_step_without_arrays_has_the_bits_of_one_with_them(
+    settings: dict[str, Any],
+) -> None:
+    # the observations of the plain one are kept over all further steps
+    plain, arrays = alone(**settings), alone(**settings, end=[AtAlarm(), Nowhere(1.0)])
+    for mine, theirs in zip(plain, arrays, strict=True):
         np.testing.assert_array_equal(mine[0], theirs[0], strict=True)
         assert mine[1:4] == theirs[1:4]
         told = {name: value for name, value in theirs[4].items() if name != "end_nowhere"}
         assert mine[4] == told
         assert list(map(type, mine[4].values())) == list(map(type, told.values()))
-
-
-def test_the_fast_twin_of_many_has_the_bits_of_the_pieces() -> None:
-    settings = {"knowledge": "oracle", "detector": NERVOUS, "target_heading_deg": "random"}
-    assert_same(played(**settings), played(**settings, end=[AtAlarm(), Nowhere(1.0)]))
 
 
 @pytest.mark.parametrize("num_envs", [1, 3])
@@ -201,34 +194,35 @@ def test_only_a_share_beside_its_own_call_is_believed() -> None:
 
 
 def test_only_factors_beside_their_own_call_are_believed() -> None:
-    setup = make_setup(timeline=SHORT, detector="never")
-    game = Game(2, setup, observation=[Backwards(1.0)], reward=[], end_at_alarm=False)
-    game.reset(np.random.default_rng(0).spawn(2))
+    setup = TightlyCoupledSetup(timeline=SHORT, detector="never")
+    core = SpoofCore(2, setup, observation=[Backwards(1.0)], reward=[], end_at_alarm=False)
+    core.reset(np.random.default_rng(0).spawn(2))
     for _ in range(3):
-        _, seen = game.turn(np.ones((2, 2)))
-    moved = game.engine.batch.attack.memory["displacement"]
+        _, seen = core.step(np.ones((2, 2)))
+    moved = core.engine.simulator.attack.memory["displacement"]
     assert (moved > 0.0).all()
     np.testing.assert_array_equal(seen[:, :2], -moved.astype(np.float32))
 
 
 def test_motion_and_time_are_tabled_to_the_bit() -> None:
-    setup = make_setup(timeline=SHORT, detector="never")
-    game = Game(2, setup, observation=terms_of("tracking"), reward=[], end_at_alarm=False)
-    game.reset(np.random.default_rng(0).spawn(2))
+    setup = TightlyCoupledSetup(timeline=SHORT, detector="never")
+    core = SpoofCore(
+        2, setup, observation=default_terms(setup, "tracking"), reward=[], end_at_alarm=False
+    )
+    core.reset(np.random.default_rng(0).spawn(2))
     for _ in range(setup.steps):
-        game.step(np.zeros((2, 2)))
-        seen = game.observe()
+        _, seen = core.step(np.zeros((2, 2)))
         for term in (Time(), TargetMotion()):
             names = term.names(setup)
-            first = game.observation_names.index(names[0])
+            first = core.observation_names.index(names[0])
             out = np.zeros((2, len(names)), dtype=np.float32)
-            term(game.snapshot(), out)
+            term(core.snapshot(), out)
             out = np.clip(out, *term.bounds(setup))
             np.testing.assert_array_equal(seen[:, first : first + len(names)], out)
 
 
 def test_nothing_is_tabled_where_the_start_is_drawn() -> None:
-    setup = make_setup(timeline=SHORT, detector="never", domain={"start_s": (0.0, 10.0)})
+    setup = TightlyCoupledSetup(timeline=SHORT, detector="never", domain={"start_s": (0.0, 10.0)})
     assert setup.onsets is None
     assert Time().table(setup) is None
     assert TargetMotion().table(setup) is None

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from spoofgym.envs import make_terms
-from spoofgym.envs.actions import AlongTarget, FullCommand
-from spoofgym.envs.ends import AtAlarm, AtDisplacement
-from spoofgym.envs.observations import OwnCommand, Time
-from spoofgym.envs.rewards import AlarmPenalty, DisplacementGain
-from spoofgym.envs.terms import TERMS, term_table, written
+from spoofgym.envs.terms.action import AlongTarget, FullCommand
+from spoofgym.envs.terms.observation import OwnCommand, Time
+from spoofgym.envs.terms.registry import TERMS, term_table, written
+from spoofgym.envs.terms.reward import AlarmPenalty, DisplacementGain
+from spoofgym.envs.terms.termination import AtAlarm, AtDisplacement
 
-from .support import single, vector
-from .test_ends import AfterEpochs
+from ..support import LIVE, AlarmAt, single, vector
 
 NEEDED = {"channels": {"ids": ["S05"]}, "at-displacement": {"limit_m": 5.0}}
 NEEDED |= {"at-stealth-budget": {"budget_nats": 2.0}, "at-steps": {"steps": 4}}
@@ -147,7 +146,7 @@ class Alarms:
         return 0.0, 20.0
 
     def __call__(self, snapshot, out):
-        verdict = snapshot.batch.verdict
+        verdict = snapshot.simulator.verdict
         out[:, 0] = 0.0 if verdict is None else verdict.alarm.sum(axis=1)
 
 
@@ -222,7 +221,7 @@ def test_channels_leave_the_others_alone():
     envs, step = played({"name": "channels", "ids": ["S05", "S09"]}, attack=attack)
     assert envs.action_names == ("S05_rate", "S09_rate")
     step([1.0, -0.5])
-    rate = envs.game.engine.batch.attack.memory["rate"][0]
+    rate = envs.core.engine.simulator.attack.memory["rate"][0]
     wanted = np.zeros(len(every))
     wanted[every.index("S05_rate")], wanted[every.index("S09_rate")] = 5.0, -2.5
     np.testing.assert_array_equal(rate, wanted)
@@ -236,7 +235,7 @@ def test_a_common_offset_moves_the_clock_and_not_the_position():
     for _ in range(25):
         moved, kept = step([1.0]), still([0.0])
     np.testing.assert_allclose(moved, kept, atol=0.1)
-    clock = [e.game.engine.batch.buffers.state.clock[:, 0] for e in (envs, other)]
+    clock = [e.core.engine.simulator.buffers.state.clock[:, 0] for e in (envs, other)]
     np.testing.assert_allclose(clock[0] - clock[1], 12.5, atol=1.0)
 
 
@@ -265,9 +264,9 @@ def test_the_same_bits_in_any_batch():
 
 
 def test_the_reward_is_exactly_the_sum_of_its_parts():
-    envs = vector(3, reward=list(TERMS["reward"]), end_at_alarm=False, detector=AfterEpochs(15))
+    envs = vector(3, reward=list(TERMS["reward"]), end_at_alarm=False, detector=AlarmAt(LIVE + 15))
     envs.reset(seed=1)
-    seen = dict.fromkeys(envs.game.info_names, False)
+    seen = dict.fromkeys(envs.core.info_names, False)
     for _ in range(30):
         given = np.outer([1.0, 0.5, 0.2], [0.2, 1.0])
         _, reward, terminated, _, info = envs.step(given)
@@ -297,5 +296,5 @@ def test_a_table_has_a_row_for_every_term():
 def test_a_plain_action_costs_nothing():
     env = single().unwrapped
     action = np.zeros((1, 2))
-    assert env.game.actor.command(action) is action
-    assert FullCommand().matrix(env.game.setup, np.zeros(2)).shape == (2, 2, 2)
+    assert env.core._map.command(action) is action
+    assert FullCommand().matrix(env.core.setup, np.zeros(2)).shape == (2, 2, 2)

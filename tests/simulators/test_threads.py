@@ -11,8 +11,8 @@ from queue import SimpleQueue
 
 import pytest
 
-from spoofgym.envs import workers as module
-from spoofgym.envs.workers import Workers
+from spoofgym.simulators import threads as module
+from spoofgym.simulators.threads import Workers
 
 SLICES = 3
 BOUNDS = (0, 1, 2, 3)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import spoofgym  # noqa: F401  (registers the ids)
-from spoofgym.envs import make_setup
-from spoofgym.envs.domain import Domain, draw
 from spoofgym.sim.flight import turned
 from spoofgym.sim.manoeuvres import car
+from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulators.domain import Domain, draw
 
 ID = "spoofgym/TightlyCoupled-v0"
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
@@ -55,19 +55,19 @@ def test_every_receiver_is_the_single_env_of_its_seed_in_a_world_of_its_own():
 def test_an_episode_is_played_in_the_circumstances_that_it_has_drawn():
     envs = gym.make_vec(ID, num_envs=24, **settings(domain=ALL, target_heading_deg="random"))
     observation, info = envs.reset(seed=0)
-    game, batch = envs.unwrapped.game, envs.unwrapped.game.engine.batch
-    setup = game.setup
+    core = envs.unwrapped.core
+    setup, simulator = core.setup, core.engine.simulator
     start = info["time_s"] - 20.0
     assert start.min() >= 5.0
     assert start.max() <= 40.0
-    world = batch.memory["first"] // setup.epochs_each
+    world = simulator.memory["first"] // setup.epochs_each
     assert set(world) == {0, 1, 2}
     # sensors, and what the receiver believes of them
-    grades = batch.memory["case"] // 2 % 2
-    bias = batch.sensors.state.accel_bias
+    grades = simulator.memory["combination"] // 2 % 2
+    bias = simulator.sensors.state.accel_bias
     assert len({tuple(row) for row in bias[grades == 0]}) == 1
     assert np.abs(bias[grades == 1]).max() > 5.0 * np.abs(bias[grades == 0]).max()
-    attitude = batch.buffers.state.covariance[:, 0, 0]
+    attitude = simulator.buffers.state.covariance[:, 0, 0]
     assert attitude[grades == 1].min() > attitude[grades == 0].max()
     # the true motion that is observed is that of the world
     names = envs.unwrapped.observation_names
@@ -84,9 +84,9 @@ def test_an_episode_is_played_in_the_circumstances_that_it_has_drawn():
 def test_victims_in_all_circumstances_navigate():
     envs = gym.make_vec(ID, num_envs=16, **settings(domain=ALL, detector="never"))
     envs.reset(seed=3)
-    batch = envs.unwrapped.game.engine.batch
-    world = envs.unwrapped.game.setup.world
-    error = batch.buffers.state.position_e - world.position_e[batch.epochs]
+    simulator = envs.unwrapped.core.engine.simulator
+    world = envs.unwrapped.core.setup.world
+    error = simulator.buffers.state.position_e - world.position_e[simulator.epochs]
     assert np.linalg.norm(error, axis=1).max() < 40.0
 
 
@@ -101,10 +101,10 @@ def test_a_reset_may_tell_the_circumstances():
         "target_heading_deg": np.array([0.0, 90.0, 180.0]),
     }
     _, info = envs.reset(seed=1, options={"domain": told})
-    batch = envs.unwrapped.game.engine.batch
+    simulator = envs.unwrapped.core.engine.simulator
     np.testing.assert_array_equal(info["time_s"], [25.0, 60.0, 32.5])
-    np.testing.assert_array_equal(batch.memory["case"], [11, 2, 7])
-    np.testing.assert_allclose(batch.heading, np.radians([0.0, 90.0, 180.0]))
+    np.testing.assert_array_equal(simulator.memory["combination"], [11, 2, 7])
+    np.testing.assert_allclose(simulator.heading, np.radians([0.0, 90.0, 180.0]))
     # the next episodes draw again, and are those of an env that was never told anything
     again, _ = envs.reset()
     other = gym.make_vec(ID, num_envs=3, **kwargs)
@@ -146,7 +146,7 @@ def test_a_reset_that_tells_nonsense_is_refused_and_nothing_is_lost(given, messa
         ),
         ({"worlds": 3}, "`worlds` 3 would all be the same"),
         ({"imu": 3}, "`imu` must be a name or a list of names, got 3"),
-        ({"start_s": (0.0, 400.0)}, "an episode takes .* from a begin at 400 s"),
+        ({"start_s": (0.0, 400.0)}, "an episode takes .* from a start at 400 s"),
         ({"turned_deg": 10.0}, "`turned_deg` must be a pair of numbers"),
         ({"imu": ("aviation", "toy")}, "unknown imu grade 'toy'"),
         ({"errors": "none"}, "unknown errors 'none'"),
@@ -159,16 +159,16 @@ def test_a_wrong_domain_says_what_is_valid(domain, message):
 
 
 def test_a_begin_as_late_as_the_flight_allows():
-    setup = make_setup(timeline=SHORT, domain={"start_s": (0.0, None)})
+    setup = TightlyCoupledSetup(timeline=SHORT, domain={"start_s": (0.0, None)})
     assert setup.bounds.last + setup.onset + setup.steps + setup.hold + 2 == setup.world.epochs
     spec = gym.make(ID, **settings(domain={"start_s": (0.0, None)})).spec
     again = gym.envs.registration.EnvSpec.from_json(spec.to_json())
     assert json.loads(spec.to_json())["id"] == ID
-    assert gym.make(again).unwrapped.game.setup.bounds == setup.bounds
+    assert gym.make(again).unwrapped.core.setup.bounds == setup.bounds
 
 
 def test_draws_are_uniform_and_by_the_key_alone():
-    setup = make_setup(timeline=SHORT, domain=ALL, target_heading_deg="random")
+    setup = TightlyCoupledSetup(timeline=SHORT, domain=ALL, target_heading_deg="random")
     keys = np.random.default_rng(0).integers(2**63, size=(4000, 2)).astype(np.uint64)
     drawn = draw(setup.bounds, keys)
     for array, count in ((drawn.world, 3), (drawn.grade, 2), (drawn.error, 2)):
@@ -182,7 +182,7 @@ def test_draws_are_uniform_and_by_the_key_alone():
 
 
 def test_nothing_is_drawn_by_default():
-    assert make_setup(timeline=SHORT).bounds.single
+    assert TightlyCoupledSetup(timeline=SHORT).bounds.single
     assert Domain().pairs() == [(0.0, 0.0)]
 
 
