@@ -67,7 +67,7 @@ def test_a_file_stands_in_a_pool(file, tmp_path):
         view.step(np.zeros((4, 2)))
     assert set(view.opponents) <= {str(file), "ewma"}
     other = duel_v0.SpooferView({"name": str(file), "threshold": 0.25}, timeline=SHORT)
-    (member,) = other.game.setup.detector.judges
+    (member,) = other.core.setup.detector.judges
     assert (member.threshold, member.exclusion_s) == (0.25, 30.0)
     store = tmp_path / "store"
     first = duel_v0.calibrate(duel_v0.OnnxDetector(file), **SETTINGS, store=store)
