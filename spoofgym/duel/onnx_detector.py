@@ -105,7 +105,7 @@ def write_card(
     """
     path, content = card_path(file), Path(file).read_bytes()
     model = read_model(content, str(file))
-    duel = view.unwrapped.game.duel
+    duel = view.unwrapped.core.duel
     agent, size = duel.agent, len(duel.agent.action_names)
     check_signature(model, len(agent.sight.names), size, str(file))
     told = {} if calibration is None else {**vars(calibration)}
