@@ -20,12 +20,8 @@ from .._registry import build_record, check_choice
 from ..detectors import Detector, DetectorContext, Verdict, make_detector
 from ..detectors.verdicts import judged
 from ..receiver.epoch import Epoch, frozen
-from ..receiver.snapshot import (
-    EXPECTED_CLOCK_SD_M,
-    EXPECTED_POSITION_SD_M,
-    expect,
-    fix_receivers,
-)
+from ..receiver.least_squares import fix_receivers
+from ..receiver.snapshot_positioning import EXPECTED_CLOCK_SD_M, EXPECTED_POSITION_SD_M, expect
 from ..sim.constellation import CircularConstellation
 from ..sim.sky import make_sky, measure, scratch
 from .observations import KNOWLEDGE

@@ -16,7 +16,7 @@ from spoofgym.envs.attach import spoofer_context
 from spoofgym.envs.observations import terms_of
 from spoofgym.envs.observer import Observer
 from spoofgym.envs.setup import Timeline
-from spoofgym.spoofers import SpooferContext, onnx_policy, zoo
+from spoofgym.spoofers import SpooferContext, learned, zoo
 from spoofgym.spoofers.card import Card, fields_of
 
 OPSET = 18
@@ -38,7 +38,7 @@ def small_suite(**changes: Any) -> Suite:
 
 def use_zoo(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the files of a folder be the shipped ones."""
-    for module in (zoo, onnx_policy):
+    for module in (zoo, learned):
         monkeypatch.setattr(module, "ZOO_FOLDER", folder)
 
 
