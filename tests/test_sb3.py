@@ -14,11 +14,11 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 import gymnasium as gym
-from spoofgym.envs.terms.reward import AlarmPenalty, default_rewards
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
 from spoofgym.envs import SpoofEnv
+from spoofgym.envs.terms.reward import AlarmPenalty, default_rewards
 from spoofgym.envs.wrappers import vector as vector_wrappers
 from spoofgym.sb3 import RecordEpochs, SpoofVecEnv
 

@@ -16,13 +16,8 @@ from numpy.typing import NDArray
 from .._registry import build_record
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch, frozen
-from ..receiver.snapshot import (
-    EXPECTED_CLOCK_SD_M,
-    EXPECTED_POSITION_SD_M,
-    FIXED,
-    expect,
-    fix_receivers,
-)
+from ..receiver.least_squares import FIXED, fix_receivers
+from ..receiver.snapshot_positioning import EXPECTED_CLOCK_SD_M, EXPECTED_POSITION_SD_M, expect
 from ..sim.constellation import CircularConstellation
 from ..sim.sky import chain_skies, make_sky, measure, scratch
 from .domain import Choice, Domain
