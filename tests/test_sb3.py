@@ -190,7 +190,7 @@ def _fresh_course(steps):
 
 
 def test_bad_calls_are_refused():
-    with pytest.raises(ValueError, match="`num_envs` must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="`num_envs` must be a whole number of at least 1, got 0"):
         SpoofVecEnv(0)
     with pytest.raises(ValueError, match="`torch_threads` must be at least 1, got 0"):
         make(torch_threads=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -206,12 +205,6 @@ class ScriptedSpoofer(Spoofer):
         memory["rate"] = after
         memory["step"] = memory["step"] + 1.0
         return np.ascontiguousarray(size[:, None] * self._aim(observation))
-
-
-def check_finite(name: str, value: float) -> None:
-    """Raise unless a setting is a finite number."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"`{name}` must be a finite number, got {value!r}")
 
 
 def check_limit(spoofer: Spoofer, name: str, limit_name: str, limit: float) -> None:

@@ -180,7 +180,7 @@ def test_a_wrong_setting_says_what_is_valid(kwargs, message):
 
 
 def test_wrong_numbers_and_modes_of_a_vector_env():
-    with pytest.raises(ValueError, match="`num_envs` must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="`num_envs` must be a whole number of at least 1, got 0"):
         ToyVectorEnv(0)
     with pytest.raises(ValueError, match="unknown autoreset mode 'sometimes'"):
         ToyVectorEnv(2, autoreset_mode="sometimes")
