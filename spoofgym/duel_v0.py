@@ -2,30 +2,25 @@
 
 Agents are ``spoofer_0`` and ``detector_0``.  `env` is the AEC form, whose detector decides on the
 epoch that has just arrived (``decision_delay`` 0); in `parallel_env` its decision is applied one
-epoch late (``decision_delay`` 1): two different games.  The page docs/duel.md tells who observes
-what, and when.
+epoch late (``decision_delay`` 1): two different games.  The page docs/duel.md says which agent
+observes what, and when.
 
 PettingZoo is imported when `env` or `parallel_env` is called; the views and `calibrate` do without.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
-from .attacks import Attack
-from .duel.agent import EXCLUSION_S, PolicyDetector
+from .duel.agent import PolicyDetector
 from .duel.calibrate import calibrate
 from .duel.calibration import Calibration
 from .duel.detector_view import DetectorVectorView, DetectorView
 from .duel.onnx_detector import DetectorCard, OnnxDetector, write_card
-from .duel.payoff import RUNNING, NeymanPearson, Weighted
+from .duel.payoff import NeymanPearson, Weighted
 from .duel.policy import DetectorPolicy, FunctionPolicy
+from .duel.rules import duel_signature
 from .duel.spoofer_view import SpooferVectorView, SpooferView
-from .envs.domain import Domain
-from .envs.setup import Timeline
-from .receiver import TightlyCoupled
-from .sim.scenario import Scenario
 
 __all__ = [
     "Calibration",
@@ -48,32 +43,11 @@ __all__ = [
 ]
 
 
-def env(
-    *,
-    scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
-    receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
-    attack: str | Mapping[str, Any] | Attack = "false-position",
-    timeline: Mapping[str, float] | Timeline | None = None,
-    knowledge: str = "tracking",
-    statistic: str = "receiver",
-    weighs: bool = True,
-    exclusion_s: float | None = EXCLUSION_S,
-    payoff: str | Mapping[str, Any] = "neyman-pearson",
-    threshold: float | str | Calibration = RUNNING,
-    false_alarm: float = 0.05,
-    attack_probability: float = 0.5,
-    domain: Mapping[str, Any] | Domain | None = None,
-    target_heading_deg: float | str = 90.0,
-    decision_interval_s: float | None = None,
-    between: str = "hold",
-    render_mode: None = None,
-) -> Any:
+def env(*, render_mode: None = None, **settings: Any) -> Any:
     """Make the AEC form: the spoofer moves, measurements arrive, the detector decides on them.
 
     Parameters
     ----------
-    scenario, receiver, attack, timeline, knowledge : str, mapping or object
-        As in `spoofgym.envs.SpoofEnv`.
     statistic : {"receiver", "channel"}
         Whether the detector has one statistic, or one for every slot.
     weighs : bool
@@ -93,18 +67,14 @@ def env(
         Rate of clean episodes with an alarm that a running threshold keeps, in (0, 1).
     attack_probability : float
         That nature draws an attack, in [0, 1].
-    domain : mapping or Domain, optional
-        What differs from episode to episode.
-    target_heading_deg : float or {"random", "worst"}
-        Direction in which displacement counts, clockwise from north.
-    decision_interval_s : float, optional
-        Time between the spoofer's decisions, as in `SpoofEnv`; every epoch by default.  The
-        detector decides on every epoch, since its weights gate the filter: here it has the turns
-        in between, too; in `parallel_env` the spoofer's actions in between are not looked at.
-    between : {"hold", "linear"}
-        What is commanded between them.
     render_mode : None
         There is nothing to render.
+    **settings
+        Those above, ``knowledge`` of the spoofer, and the world of `spoofgym.envs.SpoofEnv`:
+        scenario, receiver, attack, timeline, domain, target_heading_deg, decision_interval_s,
+        between.  The decisions are the spoofer's; the detector decides on every epoch, since its
+        weights gate the filter: here it has the turns in between, too; in `parallel_env` the
+        spoofer's actions in between are not looked at.
 
     Returns
     -------
@@ -120,10 +90,12 @@ def env(
     ('spoofer_0', 0)
     >>> duel.close()
     """
-    settings = dict(locals())
     from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-    return OrderEnforcingWrapper(raw_env(**settings))
+    return OrderEnforcingWrapper(raw_env(render_mode=render_mode, **settings))
+
+
+env.__signature__ = duel_signature()  # type: ignore[attr-defined]
 
 
 def raw_env(**settings: Any) -> Any:

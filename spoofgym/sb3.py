@@ -1,6 +1,6 @@
 """Stable-baselines3's vector environment, straight on the engine.
 
-All receivers are one batch of `Game`; there is no list of environments underneath, and no
+All receivers are one batch of a core; there is no list of environments underneath, and no
 dictionary is filled for a receiver before its episode ends.
 
 >>> from stable_baselines3 import PPO
@@ -14,9 +14,9 @@ Install it with the extra ``train``.
 
 from __future__ import annotations
 
+import inspect
 import sys
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,32 +24,33 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from .attacks import Attack
-from .detectors import Detector
-from .envs.domain import Domain
-from .envs.game_env import told_domain
-from .envs.game_vector_env import check_vector_settings
-from .envs.infos import InfoSpec, chosen, info_keys
-from .envs.played import Turn
-from .envs.presets import DEFAULT_ATTACK, WatchSpec, make_game, make_setup
+from .envs.core import SpoofCore
+from .envs.factory import make_core, signature_of
+from .envs.options import (
+    HALFWAY,
+    InfoSpec,
+    check_vector_settings,
+    chosen,
+    domain_option,
+    info_keys,
+    warn_unknown,
+    whole_reset,
+)
 from .envs.recorder import EpochRecorder
-from .envs.resets import HALFWAY, warn_unknown, whole_reset
-from .envs.setup import Timeline
 from .envs.spaces import action_space, checked_action, observation_space
-from .envs.tally import Tally
-from .envs.terms import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
-from .receiver import TightlyCoupled
-from .sim.scenario import Scenario
+from .envs.step_result import StepResult
+from .envs.terms.registry import RewardSpec, make_terms
+from .simulators.tightly_coupled import TightlyCoupledSetup
 
 Array = NDArray[Any]
 AT_THE_END = ("undetected_displacement_m", "detected", "warmup_alarm", "coasting", "cost")
-"""What is told of every episode, beside the detectors that watch."""
+"""What is reported at the end of every episode, with that of passive detectors."""
 
 
 class SpoofVecEnv(VecEnv):
     """`SpoofEnv` for stable-baselines3; receiver i is the single environment seeded ``seed + i``.
 
-    A finished receiver begins its next episode within the same step: what `step` returns is the
+    A finished receiver starts its next episode within the same step: what `step` returns is the
     first observation of that episode, and ``infos[i]["terminal_observation"]`` the last one of the
     old.  ``infos[i]`` holds what `infos` asks for, and in the step that ends an episode also
 
@@ -58,14 +59,14 @@ class SpoofVecEnv(VecEnv):
     - ``episode`` with return ``r``, length ``l`` in decisions and seconds since the environment was
       made ``t``, as `VecMonitor` would write it, which is not needed around this;
     - ``undetected_displacement_m``, ``detected``, ``warmup_alarm`` and ``coasting`` of the episode,
-      ``cost`` of the step, and ``watch_*`` of the detectors that watch.
+      ``cost`` of the step, and ``watch_*`` of the passive detectors.
 
     Parameters
     ----------
     num_envs : int
         Receivers, at least 1.
     threads : int, optional
-        Threads of the engine; as many as processors by default.
+        Threads of the engine; all useful cores by default.
     prefetch : bool
         Whether one more thread warms up the next episodes while the policy learns, also with
         ``threads=1``.  The bits are the same, unless those of the detector depend on the size of
@@ -77,16 +78,12 @@ class SpoofVecEnv(VecEnv):
         As ``seed(seed)`` before the first reset.
     infos : {"none", "all"} or sequence of str
         Which information of every step is handed out, by its keys, such as ``["cost"]``.
-    scenario, detector, attack, receiver, timeline, knowledge, observation, action, reward, end
-        As in `SpoofEnv`.
-    watch, alarm_penalty_m, end_at_alarm, target_heading_deg, domain, decision_interval_s, between
-        As in `SpoofEnv`.
-    twin
+    **settings
         As in `SpoofEnv`.
 
     Attributes
     ----------
-    game : Game
+    core : SpoofCore
         The receivers.
     observation_names, action_names : tuple of str
         Name of every element.
@@ -101,24 +98,7 @@ class SpoofVecEnv(VecEnv):
         torch_threads: int | None = 1,
         seed: int | None = None,
         infos: InfoSpec = "none",
-        scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
-        detector: str | Mapping[str, Any] | Detector | None = None,
-        attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
-        receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
-        timeline: Mapping[str, float] | Timeline | None = None,
-        knowledge: str = "tracking",
-        observation: ObservationSpec | None = None,
-        action: ActionSpec | None = None,
-        reward: RewardSpec | None = None,
-        end: EndSpec | None = None,
-        watch: WatchSpec = (),
-        alarm_penalty_m: float = 10.0,
-        end_at_alarm: bool = True,
-        target_heading_deg: float | str = 90.0,
-        domain: Mapping[str, Any] | Domain | None = None,
-        decision_interval_s: float | None = None,
-        between: str = "hold",
-        twin: bool = False,
+        **settings: Any,
     ) -> None:
         check_vector_settings(num_envs, None)
         if torch_threads is not None:
@@ -126,49 +106,31 @@ class SpoofVecEnv(VecEnv):
                 raise ValueError(f"`torch_threads` must be at least 1, got {torch_threads}")
             # stable-baselines3 has loaded it; nothing here needs it otherwise
             sys.modules["torch"].set_num_threads(torch_threads)
-        setup = make_setup(
-            scenario=scenario,
-            receiver=receiver,
-            attack=attack,
-            detector=detector,
-            timeline=timeline,
-            domain=domain,
-            target_heading_deg=target_heading_deg,
-            decision_interval_s=decision_interval_s,
-            between=between,
-        )
-        self.game = make_game(
+        self.core: SpoofCore = make_core(
+            TightlyCoupledSetup,
             num_envs,
-            setup,
-            knowledge=knowledge,
-            observation=observation,
-            action=action,
-            reward=reward,
-            end=end,
-            watch=watch,
-            alarm_penalty_m=alarm_penalty_m,
-            end_at_alarm=end_at_alarm,
+            settings,
             threads=threads,
             prefetch=prefetch,
-            twin=twin,
+            whose=type(self).__name__,
         )
-        self.observation_names = self.game.observer.names
-        self.action_names = self.game.action_names
-        self._keys = info_keys(infos, self.game.info_names)
+        self.observation_names = self.core.observer.names
+        self.action_names = self.core.action_names
+        self._keys = info_keys(infos, self.core.info_names)
         self.render_mode = None
         self._rngs: list[np.random.Generator] = []
         self._actions: Array | None = None
         self._halfway = False
         self._returns = np.zeros(num_envs)
         self._began = time.perf_counter()
-        super().__init__(num_envs, observation_space(self.game), action_space(self.game))
+        super().__init__(num_envs, observation_space(self.core), action_space(self.core))
         if seed is not None:
             self.seed(seed)
 
     def reset(self) -> Array:
-        """Begin a new episode in every receiver.
+        """Start a new episode in every receiver.
 
-        Receivers begin anew where `seed` has been called since the last reset, and go on to their
+        Receivers are seeded where `seed` has been called since the last reset, and go on to their
         next episodes otherwise.
 
         Returns
@@ -183,14 +145,14 @@ class SpoofVecEnv(VecEnv):
                 rng if seed is None else np.random.default_rng(seed)
                 for rng, seed in zip(self._rngs, self._seeds, strict=True)
             ]
-        given = self._told()
+        given = self._given()
         self._reset_seeds()
         self._reset_options()
         with whole_reset(self):
-            self.game.reset(self._rngs, given=given)
+            self.core.reset(self._rngs, given=given)
         self._returns[:] = 0.0
         self._actions = None
-        return self.game.observe()
+        return self.core.observe()
 
     def step_async(self, actions: Array) -> None:
         """Take the commands of the next step.
@@ -224,52 +186,53 @@ class SpoofVecEnv(VecEnv):
         if self._actions is None:
             raise RuntimeError("call step_async() before step_wait()")
         self._halfway = True
-        turn, observations = self.game.turn(self._actions)
+        result, observations = self.core.step(self._actions)
         self._actions = None
-        self._returns += turn.reward
-        infos = self._each(turn)
-        over = turn.terminated | turn.truncated
+        self._returns += result.reward
+        infos = self._each(result)
+        over = result.terminated | result.truncated
         if over.any():
-            rows, told = np.flatnonzero(over), turn.info
+            rows, info = np.flatnonzero(over), result.info
             for row in rows.tolist():
-                infos[row] |= self._at_the_end(row, observations, told)
-                infos[row]["TimeLimit.truncated"] = bool(turn.truncated[row])
-            self.game.reset([self._rngs[row] for row in rows], rows)
+                infos[row] |= self._at_the_end(row, observations, info)
+                infos[row]["TimeLimit.truncated"] = bool(result.truncated[row])
+            self.core.reset([self._rngs[row] for row in rows], rows)
             self._returns[rows] = 0.0
-            observations = self.game.observe()
+            observations = self.core.observe()
         self._halfway = False
-        return observations, turn.reward.astype(np.float32), over, infos
+        return observations, result.reward.astype(np.float32), over, infos
 
     def _at_the_end(self, row: int, observations: Array, info: dict[str, Array]) -> dict[str, Any]:
         return {
             "terminal_observation": observations[row].copy(),
             "episode": {
                 "r": round(float(self._returns[row]), 6),
-                "l": -(-int(self.game.step_count[row]) // self.game.setup.repeat),
+                "l": -(-int(self.core.step_count[row]) // self.core.setup.repeat),
                 "t": round(time.perf_counter() - self._began, 6),
             },
             **{name: info[name][row].item() for name in info if _is_of_the_end(name)},
         }
 
-    def _each(self, turn: Turn | Tally) -> list[dict[str, Any]]:
+    def _each(self, result: StepResult) -> list[dict[str, Any]]:
         """Information of every receiver that is asked for."""
         if self._keys is not None and not self._keys:
             return [{} for _ in range(self.num_envs)]
-        told = {name: array.tolist() for name, array in chosen(turn.info, self._keys).items()}
-        return [{name: told[name][row] for name in told} for row in range(self.num_envs)]
+        wanted = chosen(result.info, self._keys)
+        lists = {name: array.tolist() for name, array in wanted.items()}
+        return [{name: lists[name][row] for name in lists} for row in range(self.num_envs)]
 
-    def _told(self) -> dict[str, list[Any]] | None:
-        """Circumstances that `set_options` tells of every receiver."""
+    def _given(self) -> dict[str, list[Any]] | None:
+        """Circumstances that `set_options` gives for every receiver."""
         for options in self._options:
             warn_unknown(options, ("domain",))
-        told = [told_domain(options) or {} for options in self._options]
-        names = set(told[0])
-        if any(set(each) != names for each in told):
+        given = [domain_option(options) or {} for options in self._options]
+        names = set(given[0])
+        if any(set(each) != names for each in given):
             raise ValueError(
-                "the option `domain` must tell the same circumstances of every receiver, got "
-                f"{told}"
+                "the option `domain` must give the same circumstances for every receiver, got "
+                f"{given}"
             )
-        return {name: [each[name] for each in told] for name in told[0]} or None
+        return {name: [each[name] for each in given] for name in given[0]} or None
 
     def set_rewards(self, terms: RewardSpec) -> None:
         """Reward otherwise from the next step on, such as with another alarm penalty.
@@ -279,11 +242,11 @@ class SpoofVecEnv(VecEnv):
         terms : str, mapping, path, RewardTerm or sequence of them
             As ``reward=`` of `SpoofEnv`.
         """
-        self.game.set_rewards(make_terms("reward", terms))
+        self.core.set_rewards(make_terms("reward", terms))
 
     def close(self) -> None:
         """End the threads."""
-        self.game.close()
+        self.core.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Attribute of the environment, once for every receiver.
@@ -362,6 +325,11 @@ class SpoofVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
+SpoofVecEnv.__signature__ = signature_of(  # type: ignore[attr-defined]
+    TightlyCoupledSetup, inspect.signature(SpoofVecEnv.__init__)
+)
+
+
 class RecordEpochs(VecEnvWrapper):
     """Writes every epoch of the commands into Parquet files, one an episode of a receiver.
 
@@ -388,10 +356,10 @@ class RecordEpochs(VecEnvWrapper):
         if not isinstance(inner, SpoofVecEnv):
             raise TypeError(f"this wrapper needs a SpoofVecEnv, wrapped or not, got {inner!r}")
         self.recorder = EpochRecorder(folder, self.num_envs)
-        inner.game.listeners.append(self.recorder)
+        inner.core.listeners.append(self.recorder)
 
     def reset(self) -> Any:
-        """Begin episodes; those that are not over are written as they are.
+        """Start episodes; those that are not over are written as they are.
 
         Returns
         -------

@@ -98,7 +98,7 @@ def cells_of(folder: Path) -> dict[str, bytes]:
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for kind in ("cells", "tuning")
-        for path in sorted((folder / kind).iterdir())
+        for path in sorted((folder / kind).glob("*.json*"))
         if path.suffix != ".part"
     }
 
@@ -134,12 +134,7 @@ def test_a_campaign_ends_at_any_moment_and_goes_on(
     process.send_signal(number)
     code, said = code_of(process, IN_TIME_S)
     assert code == 128 + number or (code == 0 and (out / "campaign.png").exists()), said
-    assert all(
-        expected[name] == found
-        for name, found in (
-            cells_of(out) if (out / "cells").is_dir() and (out / "tuning").is_dir() else {}
-        ).items()
-    )
+    assert cells_of(out).items() <= expected.items()
     again = CliRunner().invoke(app, [*BENCH, "--out", str(out)])
     assert again.exit_code == 0, again.output
     assert cells_of(out) == expected
@@ -154,7 +149,7 @@ def test_an_error_within_a_campaign_ends_it_with_1(tmp_path: Path) -> None:
     assert "ArithmeticError: on purpose" in said
 
 
-@pytest.mark.parametrize("fraction", [0.1, 0.4, 0.7, 1.0])
+@pytest.mark.parametrize("fraction", [0.1, 0.5])
 @pytest.mark.parametrize(("end", "expected"), [("interrupt", 130), ("error", 1), ("end", 0)])
 def test_an_environment_with_warm_ups_in_the_background_ends(
     end: str, expected: int, fraction: float, tmp_path: Path

@@ -12,6 +12,7 @@ import contextlib
 import fcntl
 import fnmatch
 import hashlib
+import itertools
 import json
 import os
 import re
@@ -45,6 +46,10 @@ QUICK_FORMS = (("single", None), ("same_step", 3))
 """What ``--quick`` plays of every id; of the main one, and of the duel, it plays all."""
 ELEMENTS = {"final_obs": "observation", "terminal_observation": "observation"}
 """Keys whose elements have the names of another."""
+PARTS = "\x1f"
+"""Between the parts of a path within a pattern; an id is one part, with a slash of its own."""
+SHOWN = 10
+"""Differences of a case that are printed; with ``--json`` all are."""
 Array = np.ndarray[Any, Any]
 Columns = dict[tuple[str, ...], "Column"]
 
@@ -104,10 +109,10 @@ class Scope:
 
     def rename(self, path: tuple[str, ...]) -> tuple[str, ...]:
         """Path in the new tree."""
-        whole = "/".join(path)
+        whole = PARTS.join(path)
         for old, new in self.renamed.items():
-            whole = re.sub(rf"(^|/)(_?){re.escape(old)}(?=$|/|\s)", rf"\1\2{new}", whole)
-        return tuple(whole.split("/"))
+            whole = re.sub(_pattern(old), rf"\1\2{new}", whole)
+        return tuple(whole.split(PARTS))
 
     def is_added(self, path: tuple[str, ...]) -> bool:
         """Whether the new tree alone has it."""
@@ -119,8 +124,14 @@ class Scope:
 
 
 def _holds(path: tuple[str, ...], keys: dict[str, str]) -> bool:
-    whole = "/".join(path)
-    return any(re.search(rf"(^|/)_?{re.escape(key)}($|/|\s)", whole) for key in keys)
+    whole = PARTS.join(path)
+    return any(re.search(_pattern(key), whole) for key in keys)
+
+
+def _pattern(key: str) -> str:
+    """Where a key is a whole part of a path, or several, with the underscore of a mask or not."""
+    several = re.escape(key).replace("/", f"[/{PARTS}]")
+    return rf"(^|{PARTS})(_?){several}(?=$|{PARTS}|\s)"
 
 
 # --- comparison ------------------------------------------------------------------------------
@@ -441,11 +452,11 @@ def paired_speed(old: Child, new: Child, rounds: int, progress: Progress) -> dic
         pairs = []
         for k in range(-1, rounds):  # the first round warms up
             order = (old, new) if k % 2 else (new, old)
-            told = {child.tree: child.ask(do="speed", what=what) for child in order}
+            answers = {child.tree: child.ask(do="speed", what=what) for child in order}
             for child in order:
-                if "error" in told[child.tree]:
-                    raise RuntimeError(f"{child.tree}: {told[child.tree]['traceback']}")
-            pairs.append([1e6 * told[child.tree]["seconds"] for child in (old, new)])
+                if "error" in answers[child.tree]:
+                    raise RuntimeError(f"{child.tree}: {answers[child.tree]['traceback']}")
+            pairs.append([1e6 * answers[child.tree]["seconds"] for child in (old, new)])
             progress.advance(task)
         times = np.array(pairs[1:])
         low, middle, high = np.percentile(times[:, 1] - times[:, 0], [25, 50, 75])
@@ -481,6 +492,7 @@ def examine(
             compiled = tree.parent / "compiled" if not keep else tree.parent.parent / "compiled"
             child = Child(tree, {}, compiled)
             stack.callback(child.close)
+            child.cases()  # imports the package, and sees to it that it is that of the tree
             return child
 
         old = None if (folder / "cases.json").exists() else start_old()
@@ -559,16 +571,20 @@ def main(
     commit = git("rev-parse", "--verify", f"{against}^{{commit}}")
     console = Console(stderr=True, quiet=json_)
     timed = (not quick and only is None) if speed is None else speed
-    with Progress(console=console, transient=True) as progress:
-        report = examine(
-            commit,
-            Names.load(NAMES),
-            lambda case: is_wanted(case, quick, only),
-            rtol=rtol,
-            keep=keep,
-            rounds=rounds if timed else 0,
-            progress=progress,
-        )
+    try:
+        with Progress(console=console, transient=True) as progress:
+            report = examine(
+                commit,
+                Names.load(NAMES),
+                lambda case: is_wanted(case, quick, only),
+                rtol=rtol,
+                keep=keep,
+                rounds=rounds if timed else 0,
+                progress=progress,
+            )
+    except RuntimeError as error:  # of a probe: nothing has been compared to the end
+        print(error, file=sys.stderr)
+        raise typer.Exit(2) from error
     if not report.cases and not report.differences:
         raise typer.BadParameter(f"no case is like {only!r}", param_hint="--only")
     if json_:
@@ -581,8 +597,13 @@ def main(
 def show(report: Report) -> None:
     """Print a report."""
     console = Console(soft_wrap=True, highlight=False)
-    for difference in report.differences:
-        console.print(str(difference), markup=False)
+    by_case = itertools.groupby(report.differences, lambda each: (each.id, each.form, each.batch))
+    for case, each in by_case:
+        found = list(each)
+        for difference in found[:SHOWN]:
+            console.print(str(difference), markup=False)
+        if len(found) > SHOWN:
+            console.print(f"{Case(*case).name}: {len(found) - SHOWN} differences more")
     if report.speed:
         table = Table(*("µs a step", "old", "new", "difference", "quartiles"))
         for what, row in report.speed.items():

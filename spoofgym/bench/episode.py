@@ -149,10 +149,7 @@ def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) ->
 
 
 def draw_episode(episode: Episode, path: Path) -> Path:
-    """Picture of an episode: the flight, the displacement, the statistic, the error.
-
-    The ending of `path` tells the format, PNG without one; returns the path with it.
-    """
+    """Flight, displacement, statistic and error; returns the file, PNG without an ending."""
     figure = figure_class()(figsize=(11.0, 8.2), layout="constrained")
     axes = figure.subplots(2, 2)
     for ax in axes.flat:

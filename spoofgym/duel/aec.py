@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
-from ..envs.resets import HALFWAY, whole_reset
+from ..envs.options import HALFWAY, whole_reset
 from .rules import AGENTS, DETECTOR, SPOOFER, Rules
 
 

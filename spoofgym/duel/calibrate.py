@@ -146,7 +146,7 @@ def _told(duel: Duel) -> dict[str, Any]:
 def largest_statistics(duel: Duel, policy: DetectorPolicy, runs: int, seed: int) -> FloatArray:
     """Play clean episodes to their end: (runs,) largest statistic of each."""
     policy.bind(_context(duel))
-    idle = np.zeros((duel.receivers, len(duel.game.action_names)))
+    idle = np.zeros((duel.receivers, len(duel.core.action_names)))
     found: list[FloatArray] = []
     for first in range(0, runs, duel.receivers):
         keys = range(first, first + duel.receivers)
@@ -175,7 +175,7 @@ def _context(duel: Duel) -> Any:
             duel.receivers,
             setup.world.channels,
             setup.scenario.epoch_interval_s,
-            setup.cases.largest_variance,
+            setup.combinations.largest_variance,
             setup.world.satellite_ids,
         ),
     )

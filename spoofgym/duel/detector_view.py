@@ -8,21 +8,20 @@ from typing import Any
 from gymnasium.vector import AutoresetMode
 
 from .._registry import check_keywords
-from ..envs.game_env import GameEnv
-from ..envs.game_vector_env import autoreset_mode_of, check_vector_settings
-from ..envs.infos import InfoSpec
-from .detector_game import DetectorGame
+from ..envs.env import CoreEnv
+from ..envs.options import InfoSpec, autoreset_mode_of, check_vector_settings
+from .detector_core import DetectorCore
 from .opponents import SpooferSpec
 from .rules import SETTINGS, make_duel, refuse_to_draw
 from .spoofer_view import Weights
-from .vector_view import PooledVectorView
+from .vector_view import POOL_CHANGED, PooledVectorView
 
 SpooferPoolSpec = Sequence[SpooferSpec] | SpooferSpec
 VALID = tuple(name for name in SETTINGS if name != "knowledge")
 """Settings of a view of the detector's side: each spoofer has a knowledge of its own."""
 
 
-class DetectorView(GameEnv[DetectorGame]):
+class DetectorView(CoreEnv[DetectorCore]):
     """The detector's side: the learner defends, one spoofer of the pool attacks for an episode.
 
     Half of the episodes are clean, which is not observed.  The payoff, the threshold and
@@ -58,20 +57,20 @@ class DetectorView(GameEnv[DetectorGame]):
         refuse_to_draw("DetectorView", render_mode)
         check_keywords(DetectorView, settings, VALID)
         duel = make_duel(1, threads=1, **settings)
-        super().__init__(DetectorGame(duel, pool, weights))
+        super().__init__(DetectorCore(duel, pool, weights))
 
     @property
     def opponent(self) -> str:
         """Label of the spoofer of the running episode, in a clean one too."""
-        return self.game.opponents()[0]
+        return self.core.opponents()[0]
 
     def set_pool(self, pool: SpooferPoolSpec, weights: Weights = None) -> None:
         """Take other opponents; the running episode is over, and `reset` has to follow."""
-        self.game.set_pool(pool, weights)
-        self._running = False
+        self.core.set_pool(pool, weights)
+        self._stopped = POOL_CHANGED
 
 
-class DetectorVectorView(PooledVectorView[DetectorGame]):
+class DetectorVectorView(PooledVectorView[DetectorCore]):
     """Vector environment of `DetectorView`; receiver i is the single one seeded with ``seed + i``.
 
     Parameters
@@ -81,7 +80,7 @@ class DetectorVectorView(PooledVectorView[DetectorGame]):
     pool, weights : list
         As in `DetectorView`.
     autoreset_mode : {"next_step", "same_step", "disabled"} or AutoresetMode
-        When a finished receiver begins its next episode; with ``disabled``, when ``reset`` is
+        When a finished receiver starts its next episode; with ``disabled``, when ``reset`` is
         called with ``options={"reset_mask": ...}``.
     threads : int, optional
         Threads of the engine.
@@ -112,14 +111,14 @@ class DetectorVectorView(PooledVectorView[DetectorGame]):
         check_vector_settings(num_envs, render_mode)
         check_keywords(DetectorVectorView, settings, VALID)
         duel = make_duel(num_envs, threads=threads, **settings)
-        super().__init__(DetectorGame(duel, pool, weights), mode, infos, max_episode_steps)
+        super().__init__(DetectorCore(duel, pool, weights), mode, infos, max_episode_steps)
 
     @property
     def opponents(self) -> list[str]:
         """Label of the spoofer of every receiver, in clean episodes too."""
-        return self.game.opponents()
+        return self.core.opponents()
 
     def set_pool(self, pool: SpooferPoolSpec, weights: Weights = None) -> None:
         """Take other opponents; the running episodes are over, and `reset` has to follow."""
-        self.game.set_pool(pool, weights)
+        self.core.set_pool(pool, weights)
         self.pool_changed = True

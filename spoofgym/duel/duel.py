@@ -9,26 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._registry import is_number
-from ..attacks import Attack
 from ..detectors.pool import NATURE, uniforms
 from ..detectors.verdicts import checked
-from ..envs.domain import Domain
-from ..envs.engine import Batch
-from ..envs.presets import DEFAULT_ATTACK, make_game, make_setup
-from ..envs.setup import Setup, Timeline
-from ..receiver import TightlyCoupled
-from ..sim.scenario import Scenario
-from ..sim.sensors import SOURCES
+from ..envs import _kernels
+from ..envs.core import NOTHING_SEEN, SpoofCore
+from ..envs.factory import make_setup
+from ..envs.scoring import DisplacementScore, FusedStep
+from ..envs.step_result import StepResult
+from ..simulators.base import Simulator
+from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .agent import EXCLUSION_S, DetectorAgent, check_delay
 from .calibration import Calibration
-from .ledger import Ledger
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 
 FloatArray = NDArray[np.float64]
-DOMAIN = SOURCES.index("domain")
 
 
-class DuelTurn(NamedTuple):
+class DuelStep(NamedTuple):
     """What an epoch returns.
 
     - `spoofer_reward`, `detector_reward` (B,) float64;
@@ -58,15 +55,15 @@ class Duel:
     - `decision_delay`: whether an epoch is judged by a decision on itself, or by one on the epoch
       before;
     - `attack_probability`: in [0, 1];
-    - `game`: the receivers, and what the spoofer observes;
-    - `ledger`: what counts of the running episodes;
+    - `core`: the receivers, and what the spoofer observes;
+    - `score`: what counts of the running episodes;
     - `attacked` (B,) bool, what nature has drawn.
     """
 
     def __init__(
         self,
         receivers: int,
-        setup: Setup,
+        setup: TightlyCoupledSetup,
         *,
         knowledge: str = "tracking",
         payoff: str | Mapping[str, Any] = "neyman-pearson",
@@ -83,23 +80,24 @@ class Duel:
             raise ValueError(
                 f"`attack_probability` must be a number in [0, 1], got {attack_probability!r}"
             )
+        self.setup, self.receivers = setup, receivers
         self.decision_delay, self.attack_probability = decision_delay, attack_probability
         self.payoff = make_payoff(payoff)
         self.threshold = make_threshold(threshold, false_alarm, receivers)
-        self.game = make_game(receivers, setup, knowledge=knowledge, reward=(), threads=threads)
-        self.setup, self.receivers = setup, receivers
-        self.ledger = Ledger(receivers, setup.steps, setup.hold)
+        self.core = SpoofCore(receivers, setup, knowledge=knowledge, reward=(), threads=threads)
+        self.score = DisplacementScore(receivers, setup.steps, setup.hold)
+        self._fused = FusedStep(self.score, setup.epoch_time, at_alarm=True, window=self.epochs)
         self.attacked = np.zeros(receivers, dtype=np.bool_)
         self.over = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
         self._sources: list[np.random.Generator | None] = [None] * receivers
-        shape = (receivers, len(self.game.action_names))
+        shape = (receivers, len(self.core.action_names))
         self._before, self._given, self._command = np.zeros(shape), np.zeros(shape), np.zeros(shape)
 
     @property
     def agent(self) -> DetectorAgent:
         """The detector agent, which remembers what it has observed."""
-        return cast("DetectorAgent", self.game.engine.batch.detector)
+        return cast("DetectorAgent", self.core.engine.simulator.detector)
 
     @property
     def epochs(self) -> int:
@@ -107,9 +105,14 @@ class Duel:
         return self.setup.steps + self.setup.hold
 
     @property
+    def holding(self) -> NDArray[np.bool_]:
+        """(B,) bool, whether all commands have been given."""
+        return self.score.step_count >= self.setup.steps
+
+    @property
     def deciding(self) -> NDArray[np.bool_]:
         """(B,) bool, whose spoofer decides before the coming epoch."""
-        now: NDArray[np.bool_] = self.ledger.step_count % self.setup.repeat == 0
+        now: NDArray[np.bool_] = self.score.step_count % self.setup.repeat == 0
         return now
 
     def reset(
@@ -123,15 +126,15 @@ class Duel:
         `rngs`: one per row; one that a receiver has not had before restarts a running threshold.
         """
         where = self._everyone if rows is None else rows
-        self.game.reset(rngs, rows, given)
-        self.ledger.reset(where)
+        self.core.reset(rngs, rows, given)
+        self.score.reset(where)
         self._before[where] = self._given[where] = self._command[where] = 0.0
         self.over[where] = False
         for row, rng in zip(where, rngs, strict=True):
             if self._sources[row] is not rng:
                 self._sources[row] = rng
                 self.threshold.restart(np.array([row]))
-        keys = self.game.engine.batch.sensors.keys[DOMAIN, where]
+        keys = self.core.engine.simulator.memory["key"][where]
         self.attacked[where] = uniforms(keys, NATURE) < self.attack_probability
 
     def arrive(self, action: FloatArray | None, rows: NDArray[np.intp] | None = None) -> None:
@@ -147,58 +150,68 @@ class Duel:
                 raise ValueError("`action` must be given: a decision of the spoofer is due")
             self._before[due], self._given[due] = self._given[due], action[due]
         self._command[where] = command = self._commanded()[where]
-        self.game.engine.apart(where, lambda batch: self._arrive(batch, command, where))
+        self.core.engine.apart(where, lambda part: self._arrive(part, command, where))
 
     def _commanded(self) -> FloatArray:
         """Commands as the attack takes them: holding the rate where all have been given."""
-        epoch = self.ledger.step_count % self.setup.repeat
+        epoch = self.score.step_count % self.setup.repeat
         action = self.setup.command(self._before, self._given, epoch[:, None])
         by_rate = self.setup.attack.control == "rate"
         held = self._command if by_rate else np.zeros_like(self._command)
-        command = np.where(self.ledger.holding[:, None], held, action)
+        command = np.where(self.holding[:, None], held, action)
         return np.where(self.attacked[:, None], command, 0.0)
 
-    def _arrive(self, batch: Batch, command: FloatArray, rows: NDArray[np.intp]) -> None:
-        batch.clean = ~self.attacked[rows]
-        epoch = batch.advance_attacked(np.ascontiguousarray(command))
-        cast("DetectorAgent", batch.detector).look(epoch)
+    def _arrive(self, part: Simulator, command: FloatArray, rows: NDArray[np.intp]) -> None:
+        part.clean = ~self.attacked[rows]
+        epoch = part.predict(np.ascontiguousarray(command))
+        cast("DetectorAgent", part.detector).look(epoch)
 
-    def decide(self, action: FloatArray) -> DuelTurn:
+    def decide(self, action: FloatArray) -> DuelStep:
         """Second half of an epoch: the detector decides, the filter updates, both are paid.
 
         `action` (B, a) of the detector, in [-1, 1].
         """
-        engine, batch, ledger = self.game.engine, self.game.engine.batch, self.ledger
-        limit = self.threshold.values.copy()
-        verdict = self.agent.verdict(action, limit, batch.epoch.visible, batch.epoch.interval)
-        batch.verdict = checked(verdict, self.agent, batch.epoch)
+        engine, simulator, score = self.core.engine, self.core.engine.simulator, self.score
+        limit, epoch = self.threshold.values.copy(), simulator.epoch
+        verdict = self.agent.verdict(action, limit, epoch.visible, epoch.interval)
+        # the threshold is the game's, and infinite where no alarm is wanted
+        checked(verdict._replace(threshold=verdict.statistic), self.agent, epoch)
+        simulator.verdict = verdict
         engine.update(verdict)
-        alarm = np.asarray(verdict.alarm.any(axis=1))
-        displacement = self.game.displacement()
-        holding = ledger.holding
-        gain, retraction, first, finished = ledger.count(displacement, alarm)
-        terminated = finished | ledger.detected
-        interval = self.setup.scenario.epoch_interval_s
-        outcome = DuelOutcome(gain, retraction, first, self.attacked, ~ledger.detected, interval)
+        holding, result = self.holding, StepResult(self._fused.layout)
+        result.displacement[:] = self.core.displacement()
+        warmup_alarm, alarms = engine.warmup_alarm, verdict.alarm
+        self._fused(
+            simulator, alarms, score.nobody, warmup_alarm, result, NOTHING_SEEN, engine.hold
+        )
+        values, first, terminated = result.values, result.marks[_kernels.FIRST], result.terminated
+        outcome = DuelOutcome(
+            values[_kernels.GAIN],
+            values[_kernels.RETRACTION],
+            first,
+            self.attacked,
+            ~score.detected,
+            self.setup.interval_s,
+        )
         won, paid = self.payoff(outcome)
         # a receiver whose episode is over may be stepped once more before it is reset
-        self.threshold.learn(ledger.detected, terminated & ~self.attacked & ~self.over)
+        self.threshold.learn(score.detected, terminated & ~self.attacked & ~self.over)
         self.over |= terminated
         info = {
-            "time_s": self.setup.world.epoch_time[batch.epochs],
-            "alarm": alarm,
+            "time_s": simulator.time_s(),
+            "alarm": alarms.any(axis=1),
             "statistic": verdict.statistic.max(axis=1),
             "threshold": limit,
             "attacked": self.attacked.copy(),
             "holding": holding,
-            "displacement_m": displacement,
-            "undetected_displacement_m": np.where(self.attacked, ledger.credited, 0.0),
+            "displacement_m": result.displacement,
+            "undetected_displacement_m": np.where(self.attacked, score.undetected, 0.0),
         }
-        return DuelTurn(won, paid, terminated, info)
+        return DuelStep(won, paid, terminated, info)
 
     def observe_spoofer(self) -> NDArray[np.float32]:
         """What the spoofer observes, (B, o), a new array."""
-        return self.game.observe()
+        return self.core.observe()
 
     def observe_detector(self) -> NDArray[np.float32]:
         """What the detector observes of the last epoch that has arrived, (B, o), a new array."""
@@ -206,36 +219,20 @@ class Duel:
 
     def time_s(self) -> FloatArray:
         """Time of the present epoch, (B,) [s]."""
-        return self.setup.world.epoch_time[self.game.engine.batch.epochs]
+        return self.core.engine.simulator.time_s()
 
     def close(self) -> None:
         """End the threads."""
-        self.game.close()
+        self.core.close()
 
 
 def duel_setup(
     *,
-    scenario: str | Mapping[str, Any] | Scenario = "zhong2025",
-    receiver: str | Mapping[str, Any] | TightlyCoupled | None = None,
-    attack: str | Mapping[str, Any] | Attack = DEFAULT_ATTACK,
-    timeline: Mapping[str, float] | Timeline | None = None,
     statistic: str = "receiver",
     weighs: bool = True,
     exclusion_s: float | None = EXCLUSION_S,
-    domain: Mapping[str, Any] | Domain | None = None,
-    target_heading_deg: float | str = 90.0,
-    decision_interval_s: float | None = None,
-    between: str = "hold",
-) -> Setup:
-    """What all receivers of a duel share."""
-    return make_setup(
-        scenario=scenario,
-        receiver=receiver,
-        attack=attack,
-        detector=DetectorAgent(statistic, weighs, exclusion_s),
-        timeline=timeline,
-        domain=domain,
-        target_heading_deg=target_heading_deg,
-        decision_interval_s=decision_interval_s,
-        between=between,
-    )
+    **settings: Any,
+) -> TightlyCoupledSetup:
+    """What all receivers of a duel share; `settings` are those of `TightlyCoupledSetup`."""
+    agent = DetectorAgent(statistic, weighs, exclusion_s)
+    return make_setup(TightlyCoupledSetup, {**settings, "detector": agent})

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from ..detectors import Detector, make_detector
 from ..detectors.pool import PooledDetector, checked_weights, drawn
-from ..envs.attach import card_behind, spoofer_context, warn_of_headings
 from ..envs.observer import Observer
-from ..envs.presets import default_terms
-from ..envs.setup import Setup
-from ..envs.snapshot import Snapshot
 from ..envs.spaces import checked_action
+from ..envs.spoofer_binding import card_behind, spoofer_context, warn_of_headings
+from ..envs.terms.base import Snapshot
+from ..envs.terms.observation import default_terms
+from ..simulators.setup import Setup
 from ..spoofers import SUFFIX, Spoofer, make_spoofer
 from .agent import PolicyDetector
 from .onnx_detector import OnnxDetector
@@ -111,7 +111,7 @@ class SpooferPool:
         self._observers: dict[str, Observer] = {}
         self._spoofers = [self._made(spec, setup, receivers) for spec in specs]
         warn_of_headings(self._spoofers, setup)
-        self._action_names = setup.attack.action_names(setup.world)
+        self._action_names = setup.action_names
         self._shape = receivers, len(self._action_names)
         self.opponent = np.zeros(receivers, dtype=np.int64)
 
@@ -126,7 +126,7 @@ class SpooferPool:
         if found:
             raise ValueError(
                 f"the spoofer {label_of(spec)!r} does not fit this duel on "
-                f"{setup.scenario.name!r}:\n  " + "\n  ".join(found)
+                f"{setup.name!r}:\n  " + "\n  ".join(found)
             )
         made.bind(context)
         made.reset()
@@ -141,7 +141,7 @@ class SpooferPool:
             spoofer.reset(mask)
 
     def act(self, snapshot: Snapshot, rows: NDArray[np.intp]) -> FloatArray:
-        """Let the spoofers of some receivers decide; those of the others stand still.
+        """Let the spoofers of some receivers decide; those of the others do nothing.
 
         Returns (B, a) float64, 0 for the others.
         """

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from ..envs.resets import HALFWAY, whole_reset
+from ..envs.options import HALFWAY, whole_reset
 from .rules import AGENTS, DETECTOR, SPOOFER, Rules
 
 Observation = NDArray[np.float32]

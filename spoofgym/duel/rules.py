@@ -11,32 +11,43 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from .._registry import check_keywords
-from ..envs.game_env import told_domain
-from ..envs.resets import checked_seed, warn_unknown
+from ..envs.options import checked_seed, domain_option, warn_unknown
 from ..envs.spaces import action_space, checked_action, observation_space
-from .duel import Duel, DuelTurn, duel_setup
+from ..simulators.tightly_coupled import TightlyCoupledSetup
+from .duel import Duel, DuelStep, duel_setup
 
 SPOOFER, DETECTOR = "spoofer_0", "detector_0"
 AGENTS = (SPOOFER, DETECTOR)
-SETUP = (
-    "scenario",
-    "receiver",
-    "attack",
-    "timeline",
-    "statistic",
-    "weighs",
-    "exclusion_s",
-    "domain",
-    "target_heading_deg",
-    "decision_interval_s",
-    "between",
-)
-SETTINGS = (*SETUP, *list(inspect.signature(Duel).parameters)[2:-1])
+_WORLD = {
+    name: parameter
+    for name, parameter in inspect.signature(TightlyCoupledSetup).parameters.items()
+    if name != "detector"
+}
+_AGENT = {
+    name: parameter
+    for name, parameter in inspect.signature(duel_setup).parameters.items()
+    if name != "settings"
+}
+_GAME = {
+    name: parameter
+    for name, parameter in inspect.signature(Duel).parameters.items()
+    if name not in ("receivers", "setup", "threads")
+}
+SETUP = (*_WORLD, *_AGENT)
+SETTINGS = (*SETUP, *_GAME)
 """All settings of a duel."""
 OPTIONS = ("domain",)
 """Options that a reset knows."""
 FORMS = ("env", "parallel_env")
 """Forms of the duel, by their `decision_delay`."""
+
+
+def duel_signature() -> inspect.Signature:
+    """Arguments of a PettingZoo form: all settings, but for the delay that is its own."""
+    settings = {**_WORLD, **_AGENT, **_GAME}
+    del settings["decision_delay"]
+    nothing = inspect.Parameter("render_mode", inspect.Parameter.KEYWORD_ONLY, default=None)
+    return inspect.Signature([*settings.values(), nothing])
 
 
 def refuse_to_draw(whose: str, render_mode: object) -> None:
@@ -83,15 +94,15 @@ class Rules:
         valid = [name for name in SETTINGS if name != "decision_delay"]
         check_keywords(form, settings, [*valid, "render_mode"])
         self.duel = make_duel(1, decision_delay=decision_delay, threads=1, **settings)
-        game, agent = self.duel.game, self.duel.agent
-        self.observation_names = {SPOOFER: game.observation_names, DETECTOR: agent.sight.names}
-        self.action_names = {SPOOFER: game.action_names, DETECTOR: agent.action_names}
+        core, agent = self.duel.core, self.duel.agent
+        self.observation_names = {SPOOFER: core.observation_names, DETECTOR: agent.sight.names}
+        self.action_names = {SPOOFER: core.action_names, DETECTOR: agent.action_names}
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
-            SPOOFER: observation_space(game),
+            SPOOFER: observation_space(core),
             DETECTOR: spaces.Box(agent.sight.low, agent.sight.high, dtype=np.float32),
         }
         self.action_spaces: dict[str, spaces.Space[Any]] = {
-            SPOOFER: action_space(game),
+            SPOOFER: action_space(core),
             DETECTOR: spaces.Box(-1.0, 1.0, (len(agent.action_names),), dtype=np.float32),
         }
         self._rng: np.random.Generator | None = None
@@ -99,7 +110,7 @@ class Rules:
     def begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
         """Begin an episode."""
         warn_unknown(options, OPTIONS)
-        given = told_domain(options)
+        given = domain_option(options)
         seed = checked_seed(seed)
         if seed is not None or self._rng is None:
             self._rng = seeding.np_random(seed)[0]
@@ -136,7 +147,7 @@ class Rules:
         """Whether a decision of the spoofer is due."""
         return bool(self.duel.deciding[0])
 
-    def infos(self, turn: DuelTurn) -> dict[str, dict[str, Any]]:
+    def infos(self, turn: DuelStep) -> dict[str, dict[str, Any]]:
         """Information after an epoch; the detector gets nothing that it can't see itself."""
         all_: dict[str, Any] = {name: array.item() for name, array in turn.info.items()}
         all_["decision_delay"] = self.duel.decision_delay

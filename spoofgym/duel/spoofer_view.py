@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,34 +10,20 @@ from gymnasium.vector import AutoresetMode
 
 from .._registry import check_keywords
 from ..detectors import Detector
-from ..envs.game import Game
-from ..envs.game_env import GameEnv
-from ..envs.game_vector_env import autoreset_mode_of, check_vector_settings
-from ..envs.infos import InfoSpec
-from ..envs.presets import make_game, make_setup
-from ..envs.rendering import GameRecorder, Recorder
-from ..envs.setup import Setup
+from ..envs.core import SpoofCore
+from ..envs.env import CoreEnv
+from ..envs.factory import CORE, make_setup
+from ..envs.options import InfoSpec, autoreset_mode_of, check_vector_settings
+from ..envs.rendering import CoreRecorder, Recorder
+from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .opponents import DetectorSpec, label_of, members_of, pooled_detector
-from .vector_view import PooledVectorView
+from .vector_view import POOL_CHANGED, PooledVectorView
 
 DetectorPool = Sequence[DetectorSpec] | DetectorSpec
 Weights = Sequence[float] | None
-WORLD = (
-    "scenario",
-    "receiver",
-    "attack",
-    "timeline",
-    "domain",
-    "target_heading_deg",
-    "decision_interval_s",
-    "between",
-)
-RULES = tuple(
-    name
-    for name in inspect.signature(make_game).parameters
-    if name not in ("receivers", "setup", "threads")
-)
-"""Settings of the game beside those of its world."""
+WORLD = tuple(n for n in inspect.signature(TightlyCoupledSetup).parameters if n != "detector")
+RULES = (*CORE, "prefetch")
+"""Settings of the core beside those of its world."""
 
 
 def check_settings(kind: type, settings: Mapping[str, Any], pool: DetectorPool) -> None:
@@ -64,39 +49,38 @@ class SpooferSide:
         # with a reward of one's own there is no default one to be without a price
         free = {} if rules.get("reward") is not None else {"alarm_penalty_m": 0.0}
         self._rules = {**free, **rules}
-        self._setup = make_setup(detector="never", **world)
+        self._setup = make_setup(TightlyCoupledSetup, {**world, "detector": "never"})
         self.labels: tuple[str, ...] = ()
-        self.game = self.play(pool, weights)
+        self.core = self._against(pool, weights)
 
-    def play(self, pool: DetectorPool, weights: Weights) -> Game:
-        """Game against a pool."""
-        setup: Setup = copy.copy(self._setup)
-        setup.detector = pooled_detector(pool, weights, setup.live)
-        game = make_game(self._receivers, setup, **self._rules)
+    def _against(self, pool: DetectorPool, weights: Weights) -> SpoofCore:
+        """Core against a pool, not begun yet."""
+        setup = self._setup.altered(detector=pooled_detector(pool, weights, self._setup.live))
+        core = SpoofCore(self._receivers, setup, **self._rules)
         self.labels = tuple(label_of(spec) for spec in members_of(pool, Detector))
-        return game
+        return core
 
-    def change(self, pool: DetectorPool, weights: Weights) -> Game:
-        """Game against another pool, of the same spaces."""
-        before, labels = self.game, self.labels
-        game = self.play(pool, weights)
-        if game.observation_names != before.observation_names:
+    def change(self, pool: DetectorPool, weights: Weights) -> SpoofCore:
+        """Core against another pool, of the same spaces."""
+        before, labels = self.core, self.labels
+        core = self._against(pool, weights)
+        if core.observation_names != before.observation_names:
             now, self.labels = self.labels, labels
             raise ValueError(
-                f"the pool {', '.join(now)} gives the spoofer {len(game.observation_names)} "
+                f"the pool {', '.join(now)} gives the spoofer {len(core.observation_names)} "
                 f"observations, but {', '.join(labels)} gave {len(before.observation_names)}"
             )
         before.close()
-        self.game = game
-        return game
+        self.core = core
+        return core
 
     def opponents(self) -> list[str]:
         """Label of the opponent of every receiver."""
-        drawn = self.game.engine.batch.detector.memory["opponent"]
+        drawn = self.core.engine.simulator.detector.memory["opponent"]
         return [self.labels[k] for k in drawn]
 
 
-class SpooferView(GameEnv[Game]):
+class SpooferView(CoreEnv[SpoofCore]):
     """The spoofer's side: the learner attacks, one detector of the pool defends for an episode.
 
     Every episode is attacked, since a clean one pays nothing and teaches nothing.  The undiscounted
@@ -130,11 +114,11 @@ class SpooferView(GameEnv[Game]):
     ) -> None:
         check_settings(SpooferView, settings, pool)
         self._side = SpooferSide(1, pool, weights, {**settings, "threads": 1})
-        super().__init__(self._side.game, render_mode)
+        super().__init__(self._side.core, render_mode)
 
     def _recorder(self) -> Recorder | None:
-        """What looks at the receiver."""
-        return GameRecorder(self.game)
+        """What pictures are made from."""
+        return CoreRecorder(self.core)
 
     @property
     def opponent(self) -> str:
@@ -143,14 +127,14 @@ class SpooferView(GameEnv[Game]):
 
     def set_pool(self, pool: DetectorPool, weights: Weights = None) -> None:
         """Take other opponents; the running episode is over, and `reset` has to follow."""
-        self.game = self._side.change(pool, weights)
+        self.core = self._side.change(pool, weights)
         if self._screen is not None:
             self._screen.close()
             self._draw_with(self._recorder())
-        self._running = False
+        self._stopped = POOL_CHANGED
 
 
-class SpooferVectorView(PooledVectorView[Game]):
+class SpooferVectorView(PooledVectorView[SpoofCore]):
     """Vector environment of `SpooferView`; receiver i is the single one seeded with ``seed + i``.
 
     Parameters
@@ -160,7 +144,7 @@ class SpooferVectorView(PooledVectorView[Game]):
     pool, weights : list
         As in `SpooferView`.
     autoreset_mode : {"next_step", "same_step", "disabled"} or AutoresetMode
-        When a finished receiver begins its next episode; with ``disabled``, when ``reset`` is
+        When a finished receiver starts its next episode; with ``disabled``, when ``reset`` is
         called with ``options={"reset_mask": ...}``.
     threads : int, optional
         Threads of the engine.
@@ -191,7 +175,7 @@ class SpooferVectorView(PooledVectorView[Game]):
         check_vector_settings(num_envs, render_mode)
         check_settings(SpooferVectorView, settings, pool)
         self._side = SpooferSide(num_envs, pool, weights, {**settings, "threads": threads})
-        super().__init__(self._side.game, mode, infos, max_episode_steps)
+        super().__init__(self._side.core, mode, infos, max_episode_steps)
 
     @property
     def opponents(self) -> list[str]:
@@ -200,5 +184,5 @@ class SpooferVectorView(PooledVectorView[Game]):
 
     def set_pool(self, pool: DetectorPool, weights: Weights = None) -> None:
         """Take other opponents; the running episodes are over, and `reset` has to follow."""
-        self.game = self._side.change(pool, weights)
+        self.core = self._side.change(pool, weights)
         self.pool_changed = True

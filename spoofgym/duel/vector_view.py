@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ..envs.game_env import G
-from ..envs.game_vector_env import Array, GameVectorEnv
-from ..envs.resets import mask_of
+from ..envs.env import C
+from ..envs.options import Array, mask_of
+from ..envs.vector_env import CoreVectorEnv
 
-RESET_FIRST = "the pool has changed: call reset() before step()"
-RESET_ALL = "the pool has changed: the next reset must be that of all receivers"
+POOL_CHANGED = "the pool has changed"
+RESET_FIRST = f"{POOL_CHANGED}: call reset() before step()"
+RESET_ALL = f"{POOL_CHANGED}: the next reset must be that of all receivers"
 
 
-class PooledVectorView(GameVectorEnv[G]):
+class PooledVectorView(CoreVectorEnv[C]):
     """Vector environment of one side of the duel; `set_pool` of a subclass sets `pool_changed`.
 
     Attributes

@@ -112,29 +112,8 @@ class SpoofCore:
         B.
     setup : Setup
         Of any victim.
-    knowledge : {"tracking", "blind", "oracle"}
-        What the spoofer observes.
-    observation : str, mapping, path, ObservationTerm or sequence of them, optional
-        Own list of terms instead of `knowledge`, as `make_terms` takes them.
-    action : str, mapping, path, ActionTerm or sequence of them, optional
-        Own list of terms instead of the attack's elements.
-    reward : str, mapping, path, RewardTerm or sequence of them, optional
-        Own list of terms instead of the default reward.
-    end : str, mapping, path, EndTerm or sequence of them, optional
-        Own list of terms instead of `end_at_alarm`.
-    watch : sequence of str, mapping or Detector
-        Passive detectors: they judge the same epochs and change nothing;
-        ``info["watch_NAME_alarm"]`` and more report them.
-    alarm_penalty_m : float
-        Price of an alarm.
-    end_at_alarm : bool
-        Whether an alarm ends the episode, where `end` does not say it.  If not, it goes on without
-        further reward.
-    twin : bool
-        Whether a clean twin of the victim runs, too, and displacement is the distance from it
-        instead of the error less that at the onset.  It takes up to twice the time.
     threads, prefetch : optional
-        As in `Engine`.
+        As in `Engine`; all others as in `SpoofEnv`.
 
     Attributes
     ----------
@@ -205,6 +184,7 @@ class SpoofCore:
         if self._passive is not None:
             monitors.append(self._passive.monitor)
         self.setup = setup.altered(monitors=monitors)
+        self.receivers = receivers
         self.engine = Engine(receivers, self.setup, threads=threads, prefetch=prefetch, twin=twin)
         self.observer = Observer(seen, self.setup)
         self._origin = np.zeros((receivers, 2))
@@ -217,11 +197,6 @@ class SpoofCore:
         self.listeners: list[Listener] = []
         self._done: _DoneRows | None = None
         self.set_rewards(rewards)
-
-    @property
-    def receivers(self) -> int:
-        """B."""
-        return self.engine.receivers
 
     @property
     def observation_names(self) -> tuple[str, ...]:
@@ -414,8 +389,7 @@ class SpoofCore:
     def _report_more(self, result: StepResult) -> None:
         """Report of a step what kernels do not."""
         if self.setup.attack.capture is not None:
-            captured = self.engine.simulator.attack.memory["captured"]
-            result.extra["captured_channels"] = captured.sum(axis=1)
+            result.extra["captured_channels"] = self.engine.simulator.captured_channels()
         if self._passive is not None:
             result.extra.update(self._passive.step_info(self._passive_memory))
 

@@ -132,7 +132,7 @@ def spoofer_context(
         steps=setup.steps // setup.repeat,
         control=attack.control,
         acceleration_limit_mps2=attack.acceleration_limit_mps2,
-        rate_limit_mps=attack.rate_limit_mps,
+        rate_limit_mps=float(attack.rate_limit_mps),
         action_names=setup.action_names,
     )
     if observer is None:

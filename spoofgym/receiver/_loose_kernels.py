@@ -73,7 +73,8 @@ def first_estimate(
     """Begin at the truth, apart from the errors of the alignment.
 
     `state`: position, velocity and attitude are written; `position_e`, `velocity_e`, `C_eb` (B, 3),
-    (B, 3) and (B, 3, 3) truth; `error` (B, 15) in the order of the states; the biases are not looked at.
+    (B, 3) and (B, 3, 3) truth; `error` (B, 15) in the order of the states; the biases are not
+    looked at.
     """
     C_el = np.empty((3, 3))
     x = np.empty(15)

@@ -112,8 +112,9 @@ def episode_keys(episode: np.random.SeedSequence) -> tuple[NDArray[np.uint64], F
     the right encoder start, in [0, 1).
     """
     words = 2 * len(SOURCES)
-    state = episode.generate_state(words + 2, np.uint64)
-    return state[:words].reshape(-1, 2), (state[words:] >> np.uint64(11)) * 2.0**-53
+    state = np.asarray(episode.generate_state(words + 2, np.uint64), dtype=np.uint64)
+    phase = np.asarray((state[words:] >> np.uint64(11)) * 2.0**-53, dtype=np.float64)
+    return state[:words].reshape(-1, 2), phase
 
 
 @njit

@@ -126,9 +126,11 @@ def chain_skies(skies: Sequence[Sky]) -> Sky:
         first = first._replace(
             satellite_ids=tuple(f"slot{s:02d}" for s in range(len(first.satellite_ids)))
         )
-    names = ("time", "position_e", "satellite_position_e", "satellite_velocity_e")
     return first._replace(
-        **{name: np.concatenate([getattr(sky, name) for sky in skies]) for name in names}
+        time=np.concatenate([sky.time for sky in skies]),
+        position_e=np.concatenate([sky.position_e for sky in skies]),
+        satellite_position_e=np.concatenate([sky.satellite_position_e for sky in skies]),
+        satellite_velocity_e=np.concatenate([sky.satellite_velocity_e for sky in skies]),
     )
 
 

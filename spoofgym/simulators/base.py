@@ -48,7 +48,8 @@ class Simulator(ABC):
         B.
     memory : Memory
         ``first`` and ``onset`` (B,) epochs at which the episode starts, and after which the attack
-        does; ``direction`` (B, 2) north and east part of the target direction; and the victim's.
+        does; ``heading`` (B,) and ``direction`` (B, 2) of the target; ``key`` (B, 2) of the
+        episode's domain; and the victim's.
     detector : Detector
         In the loop, bound.
     monitors : list of Monitor
@@ -73,10 +74,12 @@ class Simulator(ABC):
         for name in ("first", "onset"):
             self.memory.declare(name, np.zeros(receivers, dtype=np.int64))
         self.memory.declare("heading", np.zeros(receivers))
+        self.memory.declare("key", np.zeros((receivers, 2), dtype=np.uint64))
         self.memory.declare("direction", np.zeros((receivers, 2)))
         self._allocate()
         self.ones = np.ones((receivers, len(self._context().noise_variance)))
-        self.weights, self.verdict, self.clean = self.ones, None, None
+        self.weights, self.verdict = self.ones, None
+        self.clean: NDArray[np.bool_] | None = None
         self.detector = copy.deepcopy(setup.detector)
         self.bind_detector(self.detector)
         self.monitors = [copy.deepcopy(monitor) for monitor in setup.monitors]
@@ -158,6 +161,10 @@ class Simulator(ABC):
         """Write `Setup.geometry_names`; victims without satellites have none."""
         raise TypeError(f"{self.setup.whose} has no satellites")
 
+    def captured_channels(self) -> NDArray[np.int64]:
+        """(B,) channels that follow the counterfeit signals."""
+        raise TypeError(f"the channels of {self.setup.whose} are not captured one by one")
+
     def observed_weights(self) -> FloatArray:
         """(B, w) weights of the last update along `Setup.weight_names`."""
         return self.weights[:, : len(self.setup.weight_names)]
@@ -190,7 +197,8 @@ class Simulator(ABC):
 
     def time_s(self) -> FloatArray:
         """(B,) time of the present epoch [s], a new array."""
-        return self.setup.epoch_time[self.epochs]
+        time: NDArray[np.float64] = self.setup.epoch_time[self.epochs]
+        return time
 
     def bind_detector(self, detector: Detector) -> None:
         """Bind a detector to these receivers; a ValueError where it can't judge or alarm."""
@@ -221,6 +229,7 @@ class Simulator(ABC):
     ) -> None:
         """Start a new episode in every receiver; `given` are circumstances not to be drawn."""
         keys = self._draw(rngs)
+        self.memory["key"][:] = keys
         choice = self._choose(keys, given)
         self.detector.reset()
         if isinstance(self.detector, PooledDetector):

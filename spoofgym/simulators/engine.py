@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 from typing import Any, TypeVar
 
@@ -22,6 +23,7 @@ from .threads import Workers
 FloatArray = NDArray[np.float64]
 T = TypeVar("T")
 RECEIVERS_PER_THREAD = 16
+NOBODY_WAITS = nullcontext()
 KEPT = 8
 """Largest size of the simulators that are kept for the time to alert of a few receivers."""
 
@@ -30,7 +32,7 @@ def _warmed_up(
     setup: Setup, rngs: Sequence[np.random.Generator], between: Callable[[], None]
 ) -> tuple[Simulator, NDArray[np.bool_]]:
     """Receivers at the onset, by one thread."""
-    simulator = setup.simulator(len(rngs), run_serially)
+    simulator: Simulator = setup.simulator(len(rngs), run_serially)
     return simulator, simulator.warm_up(rngs, between)
 
 
@@ -83,8 +85,10 @@ class Engine:
         useful = available_threads(receivers) if threads is None else threads
         self.threads = useful if setup.threaded else 1
         self._workers = Workers(self.threads - 1)
-        self.simulator = setup.simulator(receivers, self._run)
-        self.twin = setup.altered(monitors=()).simulator(receivers, self._run) if twin else None
+        self.simulator: Simulator = setup.simulator(receivers, self._run)
+        self.twin: Simulator | None = (
+            setup.altered(monitors=()).simulator(receivers, self._run) if twin else None
+        )
         self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
         self._few: dict[tuple[bool, int], Simulator] = {}
@@ -175,7 +179,7 @@ class Engine:
         if len(rows) == self.receivers:
             self.warmup_alarm = self.simulator.warm_up(rngs, given=given)
             return
-        part = self.setup.simulator(len(rngs), self._run)
+        part: Simulator = self.setup.simulator(len(rngs), self._run)
         self.warmup_alarm[rows] = part.warm_up(rngs, given=given)
         self.simulator.copy_rows(rows, part, np.arange(len(rows)))
 
@@ -193,18 +197,13 @@ class Engine:
 
     def step(self, command: FloatArray | None) -> Verdict:
         """Both halves with the engine's own detector; the twins follow."""
-        if self._next is not None:
-            with self._next.kept_waiting():
-                return self._step(command)
-        return self._step(command)
-
-    def _step(self, command: FloatArray | None) -> Verdict:
         simulator = self.simulator
-        simulator.predict(command)
-        verdict = simulator.judge()
-        simulator.update(verdict.weights)
-        if self.twin is not None:
-            self.step_twin()
+        with NOBODY_WAITS if self._next is None else self._next.kept_waiting():
+            simulator.predict(command)
+            verdict = simulator.judge()
+            simulator.update(verdict.weights)
+            if self.twin is not None:
+                self.step_twin()
         return verdict
 
     def step_twin(self) -> Verdict:
@@ -241,7 +240,7 @@ class Engine:
         """Simulator whose rows are all to be overwritten; a small one is made once."""
         key = (whole is self.twin, receivers)
         if key not in self._few:
-            part = whole.setup.simulator(receivers, self._run)
+            part: Simulator = whole.setup.simulator(receivers, self._run)
             if receivers > KEPT:
                 return part
             self._few[key] = part

@@ -56,14 +56,8 @@ class LooselyCoupledSetup(Setup):
         Rate of the displacement to the north and to the east that a command of 1 means.
     domain : mapping or Domain, optional
         What differs from episode to episode beside the noise: `start_s`; nothing by default.
-    target_heading_deg : float or {"random", "worst"}
-        Direction in which displacement counts, clockwise from north; drawn for every episode; or
-        that in which it is largest.
-    decision_interval_s : float, optional
-        Time between decisions, a multiple of 0.1 s, of which the attack window holds a whole
-        number; every epoch by default.
-    between : {"hold", "linear"}
-        What is commanded at the epochs between two decisions.
+    target_heading_deg, decision_interval_s, between : float or str, optional
+        As in `TightlyCoupledSetup`.
 
     Raises
     ------
@@ -127,7 +121,7 @@ class LooselyCoupledSetup(Setup):
         )
         self.epochs_each = self.world.epochs
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, flight))
-        self.epoch_time = np.arange(self.epochs_each) * INTERVAL_S
+        self.epoch_time = np.arange(self.epochs_each, dtype=np.float64) * INTERVAL_S
         self.true_position = self.world.position_e
         # to ECEF from local north, east, down axes
         self.C_en = np.ascontiguousarray(self.world.C_el[:, :, [1, 0, 2]] * [1.0, 1.0, -1.0])

@@ -1,4 +1,4 @@
-"""What victims share whose position a spoofer displaces by rates, one an axis."""
+"""What simulators share whose spoofer commands a displacement by rates, one per axis."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class RateSimulator(Simulator):
 
     @abstractmethod
     def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
-        """Draw the keys of a receiver's noise, and what else is drawn once an episode."""
+        """Draw the keys of a receiver's noise, and what else is drawn once per episode."""
 
     @abstractmethod
     def _ground_ne(self, epochs: slice) -> FloatArray:

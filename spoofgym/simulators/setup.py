@@ -274,7 +274,7 @@ class Setup(ABC):
         return names
 
     @property
-    def combination_names(self) -> dict[str, Sequence[str]]:
+    def combination_names(self) -> Mapping[str, Sequence[str]]:
         """Names of the grades, ``"imu"``, and of the errors, ``"errors"``, of the domain."""
         return {"imu": ("own",), "errors": ("own",)}
 

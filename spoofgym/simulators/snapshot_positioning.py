@@ -64,15 +64,10 @@ class SnapshotSetup(Setup):
         Of the constellation: another geometry.
     domain : mapping or Domain, optional
         What differs from episode to episode beside the noise: `turned_deg`, the vehicle's heading,
-        and `constellation_time_s`, with `worlds` and `world_seed`; nothing by default.
-    target_heading_deg : float or {"random", "worst"}
-        Direction in which displacement counts, clockwise from north; drawn for every episode; or
-        that in which it is largest.
-    decision_interval_s : float, optional
-        Time between decisions, a multiple of `interval_s`, of which the attack window holds a whole
-        number; every epoch by default.
-    between : {"hold", "linear"}
-        What is commanded at the epochs between two decisions.
+        and `constellation_time_s`, with `worlds` and `world_seed`, and `satellites` in view in all
+        worlds; nothing by default.
+    target_heading_deg, decision_interval_s, between : float or str, optional
+        As in `TightlyCoupledSetup`.
 
     Attributes
     ----------

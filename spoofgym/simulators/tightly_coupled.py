@@ -47,32 +47,7 @@ ADVANCE = _kernels.MEASURE + _kernels.PREDICT
 class TightlyCoupledSetup(Setup):
     """World, victim, attack and detector of tightly coupled receivers.
 
-    Parameters
-    ----------
-    scenario : str, mapping or Scenario
-        Flight, errors and sensors: a name in `SCENARIOS`, or a dict of its settings.
-    detector : str, mapping or Detector, optional
-        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied; the
-        EWMA chart with weights (m = 0.3) by default.
-    attack : str, mapping or Attack
-        A name in `ATTACKS` or `THREATS`, a dict with a name and settings, or an object, which is
-        copied.
-    receiver : str, mapping or TightlyCoupled, optional
-        ``"paper"`` or ``"matched"``, or settings of the victim; its grade is that of the scenario's
-        sensors by default.
-    timeline : mapping or Timeline, optional
-        Lengths of warm-up, attack window and time to alert.
-    domain : mapping or Domain, optional
-        What differs from episode to episode beside the noise; nothing by default.
-    target_heading_deg : float or {"random", "worst"}
-        Direction in which displacement counts, clockwise from north; drawn for every episode, and
-        observed; or that in which it is largest.
-    decision_interval_s : float, optional
-        Time between decisions, a multiple of the interval between epochs, of which the attack
-        window holds a whole number; every epoch by default.
-    between : {"hold", "linear"}
-        What is commanded at the epochs between: the decision that was taken, or the line from the
-        one before to it, which is reached when the next is due.
+    The settings are those of `spoofgym.envs.SpoofEnv`; all fit into JSON, or are objects.
 
     Attributes
     ----------
@@ -152,7 +127,7 @@ class TightlyCoupledSetup(Setup):
         self._check_first_fixes()
 
     @property
-    def combination_names(self) -> dict[str, Sequence[str]]:
+    def combination_names(self) -> Mapping[str, Sequence[str]]:
         """Names of the grades and errors of the domain."""
         return self.combinations.names
 
@@ -331,7 +306,8 @@ class TightlyCoupledSimulator(Simulator):
 
     def _draw(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.uint64]:
         self.sensors.draw_keys(self._everyone, rngs)
-        return self.sensors.keys[SOURCES.index("domain")]
+        keys: NDArray[np.uint64] = self.sensors.keys[SOURCES.index("domain")]
+        return keys
 
     def _start(self, choice: Choice) -> None:
         """Draw the errors; first fix, attitude, empty memories."""
@@ -535,6 +511,11 @@ class TightlyCoupledSimulator(Simulator):
         self.sensors.epoch[to] = other.sensors.epoch[rows]
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
         super().copy_rows(to, other, rows)
+
+    def captured_channels(self) -> NDArray[np.int64]:
+        """(B,) channels that follow the counterfeit signals."""
+        captured: NDArray[np.int64] = self.attack.memory["captured"].sum(axis=1)
+        return captured
 
     # --- pictures and recordings ---------------------------------------------------------------
 

@@ -72,14 +72,8 @@ class WheeledRobotSetup(Setup):
         What differs from episode to episode beside the noise: `start_s`, the time on the course
         at which the robot is switched on; None as the latest is one lap after the earliest.
         Nothing by default.
-    target_heading_deg : float or {"random", "worst"}
-        Direction in which displacement counts, clockwise from north; drawn for every episode; or
-        that in which it is largest.
-    decision_interval_s : float, optional
-        Time between decisions, a multiple of `interval_s`, of which the attack window holds a whole
-        number; every epoch by default.
-    between : {"hold", "linear"}
-        What is commanded at the epochs between two decisions.
+    target_heading_deg, decision_interval_s, between : float or str, optional
+        As in `TightlyCoupledSetup`.
 
     Attributes
     ----------
@@ -173,7 +167,7 @@ class WheeledRobotSetup(Setup):
             )
         self.epochs_each = self.length + math.floor(late / self.interval_s + 1e-6) + 1
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, "the course"))
-        self.epoch_time = np.arange(self.epochs_each) * self.interval_s
+        self.epoch_time = np.arange(self.epochs_each, dtype=np.float64) * self.interval_s
         samples = (self.epochs_each - 1) * self.samples
         self.track = self.loop.track(samples, self.odometer.sample_interval_s)
         self.wheels = self.track.wheels(self.odometer.wheel_base_m)
@@ -189,11 +183,13 @@ class WheeledRobotSetup(Setup):
         right = pairs.ndim == 2 and pairs.shape[1] == 2
         if not (right and (pairs[:, 0] > 0.0).all() and (pairs[:, 0] < pairs[:, 1]).all()):
             raise ValueError(
-                "`interruptions_s` must be pairs (begin, end) with 0 < begin < end, got "
+                "`interruptions_s` must be pairs (start, end) with 0 < start < end, got "
                 f"{interruptions_s}"
             )
         time = np.arange(self.length + 1)[:, None] * self.interval_s
-        self.available = ((time < pairs[:, 0]) | (time >= pairs[:, 1])).all(axis=1)
+        self.available: NDArray[np.bool_] = np.all(
+            (time < pairs[:, 0]) | (time >= pairs[:, 1]), axis=1
+        )
 
     def simulator(self, receivers: int, run: Run) -> WheeledRobotSimulator:
         """B robots, not begun yet."""

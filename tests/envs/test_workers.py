@@ -88,14 +88,12 @@ def test_a_completion_that_an_interrupt_loses_is_not_waited_for(workers, monkeyp
 def interrupted_at(workers, work, moment, code):
     """Run with an interrupt at one bytecode of `run`; whether there was such a one."""
     left = moment
-    frames = []
 
     def trace(frame, event, _):
         nonlocal left
         if frame.f_code is not code:
             return None
         frame.f_trace_opcodes = True
-        frames.append(frame)
         if event == "opcode":
             left -= 1
             if left == 0:

@@ -125,6 +125,12 @@ def test_a_part_of_a_name_is_not_renamed():
     assert scope.rename(("a", "b", "cost f()")) == ("c", "price f()")
 
 
+def test_a_slash_within_a_part_is_not_between_parts():
+    path = ("json", "[spoofgym/Snapshot-v0]", "pool")
+    assert Scope({"pool": "opponents"}).rename(path) == (*path[:2], "opponents")
+    assert Scope(added={"[spoofgym/Snapshot-v0]/pool": "said why"}).is_added(path)
+
+
 def test_added_and_dropped_keys_have_to_be_declared(tmp_path):
     new = [{**step, "more": 1.0} for step in steps()]
     for step in new:

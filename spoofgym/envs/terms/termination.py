@@ -53,18 +53,7 @@ class EndTerm(Protocol):
     truncates: ClassVar[bool]
 
     def __call__(self, state: EpochState) -> Mask:
-        """Which episodes it ends.
-
-        Parameters
-        ----------
-        state : EpochState
-            After the epoch.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, a new array.
-        """
+        """(B,) bool, which episodes it ends, a new array."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The detector's side of the duel as a game of one agent, against a pool of frozen spoofers."""
+"""The detector's side of the duel, for one learner against a pool of frozen spoofers."""
 
 from __future__ import annotations
 
@@ -8,23 +8,24 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs.played import Stepwise, Turn
-from .duel import DOMAIN, Duel
+from ..envs.core import SingleStep
+from ..envs.step_result import Info, PlainResult
+from .duel import Duel
 from .opponents import SpooferPool, SpooferSpec
 
 FloatArray = NDArray[np.float64]
 
 
-class DetectorGame(Stepwise):
+class DetectorCore:
     """Episodes of B receivers, in which the learner is the detector.
 
     With ``decision_delay=0`` an observation is of the epoch that the next action judges; with 1 it
     is of the epoch before.  A step is an epoch, however seldom the spoofers decide.
 
-    `begin_names`, `info_names`: keys of `begin_info`, and of the information of a step.
+    `reset_names`, `info_names`: keys of `reset_info`, and of the information of a step.
     """
 
-    begin_names: ClassVar[tuple[str, ...]] = ("time_s", "decision_delay")
+    reset_names: ClassVar[tuple[str, ...]] = ("time_s", "decision_delay")
     info_names: ClassVar[tuple[str, ...]] = (
         "time_s",
         "alarm",
@@ -86,32 +87,32 @@ class DetectorGame(Stepwise):
         rows: NDArray[np.intp] | None = None,
         given: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin new episodes, up to the first epoch that is to be judged."""
+        """Start new episodes, up to the first epoch that is to be judged."""
         where = self._everyone if rows is None else rows
         self.duel.reset(rngs, rows, given)
-        self.pool.begin(where, self.duel.game.engine.batch.sensors.keys[DOMAIN, where])
+        self.pool.begin(where, self.duel.core.engine.simulator.memory["key"][where])
         if self.duel.decision_delay == 0:
             self._arrive(where)
 
     def _arrive(self, rows: NDArray[np.intp]) -> None:
         """Let the opponents of some receivers move, those that decide now."""
         due = rows[self.duel.deciding[rows]]
-        action = self.pool.act(self.duel.game.snapshot(), due) if len(due) else None
+        action = self.pool.act(self.duel.core.snapshot(), due) if len(due) else None
         self.duel.arrive(action, rows)
 
-    def step(self, action: FloatArray) -> Turn:
+    def step(self, action: FloatArray) -> tuple[PlainResult, NDArray[np.float32]]:
         """Judge one epoch of all receivers.  `action` (B, a) float64, in [-1, 1]."""
         if self.duel.decision_delay == 0:
             # the world may end one epoch after an episode
             playing = np.flatnonzero(~self.duel.over)
-            turn = self.duel.decide(action)
+            done = self.duel.decide(action)
             if len(playing):
                 self._arrive(playing)
         else:
             self._arrive(self._everyone)
-            turn = self.duel.decide(action)
-        over, all_ = turn.terminated, turn.info
-        info = {
+            done = self.duel.decide(action)
+        over, all_ = done.terminated, done.info
+        info: Info = {
             "time_s": all_["time_s"],
             "alarm": all_["alarm"],
             "statistic": all_["statistic"],
@@ -120,14 +121,20 @@ class DetectorGame(Stepwise):
             "attacked": all_["attacked"] & over,
             "undetected_displacement_m": np.where(over, all_["undetected_displacement_m"], 0.0),
         }
-        return Turn(turn.detector_reward, over, np.zeros_like(over), info)
+        result = PlainResult(done.detector_reward, over, np.zeros_like(over), info)
+        return result, self.observe()
+
+    def single(self, action: FloatArray) -> SingleStep:
+        """`step` of the only receiver."""
+        result, observation = self.step(action)
+        return observation[0], *result.single()
 
     def observe(self) -> NDArray[np.float32]:
         """Observe all receivers, (B, o), a new array."""
         return self.duel.observe_detector()
 
-    def begin_info(self) -> dict[str, NDArray[Any]]:
-        """Information at the begin of an episode."""
+    def reset_info(self) -> Info:
+        """Information of a reset."""
         delay = np.full(self.receivers, self.duel.decision_delay)
         return {"time_s": self.duel.time_s(), "decision_delay": delay}
 
