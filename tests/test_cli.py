@@ -100,7 +100,7 @@ def test_list_names_all_there_is() -> None:
     assert "target_heading_deg=random" in " ".join(call("list", "envs").output.split())
     table = call("list", "detectors").output
     assert "snapshot-chi2" in table
-    assert "[oracle, told what no receiver knows]" in " ".join(table.split())
+    assert "[oracle, knows what no receiver does]" in " ".join(table.split())
     assert "accelerating-ramp" not in table
 
 
@@ -115,7 +115,7 @@ def test_list_marks_oracles_and_what_watches_positions(monkeypatch: pytest.Monke
     lines = call("list", "detectors").output.splitlines()
     by_name = {line.split()[0]: line for line in lines if line.strip()}
     assert "oracle" in by_name["told"]
-    assert "watches positions" in by_name["fixes"]
+    assert "for positions" in by_name["fixes"]
     for name in ("ewma", "snapshot-chi2"):
         assert "oracle" not in by_name[name]
         assert "[" not in by_name[name]
@@ -415,7 +415,7 @@ def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
     [
         (["list", "planes"], "unknown kind 'planes'; valid: attacks, detectors, envs"),
         (["bench", "--detector", "emwa"], "unknown detector 'emwa'; valid: "),
-        (["bench", "--detector", "oracle-step"], "oracle-step: an oracle is told the attack's"),
+        (["bench", "--detector", "oracle-step"], "oracle-step: an oracle knows the attack's"),
         (["run", "--detector", "oracle-ramp"], "to play it all the same: `--allow-oracles`"),
         (["bench", "--spoofer", "ramp:rate=1"], "spoofer 'ramp' has no setting 'rate'; valid: "),
         (["run", "--scenario", "zhong"], "unknown scenario 'zhong'; valid: "),

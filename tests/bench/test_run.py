@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from spoofgym.bench.decisions import make_bound_spoofer
 from spoofgym.bench.run import (
     WarmStart,
     displacement_of,
@@ -16,7 +17,6 @@ from spoofgym.bench.run import (
     play,
     to_local,
 )
-from spoofgym.bench.decisions import make_bound_spoofer
 from spoofgym.bench.suite import Suite
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofCore
@@ -80,9 +80,7 @@ def test_an_observing_spoofer_sees_the_warm_up_it_would_have_had(
 ) -> None:
     fresh = WarmStart(start.setup, suite.generators("evaluation", RUNS), threads=1)
     np.testing.assert_array_equal(fresh._engine.simulator.weights, start.engine().simulator.weights)
-    np.testing.assert_array_equal(
-        play(fresh, Mirror()).position, play(start, Mirror()).position
-    )
+    np.testing.assert_array_equal(play(fresh, Mirror()).position, play(start, Mirror()).position)
 
 
 def test_dropping_settled_runs_changes_no_score(start: WarmStart) -> None:
@@ -151,9 +149,7 @@ def test_runs_of_a_domain_are_those_of_the_environment(between: str) -> None:
     attacked, clean = play(start, spec), play(start, "none")
     scored = displacement_of(setup, attacked, clean)
     assert len(set(attacked.onset)) > 2
-    core = SpoofCore(
-        6, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True
-    )
+    core = SpoofCore(6, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True)
     core.reset(suite.generators("evaluation", 6))
     spoofer, _ = make_bound_spoofer(spec, setup, 6)
     for _ in range(setup.steps // setup.repeat):

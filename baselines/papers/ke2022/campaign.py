@@ -26,9 +26,9 @@ from spoofgym.detectors import (
     OracleStep,
     SnapshotChi2,
 )
-from spoofgym.simulators import Engine, TightlyCoupledSetup, Timeline
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.sim.scenario import SCENARIOS
+from spoofgym.simulators import Engine, TightlyCoupledSetup, Timeline
 
 FIRST, LAST = 350, 550
 """First and last spoofed epoch [s]."""
