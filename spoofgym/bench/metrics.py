@@ -137,9 +137,9 @@ def restricted_mean_delay(
     S is the part of the runs that has not been detected yet.
 
     `delay` (R,) time of the detection, or the time up to which the run was observed; `detected`
-    (R,) bool, which of the two it is; `horizon`: H, a delay counts as at most this; `weights` (..., R)
-    how often each run counts, such as `counts_of` bootstrap samples; once by default; returns
-    (...,) in the unit of the delays; NaN where no run counts.
+    (R,) bool, which of the two it is; `horizon`: H, a delay counts as at most this; `weights`
+    (..., R) how often each run counts, such as `counts_of` bootstrap samples; once by default;
+    returns (...,) in the unit of the delays; NaN where no run counts.
     """
     t = np.minimum(np.asarray(delay, dtype=np.float64), horizon)
     seen = np.asarray(detected, dtype=np.bool_)

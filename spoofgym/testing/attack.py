@@ -45,8 +45,8 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
     An attack with imperfect equipment has to show all of this with perfect equipment, and the rest
     with its own, where two rules cannot hold: it changes measurements without a command, where its
     errors, its clock or its idea of the target's position do (`idle_is_clean` says so); and its
-    range rates are the derivatives of ranges that noise moves between the epochs, which no trapezoid
-    follows.
+    range rates are the derivatives of ranges that noise moves between the epochs, which no
+    trapezoid follows.
 
     Parameters
     ----------
