@@ -347,7 +347,7 @@ def test_run_is_a_run_of_the_bench() -> None:
 
 def test_the_other_victims_are_played_by_their_environment() -> None:
     env = ["--env", "spoofgym/Snapshot-v0", "--set", "satellites=9", "--set", "noise_m=2.0"]
-    times = ["--attack-s", "12", "--spoofer", "ramp:rate_mps=0.5"]
+    times = ["--attack-s", "12", "--spoofer", "ramp:rate_mps=0.4"]
     bench = call(
         "bench", *env, *times, "--seeds", "4", "--out", "small", "--json", "--threads", "1"
     )
@@ -363,7 +363,7 @@ def test_the_other_victims_are_played_by_their_environment() -> None:
     run = call("run", *env, *times, "--run", "2", "--json", "--no-picture")
     told = json.loads(run.stdout)
     assert told["detector"]["name"] == "srv-raim"
-    rows = Path("small/cells/srv-raim--ramp-rate_mps=0.5.jsonl").read_text().splitlines()
+    rows = Path("small/cells/srv-raim--ramp-rate_mps=0.4.jsonl").read_text().splitlines()
     (mine,) = [row for row in map(json.loads, rows) if row.get("run") == 2]
     assert told["undetected_displacement_m"] == pytest.approx(
         mine["undetected_displacement_m"], abs=1e-4
