@@ -109,7 +109,7 @@ from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE, Profile, card_of, shipped
 from spoofgym.spoofers.aim import direction
 from spoofgym.spoofers.card import Card, fields_of
-from spoofgym.spoofers.onnx_policy import OnnxPolicy
+from spoofgym.spoofers.learned import OnnxPolicy
 from spoofgym.tasks import task_of
 
 

@@ -25,7 +25,7 @@ from ..spoofers.aim import TARGET, has_heading
 from .core import SpoofCore
 from .factory import make_setup, settings_of
 from .observer import Observer
-from .spaces import action_space, observation_space
+from .options import action_space, observation_space
 
 ENV_ID = "spoofgym/TightlyCoupled-v0"
 """Environment that cards are compared with."""

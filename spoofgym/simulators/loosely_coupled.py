@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build_record
+from .._registry import build_record, check_finite
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch
 from ..receiver.loose import LooselyCoupled, LooseReceivers
@@ -17,7 +17,7 @@ from ..sim.noise import padded
 from ..sim.position_error import PositionErrors
 from ._kernels import local_motion
 from .domain import Choice, Domain
-from .rates import RateSimulator, check_positive
+from .rates import RateSimulator
 from .setup import RateCommands, Run, Setup, Timeline
 
 FloatArray = NDArray[np.float64]
@@ -100,7 +100,7 @@ class LooselyCoupledSetup(Setup):
         decision_interval_s: float | None = None,
         between: str = "hold",
     ) -> None:
-        check_positive(rate_limit_mps=rate_limit_mps)
+        check_finite("rate_limit_mps", rate_limit_mps, "> 0")
         self.name = flight
         self.attack = RateCommands(
             self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2

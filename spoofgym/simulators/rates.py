@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import is_number
 from .base import Simulator, detector_name, domain_keys, episode_seeds
 from .frame import EpisodeLayout, FrameData, SkyData
 
 FloatArray = NDArray[np.float64]
-
-
-def check_positive(**settings: float) -> None:
-    """Raise unless all settings are finite and above 0."""
-    for name, value in settings.items():
-        if not (is_number(value) and math.isfinite(value) and value > 0.0):
-            raise ValueError(f"`{name}` must be finite and > 0, got {value!r}")
 
 
 class RateSimulator(Simulator):

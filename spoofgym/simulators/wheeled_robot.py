@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build_record
+from .._registry import build_record, check_finite
 from ..detectors import Detector, DetectorContext
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
 from ..receiver.epoch import Epoch
@@ -31,7 +31,7 @@ from ..sim.odometry import (
 )
 from ..sim.robot_track import RobotLoop
 from .domain import Choice, Domain
-from .rates import RateSimulator, check_positive
+from .rates import RateSimulator
 from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
 
 FloatArray = NDArray[np.float64]
@@ -117,13 +117,11 @@ class WheeledRobotSetup(Setup):
         decision_interval_s: float | None = None,
         between: str = "hold",
     ) -> None:
-        check_positive(
-            interval_s=interval_s,
-            rate_limit_mps=rate_limit_mps,
-            displacement_scale_m=displacement_scale_m,
-            position_scale_m=position_scale_m,
-            velocity_scale_mps=velocity_scale_mps,
-        )
+        check_finite("interval_s", interval_s, "> 0")
+        check_finite("rate_limit_mps", rate_limit_mps, "> 0")
+        check_finite("displacement_scale_m", displacement_scale_m, "> 0")
+        check_finite("position_scale_m", position_scale_m, "> 0")
+        check_finite("velocity_scale_mps", velocity_scale_mps, "> 0")
         self.name = self.kind
         self.attack = RateCommands(
             self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2

@@ -15,7 +15,7 @@ from spoofgym.bench.suite import Suite, Tuning
 from spoofgym.envs import Observer, default_terms
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.simulators import Timeline
-from spoofgym.spoofers import SpooferContext, onnx_policy, zoo
+from spoofgym.spoofers import SpooferContext, learned, zoo
 from spoofgym.spoofers.card import Card, fields_of
 
 OPSET = 18
@@ -37,7 +37,7 @@ def small_suite(**changes: Any) -> Suite:
 
 def use_zoo(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the files of a folder be the shipped ones."""
-    for module in (zoo, onnx_policy):
+    for module in (zoo, learned):
         monkeypatch.setattr(module, "ZOO_FOLDER", folder)
 
 
