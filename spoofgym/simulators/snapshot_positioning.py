@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build_record, check_finite
+from .._registry import build_record, check_finite, is_number
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch, frozen
 from ..receiver.least_squares import FIXED, fix_receivers
@@ -117,8 +117,8 @@ class SnapshotSetup(Setup):
         if not isinstance(satellites, int | np.integer) or satellites < 4:
             raise ValueError(f"`satellites` must be a whole number >= 4, got {satellites!r}")
         for name, value in (("speed_mps", speed_mps), ("heading_deg", heading_deg)):
-            if not math.isfinite(value):
-                raise ValueError(f"`{name}` must be finite, got {value}")
+            if not (is_number(value) and math.isfinite(value)):
+                raise ValueError(f"`{name}` must be finite, got {value!r}")
         self.name = self.kind
         self.noise_m, self.spoofed = float(noise_m), _which(spoofed, satellites)
         self.attack = RateCommands(
@@ -181,11 +181,13 @@ def _which(spoofed: int | Sequence[int], satellites: int) -> int | list[int]:
 
 def _rates(rate_limit_mps: float | Sequence[float]) -> tuple[float, ...]:
     """Limit of every axis."""
-    limits = np.asarray(rate_limit_mps, dtype=np.float64)
+    given = np.atleast_1d(np.asarray(rate_limit_mps, dtype=object))
+    numbers = all(map(is_number, given.flat))
+    limits = np.asarray(rate_limit_mps if numbers else np.nan, dtype=np.float64)
     if limits.shape not in ((), (4,)) or not (np.isfinite(limits) & (limits > 0.0)).all():
         raise ValueError(
             "`rate_limit_mps` must be finite and > 0, one number or one for each of "
-            f"{', '.join(AXES)}, got {rate_limit_mps}"
+            f"{', '.join(AXES)}, got {rate_limit_mps!r}"
         )
     return tuple(np.broadcast_to(limits, 4).tolist())
 

@@ -157,7 +157,7 @@ def _check_declarations(detector: Detector) -> None:
 
 
 def _check_bound_again(trial: _DetectorTrial) -> None:
-    """A detector that is bound a second time begins anew, with another number of receivers."""
+    """A detector that is bound a second time starts over, with another number of receivers."""
     bound = trial.bind(np.arange(trial.receivers))
     check_memory(bound, trial.receivers, "detector")
     bound.bind(trial.script.context._replace(receivers=1))
