@@ -66,7 +66,7 @@ def test_commands_lead_to_the_rates_of_the_profile(epochs: int) -> None:
     rate, part = columns(envs, observations)
     rows = np.round(part * decisions).astype(int)
     assert (np.bincount(rows, minlength=decisions) == 4).all()
-    most = ACCELERATION["acceleration_limit_mps2"] * setup.scenario.epoch_interval_s * epochs
+    most = ACCELERATION["acceleration_limit_mps2"] * setup.interval_s * epochs
     free = np.abs(commands[:, 0]) < 1.0
     wanted = sampled(PROFILE.rates_mps, decisions)[rows]
     assert free.mean() > 0.9
@@ -95,7 +95,7 @@ def test_the_profile_begins_anew_where_an_alarm_has_ended_an_episode() -> None:
     envs.close()
     rows = np.round(part * setup.steps).astype(int)
     assert (rows == 0).sum() > 6  # some have begun a second episode
-    most = ACCELERATION["acceleration_limit_mps2"] * setup.scenario.epoch_interval_s
+    most = ACCELERATION["acceleration_limit_mps2"] * setup.interval_s
     wanted = sampled(PROFILE.rates_mps, setup.steps)[rows]
     expected = np.clip((wanted - rate) / most, -1.0, 1.0)
     np.testing.assert_allclose(commands[:, 0], expected, atol=1e-5)
@@ -116,7 +116,7 @@ def test_the_imitating_policy_moves_the_victim_as_far(
     apart = imitate(policy, *demonstrations(envs, PROFILE, EAST, seed=0), seed=0)
     assert apart < 0.05
     assert all(map(torch.equal, value, policy.value_net.parameters()))
-    setup, tau = envs.core.setup, envs.core.setup.scenario.epoch_interval_s
+    setup, tau = envs.core.setup, envs.core.setup.interval_s
     ends = np.concatenate([[0.0], sampled(PROFILE.rates_mps, setup.steps)])
     wanted = float(((ends[1:] + ends[:-1]) / 2.0 * tau).sum())
     observation, reached, before = envs.reset(), np.zeros(4), np.zeros(4)

@@ -14,11 +14,10 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._registry import check_choice
+from ..._registry import check_choice, check_finite
 from ...simulators.divergence import Divergence
 from ...simulators.setup import Setup
 from .._kernels import own_command, time_fractions
-from ..checks import check_above_zero
 from .base import Snapshot
 
 FloatArray = NDArray[np.float64]
@@ -72,7 +71,7 @@ class OwnCommand:
 
     def __post_init__(self) -> None:
         """Check the scale."""
-        check_above_zero("scale_m", self.scale_m)
+        check_finite("scale_m", self.scale_m, "> 0")
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``own_displacement_*`` and ``own_rate_*`` for every element of the action."""
@@ -141,8 +140,8 @@ class TargetMotion:
 
     def __post_init__(self) -> None:
         """Check the scales."""
-        check_above_zero("position_scale_m", self.position_scale_m)
-        check_above_zero("velocity_scale_mps", self.velocity_scale_mps)
+        check_finite("position_scale_m", self.position_scale_m, "> 0")
+        check_finite("velocity_scale_mps", self.velocity_scale_mps, "> 0")
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``target_position_*`` and ``target_velocity_*``, as far as the victim has them."""
@@ -276,7 +275,7 @@ class EstimateError:
 
     def __post_init__(self) -> None:
         """Check the scale."""
-        check_above_zero("scale_m", self.scale_m)
+        check_finite("scale_m", self.scale_m, "> 0")
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``error_north``, ``error_east``, and ``error_down`` of some victims."""
@@ -307,7 +306,7 @@ class DivergenceSpent:
 
     def __post_init__(self) -> None:
         """Check the budget."""
-        check_above_zero("budget_nats", self.budget_nats)
+        check_finite("budget_nats", self.budget_nats, "> 0")
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``divergence_spent``."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, cast
@@ -10,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_finite
+from ..._registry import check_finite
 from .base import holds_for_call
 
 FloatArray = NDArray[np.float64]
@@ -87,14 +86,6 @@ class _Shared:
         return np.where(values, factor, 0.0) if values.dtype == np.bool_ else factor * values
 
 
-def _check_price(name: str, value: Any) -> None:
-    """Raise unless a price is a finite number, at least 0."""
-    if not isinstance(value, numbers.Real) or isinstance(value, bool):
-        raise ValueError(f"`{name}` must be a number, got {value!r}")
-    if not (np.isfinite(float(value)) and float(value) >= 0.0):
-        raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
-
-
 @dataclass(frozen=True)
 class DisplacementGain(_Shared):
     """Increase of the undetected displacement along the target direction.
@@ -150,7 +141,7 @@ class AlarmPenalty(_Shared):
 
     def __post_init__(self) -> None:
         """Check the price."""
-        _check_price("penalty_m", self.penalty_m)
+        check_finite("penalty_m", self.penalty_m, ">= 0")
 
 
 @dataclass(frozen=True)
@@ -170,7 +161,7 @@ class AlarmedEpochs(_Shared):
 
     def __post_init__(self) -> None:
         """Check the price."""
-        _check_price("per_epoch_m", self.per_epoch_m)
+        check_finite("per_epoch_m", self.per_epoch_m, ">= 0")
 
 
 @dataclass(frozen=True)
@@ -188,7 +179,7 @@ class EffortPenalty:
 
     def __post_init__(self) -> None:
         """Check the price."""
-        _check_price("at_full_m", self.at_full_m)
+        check_finite("at_full_m", self.at_full_m, ">= 0")
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         """The price of the command."""

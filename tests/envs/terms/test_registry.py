@@ -121,7 +121,7 @@ SCALES = [
 @pytest.mark.parametrize(("name", "setting"), SCALES)
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 0.0, -1.0])
 def test_a_scale_is_a_finite_number_above_zero(name, setting, value):
-    with pytest.raises(ValueError, match=f"`{setting}` must be a finite number > 0, got {value}"):
+    with pytest.raises(ValueError, match=f"`{setting}` must be finite and > 0, got {value}"):
         make_terms("observation", {"name": name, setting: value})
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from spoofgym._memory import Memory
 from spoofgym.detectors import make_detector
-from spoofgym.detectors.innovations import declare_bias, rows_of, whiten, without_bias
+from spoofgym.detectors.innovation_test import declare_bias, rows_of, whiten, without_bias
 
 from .support import belief, context, drawn, epoch
 

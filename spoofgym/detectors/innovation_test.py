@@ -1,4 +1,4 @@
-r"""What several detectors do with innovations before they test them.
+r"""What tests of innovations have in common.
 
 Rows are chosen by signal, constant parts are taken away, and rows are whitened.  With Cholesky's
 factor of the innovation covariance of the rows that take part, :math:`S = L L^T`, the whitened
@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from .._jit import njit
 from .._memory import Memory
 from ..receiver.epoch import Epoch
-from .base import DetectorContext
+from .base import Detector, DetectorContext
+from .thresholds import check_probability
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -183,3 +184,43 @@ def whiten(
                 value -= factor[i, k] * y[k]
             y[i] = value * factor[i, i]
             out[b, rows[i] - first] = y[i]
+
+
+class InnovationTest(Detector):
+    """Base of the tests of innovations less their mean over a first window.
+
+    A subclass is a dataclass with the settings below, and with `false_alarm` where it has one.
+    """
+
+    signals: str
+    bias_window_s: float
+
+    def __post_init__(self) -> None:
+        """Check the settings that all have in common."""
+        if hasattr(self, "false_alarm"):
+            check_probability("false_alarm", self.false_alarm)
+        check_signals(self.signals)
+        check_length("bias_window_s", self.bias_window_s)
+
+    def bind(self, context: DetectorContext) -> None:
+        """Choose the rows, and prepare the window of the mean."""
+        super().bind(context)
+        self._rows = rows_of(self.signals, context.channels)
+        self._per_satellite = 2 if self.signals == "both" else 1
+        self._bias_window = 0
+        if self.bias_window_s > 0.0:
+            self._bias_window = epochs_of(self.bias_window_s, context)
+            self.silent_epochs = self._bias_window
+            declare_bias(self.memory, context)
+
+    def _without_bias(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:
+        """Innovations and the channels to judge; once per epoch."""
+        return without_bias(epoch, self.memory, self._bias_window)
+
+    def _whitened(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:
+        """Whitened innovations of the rows (B, last - first) and the channels to judge."""
+        innovation, judged = self._without_bias(epoch)
+        first, last = self._rows
+        white = np.empty((len(judged), last - first))
+        whiten(innovation, epoch.innovation_cov, judged, first, last, white)
+        return white, judged

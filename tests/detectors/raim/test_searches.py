@@ -5,10 +5,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from spoofgym.receiver.partition import checked_rows
-from spoofgym.receiver.raim import fit_thresholds, frame_axes
-from spoofgym.receiver.srv_raim import search_vectors, srv_raim
-from spoofgym.receiver.traversal_raim import traversal_raim
+from spoofgym.detectors.raim.consistency import checked_rows, fit_thresholds, frame_axes
+from spoofgym.detectors.raim.residual_vectors import search_vectors, srv_raim
+from spoofgym.detectors.raim.traversal import traversal_raim
 
 SIGMA = 4.0
 LIMIT = fit_thresholds(SIGMA, 0.05, 12)
@@ -209,10 +208,10 @@ def test_inputs_are_left_alone():
 
 def test_residual_vectors_add_up_to_nothing():
     u, y, _ = case(10, clean=True)
-    rows = checked_rows(u, y)
+    _, s2 = checked_rows(u, y)
     G = geometry(u)
     residual = y - G @ np.linalg.lstsq(G, y, rcond=None)[0]
-    assert rows.squared_residual == pytest.approx(residual @ residual, rel=1e-9)
+    assert s2 == pytest.approx(residual @ residual, rel=1e-9)
     np.testing.assert_allclose((residual[:, None] * G).sum(axis=0), 0.0, atol=1e-7)
     np.testing.assert_array_equal((residual[:, None] * G)[:, 3], residual)
 

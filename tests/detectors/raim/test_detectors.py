@@ -5,11 +5,11 @@ import pytest
 
 from spoofgym.attacks import PerChannel
 from spoofgym.detectors import Raim, SrvRaim, TraversalRaim
-from spoofgym.detectors.raim import residual_statistic
-from spoofgym.receiver.raim import fit_thresholds
+from spoofgym.detectors.raim.consistency import fit_thresholds
+from spoofgym.detectors.raim.residual import residual_statistic
 from spoofgym.simulators import Engine, TightlyCoupledSetup
 
-from .skies import LINE_OF_SIGHT, NOISE, SATELLITES, context, sky_epoch, spoofed_offset
+from ..skies import LINE_OF_SIGHT, NOISE, SATELLITES, context, sky_epoch, spoofed_offset
 
 KINDS = [Raim, SrvRaim, TraversalRaim]
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 0.0}

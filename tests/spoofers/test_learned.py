@@ -118,8 +118,8 @@ def test_it_copies_and_pickles_at_any_time(
 
 
 def _in_child(policy: OnnxPolicy, seen: np.ndarray, queue: Any) -> None:
-    before = policy._session
-    queue.put((policy.act(seen).tobytes(), policy._session is before))
+    before = policy.model._session
+    queue.put((policy.act(seen).tobytes(), policy.model._session is before))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
@@ -127,7 +127,7 @@ def _in_child(policy: OnnxPolicy, seen: np.ndarray, queue: Any) -> None:
 def test_a_forked_child_makes_its_own_session(tmp_path: Path) -> None:
     policy, seen = bound(write_policy(tmp_path)), observations(3)
     mine = policy.act(seen).tobytes()
-    session = policy._session
+    session = policy.model._session
     context = multiprocessing.get_context("fork")
     queue = context.SimpleQueue()
     child = context.Process(target=_in_child, args=(policy, seen, queue))
@@ -136,7 +136,7 @@ def test_a_forked_child_makes_its_own_session(tmp_path: Path) -> None:
     child.join()
     assert child.exitcode == 0
     assert policy.act(seen).tobytes() == mine
-    assert policy._session is session
+    assert policy.model._session is session
 
 
 def test_a_read_only_observation_of_another_layout_is_taken(tmp_path: Path) -> None:
@@ -243,20 +243,20 @@ REFUSED: dict[str, tuple[Edit, str]] = {
     "custom in a function": (custom_in_function, r"needs the custom operator evil::Spy"),
     "unknown": (replaced("Spy"), r"no valid ONNX model: .*Spy"),
     "chance": (replaced("RandomNormalLike"), r"draws random numbers by RandomNormalLike"),
-    "two inputs": (second_input, r"has 2 inputs \(observation, more\); the card says one input"),
-    "two outputs": (second_output, r"has 2 outputs \(action, z2\); the card says one output"),
+    "two inputs": (second_input, r"has 2 inputs \(observation, more\); the card has one input"),
+    "two outputs": (second_output, r"has 2 outputs \(action, z2\); the card has one output"),
     "double input": (
         doubles,
-        r"input observation of float64 \(batch, 6\); the card says .*float32",
+        r"input observation of float64 \(batch, 6\); the card has .*float32",
     ),
-    "three axes": (three_axes, r"output action of float32 \(batch, 2, 2\); the card says"),
+    "three axes": (three_axes, r"output action of float32 \(batch, 2, 2\); the card has"),
     "other input": (
         lambda _: network(5, 2),
-        r"of float32 \(batch, 5\); the card says .*\(batch, 6",
+        r"of float32 \(batch, 5\); the card has .*\(batch, 6",
     ),
     "other output": (
         lambda _: network(6, 3),
-        r"of float32 \(batch, 3\); the card says .*\(batch, 2",
+        r"of float32 \(batch, 3\); the card has .*\(batch, 2",
     ),
     "fixed batch": (
         lambda _: network(6, 2, batch=4),
@@ -273,7 +273,7 @@ def test_a_file_that_is_none_of_ours_is_refused(
     def no_session(*_: Any, **__: Any) -> None:
         raise AssertionError("it must be refused before it is loaded")
 
-    monkeypatch.setattr("spoofgym.spoofers.onnx_policy.make_session", no_session)
+    monkeypatch.setattr("spoofgym.policies.onnx_model.make_session", no_session)
     edit, message = REFUSED[case]
     path = write_policy(tmp_path, model=edit)
     with pytest.raises(ValueError, match=message) as caught:
@@ -316,7 +316,7 @@ def test_a_changed_byte_is_seen(tmp_path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"has the SHA-256 [0-9a-f]{64}; its card says"):
+    with pytest.raises(ValueError, match=r"has the SHA-256 [0-9a-f]{64}; its card has"):
         OnnxPolicy(str(path))
 
 
