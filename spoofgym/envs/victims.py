@@ -16,7 +16,7 @@ from .core import SpoofCore
 from .env import CoreEnv
 from .factory import make_core, signature_of
 from .options import InfoSpec, autoreset_mode_of, check_vector_settings
-from .rendering import CoreRecorder, Recorder
+from .rendering import CoreRecorder
 from .vector_env import CoreVectorEnv
 
 
@@ -44,7 +44,7 @@ class VictimEnv(CoreEnv[SpoofCore]):
         self.given_detector: Any = settings.get("detector")
         super().__init__(core, render_mode)
 
-    def _recorder(self) -> Recorder | None:
+    def _recorder(self) -> CoreRecorder | None:
         """What pictures are made from."""
         return CoreRecorder(self.core)
 

@@ -1,4 +1,4 @@
-"""What a picture shows of an episode so far: arrays, filled one step at a time."""
+"""What a picture shows of an episode so far, and where it comes from; nothing is drawn here."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...simulators.base import Simulator, run_serially
 from ...simulators.frame import EpisodeLayout, FrameData, SkyData
+from ..core import SpoofCore
 
 FloatArray = NDArray[np.float64]
 NUMBERS = ("time_s", "counted_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")
@@ -27,8 +29,6 @@ class RenderHistory:
 
     Attributes
     ----------
-    layout : EpisodeLayout
-        The same.
     count : int
         Instants so far, K.
     sky : SkyData or None
@@ -96,3 +96,43 @@ class RenderHistory:
     def first_alarm(self) -> int | None:
         """Index of the first alarm."""
         return int(self.alarm.argmax()) if self.alarm.any() else None
+
+
+FIRST = np.zeros(1, dtype=np.intp)
+"""The receiver that is shown."""
+
+
+class CoreRecorder:
+    """Looks at the first receiver of a core of the spoofer's side, and at its clean twin.
+
+    The twin is a copy taken at the onset that goes on without an attack, with the same noise and
+    the same detector in the loop.
+    """
+
+    def __init__(self, core: SpoofCore) -> None:
+        self._core = core
+        self._twin: Simulator | None = None
+
+    @property
+    def interval_s(self) -> float:
+        """Time between two frames [s]."""
+        setup = self._core.setup
+        return setup.repeat * setup.interval_s
+
+    def begin(self) -> EpisodeLayout:
+        """Take the twin; called at the onset of every episode."""
+        simulator = self._core.engine.simulator
+        if self._twin is None:
+            self._twin = self._core.setup.simulator(1, run_serially)
+        self._twin.copy_rows(FIRST, simulator, FIRST)
+        return simulator.layout()
+
+    def frames(self) -> tuple[FrameData, FrameData]:
+        """Let the twin follow; the attacked receiver and the twin now."""
+        simulator, twin = self._core.engine.simulator, self._twin
+        if twin is None:
+            raise RuntimeError("no episode has started: call begin() before frames()")
+        while twin.epochs[0] < simulator.epochs[0]:
+            twin.advance()
+            twin.update(twin.judge().weights)
+        return simulator.frame(), twin.frame()
