@@ -341,7 +341,7 @@ class SpoofCore:
         self, action: FloatArray, result: StepResult, command: FloatArray | None = None
     ) -> NDArray[np.float32]:
         """One epoch; (B, o) observed, or nothing where `command` gives the command of the epoch."""
-        engine, observed = self.engine, command is None
+        engine, observed, receivers = self.engine, command is None, self.engine.receivers
         if command is None:
             command = action if self._map.is_plain else self._map.command(action)
         verdict = engine.step(command)
@@ -351,13 +351,13 @@ class SpoofCore:
         if self._has_ends or self.listeners:
             early = self._judge_ends(result, verdict)
         width = len(self.observer.names)
-        seen = np.empty(self.receivers * width, dtype=np.float32) if observed else NOTHING_SEEN
+        seen = np.empty(receivers * width, dtype=np.float32) if observed else NOTHING_SEEN
         self._fused(simulator, verdict.alarm, early, engine.warmup_alarm, result, seen, engine.hold)
         if not self._compiled:
             self._reward(result, action)
         if not observed:
             return NOTHING_SEEN
-        observation = seen.reshape(self.receivers, width)
+        observation = seen.reshape(receivers, width)
         if self.observer.dynamic:
             self.observer.complete(self.snapshot(), observation)
         return observation
