@@ -288,11 +288,7 @@ class Simulator(ABC):
             self._correct(None)
 
     def live_epochs(
-        self,
-        count: int,
-        *,
-        holding: bool = False,
-        between: Callable[[], None] | None = None,
+        self, count: int, *, holding: bool = False, between: Callable[[], None] | None = None
     ) -> NDArray[np.bool_]:
         """Run epochs with the detector and without commands; (count, B) bool alarms.
 

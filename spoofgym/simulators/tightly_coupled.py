@@ -220,35 +220,20 @@ class TightlyCoupledSimulator(Simulator):
         self._serial = receivers <= LANES
         buffers, sensors, receiver = self.buffers, self.sensors, self.setup.receiver
         self._before = (buffers.floats, buffers.flags, buffers.block, buffers.samples)
-        self._after = (
-            sensors.floats,
-            sensors.keys,
-            sensors.epoch,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            receivers,
-            world.channels,
-            self._imu_noise,
-            self._gnss_noise,
-            receiver.covariance_code,
-            receiver.min_satellites,
-            receiver.orthonormalize,
-        )
+        self._errors = (sensors.floats, sensors.keys, sensors.epoch)
+        self._truth = (world.run, world.epoch_time, world.epoch_end, world.satellites)
+        self._sizes = (receivers, world.channels, self._imu_noise, self._gnss_noise)
+        rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize)
+        self._after = (*self._errors, *self._truth, *self._sizes, *rules)
         self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
         self.attack = copy.deepcopy(self.setup.attack)
         self.attack.bind(AttackContext(receivers, world))
 
     def _context(self) -> DetectorContext:
         setup = self.setup
-        return DetectorContext(
-            self.receivers,
-            setup.world.channels,
-            setup.interval_s,
-            setup.combinations.largest_variance,
-            setup.world.satellite_ids,
-        )
+        world, variance = setup.world, setup.combinations.largest_variance
+        sizes = self.receivers, world.channels
+        return DetectorContext(*sizes, setup.interval_s, variance, world.satellite_ids)
 
     def __getstate__(self) -> dict[str, Any]:
         """State without the view of the epoch, which a copy makes of its own buffers."""
@@ -296,7 +281,7 @@ class TightlyCoupledSimulator(Simulator):
         spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
         self.attack.begin(self._everyone, spoofer_keys, self.onset)
         self._start_combinations()
-        self._measure_first()
+        _kernels.measure(*self._errors, *self._before, *self._truth, *self._sizes, 0, 0, b)
         channels, position_e = setup.world.channels, setup.world.position_e[first]
         buffers = self.buffers
         _kernels.first_fix(buffers.floats, buffers.flags, position_e, b, channels, 0, b)
@@ -315,29 +300,6 @@ class TightlyCoupledSimulator(Simulator):
             measured.noise_variance[rows] = its.noise_variance
             self.buffers.noise_psd[rows] = its.noise_psd
             state.covariance[rows] = its.covariance
-
-    def _measure_first(self) -> None:
-        world, buffers, sensors = self.setup.world, self.buffers, self.sensors
-        _kernels.measure(
-            sensors.floats,
-            sensors.keys,
-            sensors.epoch,
-            buffers.floats,
-            buffers.flags,
-            buffers.block,
-            buffers.samples,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            self.receivers,
-            world.channels,
-            self._imu_noise,
-            self._gnss_noise,
-            0,
-            0,
-            self.receivers,
-        )
 
     def _epochs(self, what: int, count: int, lo: int, hi: int) -> None:
         _kernels.run_epochs(*self._before, self.weights, *self._after, what, count, lo, hi)
@@ -399,11 +361,7 @@ class TightlyCoupledSimulator(Simulator):
             self._run(partial(self._epochs, what, min(piece, count - start)), self.receivers)
 
     def live_epochs(
-        self,
-        count: int,
-        *,
-        holding: bool = False,
-        between: Callable[[], None] | None = None,
+        self, count: int, *, holding: bool = False, between: Callable[[], None] | None = None
     ) -> NDArray[np.bool_]:
         """Run epochs with the detector; an update and the next epoch share one turn of threads."""
         self._command = None

@@ -14,7 +14,9 @@ from ..core import SpoofCore
 
 FloatArray = NDArray[np.float64]
 NUMBERS = ("time_s", "counted_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")
-"""What there is one of at every instant."""
+"""Time since the onset, and that of the last command; statistic over threshold; errors from the
+clean twin and from the truth; the undetected displacement."""
+PAIRS = ("position_ne", "error_ne", "twin_error_ne", "displacement_ne")
 
 
 class RenderHistory:
@@ -41,46 +43,28 @@ class RenderHistory:
         self.sky: SkyData | None = None
         size = layout.steps + 1
         self._numbers = {name: np.full(size, np.nan) for name in NUMBERS}
-        self._pairs = {
-            name: np.full((size, 2), np.nan)
-            for name in ("position_ne", "error_ne", "twin_error_ne", "displacement_ne")
-        }
+        self._pairs = {name: np.full((size, 2), np.nan) for name in PAIRS}
         self._alarm = np.zeros(size, dtype=np.bool_)
 
     def add(self, attacked: FrameData, twin: FrameData, info: Mapping[str, Any]) -> None:
         """Append an instant."""
         k, self.count = self.count, self.count + 1
-        apart = attacked.error_ne - twin.error_ne
         since = info["time_s"] - self.layout.onset_s
-        for name, value in {
-            "time_s": since,
-            "counted_s": min(since, k * self._decision_s),
-            "ratio": attacked.ratio,
-            "twin_ratio": twin.ratio,
-            "induced_m": np.hypot(apart[0], apart[1]),
-            "error_m": np.hypot(attacked.error_ne[0], attacked.error_ne[1]),
-            "undetected_m": info.get("undetected_displacement_m", 0.0),
-        }.items():
+        times = since, min(since, k * self._decision_s)
+        errors = np.hypot(*(attacked.error_ne - twin.error_ne)), np.hypot(*attacked.error_ne)
+        undetected = info.get("undetected_displacement_m", 0.0)
+        numbers = *times, attacked.ratio, twin.ratio, *errors, undetected
+        for name, value in zip(NUMBERS, numbers, strict=True):
             self._numbers[name][k] = value
-        for name, pair in {
-            "position_ne": attacked.position_ne,
-            "error_ne": attacked.error_ne,
-            "twin_error_ne": twin.error_ne,
-            "displacement_ne": attacked.displacement_ne,
-        }.items():
+        ways = attacked.position_ne, attacked.error_ne, twin.error_ne, attacked.displacement_ne
+        for name, pair in zip(PAIRS, ways, strict=True):
             if pair is not None:
                 self._pairs[name][k] = pair
         self._alarm[k] = info.get("alarm", False)
         self.sky = attacked.sky
 
     def number(self, name: str) -> FloatArray:
-        """A number at every instant.
-
-        `name`: ``time_s`` since the onset; ``counted_s``, that of the last command; ``ratio`` and
-        ``twin_ratio`` of the statistic to its threshold; ``induced_m`` from the clean twin;
-        ``error_m`` from the truth; ``undetected_m``, the undetected displacement; returns (K,) a
-        view.
-        """
+        """One of `NUMBERS` at every instant: (K,), a view."""
         return self._numbers[name][: self.count]
 
     def pair(self, name: str) -> FloatArray:
