@@ -38,10 +38,9 @@ class SnapshotSetup(Setup):
     Parameters
     ----------
     detector : str, mapping or Detector
-        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied.
+        As in `SpoofEnv`.
     timeline : mapping or Timeline, optional
-        Lengths of warm-up, attack window and time to alert; by default 10 s, in which only the
-        detector has something to warm up, 60 s and 10 s.
+        As in `SpoofEnv`; by default 10 s, which only the detector needs, 60 s and 10 s.
     satellites : int
         How many are used, the highest ones.
     spoofed : int or sequence of int
@@ -58,21 +57,15 @@ class SnapshotSetup(Setup):
     time_offset_s : float
         Of the constellation: another geometry.
     domain : mapping or Domain, optional
-        What differs from episode to episode beside the noise: `turned_deg`, the vehicle's heading,
-        and `constellation_time_s`, with `worlds` and `world_seed`, and `satellites` in view in all
-        worlds; nothing by default.
+        As in `SpoofEnv`, of `turned_deg`, the vehicle's heading, and `constellation_time_s`, with
+        `worlds` and `world_seed`, and `satellites` in view in all worlds.
     target_heading_deg, decision_interval_s, between : float or str, optional
-        As in `TightlyCoupledSetup`.
+        As in `SpoofEnv`.
 
     Attributes
     ----------
     sky : Sky
         All worlds of the domain, one after the other.
-
-    Raises
-    ------
-    ValueError
-        When a setting is unknown or out of range.
 
     Notes
     -----
@@ -272,16 +265,9 @@ class SnapshotSimulator(RateSimulator):
 
     def _form_epoch(self) -> Epoch:
         memory = self.memory
-        expect(
-            self._pseudorange,
-            self._satellites,
-            memory["position_e"],
-            memory["clock"],
-            self.setup.noise_m**2,
-            self._innovation,
-            self._cov,
-            self._design,
-        )
+        last, written = (memory["position_e"], memory["clock"]), (self._innovation, self._cov)
+        variance = self.setup.noise_m**2
+        expect(self._pseudorange, self._satellites, *last, variance, *written, self._design)
         arrays = {
             "time": self.time_s(),
             "innovation": self._innovation,
@@ -298,14 +284,9 @@ class SnapshotSimulator(RateSimulator):
     def _correct(self, weights: FloatArray | None) -> None:
         """Make a fix; where there is none, the last one stays."""
         memory = self.memory
-        fix_receivers(
-            self._pseudorange,
-            self._satellites,
-            self.ones if weights is None else weights,
-            memory["position_e"],
-            memory["clock"],
-            memory["status"],
-        )
+        used = self.ones if weights is None else weights
+        written = memory["position_e"], memory["clock"], memory["status"]
+        fix_receivers(self._pseudorange, self._satellites, used, *written)
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
