@@ -73,7 +73,7 @@ READINGS = """
 - **Latency** from 20 s to the first epoch with an alarm, up to 5 s. Epochs are 0.1 s apart; the
   paper's 0.35, 0.22 and 0.11 s are not on that grid. Medians over the runs that detect.
 - **After 25 s** the offset stays at its last value.
-- **Bands** are the means and standard deviations of a throw-away prototype of the same equations
-  by another hand, of 60 to 150 runs a case; bands of shares are three standard deviations of a
+- **Bands** are the means and standard deviations of a second implementation of the same equations
+  by another author, of 60 to 150 runs a case; bands of shares are three standard deviations of a
   difference of two samples.
 """

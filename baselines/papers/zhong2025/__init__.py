@@ -55,7 +55,7 @@ READINGS = """\
 - An attack ends where the newest of three ratios, all since the onset, falls by more than 0.6 below
   both others and below 0.4; the printed rule would end every alarm as soon as it starts. The ratio
   is formed where the chart is beyond its limit; chart and time index are set back at the end.
-- The spoofed satellite is S15, nearest to the notes' in redundancy.
+- The spoofed satellite is S15, chosen for its redundancy.
 - Delays count from the first spoofed epoch, 0.01 s longer, as printed. M1's end is that of its
   alarm on the side of the attack.
 """
