@@ -38,9 +38,9 @@ def profile_card(run: ProfileRun, choice: Choice, command: str) -> Card:
     Card
         Not written yet.
     """
-    suite, fields = run.suite, fields_of(spoofer_context(run.setup))
+    fields = fields_of(spoofer_context(run.setup))
     designed_on = (
-        f"{run.detector.label}, {run.setup.attack.label}, scenario {suite.world.name}, "
+        f"{run.detector.label}, {run.setup.attack.label}, scenario {run.setup.name}, "
         f"receiver tuning {run.setup.receiver.tuning}"
     )
     profile = replace(choice.profile, label=run.out.stem, designed_on=designed_on)

@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import difflib
 import inspect
+import math
 import numbers
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, cast
@@ -125,6 +126,22 @@ def is_number(value: object) -> bool:
     Returns True for infinite ones and NaN, too.
     """
     return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
+
+
+def check_finite(name: str, value: Any, bound: str = "") -> None:
+    """Raise unless a setting is a finite number within a `bound`, ``"> 0"`` or ``">= 0"``."""
+    good = is_number(value) and math.isfinite(float(value))
+    if good and bound:
+        good = value > 0 if bound == "> 0" else value >= 0
+    if not good:
+        must = f"finite and {bound}" if bound else "a finite number"
+        raise ValueError(f"`{name}` must be {must}, got {value!r}")
+
+
+def check_truth(name: str, value: Any) -> None:
+    """Raise unless a setting is True or False."""
+    if value is not True and value is not False:
+        raise ValueError(f"`{name}` must be True or False, got {value!r}")
 
 
 def whole_number(name: str, value: Any, least: int = 0) -> int:

@@ -803,7 +803,7 @@ def _suite(
 ) -> Suite:
     """The suite of the options."""
     from .bench.suite import Suite, Tuning
-    from .envs.setup import Timeline
+    from .simulators import Timeline
 
     (attack_spec,) = _specs([attack])
     return Suite(

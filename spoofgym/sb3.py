@@ -29,15 +29,17 @@ from .envs.factory import make_core, signature_of
 from .envs.options import (
     HALFWAY,
     InfoSpec,
+    action_space,
     check_vector_settings,
+    checked_action,
     chosen,
     domain_option,
     info_keys,
+    observation_space,
     warn_unknown,
     whole_reset,
 )
 from .envs.recorder import EpochRecorder
-from .envs.spaces import action_space, checked_action, observation_space
 from .envs.step_result import StepResult
 from .envs.terms.registry import RewardSpec, make_terms
 from .simulators.tightly_coupled import TightlyCoupledSetup

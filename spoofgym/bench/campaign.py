@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from ..envs.setup import Setup
+from ..simulators.setup import Setup
 from .cells import make_cell
 from .entries import Entry, build_spoofer
 from .run import Runs, WarmStart, play

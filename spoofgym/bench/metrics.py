@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
+from ..envs import _kernels
+
 FloatArray = NDArray[np.float64]
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -55,10 +57,10 @@ def undetected_displacement(
     where there is none up to epoch K + h; returns (R,) [m].
     """
     e = np.asarray(error, dtype=np.float64)
-    alarm = np.asarray(first_alarm)
-    last = np.where(alarm > 0, alarm - time_to_alert - 1, len(e))
-    counts = np.arange(1, len(e) + 1)[:, None] <= last
-    return np.asarray(np.where(counts, e, 0.0).max(axis=0, initial=0.0))
+    largest = np.maximum.accumulate(np.concatenate([np.zeros((1, e.shape[1])), e]))
+    return np.asarray(
+        _kernels.undetected_displacement(largest, np.asarray(first_alarm), time_to_alert)
+    )
 
 
 def wilson(events: int, trials: int, confidence: float = CONFIDENCE) -> Estimate:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
+
+import numpy as np
 
 from .tables import (
     CLEAN_HEAD,
@@ -57,7 +60,7 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
             for row in summary["differences"]
         ]
         lines += _table(("spoofer", "detectors", "undetected displacement [m]"), rows)
-        lines += ["", "A tuned spoofer is set anew for every detector.", ""]
+        lines += ["", "A tuned spoofer is set for every detector by itself.", ""]
     lines += ["## What the spoofers know", "", *_table(KNOWLEDGE_HEAD, knowledge_rows(summary)), ""]
     if summary["tuning"]:
         lines += ["## Tuning", "", *_tunings(summary["tuning"])]
@@ -66,22 +69,17 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
 
 def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
     """What was run."""
-    scenario, receiver, line = config["scenario"], config["receiver"], config["timeline"]
-    attack = config["attack"]
-    by = attack["control"]
-    errors = scenario["errors"]
+    line, attack = config["timeline"], config["attack"]
+    by, limits = attack["control"], attack["rate_limit_mps"]
     kinds = sorted({cell["attack"] for cell in summary["cells"]})
     knowledge = sorted({cell["knowledge"]["run_time"] for cell in summary["cells"]})
     notes = config["notes"]
     return [
-        f"- Scenario: errors {errors if isinstance(errors, str) else errors['kind']}, "
-        f"{scenario['imu']} inertial sensors, epochs of {scenario['epoch_interval_s']:g} s",
-        *(f"- {note}" for note in notes),
-        f"- Receiver: tightly coupled, tuning {receiver['tuning']}, covariance update "
-        f"{receiver['covariance_update']}",
+        *_victim(config, [f"- {note}" for note in notes]),
         f"- Attack: {', '.join(kinds)}, commanded by {by}, limits "
         + (f"{attack['acceleration_limit_mps2']:g} m/s^2 and " if by == "acceleration" else "")
-        + f"{attack['rate_limit_mps']:g} m/s",
+        + " / ".join(f"{each:g}" for each in np.atleast_1d(limits))
+        + " m/s",
         f"- Timeline: warm-up {line['warmup_s']:g} s with detectors live in its last "
         f"{line['live_s']:g} s, attack {line['attack_s']:g} s, then "
         f"{line['time_to_alert_s']:g} s in which the offsets hold their rate and alarms count",
@@ -89,6 +87,22 @@ def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
         f"{config['entropy']}); knowledge of the spoofers at run time: {', '.join(knowledge)}",
         f"- spoofgym {config['versions']['spoofgym']}, numpy {config['versions']['numpy']}, numba "
         f"{config['versions']['numba']}; campaign {summary['campaign']}",
+    ]
+
+
+def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
+    """World and receiver."""
+    if "settings" in config:
+        own = ", ".join(f"{k}={json.dumps(x)}" for k, x in config["settings"].items())
+        return [f"- Environment: {config['env']}, {own}", *notes]
+    scenario, receiver = config["scenario"], config["receiver"]
+    errors = scenario["errors"]
+    return [
+        f"- Scenario: errors {errors if isinstance(errors, str) else errors['kind']}, "
+        f"{scenario['imu']} inertial sensors, epochs of {scenario['epoch_interval_s']:g} s",
+        *notes,
+        f"- Receiver: tightly coupled, tuning {receiver['tuning']}, covariance update "
+        f"{receiver['covariance_update']}",
     ]
 
 

@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 from .._jit import inlined, njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
-from .innovations import check_signals
+from .innovation_test import check_signals
 from .thresholds import check_epochs, check_probability, two_sided_quantile
 
 FloatArray = NDArray[np.float64]

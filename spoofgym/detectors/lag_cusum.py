@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from .._jit import njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
-from .innovations import check_signals
+from .innovation_test import check_signals
 from .thresholds import check_epochs
 
 FloatArray = NDArray[np.float64]

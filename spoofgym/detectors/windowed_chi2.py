@@ -54,7 +54,7 @@ from .._jit import njit
 from ..receiver.epoch import Epoch
 from ..receiver.nis import normalized_innovation_squared
 from .base import Detector, DetectorContext, Verdict
-from .innovations import check_signals
+from .innovation_test import check_signals
 from .thresholds import check_epochs, check_probability, chi2_thresholds
 
 FloatArray = NDArray[np.float64]

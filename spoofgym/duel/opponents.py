@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..detectors import Detector, make_detector
 from ..detectors.pool import PooledDetector, checked_weights, drawn
 from ..envs.observer import Observer
-from ..envs.spaces import checked_action
+from ..envs.options import checked_action
 from ..envs.spoofer_binding import card_behind, spoofer_context, warn_of_headings
 from ..envs.terms.base import Snapshot
 from ..envs.terms.observation import default_terms

@@ -11,8 +11,14 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from .._registry import check_keywords
-from ..envs.options import checked_seed, domain_option, warn_unknown
-from ..envs.spaces import action_space, checked_action, observation_space
+from ..envs.options import (
+    action_space,
+    checked_action,
+    checked_seed,
+    domain_option,
+    observation_space,
+    warn_unknown,
+)
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .duel import Duel, DuelStep, duel_setup
 

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from .._registry import check_choice
+from .._registry import check_choice, check_truth
 from ..detectors import Detector, Verdict, make_detector
 from ..simulators.base import run_serially
 from ..simulators.engine import Engine
 from ..simulators.monitors import PassiveDetectors, needed_monitors
 from ..simulators.setup import Setup
 from ._kernels import ALARM, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
-from .checks import check_truth
 from .observer import Observer
 from .scoring import DisplacementScore, FusedStep
 from .step_result import MARK_NAMES, VALUE_NAMES, Info, PlainResult, StepResult
@@ -112,29 +111,8 @@ class SpoofCore:
         B.
     setup : Setup
         Of any victim.
-    knowledge : {"tracking", "blind", "oracle"}
-        What the spoofer observes.
-    observation : str, mapping, path, ObservationTerm or sequence of them, optional
-        Own list of terms instead of `knowledge`, as `make_terms` takes them.
-    action : str, mapping, path, ActionTerm or sequence of them, optional
-        Own list of terms instead of the attack's elements.
-    reward : str, mapping, path, RewardTerm or sequence of them, optional
-        Own list of terms instead of the default reward.
-    end : str, mapping, path, EndTerm or sequence of them, optional
-        Own list of terms instead of `end_at_alarm`.
-    watch : sequence of str, mapping or Detector
-        Passive detectors: they judge the same epochs and change nothing;
-        ``info["watch_NAME_alarm"]`` and more report them.
-    alarm_penalty_m : float
-        Price of an alarm.
-    end_at_alarm : bool
-        Whether an alarm ends the episode, where `end` does not say it.  If not, it goes on without
-        further reward.
-    twin : bool
-        Whether a clean twin of the victim runs, too, and displacement is the distance from it
-        instead of the error less that at the onset.  It takes up to twice the time.
     threads, prefetch : optional
-        As in `Engine`.
+        As in `Engine`; all others as in `SpoofEnv`.
 
     Attributes
     ----------
@@ -168,12 +146,9 @@ class SpoofCore:
         prefetch: bool = False,
     ) -> None:
         check_choice("knowledge", knowledge, KNOWLEDGE)
-        for name, value in (
-            ("end_at_alarm", end_at_alarm),
-            ("twin", twin),
-            ("prefetch", prefetch),
-        ):
-            check_truth(name, value)
+        check_truth("end_at_alarm", end_at_alarm)
+        check_truth("twin", twin)
+        check_truth("prefetch", prefetch)
         ends = None if end is None else make_terms("end", end)
         _check_overruled(alarm_penalty_m, reward, end_at_alarm, ends)
         seen = (
@@ -205,6 +180,7 @@ class SpoofCore:
         if self._passive is not None:
             monitors.append(self._passive.monitor)
         self.setup = setup.altered(monitors=monitors)
+        self.receivers = receivers
         self.engine = Engine(receivers, self.setup, threads=threads, prefetch=prefetch, twin=twin)
         self.observer = Observer(seen, self.setup)
         self._origin = np.zeros((receivers, 2))
@@ -217,11 +193,6 @@ class SpoofCore:
         self.listeners: list[Listener] = []
         self._done: _DoneRows | None = None
         self.set_rewards(rewards)
-
-    @property
-    def receivers(self) -> int:
-        """B."""
-        return self.engine.receivers
 
     @property
     def observation_names(self) -> tuple[str, ...]:

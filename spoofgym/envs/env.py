@@ -11,9 +11,17 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from .core import Core
-from .options import HALFWAY, checked_seed, domain_option, warn_unknown, whole_reset
+from .options import (
+    HALFWAY,
+    action_space,
+    checked_action,
+    checked_seed,
+    domain_option,
+    observation_space,
+    warn_unknown,
+    whole_reset,
+)
 from .rendering import RENDER_MODES, Recorder, Screen
-from .spaces import action_space, checked_action, observation_space
 
 Observation = NDArray[np.float32]
 C = TypeVar("C", bound=Core)

@@ -97,7 +97,10 @@ def compose(
 def composable(env: Any) -> Any:
     """Environment of the spoofer's side inside all wrappers; a TypeError where there is none."""
     inner = getattr(env, "unwrapped", env)
-    if not isinstance(getattr(inner, "core", None), SpoofCore):
+    # a view of the duel has a core of the spoofer's side, and a pool of its own to choose from
+    if not isinstance(getattr(inner, "core", None), SpoofCore) or not hasattr(
+        inner, "given_detector"
+    ):
         raise TypeError(
             "this wrapper needs an environment of spoofgym, single or vector, wrapped or not, got "
             f"{inner!r}; `gymnasium.make_vec` makes one by its default vectorization mode"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from ..simulators.engine import Engine
 from ..simulators.setup import Setup
 from ._kernels import clip_columns, observe
 from .terms.base import Snapshot, holds_for_call
-from .terms.observation import KNOWLEDGE, CommandTerm, DynamicTerm, ObservationTerm
+from .terms.observation import KNOWLEDGE, DynamicTerm, ObservationTerm
 
 FloatArray = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ class Observer:
                 continue
             tables.append(np.zeros((len(setup.epoch_time), len(own))))
             if holds_for_call(term, "factors"):
-                per_displacement, self.per_rate = cast("CommandTerm", term).factors(setup)
+                per_displacement, self.per_rate = cast("Any", term).factors(setup)
                 self.command = (float(part.start), per_displacement, least, most)
             else:
                 self._parts.append((cast("DynamicTerm", term), part))

@@ -1,4 +1,4 @@
-"""What the caller of an environment asks for: seeds, options of a reset, choice of infos."""
+"""What the caller of an environment gives and gets: seeds, options, actions, spaces, infos."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from .._registry import check_choice, whole_number
+from ._kernels import within
+from .core import Core
 
 Array = NDArray[Any]
 RESET_MASK = "reset_mask"
@@ -22,6 +25,8 @@ AUTORESET_MODES = {
     "same_step": AutoresetMode.SAME_STEP,
     "disabled": AutoresetMode.DISABLED,
 }
+TOLERANCE = 1e-6
+"""How far an action may lie outside of [-1, 1], by rounding."""
 HALFWAY = (
     "an interrupt or error has left the last step or reset halfway: call reset() before step()"
 )
@@ -109,6 +114,38 @@ def domain_option(options: Mapping[str, Any] | None) -> Mapping[str, Any] | None
     return given
 
 
+def observation_space(core: Core) -> spaces.Space[Any]:
+    """Space of one receiver's observation: (o,) float32."""
+    low, high = core.bounds
+    return spaces.Box(low.copy(), high.copy(), dtype=np.float32)
+
+
+def action_space(core: Core) -> spaces.Space[Any]:
+    """Space of one receiver's action: (a,) float32 in [-1, 1]."""
+    return spaces.Box(-1.0, 1.0, (len(core.action_names),), dtype=np.float32)
+
+
+def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) -> NDArray[Any]:
+    """Action as the engine takes it.
+
+    `shape`: that it must have: (B, a), or (a,) of a single environment; returns that shape,
+    float64, C-contiguous, a copy.
+    """
+    array = np.array(action, dtype=np.float64, order="C")
+    if array.shape != shape:
+        raise ValueError(
+            f"an action must have shape {shape} ({', '.join(names)}), got {array.shape}"
+        )
+    if not within(array, 1.0 + TOLERANCE):
+        where = tuple(np.argwhere(~(np.abs(array) <= 1.0 + TOLERANCE))[0])
+        whose = f" of receiver {where[0]}" if array.ndim == 2 else ""
+        raise ValueError(
+            f"an action must be finite and in [-1, 1]; {names[where[-1]]!r}{whose} is "
+            f"{array[where]}"
+        )
+    return array
+
+
 def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
     """Autoreset mode by name."""
     if isinstance(given, str):
@@ -124,10 +161,7 @@ def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
 
 def check_vector_settings(num_envs: int, render_mode: object) -> None:
     """Raise unless there are receivers, and nothing is to be rendered."""
-    if not isinstance(num_envs, int | np.integer) or isinstance(num_envs, bool):
-        raise ValueError(f"`num_envs` must be a whole number, got {num_envs!r}")
-    if num_envs < 1:
-        raise ValueError(f"`num_envs` must be at least 1, got {num_envs}")
+    whole_number("`num_envs`", num_envs, 1)
     if render_mode is not None:
         raise ValueError(
             "`render_mode` must be None, there is nothing to render in a vector environment: the "

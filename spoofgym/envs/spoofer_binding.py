@@ -25,7 +25,7 @@ from ..spoofers.aim import TARGET, has_heading
 from .core import SpoofCore
 from .factory import make_setup, settings_of
 from .observer import Observer
-from .spaces import action_space, observation_space
+from .options import action_space, observation_space
 
 ENV_ID = "spoofgym/TightlyCoupled-v0"
 """Environment that cards are compared with."""
@@ -155,7 +155,7 @@ def core_of(env: Any) -> SpoofCore:
     return core
 
 
-def setup_of_card(card: Card) -> Setup:
+def setup_of_card(card: Card) -> TightlyCoupledSetup:
     """World, victim, attack, detector and timeline that a spoofer was made for."""
     if card.env_id != ENV_ID:
         raise ValueError(f"card of {card.name!r}: `env_id` must be {ENV_ID}, got {card.env_id!r}")

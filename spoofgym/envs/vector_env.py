@@ -19,17 +19,19 @@ from .options import (
     RESET_MASK,
     Array,
     InfoSpec,
+    action_space,
+    checked_action,
     chosen,
     domain_option,
     info_keys,
     mask_of,
     masked,
+    observation_space,
     of_rows,
     seeds_of,
     warn_unknown,
     whole_reset,
 )
-from .spaces import action_space, checked_action, observation_space
 from .step_result import PlainResult, StepResult
 
 LIMIT = "`max_episode_steps`"

@@ -121,6 +121,11 @@ class Simulator(ABC):
     def epochs(self) -> NDArray[np.int64]:
         """(B,) index of each receiver's epoch in `Setup.epoch_time`."""
 
+    @property
+    @abstractmethod
+    def position(self) -> FloatArray:
+        """(B, d) estimated, in the axes of `Setup.true_position` [m]."""
+
     @abstractmethod
     def error_n(self) -> FloatArray:
         """(B, e) error of the estimate along `Setup.error_names`, estimate minus truth [m]."""

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build_record
+from .._registry import build_record, check_finite
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch
 from ..receiver.loose import LooselyCoupled, LooseReceivers
@@ -17,7 +17,7 @@ from ..sim.noise import padded
 from ..sim.position_error import PositionErrors
 from ._kernels import local_motion
 from .domain import Choice, Domain
-from .rates import RateSimulator, check_positive
+from .rates import RateSimulator
 from .setup import RateCommands, Run, Setup, Timeline
 
 FloatArray = NDArray[np.float64]
@@ -100,7 +100,7 @@ class LooselyCoupledSetup(Setup):
         decision_interval_s: float | None = None,
         between: str = "hold",
     ) -> None:
-        check_positive(rate_limit_mps=rate_limit_mps)
+        check_finite("rate_limit_mps", rate_limit_mps, "> 0")
         self.name = flight
         self.attack = RateCommands(
             self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2
@@ -122,6 +122,7 @@ class LooselyCoupledSetup(Setup):
         self.epochs_each = self.world.epochs
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, flight))
         self.epoch_time = np.arange(self.epochs_each, dtype=np.float64) * INTERVAL_S
+        self.true_position = self.world.position_e
         # to ECEF from local north, east, down axes
         self.C_en = np.ascontiguousarray(self.world.C_el[:, :, [1, 0, 2]] * [1.0, 1.0, -1.0])
 
@@ -202,6 +203,12 @@ class LooselyCoupledSimulator(RateSimulator):
 
     def _correct(self, weights: FloatArray | None) -> None:
         self.victims.update(weights)
+
+    @property
+    def position(self) -> FloatArray:
+        """(B, 3) estimated, ECEF [m]."""
+        position_e: FloatArray = self.memory["position_e"]
+        return position_e
 
     def error_n(self) -> FloatArray:
         """(B, 2) error of the estimate in the local axes of the epoch: north, east [m]."""

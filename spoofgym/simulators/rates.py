@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Sequence
 
@@ -13,13 +12,6 @@ from .base import Simulator, detector_name, domain_keys, episode_seeds
 from .frame import EpisodeLayout, FrameData, SkyData
 
 FloatArray = NDArray[np.float64]
-
-
-def check_positive(**settings: float) -> None:
-    """Raise unless all settings are finite and above 0."""
-    for name, value in settings.items():
-        if not (math.isfinite(value) and value > 0.0):
-            raise ValueError(f"`{name}` must be finite and > 0, got {value}")
 
 
 class RateSimulator(Simulator):

@@ -13,21 +13,16 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build_record
+from .._registry import build_record, check_finite
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch, frozen
-from ..receiver.snapshot import (
-    EXPECTED_CLOCK_SD_M,
-    EXPECTED_POSITION_SD_M,
-    FIXED,
-    expect,
-    fix_receivers,
-)
+from ..receiver.least_squares import FIXED, fix_receivers
+from ..receiver.snapshot_positioning import EXPECTED_CLOCK_SD_M, EXPECTED_POSITION_SD_M, expect
 from ..sim.constellation import CircularConstellation
 from ..sim.sky import chain_skies, make_sky, measure, scratch
 from .domain import Choice, Domain
 from .frame import SkyData
-from .rates import RateSimulator, check_positive
+from .rates import RateSimulator
 from .setup import RateCommands, Run, Setup, Timeline
 
 FloatArray = NDArray[np.float64]
@@ -117,7 +112,8 @@ class SnapshotSetup(Setup):
         decision_interval_s: float | None = None,
         between: str = "hold",
     ) -> None:
-        check_positive(interval_s=interval_s, noise_m=noise_m)
+        check_finite("interval_s", interval_s, "> 0")
+        check_finite("noise_m", noise_m, "> 0")
         if not isinstance(satellites, int | np.integer) or satellites < 4:
             raise ValueError(f"`satellites` must be a whole number >= 4, got {satellites!r}")
         for name, value in (("speed_mps", speed_mps), ("heading_deg", heading_deg)):
@@ -149,6 +145,8 @@ class SnapshotSetup(Setup):
             for turn, time in self.domain.pairs()
         ]
         self.sky, self.epoch_time = chain_skies(skies), np.tile(skies[0].time, len(skies))
+        self.true_position = self.sky.position_e
+        self.C_en = np.broadcast_to(self.sky.C_en, (len(self.epoch_time), 3, 3))
         self.bounds = self._bounds(len(skies), 1, 1, 0, 0)
         self.weight_names = tuple(f"slot{j:02d}" for j in range(satellites))
         self.geometry_names = (
@@ -312,6 +310,12 @@ class SnapshotSimulator(RateSimulator):
         """(B,) bool, whether the last epoch had no fix."""
         missing: NDArray[np.bool_] = self.memory["status"] != FIXED
         return missing
+
+    @property
+    def position(self) -> FloatArray:
+        """(B, 3) last fix, ECEF [m]."""
+        position_e: FloatArray = self.memory["position_e"]
+        return position_e
 
     def error_n(self) -> FloatArray:
         """(B, 2) error of the fix: north, east [m]."""

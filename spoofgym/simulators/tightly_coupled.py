@@ -47,32 +47,7 @@ ADVANCE = _kernels.MEASURE + _kernels.PREDICT
 class TightlyCoupledSetup(Setup):
     """World, victim, attack and detector of tightly coupled receivers.
 
-    Parameters
-    ----------
-    scenario : str, mapping or Scenario
-        Flight, errors and sensors: a name in `SCENARIOS`, or a dict of its settings.
-    detector : str, mapping or Detector, optional
-        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied; the
-        EWMA chart with weights (m = 0.3) by default.
-    attack : str, mapping or Attack
-        A name in `ATTACKS` or `THREATS`, a dict with a name and settings, or an object, which is
-        copied.
-    receiver : str, mapping or TightlyCoupled, optional
-        ``"paper"`` or ``"matched"``, or settings of the victim; its grade is that of the scenario's
-        sensors by default.
-    timeline : mapping or Timeline, optional
-        Lengths of warm-up, attack window and time to alert.
-    domain : mapping or Domain, optional
-        What differs from episode to episode beside the noise; nothing by default.
-    target_heading_deg : float or {"random", "worst"}
-        Direction in which displacement counts, clockwise from north; drawn for every episode, and
-        observed; or that in which it is largest.
-    decision_interval_s : float, optional
-        Time between decisions, a multiple of the interval between epochs, of which the attack
-        window holds a whole number; every epoch by default.
-    between : {"hold", "linear"}
-        What is commanded at the epochs between: the decision that was taken, or the line from the
-        one before to it, which is reached when the next is due.
+    The settings are those of `spoofgym.envs.SpoofEnv`; all fit into JSON, or are objects.
 
     Attributes
     ----------
@@ -134,6 +109,7 @@ class TightlyCoupledSetup(Setup):
         )
         self.world = self.combinations.world
         self.epoch_time = self.world.epoch_time
+        self.true_position, self.C_en = self.world.position_e, self.world.C_en
         self.bounds = self._bounds(
             self.combinations.worlds,
             self.combinations.grades,
@@ -299,6 +275,11 @@ class TightlyCoupledSimulator(Simulator):
     def epochs(self) -> NDArray[np.int64]:
         """(B,) the epoch of the world that each receiver is at."""
         return self.sensors.epoch
+
+    @property
+    def position(self) -> FloatArray:
+        """(B, 3) estimated antenna, ECEF [m]."""
+        return self.buffers.state.position_e
 
     @property
     def coasting(self) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build_record
+from .._registry import build_record, check_finite
 from ..detectors import Detector, DetectorContext
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
 from ..receiver.epoch import Epoch
@@ -31,7 +31,7 @@ from ..sim.odometry import (
 )
 from ..sim.robot_track import RobotLoop
 from .domain import Choice, Domain
-from .rates import RateSimulator, check_positive
+from .rates import RateSimulator
 from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
 
 FloatArray = NDArray[np.float64]
@@ -79,8 +79,8 @@ class WheeledRobotSetup(Setup):
     ----------
     track : RobotTrack
         Truth at every sample of the encoders.
-    true_position_ne, true_velocity_ne : ndarray
-        (K, 2) truth at every epoch, north and east [m], [m/s].
+    true_velocity_ne : ndarray
+        (K, 2) truth at every epoch, north and east [m/s].
     available : ndarray
         (K,) bool, whether there is a fix, from the start of an episode on.
 
@@ -117,13 +117,11 @@ class WheeledRobotSetup(Setup):
         decision_interval_s: float | None = None,
         between: str = "hold",
     ) -> None:
-        check_positive(
-            interval_s=interval_s,
-            rate_limit_mps=rate_limit_mps,
-            displacement_scale_m=displacement_scale_m,
-            position_scale_m=position_scale_m,
-            velocity_scale_mps=velocity_scale_mps,
-        )
+        check_finite("interval_s", interval_s, "> 0")
+        check_finite("rate_limit_mps", rate_limit_mps, "> 0")
+        check_finite("displacement_scale_m", displacement_scale_m, "> 0")
+        check_finite("position_scale_m", position_scale_m, "> 0")
+        check_finite("velocity_scale_mps", velocity_scale_mps, "> 0")
         self.name = self.kind
         self.attack = RateCommands(
             self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2
@@ -171,7 +169,8 @@ class WheeledRobotSetup(Setup):
         samples = (self.epochs_each - 1) * self.samples
         self.track = self.loop.track(samples, self.odometer.sample_interval_s)
         self.wheels = self.track.wheels(self.odometer.wheel_base_m)
-        self.true_position_ne = np.ascontiguousarray(self.track.position_ne[:: self.samples])
+        self.true_position = np.ascontiguousarray(self.track.position_ne[:: self.samples])
+        self.C_en = np.broadcast_to(np.eye(AXES), (self.epochs_each, AXES, AXES))
         self.true_velocity_ne = np.ascontiguousarray(self.track.velocity_ne[:: self.samples])
 
     def _interrupt(self, interruptions_s: Sequence[Sequence[float]]) -> None:
@@ -247,7 +246,7 @@ class WheeledRobotSimulator(RateSimulator):
             memory["keys"],
             memory["epoch"],
             memory["first"],
-            setup.true_position_ne,
+            setup.true_position,
             setup.available,
             errors.correlated_sd_m,
             errors.decay(setup.interval_s),
@@ -276,12 +275,15 @@ class WheeledRobotSimulator(RateSimulator):
         missing: NDArray[np.bool_] = ~self.setup.available[self.epochs - self.memory["first"]]
         return missing
 
+    @property
+    def position(self) -> FloatArray:
+        """(B, 2) estimated, north and east [m]."""
+        position: FloatArray = self.memory["position"][:, :AXES]
+        return position
+
     def error_n(self) -> FloatArray:
         """(B, 2) error of the estimate: north, east [m]."""
-        error: FloatArray = (
-            self.memory["position"][:, :AXES] - self.setup.true_position_ne[self.epochs]
-        )
-        return error
+        return self.position - self.setup.true_position[self.epochs]
 
     def observed_weights(self) -> FloatArray:
         """(B, 1) mean weight of the last fix."""
@@ -292,11 +294,11 @@ class WheeledRobotSimulator(RateSimulator):
         self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
     ) -> None:
         """Write true position since the onset and true velocity, scaled."""
-        setup, truth = self.setup, self.setup.true_position_ne
+        setup, truth = self.setup, self.setup.true_position
         out[:, :AXES] = per_position * (truth[self.epochs] - truth[self.onset])
         out[:, AXES:] = per_velocity * setup.true_velocity_ne[self.epochs]
 
     def _ground_ne(self, epochs: slice) -> FloatArray:
-        truth = self.setup.true_position_ne
+        truth = self.setup.true_position
         ground: FloatArray = truth[epochs] - truth[self.onset[0]]
         return ground

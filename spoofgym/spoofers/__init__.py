@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from .._registry import build, check_choice
+from ..policies.onnx_model import SUFFIX
 from .accelerating_ramp import AcceleratingRamp
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .card import Card
 from .intermittent import Intermittent
+from .learned import OnnxPolicy
 from .none import NoSpoofer
-from .onnx_policy import SUFFIX, OnnxPolicy
 from .paper_attacks import PAPER_ATTACKS, PaperAttack
 from .profile import Profile
 from .ramp import Ramp

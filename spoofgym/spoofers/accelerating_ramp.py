@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_finite, check_limit
+from .._registry import check_finite
+from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_limit
 
 SLOWEST = 1e-3
 """Smallest acceleration of a search, as a part of the largest."""

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from .base import SpooferContext
 
 FloatArray = NDArray[np.float64]
-AXES = ("north", "east", "down")
-"""Axes by which the actions of a false position are named."""
+AXES = ("north", "east", "down", "clock")
+"""Axes by which the actions of a false position are named; a heading leaves the last two alone."""
 TARGET = "target"
 """Heading that follows the target direction."""
 TARGET_NAMES = ("target_direction_north", "target_direction_east")
@@ -41,7 +41,7 @@ def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
     if not has_heading(action_names):
         return np.ones(len(axes))
     heading = math.radians(heading_deg % 360.0)
-    wanted = {"north": math.cos(heading), "east": math.sin(heading), "down": 0.0}
+    wanted = {"north": math.cos(heading), "east": math.sin(heading), "down": 0.0, "clock": 0.0}
     for name, part in wanted.items():
         if abs(part) < 1e-12:
             wanted[name] = 0.0

@@ -12,7 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_finite
+from .._registry import check_finite
+from .base import FloatArray, ScriptedSpoofer, SpooferContext
 from .step import LARGEST, SMALLEST, fastest
 
 SHAPES = ("ramp", "step")

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from .._registry import check_finite
 from .aim import Aim, has_heading
-from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_finite
+from .base import FloatArray, ScriptedSpoofer, SpooferContext
 
 FEWEST_KNOTS, MOST_KNOTS = 2, 64
 

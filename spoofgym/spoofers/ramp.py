@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_finite, check_limit
+from .._registry import check_finite
+from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_limit
 
 SLOWEST = 1e-3
 """Slowest rate of a search, as a part of the attack's limit."""

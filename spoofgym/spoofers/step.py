@@ -21,7 +21,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from .base import FloatArray, ScriptedSpoofer, SpooferContext, check_finite
+from .._registry import check_finite
+from .base import FloatArray, ScriptedSpoofer, SpooferContext
 
 SMALLEST, LARGEST = 0.1, 1000.0
 """Range of a search [m]."""

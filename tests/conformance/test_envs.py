@@ -168,7 +168,7 @@ def test_an_env_made_from_its_spec_is_the_same_to_the_last_step(name):
     """With the length of an episode as its limit, a `TimeLimit` would truncate at the last step."""
     env = gym.make(name, **played_on(name))
     again = gym.make(env.spec)
-    steps = env.unwrapped.game.episode_steps
+    steps = env.unwrapped.core.episode_steps
     assert gym.spec(name).max_episode_steps is None
     assert env.spec.max_episode_steps == again.spec.max_episode_steps == steps + 1
     assert "TimeLimit" not in str(env)
@@ -187,7 +187,7 @@ def test_a_vector_env_made_from_its_spec_is_the_same(name):
     kwargs = {**played_on(name), "num_envs": 2, "autoreset_mode": "same_step"}
     envs = gym.make_vec(name, **kwargs)
     again = gym.make_vec(gym.make_vec(envs.spec).spec)
-    steps = envs.game.episode_steps
+    steps = envs.core.episode_steps
     assert envs.spec == again.spec
     assert envs.spec.max_episode_steps == steps + 1
     single = gym.make(name, **played_on(name))

@@ -12,8 +12,7 @@ import pytest
 import scipy.stats
 
 from spoofgym.detectors import DetectorContext, Never, make_detector
-from spoofgym.envs import Engine
-from spoofgym.envs.presets import make_setup
+from spoofgym.simulators import Engine, TightlyCoupledSetup
 
 RECEIVERS, EPOCHS, ALPHA = 1000, 100, 0.05
 PASSIVE = {
@@ -39,7 +38,7 @@ def spec(label, **more):
 @cache
 def last_alarms():
     """Alarms of the last epoch, by label; of the first satellite where every one is judged."""
-    setup = make_setup(
+    setup = TightlyCoupledSetup(
         scenario="zhong2025-white",
         receiver={"tuning": "matched"},
         detector=Never(),

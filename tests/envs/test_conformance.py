@@ -39,7 +39,7 @@ def test_the_vector_env_of_one_is_the_single_env(kwargs):
 
 def test_the_default_is_what_the_architecture_says():
     env = gym.make(ID).unwrapped
-    setup = env.game.setup
+    setup = env.core.setup
     assert (setup.onset, setup.steps, setup.hold) == (400, 300, 20)
     assert setup.detector.weight_scale == 0.3
     assert env.action_names == ("north_acceleration", "east_acceleration")
@@ -58,7 +58,7 @@ def test_make_vec_uses_the_vector_entry_point():
 def test_the_spec_goes_through_json():
     env = single(detector={"name": "ewma", "weight_scale": None})
     copy = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    assert copy.unwrapped.game.setup.detector.weight_scale is None
+    assert copy.unwrapped.core.setup.detector.weight_scale is None
 
 
 @pytest.mark.parametrize("make", [lambda: single().unwrapped, lambda: vector(3)])
@@ -144,7 +144,7 @@ def test_a_finished_episode_must_be_reset():
 
 def test_what_a_reset_does_not_take_is_told_by_its_name():
     env, envs = single(), vector(2)
-    with pytest.raises(RuntimeError, match="no episode has begun: call reset"):
+    with pytest.raises(RuntimeError, match="no episode has started: call reset"):
         env.unwrapped.step(np.zeros(2))
     for made in (env, envs):
         with pytest.raises(
@@ -156,5 +156,5 @@ def test_what_a_reset_does_not_take_is_told_by_its_name():
                 made.reset(seed=seed)
     with pytest.raises(ValueError, match=r"must be a whole number of at least 0, got 0\.5"):
         envs.reset(seed=[1, 0.5])
-    with pytest.raises(ValueError, match=r"`num_envs` must be a whole number, got 1\.5"):
+    with pytest.raises(ValueError, match=r"`num_envs` must be a whole number of at least 1, got 1\.5"):
         vector(1.5)

@@ -10,9 +10,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from spoofgym.envs.plant_env import PlantEnv
 
 from spoofgym.detectors import Never
-from spoofgym.envs.plant_env import PlantEnv
 
 from .toy_plant import FarFix, ToyEnv, ToyPlant, ToyVectorEnv
 
@@ -117,7 +117,7 @@ def test_make_vec_and_the_spec(registered):
     assert gym.make_vec(envs.spec).num_envs == 3
     env = gym.make(registered, detector="never", timeline={"attack_s": 5.0, "live_s": 10.0})
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json())).unwrapped
-    assert again.game.plant.steps == 10
+    assert again.core.plant.steps == 10
 
 
 def test_the_signature_shows_the_settings_of_the_plant():
@@ -180,7 +180,7 @@ def test_a_wrong_setting_says_what_is_valid(kwargs, message):
 
 
 def test_wrong_numbers_and_modes_of_a_vector_env():
-    with pytest.raises(ValueError, match="`num_envs` must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="`num_envs` must be a whole number of at least 1, got 0"):
         ToyVectorEnv(0)
     with pytest.raises(ValueError, match="unknown autoreset mode 'sometimes'"):
         ToyVectorEnv(2, autoreset_mode="sometimes")
@@ -199,5 +199,5 @@ def test_none_is_the_default_of_the_plant():
     class OwnEnv(PlantEnv):
         plant_type = OwnDetector
 
-    assert isinstance(OwnEnv(detector=None).game.plant.detector, Never)
+    assert isinstance(OwnEnv(detector=None).core.plant.detector, Never)
     assert "rate_mps" not in inspect.signature(OwnEnv).parameters

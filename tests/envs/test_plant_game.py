@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from spoofgym.envs.plant_game import PlantGame
 
 from spoofgym.detectors import Never
-from spoofgym.envs.plant_game import PlantGame
-from spoofgym.envs.rewards import DisplacementGain
+from spoofgym.envs.terms.reward import DisplacementGain
 
 from .test_game import AlarmAt as AlarmAtSatellites
 from .toy_plant import ToyEnv, ToyPlant

@@ -11,12 +11,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from spoofgym.envs.loose_plant import DEFAULT_DETECTOR as LOOSE
+from spoofgym.envs.robot_plant import DEFAULT_DETECTOR as ROBOT
 
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.detectors import Never
 from spoofgym.envs import wrappers
-from spoofgym.envs.loose_plant import DEFAULT_DETECTOR as LOOSE
-from spoofgym.envs.robot_plant import DEFAULT_DETECTOR as ROBOT
 from spoofgym.envs.wrappers import vector as vector_wrappers
 
 from .test_ends import FAR, until_the_end
@@ -164,7 +164,7 @@ def test_a_receiver_that_is_over_is_not_held_to_twice(kind, steps):
     timeline = PLANTS[kind][0]
     envs.reset(seed=1)
     last = sum(timeline[name] for name in ("warmup_s", "attack_s", "time_to_alert_s"))
-    spare = envs.game.plant.interval_s
+    spare = envs.core.plant.interval_s
     action = np.zeros(envs.action_space.shape)
     action[0, 1], ends = 1.0, np.zeros(2, dtype=int)
     for _ in range(3 * STEPS_OF_ALL):
@@ -189,7 +189,7 @@ class AtOffset:
 @dataclass(frozen=True)
 class AtEngine(AtOffset):
     def __call__(self, standing):
-        return standing.snapshot.batch.epochs > 0
+        return standing.snapshot.simulator.epochs > 0
 
 
 def test_an_end_of_ones_own_sees_the_plant_and_is_told_that_there_is_no_engine():
@@ -240,7 +240,7 @@ def test_a_sum_of_commands_is_cut_to_what_the_plant_takes():
     env = single("WheeledRobot", action=["full-command", "along-target"], detector="never")
     env.reset(seed=1)
     env.step([-0.2, 1.0, 1.0])
-    rate = env.unwrapped.game.plant.memory["rate"][0]
+    rate = env.unwrapped.core.plant.memory["rate"][0]
     np.testing.assert_allclose(rate, [-0.2, 1.0], atol=1e-12)
 
 
@@ -249,7 +249,7 @@ def test_some_axes_of_a_snapshot_receiver():
     assert env.unwrapped.action_names == ("east_rate", "clock_rate")
     env.reset(seed=1)
     env.step([0.5, -1.0])
-    rate = env.unwrapped.game.plant.memory["rate"][0]
+    rate = env.unwrapped.core.plant.memory["rate"][0]
     np.testing.assert_array_equal(rate, [0.0, 2.5, 0.0, -5.0])
 
 
@@ -292,7 +292,7 @@ def test_the_spec_makes_the_same_again_and_keeps_the_contract(kind):
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     actions = np.full((4, 1), 0.1)
     assert_same(trace(env, actions), trace(again, actions))
-    assert "watch_never_ratio" in again.unwrapped.game.info_names
+    assert "watch_never_ratio" in again.unwrapped.core.info_names
 
 
 @pytest.mark.parametrize("duplicate", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy])
@@ -320,7 +320,7 @@ def test_a_wrapper_is_the_same_as_its_argument(make, module):
     given = make("Snapshot", detector="traversal-raim", watch=["never", "srv-raim"])
     actions = [np.full(given.action_space.shape, push) for push in (0.1, 0.4, 0.8)]
     assert_same(trace(wrapped, actions), trace(given, actions))
-    assert wrapped.unwrapped.game.info_names == given.unwrapped.game.info_names
+    assert wrapped.unwrapped.core.info_names == given.unwrapped.core.info_names
     with pytest.raises(ValueError, match="'traversal-raim' and 'srv-raim'"):
         module.DetectorWrapper(make("Snapshot", detector="traversal-raim"), "srv-raim")
     with pytest.raises(ValueError, match="Divergence of a tightly coupled filter"):

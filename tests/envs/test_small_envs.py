@@ -137,4 +137,4 @@ def test_names_bounds_and_settings(name):
     spec = gym.make(name, **short(name, knowledge="blind")).spec
     again = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json()))
     assert json.loads(spec.to_json())["id"] == name
-    assert again.unwrapped.game.knowledge == "blind"
+    assert again.unwrapped.core.knowledge == "blind"

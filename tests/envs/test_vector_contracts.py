@@ -229,7 +229,7 @@ def test_only_the_information_that_was_asked_for(name, mode):
     every = make(name, mode)
     every.reset(seed=3)
     info = every.step(np.zeros(every.action_space.shape))[4]
-    assert set(every.game.info_names) == {key for key in info if not key.startswith("_")}
+    assert set(every.core.info_names) == {key for key in info if not key.startswith("_")}
     for asked, names in (("none", set()), (("alarm", "time_s"), {"alarm", "time_s"})):
         envs = make(name, mode, infos=asked)
         begun = envs.reset(seed=3)[1]

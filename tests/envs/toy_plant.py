@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from spoofgym.envs.plant import Plant
+from spoofgym.envs.plant_env import PlantEnv, PlantVectorEnv
 
 from spoofgym._memory import Memory
 from spoofgym.detectors import Detector, DetectorContext, Verdict, make_detector
 from spoofgym.detectors.verdicts import judged
-from spoofgym.envs.plant import Plant
-from spoofgym.envs.plant_env import PlantEnv, PlantVectorEnv
-from spoofgym.envs.setup import Timeline
 from spoofgym.receiver.epoch import Epoch
+from spoofgym.simulators import Timeline
 
 
 class FarFix(Detector):

@@ -22,38 +22,12 @@ class ActionTerm(Protocol):
     """One part of the action."""
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """Name of every element.
-
-        Parameters
-        ----------
-        setup : Setup
-            Knows what the attack takes.
-
-        Returns
-        -------
-        tuple of str
-            k names.
-
-        Raises
-        ------
-        ValueError
-            When the attack can't be commanded so.
-        """
+        """Name of every element, k names; a ValueError where the attack can't be commanded so."""
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """Command of every element.
+        """(B, a, k) matrix whose product with the k elements is the command.
 
-        Parameters
-        ----------
-        setup : Setup
-            Knows what the attack takes.
-        heading_rad : ndarray
-            (B,) direction in which displacement counts, clockwise from north.
-
-        Returns
-        -------
-        ndarray
-            (B, a, k): the command is its product with the k elements.
+        `heading_rad` (B,) is the direction in which displacement counts, clockwise from north.
         """
 
 
@@ -66,11 +40,6 @@ def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
                 f"the attack has no {word} {stem!r} to command; valid: {', '.join(stems)}"
             )
     return [stems.index(stem) for stem in wanted]
-
-
-def _unit(setup: Setup) -> str:
-    """What an element commands: ``acceleration`` or ``rate``."""
-    return str(setup.attack.control)
 
 
 @dataclass(frozen=True)
@@ -107,7 +76,7 @@ class AlongTarget:
                 "an element along the target direction needs the same limit north and east, got "
                 f"{limits[north]:g} and {limits[east]:g}"
             )
-        return (f"along_target_{_unit(setup)}",)
+        return (f"along_target_{setup.attack.control}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
         """Cosine and sine of the heading."""
@@ -127,7 +96,7 @@ class AcrossTarget:
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``across_target_acceleration`` or ``across_target_rate``."""
         AlongTarget().names(setup)
-        return (f"across_target_{_unit(setup)}",)
+        return (f"across_target_{setup.attack.control}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
         """Minus sine and cosine of the heading."""
@@ -179,7 +148,7 @@ class CommonOffset:
                 "a common offset needs an attack per channel, 'per-channel', got "
                 f"{setup.attack.kind!r}"
             )
-        return (f"common_{_unit(setup)}",)
+        return (f"common_{setup.attack.control}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
         """A column of 1."""

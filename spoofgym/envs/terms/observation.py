@@ -14,11 +14,10 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._registry import check_choice
+from ..._registry import check_choice, check_finite
 from ...simulators.divergence import Divergence
 from ...simulators.setup import Setup
 from .._kernels import own_command, time_fractions
-from ..checks import check_above_zero
 from .base import Snapshot
 
 FloatArray = NDArray[np.float64]
@@ -26,7 +25,10 @@ KNOWLEDGE = ("blind", "tracking", "oracle")
 
 
 class ObservationTerm(Protocol):
-    """One part of the observation.
+    """One part of the observation: a `DynamicTerm`, or one with a `table`.
+
+    ``table(setup)`` gives the (K, k) values at every epoch of the run, or None where they depend on
+    more than the epoch.
 
     Attributes
     ----------
@@ -37,89 +39,21 @@ class ObservationTerm(Protocol):
     knowledge: ClassVar[str]
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """Name of every element.
-
-        Parameters
-        ----------
-        setup : Setup
-            Slots and commands.
-
-        Returns
-        -------
-        tuple of str
-            k names.
-        """
+        """Name of every element, k names."""
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
-        """Bounds of all elements.
-
-        Parameters
-        ----------
-        setup : Setup
-            Not simulated yet.
-
-        Returns
-        -------
-        low, high : float
-            Finite.
-        """
+        """Least and largest value of all elements, finite; the setup is not simulated yet."""
 
 
 class DynamicTerm(ObservationTerm, Protocol):
-    """A term that depends on what has happened."""
+    """A term that depends on what has happened.
 
-    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
-        """Write the values; clipping follows.
-
-        Parameters
-        ----------
-        snapshot : Snapshot
-            The game.
-        out : ndarray
-            (B, k), written.
-        """
-
-
-class CommandTerm(DynamicTerm, Protocol):
-    """A term of the commanded displacement and rate, each times a factor, as `own_command` does.
-
-    Compiled code then writes it, to the same bits.
+    One of the commanded displacement and rate, each times a factor, may have ``factors(setup)``:
+    a float [1/m], and (a,) [s/m] for the rate of every axis.  A kernel then writes it.
     """
 
-    def factors(self, setup: Setup) -> tuple[float, FloatArray]:
-        """Factors on displacement and rate.
-
-        Parameters
-        ----------
-        setup : Setup
-            Knows the attack.
-
-        Returns
-        -------
-        per_displacement : float
-            In 1/m.
-        per_rate : ndarray
-            (a,) in s/m.
-        """
-
-
-class TabledTerm(ObservationTerm, Protocol):
-    """A term that only depends on the epoch, and is computed for the whole run at once."""
-
-    def table(self, setup: Setup) -> NDArray[np.floating] | None:
-        """Values at every epoch of the run; clipping follows.
-
-        Parameters
-        ----------
-        setup : Setup
-            World and timeline.
-
-        Returns
-        -------
-        ndarray or None
-            (K, k); None of a term that does so only in some setups, not in this one, and that is a
-            `DynamicTerm`, too.
-        """
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write the values into `out` (B, k); clipping follows."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +71,7 @@ class OwnCommand:
 
     def __post_init__(self) -> None:
         """Check the scale."""
-        check_above_zero("scale_m", self.scale_m)
+        check_finite("scale_m", self.scale_m, "> 0")
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``own_displacement_*`` and ``own_rate_*`` for every element of the action."""
@@ -206,8 +140,8 @@ class TargetMotion:
 
     def __post_init__(self) -> None:
         """Check the scales."""
-        check_above_zero("position_scale_m", self.position_scale_m)
-        check_above_zero("velocity_scale_mps", self.velocity_scale_mps)
+        check_finite("position_scale_m", self.position_scale_m, "> 0")
+        check_finite("velocity_scale_mps", self.velocity_scale_mps, "> 0")
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``target_position_*`` and ``target_velocity_*``, as far as the victim has them."""
@@ -341,7 +275,7 @@ class EstimateError:
 
     def __post_init__(self) -> None:
         """Check the scale."""
-        check_above_zero("scale_m", self.scale_m)
+        check_finite("scale_m", self.scale_m, "> 0")
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``error_north``, ``error_east``, and ``error_down`` of some victims."""
@@ -372,7 +306,7 @@ class DivergenceSpent:
 
     def __post_init__(self) -> None:
         """Check the budget."""
-        check_above_zero("budget_nats", self.budget_nats)
+        check_finite("budget_nats", self.budget_nats, "> 0")
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``divergence_spent``."""

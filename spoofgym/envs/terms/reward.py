@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, cast
@@ -10,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_finite
+from ..._registry import check_finite
 from .base import holds_for_call
 
 FloatArray = NDArray[np.float64]
@@ -54,9 +53,6 @@ SHARED = ("gain", "retraction", "detected", "alarm")
 class RewardTerm(Protocol):
     """One part of the reward.
 
-    Where all terms are also a `SharedTerm`, the reward is computed in compiled code, to the same
-    bits.
-
     Attributes
     ----------
     name : str
@@ -66,38 +62,32 @@ class RewardTerm(Protocol):
     name: ClassVar[str]
 
     def __call__(self, outcome: Outcome) -> FloatArray:
-        """Reward of a step.
-
-        Parameters
-        ----------
-        outcome : Outcome
-            What it has brought.
-
-        Returns
-        -------
-        ndarray
-            (B,) a new array.
-        """
+        """(B,) reward of an epoch, a new array."""
 
 
-class SharedTerm(RewardTerm, Protocol):
-    """A term that is a factor times one field of the outcome."""
+class _Shared:
+    """A term that is a factor, its first setting, times one field of the outcome.
+
+    Where all terms are such shares, the reward is computed in kernels, to the same bits.
+    """
+
+    field: ClassVar[str]
+    sign: ClassVar[float] = 1.0
 
     @property
     def share(self) -> Share:
         """Field, of `SHARED`, and factor."""
+        return self.field, self.sign * float(next(iter(vars(self).values())))
 
-
-def _check_price(name: str, value: Any) -> None:
-    """Raise unless a price is a finite number, at least 0."""
-    if not isinstance(value, numbers.Real) or isinstance(value, bool):
-        raise ValueError(f"`{name}` must be a number, got {value!r}")
-    if not (np.isfinite(float(value)) and float(value) >= 0.0):
-        raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
+    def __call__(self, outcome: Outcome) -> FloatArray:
+        """The share of every receiver."""
+        field, factor = self.share
+        values = getattr(outcome, field)
+        return np.where(values, factor, 0.0) if values.dtype == np.bool_ else factor * values
 
 
 @dataclass(frozen=True)
-class DisplacementGain:
+class DisplacementGain(_Shared):
     """Increase of the undetected displacement along the target direction.
 
     Parameters
@@ -108,23 +98,15 @@ class DisplacementGain:
 
     per_m: float = 1.0
     name: ClassVar[str] = "displacement"
+    field: ClassVar[str] = "gain"
 
     def __post_init__(self) -> None:
         """Check the factor."""
         check_finite("per_m", self.per_m)
 
-    @property
-    def share(self) -> Share:
-        """Field and factor."""
-        return "gain", float(self.per_m)
-
-    def __call__(self, outcome: Outcome) -> FloatArray:
-        """Gain of the step."""
-        return self.per_m * outcome.gain
-
 
 @dataclass(frozen=True)
-class Retraction:
+class Retraction(_Shared):
     """What was gained within the time to alert of an alarm is taken back.
 
     Parameters
@@ -135,23 +117,15 @@ class Retraction:
 
     per_m: float = 1.0
     name: ClassVar[str] = "retraction"
+    field: ClassVar[str] = "retraction"
 
     def __post_init__(self) -> None:
         """Check the factor."""
         check_finite("per_m", self.per_m)
 
-    @property
-    def share(self) -> Share:
-        """Field and factor."""
-        return "retraction", float(self.per_m)
-
-    def __call__(self, outcome: Outcome) -> FloatArray:
-        """What is taken back."""
-        return self.per_m * outcome.retraction
-
 
 @dataclass(frozen=True)
-class AlarmPenalty:
+class AlarmPenalty(_Shared):
     """Price of the first alarm.
 
     Parameters
@@ -162,24 +136,17 @@ class AlarmPenalty:
 
     penalty_m: float = 10.0
     name: ClassVar[str] = "alarm"
+    field: ClassVar[str] = "detected"
+    sign: ClassVar[float] = -1.0
 
     def __post_init__(self) -> None:
         """Check the price."""
-        _check_price("penalty_m", self.penalty_m)
-
-    @property
-    def share(self) -> Share:
-        """Field and factor."""
-        return "detected", -float(self.penalty_m)
-
-    def __call__(self, outcome: Outcome) -> FloatArray:
-        """The price, where the first alarm came."""
-        return np.where(outcome.detected, -self.penalty_m, 0.0)
+        check_finite("penalty_m", self.penalty_m, ">= 0")
 
 
 @dataclass(frozen=True)
-class AlarmedEpochs:
-    """Price of every epoch with an alarm, for games that go on after the first.
+class AlarmedEpochs(_Shared):
+    """Price of every epoch with an alarm, for episodes that go on after the first.
 
     Parameters
     ----------
@@ -189,19 +156,12 @@ class AlarmedEpochs:
 
     per_epoch_m: float = 1.0
     name: ClassVar[str] = "alarmed_epochs"
+    field: ClassVar[str] = "alarm"
+    sign: ClassVar[float] = -1.0
 
     def __post_init__(self) -> None:
         """Check the price."""
-        _check_price("per_epoch_m", self.per_epoch_m)
-
-    @property
-    def share(self) -> Share:
-        """Field and factor."""
-        return "alarm", -float(self.per_epoch_m)
-
-    def __call__(self, outcome: Outcome) -> FloatArray:
-        """The price, where there is an alarm."""
-        return np.where(outcome.alarm, -self.per_epoch_m, 0.0)
+        check_finite("per_epoch_m", self.per_epoch_m, ">= 0")
 
 
 @dataclass(frozen=True)
@@ -219,7 +179,7 @@ class EffortPenalty:
 
     def __post_init__(self) -> None:
         """Check the price."""
-        _check_price("at_full_m", self.at_full_m)
+        check_finite("at_full_m", self.at_full_m, ">= 0")
 
     def __call__(self, outcome: Outcome) -> FloatArray:
         """The price of the command."""
@@ -284,7 +244,7 @@ def shares_of(terms: Sequence[RewardTerm]) -> FloatArray | None:
     for row, term in zip(shares, terms, strict=True):
         if not holds_for_call(term, "share"):
             return None
-        field, factor = cast("SharedTerm", term).share
+        field, factor = cast("_Shared", term).share
         row[SHARED.index(field)] = factor
     return shares
 

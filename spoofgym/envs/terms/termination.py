@@ -7,7 +7,6 @@ alert, in which an alarm still counts, as after the last command.  A limit from 
 
 from __future__ import annotations
 
-import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
@@ -15,8 +14,8 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._registry import check_finite, whole_number
 from ...simulators.divergence import Divergence
-from ..checks import check_above_zero
 from .base import Snapshot
 
 FloatArray = NDArray[np.float64]
@@ -53,18 +52,7 @@ class EndTerm(Protocol):
     truncates: ClassVar[bool]
 
     def __call__(self, state: EpochState) -> Mask:
-        """Which episodes it ends.
-
-        Parameters
-        ----------
-        state : EpochState
-            After the epoch.
-
-        Returns
-        -------
-        ndarray
-            (B,) bool, a new array.
-        """
+        """(B,) bool, which episodes it ends, a new array."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +100,7 @@ class AtDisplacement:
 
     def __post_init__(self) -> None:
         """Check the limit."""
-        check_above_zero("limit_m", self.limit_m)
+        check_finite("limit_m", self.limit_m, "> 0")
 
     def __call__(self, state: EpochState) -> Mask:
         """Whether the victim is as far off."""
@@ -136,7 +124,7 @@ class AtStealthBudget:
 
     def __post_init__(self) -> None:
         """Check the budget."""
-        check_above_zero("budget_nats", self.budget_nats)
+        check_finite("budget_nats", self.budget_nats, "> 0")
 
     def __call__(self, state: EpochState) -> Mask:
         """Whether more is spent."""
@@ -160,9 +148,7 @@ class AtSteps:
 
     def __post_init__(self) -> None:
         """Check the number."""
-        whole = isinstance(self.steps, numbers.Integral) and not isinstance(self.steps, bool)
-        if not whole or self.steps < 1:
-            raise ValueError(f"`steps` must be a whole number, at least 1, got {self.steps!r}")
+        whole_number("`steps`", self.steps, 1)
 
     def __call__(self, state: EpochState) -> Mask:
         """Whether there were as many."""
