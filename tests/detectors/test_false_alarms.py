@@ -59,8 +59,8 @@ def last_alarms():
     told = DetectorContext(
         RECEIVERS,
         setup.world.channels,
-        setup.scenario.epoch_interval_s,
-        setup.noise_variance.copy(),
+        setup.interval_s,
+        setup.combinations[0].noise_variance.copy(),
         setup.world.satellite_ids,
     )
     for detector in detectors.values():

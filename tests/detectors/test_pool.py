@@ -24,7 +24,7 @@ def played(detector, runs=12, rows=None):
     if rows is not None:
         rngs = [rngs[row] for row in rows]
     start = WarmStart(suite.setup(suite.detector_entries[0]), rngs, threads=1)
-    drawn = start.engine().batch.detector.memory
+    drawn = start.engine().simulator.detector.memory
     return play(start, {"name": "ramp", "rate_mps": 0.5}), drawn
 
 

@@ -156,5 +156,7 @@ def test_what_a_reset_does_not_take_is_told_by_its_name():
                 made.reset(seed=seed)
     with pytest.raises(ValueError, match=r"must be a whole number of at least 0, got 0\.5"):
         envs.reset(seed=[1, 0.5])
-    with pytest.raises(ValueError, match=r"`num_envs` must be a whole number of at least 1, got 1\.5"):
+    with pytest.raises(
+        ValueError, match=r"`num_envs` must be a whole number of at least 1, got 1\.5"
+    ):
         vector(1.5)

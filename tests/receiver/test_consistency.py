@@ -181,9 +181,11 @@ def test_noise_of_pseudoranges_is_white_variance_and_biases_times_the_epochs():
     setup = begin(Scenario(errors="groves"), matched("aviation"), 1, 100.0).setup
     n = setup.world.channels
     epochs = setup.onset + setup.steps + setup.hold + 1
-    np.testing.assert_allclose(setup.noise_variance[:n], 1.0 + epochs * setup.bias_sd**2)
-    np.testing.assert_allclose(setup.noise_variance[n:], 0.02**2)
-    assert setup.noise[2:4] == (0.0, 0.0)
+    np.testing.assert_allclose(
+        setup.combinations[0].noise_variance[:n], 1.0 + epochs * setup.combinations[0].bias_sd ** 2
+    )
+    np.testing.assert_allclose(setup.combinations[0].noise_variance[n:], 0.02**2)
+    assert setup.combinations[0].noise[2:4] == (0.0, 0.0)
 
 
 def run_of(force, rate, dt=0.01):
@@ -215,8 +217,8 @@ def test_without_manoeuvres_the_sensors_are_those_of_the_data_sheet(grade):
 def test_the_papers_tuning_is_the_books_in_any_world():
     receiver = TightlyCoupled(tuning="paper")
     setup = begin(Scenario(errors="groves"), receiver, 1, 100.0).setup
-    assert setup.noise == NoiseModel()
-    assert receiver.sensors(setup.noise) == FILTER_GRADES["aviation"]
+    assert setup.combinations[0].noise == NoiseModel()
+    assert receiver.sensors(setup.combinations[0].noise) == FILTER_GRADES["aviation"]
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan")])
@@ -230,7 +232,7 @@ def test_a_matched_run_replays_to_the_same_bits():
     receiver = matched("tactical")
     setup = begin(Scenario(errors="groves", imu="tactical"), receiver, 1, 100.0).setup
     initial, recording, position_e = record_run(setup, np.random.default_rng(3), epochs=30)
-    told = dataclasses.replace(receiver, noise=setup.noise)
-    variance = np.tile(setup.noise_variance, (30, 1))
+    told = dataclasses.replace(receiver, noise=setup.combinations[0].noise)
+    variance = np.tile(setup.combinations[0].noise_variance, (30, 1))
     solution = replay(recording, told, initial=initial, noise_variance=variance)
     np.testing.assert_array_equal(solution.position_e, position_e)
