@@ -2,8 +2,8 @@
 
 Agents are ``spoofer_0`` and ``detector_0``.  `env` is the AEC form, whose detector decides on the
 epoch that has just arrived (``decision_delay`` 0); in `parallel_env` its decision is applied one
-epoch late (``decision_delay`` 1): two different games.  The page docs/duel.md tells who observes
-what, and when.
+epoch late (``decision_delay`` 1): two different games.  The page docs/duel.md lists what each side
+observes, and when.
 
 PettingZoo is imported when `env` or `parallel_env` is called; the views and `calibrate` do without.
 """

@@ -109,7 +109,7 @@ KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "envs": _envs,
     "scenarios": _scenarios,
     "attacks": lambda: _classes(ATTACKS),
-    "detectors": lambda: _classes(DETECTORS, "paper", "scope", "watches", "oracle"),
+    "detectors": lambda: _classes(DETECTORS, "paper", "scope", "measures", "oracle"),
     "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
     "shipped": _shipped,
 }
@@ -137,6 +137,6 @@ def _told(row: Mapping[str, Any]) -> str:
     marks = []
     if row.get("oracle"):
         marks.append("oracle, told what no receiver knows")
-    if row.get("watches", "satellites") != "satellites":
-        marks.append("watches positions" if row["watches"] == "position" else "watches anything")
+    if row.get("measures", "satellites") != "satellites":
+        marks.append("measures positions" if row["measures"] == "position" else "measures anything")
     return f"{row['summary']} [{'; '.join(marks)}]" if marks else str(row["summary"])

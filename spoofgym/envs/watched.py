@@ -24,7 +24,7 @@ class WatchedDetector(Detector):
     `watch`: what the others have seen.
     """
 
-    watches: ClassVar[str] = "any"
+    measures: ClassVar[str] = "any"
 
     def __init__(self, loop: Detector, watch: Sequence[Detector]) -> None:
         self.loop, self.watch = loop, Watch(watch)

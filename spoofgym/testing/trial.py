@@ -110,7 +110,7 @@ def check_memory(subject: Remembering, receivers: int, word: str) -> None:
     require(
         memory.receivers == receivers,
         f"the memory of the {word} must be of {receivers} receivers, got {memory.receivers}; make "
-        "it anew in every `bind`, by `super().bind(context)`",
+        "it again in every `bind`, by `super().bind(context)`",
     )
     for name, array in memory.items():
         if name not in memory.declared:

@@ -18,7 +18,7 @@ class Weigher(Detector):
     """A detector in the loop: weights that fall with the innovation, an alarm where it is large."""
 
     paper = "shadmehri2025"
-    watches = "position"
+    measures = "position"
 
     def bind(self, context):
         super().bind(context)
@@ -206,7 +206,7 @@ class Compass(Weigher):
         ({"timeline": {"attack": 1}}, "`timeline` has no setting 'attack'"),
         ({"timeline": {"attack_s": 50.0}}, "an episode takes 75.1 s, but 'shadmehri2025' lasts"),
         ({"flight": "shadmehri"}, "unknown flight 'shadmehri'.*did you mean 'shadmehri2025'"),
-        ({"detector": "ewma"}, "Ewma watches satellites, but the receiver measures position"),
+        ({"detector": "ewma"}, "Ewma measures satellites, but the receiver measures position"),
         ({"detector": Compass()}, "Compass needs auxiliary_position, which a loosely"),
     ],
 )

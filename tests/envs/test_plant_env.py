@@ -167,7 +167,7 @@ def test_a_step_needs_a_running_episode():
         ),
         ({"rate_mps": 0.0}, "`rate_mps` must be > 0, got 0.0"),
         ({"receivers": 4}, "no setting 'receivers'"),
-        ({"detector": "ewma"}, "Ewma watches satellites, but the receiver measures position"),
+        ({"detector": "ewma"}, "Ewma measures satellites, but the receiver measures position"),
         ({"knowledge": "omniscient"}, "unknown knowledge"),
         ({"render_mode": "rgb_array"}, "nothing to render"),
     ],

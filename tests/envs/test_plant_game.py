@@ -16,7 +16,7 @@ LIVE, STEPS, HOLD = 20, 40, 10  # epochs of the toy's timeline
 
 
 class AlarmAt(AlarmAtSatellites):
-    watches = "any"
+    measures = "any"
 
 
 def play(detector, **kwargs):

@@ -225,7 +225,7 @@ class Antenna(Acna):
         ({"interruptions_s": [[5.0, 4.0]]}, "must be pairs .* got \\[\\[5.0, 4.0\\]\\]"),
         ({"interruptions_s": [5.0]}, "must be pairs .* got \\[5.0\\]"),
         ({"timeline": {"attack_s": 1e9}}, "an episode must have at most 100000 epochs"),
-        ({"detector": "ewma"}, "Ewma watches satellites, but the receiver measures position"),
+        ({"detector": "ewma"}, "Ewma measures satellites, but the receiver measures position"),
         ({"detector": Antenna()}, "Antenna needs cn0_dbhz, which a wheeled robot does not have"),
         ({"receivers": 0}, "`receivers` must be at least 1, got 0"),
     ],

@@ -42,7 +42,7 @@ class Sooner(Detector):
     """Alarms when the first innovation has been large for a time that differs by receiver."""
 
     paper = "groves2013"
-    watches = "any"
+    measures = "any"
 
     def bind(self, context):
         super().bind(context)

@@ -17,7 +17,7 @@ class FarFix(Detector):
     """Alarms, and rejects the fix, where it is far from the prediction."""
 
     paper = "groves2013"
-    watches = "position"
+    measures = "position"
 
     def __init__(self, threshold_m=4.5):
         self.threshold_m = threshold_m
