@@ -107,14 +107,14 @@ def test_list_names_all_there_is() -> None:
     assert "accelerating-ramp" not in table
 
 
-def test_list_marks_oracles_and_what_watches_positions(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_list_marks_oracles_and_what_measures_positions(monkeypatch: pytest.MonkeyPatch) -> None:
     told = type("Told", (DETECTORS["ewma"],), {"__doc__": "Knows it.", "oracle": True})
-    fixes = type("Fixes", (DETECTORS["ewma"],), {"__doc__": "Fixes.", "watches": "position"})
+    fixes = type("Fixes", (DETECTORS["ewma"],), {"__doc__": "Fixes.", "measures": "position"})
     monkeypatch.setitem(DETECTORS, "told", told)
     monkeypatch.setitem(DETECTORS, "fixes", fixes)
     rows = json.loads(call("list", "detectors", "--json").stdout)["detectors"]
     assert {row["name"]: row["oracle"] for row in rows}["told"] is True
-    assert {row["name"]: row["watches"] for row in rows}["fixes"] == "position"
+    assert {row["name"]: row["measures"] for row in rows}["fixes"] == "position"
     lines = call("list", "detectors").output.splitlines()
     by_name = {line.split()[0]: line for line in lines if line.strip()}
     assert "oracle" in by_name["told"]

@@ -109,7 +109,7 @@ KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "envs": _envs,
     "scenarios": _scenarios,
     "attacks": lambda: _classes(ATTACKS),
-    "detectors": lambda: _classes(DETECTORS, "paper", "scope", "watches", "oracle"),
+    "detectors": lambda: _classes(DETECTORS, "paper", "scope", "measures", "oracle"),
     "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
     "shipped": _shipped,
 }
@@ -137,6 +137,6 @@ def _marked(row: Mapping[str, Any]) -> str:
     marks = []
     if row.get("oracle"):
         marks.append("oracle, knows what no receiver does")
-    if row.get("watches", "satellites") != "satellites":
-        marks.append("for positions" if row["watches"] == "position" else "for any measurement")
+    if row.get("measures", "satellites") != "satellites":
+        marks.append("for positions" if row["measures"] == "position" else "for any measurement")
     return f"{row['summary']} [{'; '.join(marks)}]" if marks else str(row["summary"])
