@@ -64,7 +64,7 @@ class DetectorCore:
     @property
     def observation_names(self) -> tuple[str, ...]:
         """Name of every element of an observation."""
-        return self.duel.agent.sight.names
+        return self.duel.agent.observer.names
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -79,7 +79,7 @@ class DetectorCore:
     @property
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Least and largest observation, (o,) each."""
-        return self.duel.agent.sight.low, self.duel.agent.sight.high
+        return self.duel.agent.observer.low, self.duel.agent.observer.high
 
     def reset(
         self,
