@@ -190,7 +190,10 @@ def test_detectors_that_do_not_fit_are_refused(env: str, detector: Any, message:
         ({"settings": {"satellites": 3}}, "`satellites` must be a whole number >= 4, got 3"),
         ({"settings": {"noise_m": "much"}}, "`noise_m` must be finite and > 0, got 'much'"),
         ({"settings": {"rate_limit_mps": "5"}}, "`rate_limit_mps` must be finite and > 0, .*'5'"),
-        ({"settings": {"speed_mps": None, "heading_deg": "n"}}, "`heading_deg` must be finite, got 'n'"),
+        (
+            {"settings": {"speed_mps": None, "heading_deg": "n"}},
+            "`heading_deg` must be finite, got 'n'",
+        ),
     ],
 )
 def test_wrong_settings_are_refused(changes: dict[str, Any], message: str) -> None:
