@@ -23,12 +23,8 @@ from .vector_env import CoreVectorEnv
 class VictimEnv(CoreEnv[SpoofCore]):
     """A spoofer against one receiver; a subclass names the kind of victim.
 
-    Attributes
-    ----------
-    setup_type : type
-        The victim.
-    given_detector : object
-        Detector that has been set, as it was given; None for the victim's own.
+    `setup_type` is the victim; `given_detector` the detector that has been set, as it was given, or
+    None for the victim's own.
     """
 
     setup_type: ClassVar[type[Setup]]
@@ -52,12 +48,8 @@ class VictimEnv(CoreEnv[SpoofCore]):
 class VictimVectorEnv(CoreVectorEnv[SpoofCore]):
     """Vector environment of a `VictimEnv`; receiver i is the single one seeded with ``seed + i``.
 
-    Attributes
-    ----------
-    setup_type : type
-        The victim.
-    given_detector : object
-        Detector that has been set, as it was given; None for the victim's own.
+    `setup_type` is the victim; `given_detector` the detector that has been set, as it was given, or
+    None for the victim's own.
     """
 
     setup_type: ClassVar[type[Setup]]

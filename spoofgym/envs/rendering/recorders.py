@@ -33,7 +33,13 @@ class Recorder(Protocol):
 
 
 class CoreRecorder:
-    """Recorder of the first receiver of any core of the spoofer's side."""
+    """Recorder of the first receiver of any core of the spoofer's side.
+
+    Parameters
+    ----------
+    core : SpoofCore
+        Whose first receiver is shown.
+    """
 
     def __init__(self, core: SpoofCore) -> None:
         self._core = core
