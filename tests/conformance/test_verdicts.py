@@ -181,7 +181,7 @@ SIMULATIONS: dict[str, tuple[int, Callable[[Detector], Iterator[None]]]] = {
     **{name: (B, plant(name)) for name in PLANTS},
     "plant watching": (1, plant_watching),
     "bench": (B, bench),
-    "episode": (2, episode),
+    "episode": (1, episode),
 }
 """Receivers of each, and a run that stops once at the onset."""
 
