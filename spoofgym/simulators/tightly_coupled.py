@@ -360,30 +360,6 @@ class TightlyCoupledSimulator(Simulator):
                 between()
             self._run(partial(self._epochs, what, min(piece, count - start)), self.receivers)
 
-    def live_epochs(
-        self, count: int, *, holding: bool = False, between: Callable[[], None] | None = None
-    ) -> NDArray[np.bool_]:
-        """Run epochs with the detector; an update and the next epoch share one turn of threads."""
-        self._command = None
-        first = self._attack_and_advance if holding else self._advance
-
-        def onwards(lo: int, hi: int) -> None:
-            """Update of one epoch, and measurements of the next."""
-            self._update(lo, hi)
-            first(lo, hi)
-
-        alarms = np.zeros((count, self.receivers), dtype=np.bool_)
-        for k in range(count):
-            if between is not None:
-                between()
-            self._run(onwards if k else first, self.receivers)
-            verdict = self.judge()
-            alarms[k] = verdict.alarm.any(axis=1)
-            self.weights = self.ones if verdict.weights is None else verdict.weights
-        if count:
-            self._run(self._update, self.receivers)
-        return alarms
-
     def error_n(self) -> FloatArray:
         """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""
         world = self.setup.world
