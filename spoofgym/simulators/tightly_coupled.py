@@ -95,13 +95,10 @@ class TightlyCoupledSetup(Setup):
         self._aim(target_heading_deg, domain)
         self.receiver = _victim(receiver, self.scenario, self.domain)
         self.attack = make_attack(attack)
-        self._phase(
-            DEFAULT_DETECTOR if detector is None else detector,
-            build_record("timeline", Timeline, timeline),
-            self.scenario.epoch_interval_s,
-            decision_interval_s,
-            between,
-        )
+        detector = DEFAULT_DETECTOR if detector is None else detector
+        timeline = build_record("timeline", Timeline, timeline)
+        interval_s = self.scenario.epoch_interval_s
+        self._phase(detector, timeline, interval_s, decision_interval_s, between)
         worlds = worlds_of(self.scenario, self.domain)
         first, last = self._starts(worlds[0].epochs, worlds[0].name)
         self.combinations = Combinations(
@@ -196,14 +193,7 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
 class TightlyCoupledSimulator(Simulator):
     """B tightly coupled receivers; kernels work on slices of them, possibly in threads.
 
-    Attributes
-    ----------
-    buffers : ReceiverBuffers
-        Estimates and measurements.
-    sensors : SensorBuffers
-        Errors of the sensors.
-    attack : Attack
-        Bound; ``attack.memory`` has the commanded displacement and rate.
+    `buffers` has the estimates and measurements, `sensors` their errors; `attack` is bound.
     """
 
     setup: TightlyCoupledSetup

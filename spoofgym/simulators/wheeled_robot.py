@@ -129,13 +129,9 @@ class WheeledRobotSetup(Setup):
         self.fix_errors = build_record("fix_errors", FixErrors, fix_errors)
         self.receiver = build_record("receiver", CredibleFilter, receiver)
         self._aim(target_heading_deg, domain)
-        self._phase(
-            DEFAULT_DETECTOR if detector is None else detector,
-            build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE),
-            float(interval_s),
-            decision_interval_s,
-            between,
-        )
+        detector = DEFAULT_DETECTOR if detector is None else detector
+        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
+        self._phase(detector, timeline, float(interval_s), decision_interval_s, between)
         self._drive()
         self._interrupt(interruptions_s)
 
@@ -218,35 +214,15 @@ class WheeledRobotSimulator(RateSimulator):
         """Measure dead reckoning and fix of the epoch."""
         memory, setup = self.memory, self.setup
         odometer, errors = setup.odometer, setup.fix_errors
-        measure_odometry(
-            memory["keys"],
-            memory["epoch"],
-            memory["first"],
-            *setup.wheels,
-            setup.track.yaw,
-            setup.samples,
-            odometer.count_m,
-            math.radians(odometer.hard_iron_deg),
-            math.radians(odometer.yaw_noise_deg),
-            memory["phase"],
-            self._noise,
-            memory["yaw"],
-            self.increment,
-        )
-        measure_fix(
-            memory["keys"],
-            memory["epoch"],
-            memory["first"],
-            setup.true_position_ne,
-            setup.available,
-            errors.correlated_sd_m,
-            errors.decay(setup.interval_s),
-            errors.white_sd_m,
-            memory["displacement"],
-            self._noise,
-            memory["correlated"],
-            memory["fix"],
-        )
+        drawn = memory["keys"], memory["epoch"], memory["first"]
+        step, used = (setup.samples, odometer.count_m), (memory["phase"], self._noise)
+        yaw = math.radians(odometer.hard_iron_deg), math.radians(odometer.yaw_noise_deg)
+        written = memory["yaw"], self.increment
+        measure_odometry(*drawn, *setup.wheels, setup.track.yaw, *step, *yaw, *used, *written)
+        truth = setup.true_position_ne, setup.available
+        sizes = errors.correlated_sd_m, errors.decay(setup.interval_s), errors.white_sd_m
+        written = memory["correlated"], memory["fix"]
+        measure_fix(*drawn, *truth, *sizes, memory["displacement"], self._noise, *written)
 
     def _measure(self, command: FloatArray | None) -> None:
         self._move(command)
