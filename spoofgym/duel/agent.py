@@ -17,9 +17,9 @@ from .._registry import check_choice, is_number
 from ..detectors import Detector, DetectorContext, Verdict
 from ..detectors.pool import JointMemory
 from ..receiver.epoch import Epoch
-from .policy import DetectorPolicy, PolicyContext
 from .detector_observer import ALL_TERMS, DetectorObserver
 from .detector_terms import ExclusionLeft, slots
+from .policy import DetectorPolicy, PolicyContext
 
 FloatArray = NDArray[np.float64]
 STATISTICS = ("receiver", "channel")

@@ -11,12 +11,12 @@ from ..receiver.epoch import Epoch
 from .detector_terms import (
     AverageInnovation,
     ChiSquare,
+    DetectorTerm,
     Elapsed,
     Innovation,
     InnovationSd,
     InView,
     PredictedMotion,
-    DetectorTerm,
 )
 
 ALL_TERMS: tuple[DetectorTerm, ...] = (
