@@ -75,21 +75,15 @@ def profile_card(run: ProfileRun, choice: Choice, command: str) -> Card:
 def _env_kwargs(run: ProfileRun) -> dict[str, Any]:
     """What `gymnasium.make` takes to make the game that the profile was optimised for."""
     suite = run.suite
-    receiver = suite.receiver
-    found = {
-        "scenario": describe(suite.scenario),
+    return {
+        "receiver": {},
+        **describe(suite.given),
         "detector": run.detector.spec,
         "attack": dict(suite.config["attack"]),
-        "receiver": receiver if isinstance(receiver, str) else describe(dict(receiver)),
         "timeline": {k: v for k, v in suite.config["timeline"].items() if k != "kind"},
         "knowledge": "blind",
         "target_heading_deg": run.settings.search.heading_deg,
     }
-    if suite.decision_interval_s is not None:
-        found |= {"decision_interval_s": suite.decision_interval_s, "between": suite.between}
-    if suite.domain is not None:
-        found["domain"] = suite.domain
-    return found
 
 
 def _training(run: ProfileRun, choice: Choice, command: str) -> dict[str, Any]:

@@ -30,8 +30,8 @@ def make_bound_spoofer(spec: Any, setup: Setup, receivers: int) -> tuple[Spoofer
 class Attacker:
     """Spoofer that commands all receivers of an engine, which are at their onset.
 
-    `engine`: whose simulator is told to leave all measurements alone where the spoofer transmits
-    nothing; `spoofer`: bound.
+    - `engine`: its simulator leaves all measurements alone where the spoofer transmits nothing;
+    - `spoofer`: bound.
     """
 
     def __init__(self, spec: Any, engine: Engine) -> None:

@@ -133,18 +133,18 @@ def restricted_mean_delay(
     .. math:: \int_0^H S(t) \, dt, \qquad
         S(t) = \prod_{t_i \le t} \left(1 - \frac{d_i}{n_i}\right)
 
-    with d detections at time :math:`t_i` among the n runs that were still undetected and watched;
+    with d detections at time :math:`t_i` among the n runs that were still undetected and observed;
     S is the part of the runs that has not been detected yet.
 
-    `delay` (R,) time of the detection, or the time up to which the run was watched; `detected` (R,)
-    bool, which of the two it is; `horizon`: H, a delay counts as at most this; `weights` (..., R)
-    how often each run counts, such as `counts_of` bootstrap samples; once by default; returns
-    (...,) in the unit of the delays; NaN where no run counts.
+    `delay` (R,) time of the detection, or the time up to which the run was observed; `detected`
+    (R,) bool, which of the two it is; `horizon`: H, a delay counts as at most this; `weights`
+    (..., R) how often each run counts, such as `counts_of` bootstrap samples; once by default;
+    returns (...,) in the unit of the delays; NaN where no run counts.
     """
     t = np.minimum(np.asarray(delay, dtype=np.float64), horizon)
     seen = np.asarray(detected, dtype=np.bool_)
     w = np.ones(len(t)) if weights is None else np.asarray(weights, dtype=np.float64)
-    # where times are equal, detections come before those that are watched no longer
+    # where times are equal, detections come before those that are observed no longer
     order = np.lexsort((~seen, t))
     t, seen, w = t[order], seen[order], w[..., order]
     at_risk = np.cumsum(w[..., ::-1], axis=-1)[..., ::-1]

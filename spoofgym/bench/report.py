@@ -111,13 +111,13 @@ def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
     alert = config["timeline"]["time_to_alert_s"]
     horizon = summary["cells"][0]["delay_horizon_s"] if summary["cells"] else 0.0
     excluded = {cell["detector"]: cell["delay_excluded"] for cell in summary["cells"]}
-    told = ", ".join(f"{count} with {detector}" for detector, count in excluded.items())
+    counts = ", ".join(f"{count} with {detector}" for detector, count in excluded.items())
     return [
         f"In brackets: 95 % intervals. *Alarm rate*: runs with an alarm within {horizon:g} s of "
         "the onset (Wilson), under attack the detection probability. *Delay*: from the onset to "
         f"the first alarm, restricted mean with horizon {horizon:g} s, missed runs censored "
         "(Kaplan-Meier, bootstrap); runs with a false alarm in the warm-up are excluded "
-        f"({told}). *Undetected displacement*: largest "
+        f"({counts}). *Undetected displacement*: largest "
         "horizontal distance from the clean twin (same seed, same detector, no attack) with no "
         f"alarm up to {alert:g} s after it, mean over all runs, alarmed ones with what they had "
         "until then (bootstrap, paired over runs). *Over budget*: the alarm rate exceeds that of "

@@ -176,12 +176,12 @@ class Suite:
         """Check names and settings; no receiver is simulated yet."""
         check_choice("environment of the benchmark", self.env, VICTIMS)
         valid = [name for name in settings_of(VICTIMS[self.env].setup) if name != "detector"]
-        for name in self._given:
+        for name in self.given:
             if name in self.settings and getattr(self, name, None) is not None:
                 raise ValueError(f"`settings` has {name!r}, which is given by name, too")
             if name not in valid:
                 raise ValueError(
-                    f"{self.env} has no setting {name!r}, got {self._given[name]!r}; valid: "
+                    f"{self.env} has no setting {name!r}, got {self.given[name]!r}; valid: "
                     f"{', '.join(valid)}"
                 )
         for name, least in (("runs", 2), ("entropy", 0)):
@@ -202,7 +202,7 @@ class Suite:
         return tuple(detector_entry(spec) for spec in specs)
 
     @property
-    def _given(self) -> dict[str, Any]:
+    def given(self) -> dict[str, Any]:
         """Settings of the victim that are not its defaults."""
         own = {name: getattr(self, name) for name in WORLD}
         return {**{name: x for name, x in own.items() if x is not None}, **self.settings}
@@ -262,7 +262,7 @@ class Suite:
 
     @cached_property
     def _setup(self) -> Setup:
-        return make_setup(VICTIMS[self.env].setup, {"detector": "never", **self._given})
+        return make_setup(VICTIMS[self.env].setup, {"detector": "never", **self.given})
 
     def setup(self, detector: Entry) -> Setup:
         """What all receivers share, with one of the detectors; world and all else are the same."""
@@ -285,7 +285,7 @@ class Suite:
         judges = [make("detector", DETECTORS, Detector, e.spec) for e in self.detector_entries]
         players = [build_spoofer(entry.untuned) for entry in self.spoofer_entries]
         parts = [getattr(setup, name) for name in WORLD if hasattr(setup, name)]
-        outside = outside_sources(*judges, *players, *parts, *self._given.values())
+        outside = outside_sources(*judges, *players, *parts, *self.given.values())
         unknown = [
             f"the source of {name} can't be read: its results are never taken up again"
             for name, digest in outside.items()
@@ -323,7 +323,7 @@ class Suite:
                 "receiver": describe(setup.receiver),
                 "attack": spec_of("attack", ATTACKS, setup.attack),
             }
-        every = {**settings_of(type(setup)), **self._given}
+        every = {**settings_of(type(setup)), **self.given}
         return {
             "scenario": {"name": setup.name},
             "attack": {

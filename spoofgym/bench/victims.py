@@ -27,7 +27,7 @@ class Victim(NamedTuple):
 LOOSE = loosely_coupled.DEFAULT_DETECTOR
 VICTIMS = {
     ENV_ID: Victim(TightlyCoupledSetup, DEFAULT_DETECTORS),
-    "spoofgym/LooselyCoupled-v0": Victim(LooselyCoupledSetup, (LOOSE, {**LOOSE, "window": 10})),
+    "spoofgym/LooselyCoupled-v0": Victim(LooselyCoupledSetup, (LOOSE,)),
     "spoofgym/Snapshot-v0": Victim(SnapshotSetup, ({"name": "raim"}, {"name": "srv-raim"})),
     "spoofgym/WheeledRobot-v0": Victim(
         WheeledRobotSetup, ({"name": "rio"}, wheeled_robot.DEFAULT_DETECTOR)

@@ -1,6 +1,6 @@
 r"""AIME: averages of the innovations over several windows, tested by chi-square.
 
-A slow drift that no single innovation shows stands out of their average.  Innovations are whitened
+A slow drift that no single innovation shows is visible in their average.  Innovations are whitened
 by the covariance of their own epoch, and the average over a window of W epochs is normalized,
 
 .. math:: q_W = \sum_j \frac{1}{N_j} \Big(\sum_{i=k-W+1}^{k} y_{i,j}\Big)^2 \sim \chi^2(d),

@@ -1,7 +1,7 @@
 r"""Clock monitor: what all innovations have in common, which is what moves the clock states.
 
 A spoofer whose own clock differs in offset or rate from the authentic system's moves all
-pseudoranges, or all range rates, by the same amount, and geometry can't tell that from the
+pseudoranges, or all range rates, by the same amount, and geometry can't separate that from the
 receiver's clock.  A known oscillator can: its states are predicted, and the correction that an
 epoch asks for has to stay within the predicted spread.  The common part of the innovations is that
 correction, estimated with the weights of their covariance and normalized,
@@ -142,7 +142,7 @@ def window_average(
 
 @dataclass
 class ClockDrift(InnovationTest):
-    """Chi-square of the average common part of the innovations; it only watches.
+    """Chi-square of the average common part of the innovations; monitor only.
 
     Parameters
     ----------

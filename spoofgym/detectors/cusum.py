@@ -85,7 +85,7 @@ def advance_sums(
 
 @dataclass
 class Cusum(InnovationTest):
-    """Cumulative sum of every satellite's innovation; it only watches.
+    """Cumulative sum of every satellite's innovation; monitor only.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ The normalized innovations squared of many epochs are added up, and so are their
 
 where i runs over all epochs so far, or over the last ones.  Innovations of a filter whose belief is
 right are white, so that the sum has this distribution at every epoch.  The longer the sum, the less
-a short attack stands out of it: the test that takes all history goes blind with time.
+a short attack shows in it: the test that takes all history goes blind with time.
 
 Symbols: z innovation, S innovation covariance, d rows that take part, :math:`\alpha` false-alarm
 probability of one epoch.

@@ -93,7 +93,7 @@ class Shewhart(InnovationTest):
         Alpha, probability of an alarm of one satellite in one epoch, in (0, 1).
     weight_scale : float or None
         m, in (0, 1]: the pseudorange gets no weight from m times the threshold on, and less than 1
-        from half of that.  None for a chart that only watches.
+        from half of that.  None for a passive chart.
     signals : {"pseudorange", "range_rate", "both"}
         Innovations to test.
     bias_window_s : float

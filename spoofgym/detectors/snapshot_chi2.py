@@ -28,7 +28,7 @@ from .thresholds import chi2_thresholds
 
 @dataclass
 class SnapshotChi2(InnovationTest):
-    """Chi-square test of the present epoch, for the whole receiver; it only watches.
+    """Chi-square test of the present epoch, for the whole receiver; monitor only.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from ..envs.core import SpoofCore
 from ..envs.env import CoreEnv
 from ..envs.factory import CORE, make_setup
 from ..envs.options import InfoSpec, autoreset_mode_of, check_vector_settings
-from ..envs.rendering import CoreRecorder, Recorder
+from ..envs.rendering import CoreRecorder
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .opponents import DetectorSpec, label_of, members_of, pooled_detector
 from .vector_view import POOL_CHANGED, PooledVectorView
@@ -116,7 +116,7 @@ class SpooferView(CoreEnv[SpoofCore]):
         self._side = SpooferSide(1, pool, weights, {**settings, "threads": 1})
         super().__init__(self._side.core, render_mode)
 
-    def _recorder(self) -> Recorder | None:
+    def _recorder(self) -> CoreRecorder | None:
         """What pictures are made from."""
         return CoreRecorder(self.core)
 

@@ -116,6 +116,12 @@ class SpoofCore:
 
     Attributes
     ----------
+    observation_names, action_names : tuple of str
+        Name of every element.
+    bounds : tuple of ndarray
+        Least and largest observation, (o,) float32 each.
+    episode_steps : int
+        Steps of an episode that nothing ends early.
     engine : Engine
         The receivers.
     score : DisplacementScore
@@ -151,14 +157,12 @@ class SpoofCore:
         check_truth("prefetch", prefetch)
         ends = None if end is None else make_terms("end", end)
         _check_overruled(alarm_penalty_m, reward, end_at_alarm, ends)
-        seen = (
-            default_terms(setup, knowledge)
-            if observation is None
-            else make_terms("observation", observation)
-        )
-        rewards = (
-            default_rewards(alarm_penalty_m) if reward is None else make_terms("reward", reward)
-        )
+        seen = default_terms(setup, knowledge)
+        if observation is not None:
+            seen = make_terms("observation", observation)
+        rewards = default_rewards(alarm_penalty_m)
+        if reward is not None:
+            rewards = make_terms("reward", reward)
         self.settings: dict[str, Any] = {
             "knowledge": knowledge,
             "observation": observation,
@@ -180,14 +184,17 @@ class SpoofCore:
         if self._passive is not None:
             monitors.append(self._passive.monitor)
         self.setup = setup.altered(monitors=monitors)
-        self.receivers = receivers
         self.engine = Engine(receivers, self.setup, threads=threads, prefetch=prefetch, twin=twin)
+        self.receivers, self.episode_steps = receivers, setup.steps // setup.repeat
         self.observer = Observer(seen, self.setup)
+        self.observation_names = self.observer.names
+        self.bounds = self.observer.low, self.observer.high
         self._origin = np.zeros((receivers, 2))
         self._decided = np.zeros((receivers, len(setup.action_names)))
         self._everyone = np.arange(receivers)
         commands = (FullCommand(),) if action is None else self.settings["action"]
         self._map = CommandMap(commands, self.setup)
+        self.action_names = self._map.names
         self._map.aim(self.heading_rad)
         self.score = DisplacementScore(receivers, setup.steps, setup.hold)
         self.listeners: list[Listener] = []
@@ -195,34 +202,9 @@ class SpoofCore:
         self.set_rewards(rewards)
 
     @property
-    def observation_names(self) -> tuple[str, ...]:
-        """Name of every element of an observation."""
-        return self.observer.names
-
-    @property
-    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Least and largest observation, (o,) each."""
-        return self.observer.low, self.observer.high
-
-    @property
-    def episode_steps(self) -> int:
-        """Steps of an episode that nothing ends early."""
-        return self.setup.steps // self.setup.repeat
-
-    @property
     def heading_rad(self) -> FloatArray:
         """(B,) direction in which displacement counts, clockwise from north [rad]."""
         return self.engine.simulator.heading
-
-    @property
-    def target_heading_deg(self) -> float | str:
-        """Direction in which displacement counts, as it was given."""
-        return self.setup.target_heading_deg
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Name of every element of an action."""
-        return self._map.names
 
     @property
     def reset_names(self) -> tuple[str, ...]:
@@ -346,14 +328,14 @@ class SpoofCore:
         early = self.score.nobody
         if self._has_ends or self.listeners:
             early = self._judge_ends(result, verdict)
-        width = len(self.observer.names)
-        seen = np.empty(self.receivers * width, dtype=np.float32) if observed else NOTHING_SEEN
+        receivers, width = engine.receivers, len(self.observer.names)
+        seen = np.empty(receivers * width, dtype=np.float32) if observed else NOTHING_SEEN
         self._fused(simulator, verdict.alarm, early, engine.warmup_alarm, result, seen, engine.hold)
         if not self._compiled:
             self._reward(result, action)
         if not observed:
             return NOTHING_SEEN
-        observation = seen.reshape(self.receivers, width)
+        observation = seen.reshape(receivers, width)
         if self.observer.dynamic:
             self.observer.complete(self.snapshot(), observation)
         return observation
@@ -494,10 +476,7 @@ def make_watch(spec: WatchSpec) -> tuple[Detector, ...]:
 
 
 def _check_overruled(
-    alarm_penalty_m: float,
-    reward: RewardSpec | None,
-    end_at_alarm: bool,
-    end: Sequence[Any] | None,
+    alarm_penalty_m: float, reward: RewardSpec | None, end_at_alarm: bool, end: Sequence[Any] | None
 ) -> None:
     """Raise where lists of terms leave a setting without an effect."""
     if reward is not None and alarm_penalty_m != DEFAULT_PENALTY_M:

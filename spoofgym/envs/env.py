@@ -21,7 +21,7 @@ from .options import (
     warn_unknown,
     whole_reset,
 )
-from .rendering import RENDER_MODES, Recorder, Screen
+from .rendering import RENDER_MODES, CoreRecorder, Screen
 
 Observation = NDArray[np.float32]
 C = TypeVar("C", bound=Core)
@@ -188,11 +188,11 @@ class CoreEnv(gym.Env[Observation, Observation], Generic[C]):
         if self._screen is not None:
             self._screen.close()
 
-    def _recorder(self) -> Recorder | None:
+    def _recorder(self) -> CoreRecorder | None:
         """What pictures are made from; None where there is nothing to render."""
         return None
 
-    def _draw_with(self, recorder: Recorder | None) -> None:
+    def _draw_with(self, recorder: CoreRecorder | None) -> None:
         """Say what can be rendered, and prepare it where it is asked for."""
         kept = type(self).metadata
         if recorder is None:

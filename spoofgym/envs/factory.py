@@ -102,7 +102,7 @@ def composable(env: Any) -> Any:
         inner, "given_detector"
     ):
         raise TypeError(
-            "this wrapper needs an environment of spoofgym, single or vector, wrapped or not, got "
-            f"{inner!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
+            "`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv, wrapped or not, got "
+            f"{env!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
         )
     return inner

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from .._registry import check_choice, whole_number
+from ..simulators.domain import each_of
 from ._kernels import within
 from .core import Core
 
@@ -20,11 +21,6 @@ Array = NDArray[Any]
 RESET_MASK = "reset_mask"
 InfoSpec = str | Sequence[str]
 WORDS = ("all", "none")
-AUTORESET_MODES = {
-    "next_step": AutoresetMode.NEXT_STEP,
-    "same_step": AutoresetMode.SAME_STEP,
-    "disabled": AutoresetMode.DISABLED,
-}
 TOLERANCE = 1e-6
 """How far an action may lie outside of [-1, 1], by rounding."""
 HALFWAY = (
@@ -94,16 +90,8 @@ def checked_seed(seed: Any) -> int | None:
 
 def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:
     """Circumstances of some receivers, of those given for all."""
-    chosen = {}
-    for name, value in given.items():
-        if isinstance(value, str) or np.ndim(value) == 0:
-            chosen[name] = value
-            continue
-        values = list(value)
-        if len(values) != count:
-            raise ValueError(f"`{name}` must be one value or {count} of them, got {len(values)}")
-        chosen[name] = [values[row] for row in rows]
-    return chosen
+    values = {name: each_of(name, value, count) for name, value in given.items()}
+    return {name: [each[row] for row in rows] for name, each in values.items()}
 
 
 def domain_option(options: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
@@ -148,15 +136,11 @@ def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) 
 
 def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
     """Autoreset mode by name."""
-    if isinstance(given, str):
-        word = given.lower().removeprefix("autoresetmode.")
-        check_choice("autoreset mode", word, AUTORESET_MODES)
-        return AUTORESET_MODES[word]
-    if given not in AUTORESET_MODES.values():
-        raise ValueError(
-            f"`autoreset_mode` must be one of {', '.join(AUTORESET_MODES)}, got {given}"
-        )
-    return given
+    if isinstance(given, AutoresetMode):
+        return given
+    word = str(given).lower().removeprefix("autoresetmode.")
+    check_choice("autoreset mode", word, [mode.name.lower() for mode in AutoresetMode])
+    return AutoresetMode[word.upper()]
 
 
 def check_vector_settings(num_envs: int, render_mode: object) -> None:

@@ -28,10 +28,7 @@ PATTERN = re.compile(r"receiver-(\d+)-episode-(\d+)\.parquet")
 
 
 class EpochRecorder:
-    """Recorder of the receivers of a core; a `Listener`.
-
-    `folder`: where the files go; made where it is missing.
-    """
+    """Recorder of the receivers of a core, into a folder that it makes; a `Listener`."""
 
     def __init__(self, folder: str | Path, receivers: int) -> None:
         if importlib.util.find_spec("pyarrow") is None:
@@ -76,29 +73,26 @@ class EpochRecorder:
                 kept.setdefault(name, []).append(np.array(array[row]))
 
     def finish(self, rows: NDArray[np.intp], *, complete: bool) -> list[Path]:
-        """Write the episodes of some receivers, and begin their next ones.
-
-        `rows`: which receivers; nothing is written of one without an epoch.
-        """
+        """Write the episodes of some receivers, of those that have an epoch; start new ones."""
         written = []
         for row in rows.tolist():
             if not self._rows[row]:
                 continue
             name = f"receiver-{row:03d}-episode-{self._episode[row]:06d}.parquet"
-            told = {
+            head = {
                 "receiver": row,
                 "episode": int(self._episode[row]),
                 "complete": complete,
                 "satellite_ids": list(self._satellites),
             }
-            write_file(self.folder / name, as_parquet(self._rows[row], told))
+            write_file(self.folder / name, as_parquet(self._rows[row], head))
             written.append(self.folder / name)
             self._rows[row] = {}
             self._episode[row] += 1
         return written
 
 
-def as_parquet(columns: dict[str, list[Array]], told: dict[str, Any]) -> bytes:
+def as_parquet(columns: dict[str, list[Array]], head: dict[str, Any]) -> bytes:
     """File of one episode."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -106,11 +100,13 @@ def as_parquet(columns: dict[str, list[Array]], told: dict[str, Any]) -> bytes:
     arrays = {}
     for name, values in columns.items():
         stacked = np.stack(values)
+        if not stacked.size:  # a receiver that takes positions has no satellites in view
+            continue
         flat = pa.array(stacked.reshape(-1))
         if stacked.ndim > 1:
             flat = pa.FixedSizeListArray.from_arrays(flat, stacked.shape[1])
         arrays[name] = flat
-    table = pa.table(arrays).replace_schema_metadata({"spoofgym": json.dumps(told)})
+    table = pa.table(arrays).replace_schema_metadata({"spoofgym": json.dumps(head)})
     buffer = io.BytesIO()
     pq.write_table(table, buffer)
     return buffer.getvalue()

@@ -23,7 +23,7 @@ from ..spoofers import (
 )
 from ..spoofers.aim import TARGET, has_heading
 from .core import SpoofCore
-from .factory import make_setup, settings_of
+from .factory import composable, make_setup, settings_of
 from .observer import Observer
 from .options import action_space, observation_space
 
@@ -74,7 +74,7 @@ def attach(
     >>> envs.close()
     """
     made = make_spoofer(dict(spoofer) if isinstance(spoofer, Mapping) else spoofer)
-    core = core_of(env)
+    core: SpoofCore = composable(env).core
     context = spoofer_context(core.setup, core.receivers, core.observer)
     context = context._replace(action_names=core.action_names)
     card = card_behind(spoofer, made)
@@ -142,17 +142,6 @@ def spoofer_context(
         observation_low=tuple(observer.low.tolist()),
         observation_high=tuple(observer.high.tolist()),
     )
-
-
-def core_of(env: Any) -> SpoofCore:
-    """Core behind an environment."""
-    core = getattr(getattr(env, "unwrapped", env), "core", None)
-    if not isinstance(core, SpoofCore):
-        raise TypeError(
-            "`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv, wrapped or not, got "
-            f"{env!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
-        )
-    return core
 
 
 def setup_of_card(card: Card) -> TightlyCoupledSetup:

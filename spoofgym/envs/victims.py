@@ -16,57 +16,38 @@ from .core import SpoofCore
 from .env import CoreEnv
 from .factory import make_core, signature_of
 from .options import InfoSpec, autoreset_mode_of, check_vector_settings
-from .rendering import CoreRecorder, Recorder
+from .rendering import CoreRecorder
 from .vector_env import CoreVectorEnv
 
 
-class VictimEnv(CoreEnv[SpoofCore]):
-    """A spoofer against one receiver; a subclass names the kind of victim.
-
-    Attributes
-    ----------
-    setup_type : type
-        The victim.
-    given_detector : object
-        Detector that has been set, as it was given; None for the victim's own.
-    """
+class _Victim:
+    """Settings of a kind of victim as arguments of an environment; a subclass names the kind."""
 
     setup_type: ClassVar[type[Setup]]
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Let the signature show all settings."""
         super().__init_subclass__(**kwargs)
-        own = inspect.signature(VictimEnv.__init__)
-        cls.__signature__ = signature_of(cls.setup_type, own)  # type: ignore[attr-defined]
+        if hasattr(cls, "setup_type"):
+            own = inspect.signature(cls.__init__)
+            cls.__signature__ = signature_of(cls.setup_type, own)  # type: ignore[attr-defined]
+
+
+class VictimEnv(_Victim, CoreEnv[SpoofCore]):
+    """A spoofer against one receiver; `given_detector` is what was set, None for the default."""
 
     def __init__(self, *, render_mode: str | None = None, **settings: Any) -> None:
         core = make_core(self.setup_type, 1, settings, threads=1, whose=type(self).__name__)
         self.given_detector: Any = settings.get("detector")
         super().__init__(core, render_mode)
 
-    def _recorder(self) -> Recorder | None:
+    def _recorder(self) -> CoreRecorder:
         """What pictures are made from."""
         return CoreRecorder(self.core)
 
 
-class VictimVectorEnv(CoreVectorEnv[SpoofCore]):
-    """Vector environment of a `VictimEnv`; receiver i is the single one seeded with ``seed + i``.
-
-    Attributes
-    ----------
-    setup_type : type
-        The victim.
-    given_detector : object
-        Detector that has been set, as it was given; None for the victim's own.
-    """
-
-    setup_type: ClassVar[type[Setup]]
-
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Let the signature show all settings."""
-        super().__init_subclass__(**kwargs)
-        own = inspect.signature(VictimVectorEnv.__init__)
-        cls.__signature__ = signature_of(cls.setup_type, own)  # type: ignore[attr-defined]
+class VictimVectorEnv(_Victim, CoreVectorEnv[SpoofCore]):
+    """Vector environment of a `VictimEnv`; receiver i is the single one of ``seed + i``."""
 
     def __init__(
         self,
@@ -255,8 +236,7 @@ class LooselyCoupledEnv(VictimEnv):
     **Action.** `Box(-1, 1, (2,), float32)`: rates of the offset north and east, over their limit
     (5 m/s by default).
 
-    **Observation.** `Box` of float32 with finite bounds; every element is scaled and clipped.
-    ``env.unwrapped.observation_names`` names them.  What is in it depends on `knowledge`:
+    **Observation.** As in `SpoofEnv`, with other elements:
 
     ========  =========================================================================
     blind     own displacement and rate, time since the onset, time left
@@ -264,15 +244,7 @@ class LooselyCoupledEnv(VictimEnv):
     oracle    also the detector's statistic and weights, and the victim's error
     ========  =========================================================================
 
-    **Reward.** As in `SpoofEnv`: increase of the largest displacement of the victim along the
-    target direction [m]; at an alarm, minus what was gained within the time to alert, minus the
-    alarm penalty.  ``info["reward_*"]`` are the parts.
-
-    **Start.** No offset, after a clean warm-up.  An alarm there is a false alarm, and shows in
-    ``info["warmup_alarm"]``; nothing is drawn again for it.
-
-    **End.** `terminated` after the last command of the attack window, or at an alarm.  `truncated`
-    never, unless an end term does it.
+    **Reward, start and end.** As in `SpoofEnv`; it starts without an offset.
 
     **Arguments.** The settings of `LooselyCoupledSetup` and of `SpoofCore`.
 
@@ -311,8 +283,7 @@ class SnapshotEnv(VictimEnv):
     **Action.** `Box(-1, 1, (4,), float32)`: rates of the counterfeit displacement north, east, down
     and of the counterfeit clock, over their limits (5 m/s by default).
 
-    **Observation.** `Box` of float32 with finite bounds; every element is scaled and clipped.
-    ``env.unwrapped.observation_names`` names them.  What is in it depends on `knowledge`:
+    **Observation.** As in `SpoofEnv`, with other elements:
 
     ========  =========================================================================
     blind     own displacement and rate, time since the onset, time left
@@ -320,17 +291,9 @@ class SnapshotEnv(VictimEnv):
     oracle    also the detector's statistics and weights, and the victim's error
     ========  =========================================================================
 
-    **Reward.** As in `SpoofEnv`: increase of the largest displacement of the victim along the
-    target direction [m]; at an alarm, minus what was gained within the time to alert, minus the
-    alarm penalty.  ``info["reward_*"]`` are the parts.  A fix of one epoch is as noisy as its
-    pseudoranges: the largest displacement of an idle spoofer is some metres, with few satellites
-    many, and that is the zero of this scale.
-
-    **Start.** No displacement, after a clean warm-up.  An alarm there is a false alarm, and shows
-    in ``info["warmup_alarm"]``; nothing is drawn again for it.
-
-    **End.** `terminated` after the last command of the attack window, or at an alarm.  `truncated`
-    never, unless an end term does it.
+    **Reward, start and end.** As in `SpoofEnv`; it starts without a displacement.  A fix of one
+    epoch is as noisy as its pseudoranges: the largest displacement of an idle spoofer is some
+    metres, with few satellites many, and that is the zero of this scale.
 
     **Arguments.** The settings of `SnapshotSetup` and of `SpoofCore`.  The detector is
     ``srv-raim`` by default.
@@ -369,8 +332,7 @@ class WheeledRobotEnv(VictimEnv):
     **Action.** `Box(-1, 1, (2,), float32)`: rates of the offset north and east, over their limit
     (1 m/s by default).
 
-    **Observation.** `Box` of float32 with finite bounds; every element is scaled and clipped.
-    ``env.unwrapped.observation_names`` names them.  What is in it depends on `knowledge`:
+    **Observation.** As in `SpoofEnv`, with other elements:
 
     ========  =========================================================================
     blind     own displacement and rate, time since the onset, time left
@@ -378,15 +340,7 @@ class WheeledRobotEnv(VictimEnv):
     oracle    also the detector's statistic, the weight of the fix, the victim's error
     ========  =========================================================================
 
-    **Reward.** As in `SpoofEnv`: increase of the largest displacement of the victim along the
-    target direction [m]; at an alarm, minus what was gained within the time to alert, minus the
-    alarm penalty.  ``info["reward_*"]`` are the parts.
-
-    **Start.** No offset, after a clean warm-up.  An alarm there is a false alarm, and shows in
-    ``info["warmup_alarm"]``; nothing is drawn again for it.
-
-    **End.** `terminated` after the last command of the attack window, or at an alarm.  `truncated`
-    never, unless an end term does it.
+    **Reward, start and end.** As in `SpoofEnv`; it starts without an offset.
 
     **Arguments.** The settings of `WheeledRobotSetup` and of `SpoofCore`.  The detector is
     ``acna`` in its production variant by default.

@@ -21,7 +21,7 @@ from ..detectors import DETECTORS, Detector, DetectorContext, PooledDetector, Ve
 from ..detectors.verdicts import checked_weights, judged
 from ..receiver.epoch import Epoch
 from .domain import Choice, draw, given_choice
-from .frame import EpisodeLayout, FrameData
+from .frame import EpisodeLayout, FrameData, SkyData
 from .monitors import Monitor
 from .setup import Run, Setup
 
@@ -136,15 +136,20 @@ class Simulator(ABC):
         return np.zeros(self.receivers, dtype=np.bool_)
 
     @property
+    def commands(self) -> Memory:
+        """Where ``displacement`` and ``rate`` (B, a) of the spoofer's commands are."""
+        return self.memory
+
+    @property
     def commanded_displacement(self) -> FloatArray:
         """(B, a) displacement that the spoofer has commanded so far [m]."""
-        displacement: FloatArray = self.memory["displacement"]
+        displacement: FloatArray = self.commands["displacement"]
         return displacement
 
     @property
     def commanded_rate(self) -> FloatArray:
         """(B, a) its rate [m/s]."""
-        rate: FloatArray = self.memory["rate"]
+        rate: FloatArray = self.commands["rate"]
         return rate
 
     def step_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray]:
@@ -170,12 +175,12 @@ class Simulator(ABC):
         return self.weights[:, : len(self.setup.weight_names)]
 
     @abstractmethod
-    def layout(self) -> EpisodeLayout:
-        """What stays the same in a picture of the first receiver's episode."""
+    def _ground_ne(self, epochs: slice) -> FloatArray:
+        """(K, 2) true position at epochs, north and east of the first receiver's onset [m]."""
 
-    @abstractmethod
-    def frame(self) -> FrameData:
-        """The first receiver now, for a picture."""
+    def _sky(self) -> SkyData | None:
+        """Satellites over the first receiver."""
+        return None
 
     def recorded(self) -> dict[str, NDArray[Any]]:
         """What a recording of epochs holds beside the epoch itself."""
@@ -288,11 +293,7 @@ class Simulator(ABC):
             self._correct(None)
 
     def live_epochs(
-        self,
-        count: int,
-        *,
-        holding: bool = False,
-        between: Callable[[], None] | None = None,
+        self, count: int, *, holding: bool = False, between: Callable[[], None] | None = None
     ) -> NDArray[np.bool_]:
         """Run epochs with the detector and without commands; (count, B) bool alarms.
 
@@ -302,10 +303,7 @@ class Simulator(ABC):
         for k in range(count):
             if between is not None:
                 between()
-            if holding:
-                self.predict(None)
-            else:
-                self.advance()
+            self.predict(None) if holding else self.advance()
             verdict = self.judge()
             alarms[k] = verdict.alarm.any(axis=1)
             self.update(verdict.weights)
@@ -324,6 +322,39 @@ class Simulator(ABC):
         alarmed: NDArray[np.bool_] = np.logical_or.reduce(alarms, axis=0)
         return alarmed
 
+    def layout(self) -> EpisodeLayout:
+        """What stays the same in a picture of the first receiver's episode."""
+        setup, onset = self.setup, int(self.onset[0])
+        return EpisodeLayout(
+            title=f"{setup.title} against {detector_name(setup.detector)}",
+            track_ne=self._ground_ne(slice(onset, onset + setup.steps + setup.hold + 1)),
+            steps=setup.steps,
+            attack_s=setup.steps * setup.interval_s,
+            hold_s=setup.hold * setup.interval_s,
+            onset_s=float(setup.epoch_time[onset]),
+            commands_position=self._displacement_ne() is not None,
+            has_sky=self._sky() is not None,
+        )
+
+    def frame(self) -> FrameData:
+        """The first receiver now, for a picture."""
+        epoch = int(self.epochs[0])
+        return FrameData(
+            position_ne=self._ground_ne(slice(epoch, epoch + 1))[0],
+            error_ne=self.error_n()[0, :2],
+            displacement_ne=self._displacement_ne(),
+            ratio=float(self.ratio()[0]),
+            sky=self._sky(),
+        )
+
+    def _displacement_ne(self) -> FloatArray | None:
+        """(2,) what the first receiver's spoofer has commanded; None where it is no position."""
+        axes = [name.rsplit("_", 1)[0] for name in self.setup.action_names]
+        if not {"north", "east"} & set(axes):
+            return None
+        moved = dict(zip(axes, self.commanded_displacement[0], strict=True))
+        return np.array([moved.get("north", 0.0), moved.get("east", 0.0)])
+
     def origin_ne(self) -> FloatArray:
         """(B, 2) error north and east now, for the `origin` of a displacement [m]."""
         return self.error_n()[:, :2]
@@ -332,7 +363,7 @@ class Simulator(ABC):
         """Write the displacement that counts, (B,) [m].
 
         It is the horizontal error less `origin` (B, 2), or the distance from the clean twin, along
-        the target direction; its size where the target direction is ``"worst"``.
+        the target direction; its size where that is ``"worst"``.
         """
         apart = self.error_n()[:, :2]
         if twin is not None:

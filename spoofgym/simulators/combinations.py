@@ -26,15 +26,10 @@ FloatArray = NDArray[np.float64]
 
 
 class Combination(NamedTuple):
-    """One combination of world, grade and errors.
+    """One combination of world, grade and errors, and what the victim assumes there.
 
-    - `grade`: errors of the inertial sensors;
-    - `errors`: errors of GNSS and clock;
-    - `bias_sd` (n,) standard deviation of the satellites' constant biases [m];
-    - `noise_variance` (2n,) R that the victim assumes;
-    - `noise`: clock and inertial sensors that it assumes;
-    - `noise_psd` (17,) noise of its states;
-    - `covariance` (17, 17) of its first state.
+    `bias_sd` (n,) of the satellites' constant biases [m]; `noise_variance` (2n,) R; `noise` of
+    clock and inertial sensors; `noise_psd` (17,) of its states; `covariance` (17, 17) at the start.
     """
 
     grade: ImuGrade
@@ -82,13 +77,9 @@ def _variants(scenario: Scenario, base: CircularConstellation, domain: Domain) -
 class Combinations:
     """All combinations of world, grade and errors.
 
-    - `scenario`: what holds where the domain says nothing;
-    - `receiver`: the victim; its grade is replaced where the domain has several;
-    - `domain`: what there is to choose from;
-    - `epochs`: of an episode, which a matched receiver knows;
-    - `flown`: epochs of the flight that any episode may come to;
-    - `world`: all worlds, one after the other;
-    - `names`: names of the grades, ``"imu"``, and of the errors, ``"errors"``.
+    `epochs`: of an episode, which a matched receiver knows; `flown`: epochs of the flight that any
+    episode may come to; `world`: all worlds, one after the other; `names`: of the grades,
+    ``"imu"``, and of the errors, ``"errors"``.
     """
 
     def __init__(
@@ -116,10 +107,7 @@ class Combinations:
     def index(
         self, world: NDArray[np.int64], grade: NDArray[np.int64], error: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Index of combinations.
-
-        `world`, `grade`, `error` (b,) of a `Choice`; returns (b,) for `__getitem__`.
-        """
+        """(b,) index, for `__getitem__`, of combinations of a `Choice`."""
         result: NDArray[np.int64] = (world * self.grades + grade) * self.errors + error
         return result
 
@@ -134,11 +122,7 @@ class Combinations:
         return largest
 
     def first_C_eb(self, grade: NDArray[np.int64], epochs: NDArray[np.int64]) -> FloatArray:
-        """Attitudes that receivers start with.
-
-        `grade` (b,) of a `Choice`; `epochs` (b,) epochs of `world` at which they start; returns
-        (b, 3, 3) to ECEF from body axes.
-        """
+        """(b, 3, 3) attitudes, to ECEF from body axes, with which receivers start at `epochs`."""
         pairs = zip(grade.tolist(), epochs.tolist(), strict=True)
         return np.array([self._first_C_eb[g][k] for g, k in pairs])
 
@@ -148,24 +132,12 @@ def _victim(receiver: TightlyCoupled, grade: str, domain: Domain) -> TightlyCoup
 
 
 def _combination(
-    world: World,
-    grade: str,
-    errors: GnssErrors,
-    receiver: TightlyCoupled,
-    epochs: int,
-    flown: int,
+    world: World, grade: str, errors: GnssErrors, receiver: TightlyCoupled, epochs: int, flown: int
 ) -> Combination:
     bias_sd = errors.bias_sd(world.first_elevation)
     variance, noise = assumed_noise(receiver, errors, bias_sd, world, epochs, flown)
-    return Combination(
-        IMU_GRADES[grade],
-        errors,
-        bias_sd,
-        variance,
-        noise,
-        receiver.noise_psd(noise),
-        receiver.initial_covariance(noise),
-    )
+    psd, covariance = receiver.noise_psd(noise), receiver.initial_covariance(noise)
+    return Combination(IMU_GRADES[grade], errors, bias_sd, variance, noise, psd, covariance)
 
 
 def _first_attitudes(world: World, grade: ImuGrade) -> FloatArray:

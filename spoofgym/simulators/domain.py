@@ -1,4 +1,4 @@
-"""What differs from episode to episode beside the noise: world, begin, sensors, errors, target."""
+"""What differs from episode to episode: world, start, sensors, errors, target; not the noise."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Domain:
     ----------
     start_s : tuple of float
         Earliest and latest time of the flight at which the receiver is switched on; the attack
-        begins a warm-up later.  None as the latest: as late as the flight allows.
+        starts a warm-up later.  None as the latest: as late as the flight allows.
     turned_deg : tuple of float
         Range of the turn of the whole flight about the vertical where it begins, clockwise.
     constellation_time_s : tuple of float
@@ -120,16 +120,11 @@ def _range(name: str, given: Any, open_end: bool) -> tuple[float, float | None]:
 
 
 class Choice(NamedTuple):
-    """Circumstances of some receivers' episodes.
+    """Circumstances of some receivers' episodes, (b,) each.
 
-    Attributes
-    ----------
-    world, grade, error : ndarray
-        (b,) index of the world, of the grade in `Domain.imu` and of the errors in `Domain.errors`.
-    start : ndarray
-        (b,) epoch of the world at which the episode starts.
-    heading : ndarray
-        (b,) direction in which displacement counts, clockwise from north [rad].
+    `world`, `grade`, `error`: index of the world, and in `Domain.imu` and `Domain.errors`; `start`:
+    epoch of the world at which the episode starts; `heading`: direction in which displacement
+    counts, clockwise from north [rad].
     """
 
     world: IntArray
@@ -140,17 +135,7 @@ class Choice(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Among how many of each an episode chooses.
-
-    Attributes
-    ----------
-    worlds, grades, errors : int
-        Numbers of them.
-    first, last : int
-        Epochs at which an episode may start.
-    heading : float or None
-        Fixed direction [rad]; None where it is drawn.
-    """
+    """Among how many of each an episode chooses, its starts, and its heading, None if drawn."""
 
     worlds: int
     grades: int
@@ -167,10 +152,7 @@ class Bounds(NamedTuple):
 
 
 def draw(bounds: Bounds, keys: NDArray[np.uint64]) -> Choice:
-    """Draw the circumstances of episodes.
-
-    `keys` (b, 2) keys of the source of chance, one an episode.
-    """
+    """Draw the circumstances of episodes, each from its key of the source of chance, (b, 2)."""
     count = len(keys)
     whole = np.zeros((4, count), dtype=np.int64)
     whole[3] = bounds.first
@@ -195,14 +177,11 @@ def given_choice(
     names: Mapping[str, Sequence[str]],
     interval_s: float,
 ) -> Choice:
-    """Circumstances that a user has given, and those drawn where nothing is.
-
-    `given`: some of `CHOICES`, each one value, or (b,) of them.
-    """
+    """Circumstances as `given`, some of `CHOICES`, one value or (b,); those drawn elsewhere."""
     count = len(drawn.start)
     for name in given:
         check_choice("choice of a reset", name, CHOICES)
-    values = {name: _each(name, value, count) for name, value in given.items()}
+    values = {name: each_of(name, value, count) for name, value in given.items()}
     world, grade, error, start, heading = drawn
     if "world" in values:
         world = _whole("world", values["world"], 0, bounds.worlds - 1)
@@ -230,7 +209,7 @@ def given_choice(
     return Choice(world, grade, error, start, heading)
 
 
-def _each(name: str, value: Any, count: int) -> list[Any]:
+def each_of(name: str, value: Any, count: int) -> list[Any]:
     """One value for every receiver."""
     if isinstance(value, str) or np.ndim(value) == 0:
         return [value] * count

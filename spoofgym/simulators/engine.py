@@ -92,13 +92,10 @@ class Engine:
         self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
         self._few: dict[tuple[bool, int], Simulator] = {}
-        self._next = (
-            NextEpisodes(
-                setup.simulator(STOCK * receivers, run_serially), partial(_warmed_up, setup)
-            )
-            if prefetch
-            else None
-        )
+        self._next: NextEpisodes | None = None
+        if prefetch:
+            waiting = setup.simulator(STOCK * receivers, run_serially)
+            self._next = NextEpisodes(waiting, partial(_warmed_up, setup))
 
     def close(self) -> None:
         """End the threads; they are started again when they are needed."""
@@ -146,10 +143,7 @@ class Engine:
             self.twin.copy_rows(where, self.simulator, where)
 
     def _reset(
-        self,
-        rngs: Sequence[np.random.Generator],
-        where: Rows,
-        given: Mapping[str, Any] | None,
+        self, rngs: Sequence[np.random.Generator], where: Rows, given: Mapping[str, Any] | None
     ) -> None:
         if self._next is None:
             self._begin(rngs, where, given)
@@ -163,9 +157,7 @@ class Engine:
             ready = where[prepared]
             self.warmup_alarm[ready] = self._next.take(ready, self.simulator)
         if not prepared.all():
-            others = [
-                rng for rng, is_prepared in zip(rngs, prepared, strict=True) if not is_prepared
-            ]
+            others = [rng for rng, ready in zip(rngs, prepared, strict=True) if not ready]
             self._begin(others, where[~prepared])
         self._next.prepare(where, rngs)
 

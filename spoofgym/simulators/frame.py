@@ -50,7 +50,6 @@ class EpisodeLayout(NamedTuple):
 
     title: str
     track_ne: FloatArray
-    interval_s: float
     steps: int
     attack_s: float
     hold_s: float

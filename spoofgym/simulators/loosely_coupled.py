@@ -39,11 +39,10 @@ class LooselyCoupledSetup(Setup):
     Parameters
     ----------
     detector : str, mapping or Detector, optional
-        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied; a
-        chi-square test of one epoch by default, with the threshold for an estimated covariance.
+        As in `SpoofEnv`; by default a chi-square test of one epoch, with the threshold for an
+        estimated covariance.
     timeline : mapping or Timeline, optional
-        Lengths of warm-up, attack window and time to alert; by default 20 s in which all windows
-        fill, 5 s and 5 s.
+        As in `SpoofEnv`; by default 20 s in which all windows fill, 5 s and 5 s.
     flight : str
         A name in `FLIGHTS`, whose inertial sensors run at a multiple of 10 Hz.
     errors : mapping or PositionErrors, optional
@@ -55,14 +54,9 @@ class LooselyCoupledSetup(Setup):
     rate_limit_mps : float
         Rate of the displacement to the north and to the east that a command of 1 means.
     domain : mapping or Domain, optional
-        What differs from episode to episode beside the noise: `start_s`; nothing by default.
+        As in `SpoofEnv`, of `start_s` alone.
     target_heading_deg, decision_interval_s, between : float or str, optional
-        As in `TightlyCoupledSetup`.
-
-    Raises
-    ------
-    ValueError
-        When a setting is unknown or out of range, or the flight is shorter than the episode.
+        As in `SpoofEnv`.
 
     Notes
     -----
@@ -159,21 +153,12 @@ class LooselyCoupledSimulator(RateSimulator):
     def _start(self, choice: Choice) -> None:
         memory, setup, first = self.memory, self.setup, self.memory["first"]
         memory["epoch"][:] = first
-        first_errors(
-            memory["keys"],
-            setup.inertial.initial_sd,
-            setup.errors.sd,
-            self._deviates,
-            memory["first_error"],
-            memory["position_error"],
-        )
+        written = memory["first_error"], memory["position_error"]
+        sizes = setup.inertial.initial_sd, setup.errors.sd
+        first_errors(memory["keys"], *sizes, self._deviates, *written)
         world = setup.world
-        self.victims.begin(
-            world.position_e[first],
-            world.velocity_e[first],
-            world.C_eb[first],
-            memory["first_error"],
-        )
+        truth = world.position_e[first], world.velocity_e[first], world.C_eb[first]
+        self.victims.begin(*truth, memory["first_error"])
 
     def _measure(self, command: FloatArray | None) -> None:
         self._move(command)
@@ -221,16 +206,9 @@ class LooselyCoupledSimulator(RateSimulator):
         self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
     ) -> None:
         """Write true position since the onset and true velocity in local axes there, scaled."""
-        world = self.setup.world
+        world, axes, where = self.setup.world, self.setup.C_en, (self.epochs, self.onset)
         local_motion(
-            world.position_e,
-            world.velocity_e,
-            self.setup.C_en,
-            self.epochs,
-            self.onset,
-            per_position,
-            per_velocity,
-            out,
+            world.position_e, world.velocity_e, axes, *where, per_position, per_velocity, out
         )
 
     def _ground_ne(self, epochs: slice) -> FloatArray:

@@ -1,7 +1,7 @@
 """The next episodes of every receiver, warmed up in the background while the present one runs.
 
 The warm-up is clean, and its noise depends on the seed and the number of the episode alone.  So it
-can be run at any time before the episode begins, with the same bits.  Between two epochs under
+can be run at any time before the episode starts, with the same bits.  Between two epochs under
 attack a learner computes in Python or in one thread; a second processor does this meanwhile.
 
 Episodes without an alarm all end together, and an alarm soon afterwards would have to wait for all
@@ -14,42 +14,99 @@ the detector do not depend on the size of the batch, as `spoofgym.testing.check_
 from __future__ import annotations
 
 import os
+import sys
+import threading
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _threads
 from .base import Simulator
-from .link import Link, StoppedError
 
 WarmUp = Callable[
     [Sequence[np.random.Generator], Callable[[], Any]], "tuple[Simulator, NDArray[np.bool_]]"
 ]
-LEAST_AT_ONCE, MOST_AT_ONCE = 16, 64
+LEAST_TOGETHER, MOST_TOGETHER = 16, 64
 """Receivers of one piece of work: enough to be worth it, unless they are waited for, and not so
 many that one waits for the others."""
 STOCK = 2
 """Episodes that wait for every receiver."""
 
 
+JOIN_S = 5.0
+"""How long a thread that has been stopped is waited for.  It ends within a millisecond or so, if no
+detector holds it up."""
+LOOK_S = 0.1
+"""How often a thread that may not compute looks whether it has been stopped."""
+
+
+class StoppedError(Exception):
+    """The thread has been stopped within its work."""
+
+
+class Background:
+    """One thread, and what it shares with its owner; used once, and in one process.
+
+    A forked process inherits no thread, and locks that may be held.  `wake` gets True for new work,
+    False for the end; `change` is held by who writes what both use; the thread computes while it is
+    `free`, writes nothing any more when `stopped`, and leaves its `failure` until that is raised;
+    `urgent` says that the owner waits.
+    """
+
+    def __init__(self) -> None:
+        self.process = os.getpid()
+        self.wake: SimpleQueue[bool] = SimpleQueue()
+        self.change = threading.Condition()
+        self.free = threading.Event()
+        self.free.set()
+        self.urgent = self.stopped = False
+        self.failure: BaseException | None = None
+        self._thread: threading.Thread | None = None
+
+    def start(self, target: Callable[..., None], *args: Any) -> None:
+        """Start the thread, unless it has been."""
+        if self._thread is None:
+            self._thread = _threads.start(partial(target, *args), self.stop, "spoofgym-next")
+
+    def pause(self) -> None:
+        """Wait as long as the processors are needed elsewhere; `StoppedError` at the end."""
+        # an interrupt of the owner may have left it not free
+        while not (self.stopped or self.free.wait(LOOK_S)):
+            pass
+        if self.stopped:
+            raise StoppedError
+
+    def stop(self) -> None:
+        """Have the thread end soon; takes no lock, since a collection of garbage may call it."""
+        if self.process == os.getpid():
+            self.stopped = True
+            self.wake.put(False)
+
+    def join(self) -> None:
+        """Wait for the thread, which has been stopped."""
+        thread = self._thread
+        # no thread waits for itself, and none runs on while the interpreter ends
+        if thread is None or thread is threading.current_thread() or sys.is_finalizing():
+            return
+        thread.join(JOIN_S)
+
+
 class NextEpisodes:
     """Receivers that wait at the onset of their next episodes.
 
-    `waiting`: of `STOCK` times the receivers of the engine, B, and written: slots ``row`` and
-    ``row + B`` are used in turn; `warm_up`: ``warm_up(rngs, between)`` returns a batch at the
-    onset, and (b,) bool, alarms of its warm-up; called in another thread.  It calls ``between()``
-    every millisecond or so, which waits as long as the processors are needed for the present
-    episodes.
+    `waiting` has `STOCK` times the B receivers of the engine, in slots ``row`` and ``row + B`` in
+    turn.  ``warm_up(rngs, between)`` returns a batch at the onset, and (b,) bool, alarms of its
+    warm-up; called in another thread, it calls ``between()`` every millisecond or so, which waits
+    as long as the processors are needed for the present episodes.
     """
 
-    def __init__(
-        self,
-        waiting: Simulator,
-        warm_up: WarmUp,
-    ) -> None:
+    def __init__(self, waiting: Simulator, warm_up: WarmUp) -> None:
         self._waiting, self._warm_up = waiting, warm_up
         slots = waiting.receivers
         self._receivers = slots // STOCK
@@ -60,36 +117,36 @@ class NextEpisodes:
         self._taken = np.zeros(self._receivers, dtype=np.int64)
         self._stock = np.zeros(self._receivers, dtype=np.int64)
         self._asked: list[int] = []
-        self._link = Link()
+        self._background = Background()
 
     @contextmanager
     def kept_waiting(self) -> Iterator[None]:
         """Leave the processors to the present episodes meanwhile."""
-        free = self._linked().free
+        free = self._own().free
         try:
             free.clear()
             yield
         finally:
             free.set()
 
-    def _linked(self) -> Link:
-        """Link of this process; another one after a fork, and when the thread has been stopped."""
-        if self._link.stopped or self._link.process != os.getpid():
-            self._link = Link()
-        return self._link
+    def _own(self) -> Background:
+        """Thread of this process; another one after a fork, and when it has been stopped."""
+        if self._background.stopped or self._background.process != os.getpid():
+            self._background = Background()
+        return self._background
 
-    def _here(self) -> Link:
-        """Have a thread in this process."""
-        link = self._linked()
-        link.start(_serve, weakref.ref(self), link)
-        return link
+    def _started(self) -> Background:
+        """The same, running."""
+        background = self._own()
+        background.start(_serve, weakref.ref(self), background)
+        return background
 
     def close(self) -> None:
         """End the thread, within a warm-up too; it is started again when it is needed."""
-        link = self._linked()
-        link.stop()
-        link.join()
-        self._link = Link()
+        background = self._own()
+        background.stop()
+        background.join()
+        self._background = Background()
 
     def forget(self) -> None:
         """Throw away all that has been asked for; the generators go on from where they are."""
@@ -98,35 +155,35 @@ class NextEpisodes:
 
     def __del__(self) -> None:
         """End the thread with its owner."""
-        if hasattr(self, "_link"):
-            self._link.stop()
+        if hasattr(self, "_background"):
+            self._background.stop()
 
     def __getstate__(self) -> dict[str, Any]:
         """State without the thread, after it has done what it was asked for."""
         self._wait(lambda: not self._asked)
-        return {name: value for name, value in self.__dict__.items() if name != "_link"}
+        return {name: value for name, value in self.__dict__.items() if name != "_background"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the state; a thread is started when it is needed."""
         self.__dict__.update(state)
-        self._link = Link()
+        self._background = Background()
 
     def _wait(self, until: Callable[[], bool]) -> None:
         """Have the thread work on until something holds; or raise, once, what it failed with."""
         if until():
             return
-        link = self._here()
-        with link.change:
-            link.urgent = True
+        background = self._started()
+        with background.change:
+            background.urgent = True
             try:
-                if link.failure is None:
-                    link.wake.put(True)
-                link.change.wait_for(lambda: link.failure is not None or until())
+                if background.failure is None:
+                    background.wake.put(True)
+                background.change.wait_for(lambda: background.failure is not None or until())
             finally:
-                link.urgent = False
+                background.urgent = False
             if until():
                 return
-            failure, link.failure = link.failure, None
+            failure, background.failure = background.failure, None
         if failure is not None:
             raise failure
 
@@ -141,8 +198,8 @@ class NextEpisodes:
         `rngs`: one per row; the coming episodes of each are taken from it at once.  One is asked
         for where it is new, and what waited there is thrown away; else as many as are missing.
         """
-        link = self._here()
-        with link.change:
+        background = self._started()
+        with background.change:
             known = self.prepared(rows, rngs, least=0)
             self._stock[rows[~known]] = 0
             wanted = np.where(known, STOCK, 1)
@@ -153,7 +210,7 @@ class NextEpisodes:
                     self._ask(slot, rngs[i])
                     self._sources[int(rows[i])] = rngs[i]
                     self._stock[rows[i]] += 1
-        link.wake.put(True)
+        background.wake.put(True)
 
     def _ask(self, slot: int, rng: np.random.Generator) -> None:
         self._ready[slot], self._episodes[slot] = False, take_episode(rng)
@@ -173,14 +230,14 @@ class NextEpisodes:
 
         Returns (b,) bool, alarms of the warm-ups.
         """
-        link = self._here()
+        background = self._started()
         slots = self._slots(rows, 0)
-        with link.change:
+        with background.change:
             # what is waited for comes first
             urgent = [slot for slot in slots.tolist() if not self._ready[slot]]
             self._asked = urgent + [slot for slot in self._asked if slot not in urgent]
         self._wait(lambda: bool(self._ready[slots].all()))
-        with link.change:
+        with background.change:
             into.copy_rows(rows, self._waiting, slots)
             self._taken[rows] += 1
             self._stock[rows] -= 1
@@ -190,8 +247,8 @@ class NextEpisodes:
         self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]
     ) -> list[np.random.Generator]:
         """Give up the next episodes of some receivers, to be begun otherwise."""
-        link = self._here()
-        with link.change:
+        background = self._started()
+        with background.change:
             known = self.prepared(rows, rngs)
             slots = self._slots(rows, 0).tolist()
             instead = list(rngs)
@@ -204,51 +261,51 @@ class NextEpisodes:
                 self._stock[rows[i]] -= 1
             return instead
 
-    def serve(self, link: Link) -> None:
+    def serve(self, background: Background) -> None:
         """Do what has been asked for, as long as it is worth a piece of work."""
         try:
-            while self._piece(link):
+            while self._piece(background):
                 pass
         except StoppedError:
             return
         except BaseException as error:  # handed to who waits
-            with link.change:
-                link.failure = error
-                link.change.notify_all()
+            with background.change:
+                background.failure = error
+                background.change.notify_all()
 
-    def _piece(self, link: Link) -> bool:
+    def _piece(self, background: Background) -> bool:
         """Warm up some receivers; False if there is nothing to do."""
-        least = min(LEAST_AT_ONCE, self._receivers)
-        with link.change:
-            if link.stopped or link.failure is not None:  # which is to be told first
+        least = min(LEAST_TOGETHER, self._receivers)
+        with background.change:
+            if background.stopped or background.failure is not None:  # to be raised first
                 return False
-            if len(self._asked) < (1 if link.urgent else least):
+            if len(self._asked) < (1 if background.urgent else least):
                 return False
-            slots = self._asked[:MOST_AT_ONCE]
+            slots = self._asked[:MOST_TOGETHER]
             episodes = [self._episodes[slot] for slot in slots]
         batch, alarm = self._warm_up(
-            [copy_of(rng) for rng in episodes if rng is not None], link.pause
+            [copy_of(rng) for rng in episodes if rng is not None], background.pause
         )
-        with link.change:
-            if link.stopped:
+        with background.change:
+            if background.stopped:
                 return False
-            # what has been asked for anew meanwhile is another episode
+            # what has been asked for again meanwhile is another episode
             still = [i for i, slot in enumerate(slots) if self._episodes[slot] is episodes[i]]
             to = np.array([slots[i] for i in still], dtype=np.intp)
             self._waiting.copy_rows(to, batch, np.array(still, dtype=np.intp))
             self._alarm[to], self._ready[to] = alarm[still], True
             done = set(to.tolist())
             self._asked = [slot for slot in self._asked if slot not in done]
-            link.change.notify_all()
+            background.change.notify_all()
         return True
 
 
-def _serve(owner: weakref.ref[NextEpisodes], link: Link) -> None:
-    while link.wake.get():
+def _serve(owner: weakref.ref[NextEpisodes], background: Background) -> None:
+    while background.wake.get():
         episodes = owner()
         if episodes is None:
             return
-        episodes.serve(link)
+        episodes.serve(background)
         del episodes
 
 

@@ -7,13 +7,12 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build_record, check_choice
+from .._registry import build_record, check_choice, check_finite, is_number
 from ..detectors import Detector, make_detector
 from .domain import Bounds, Domain
 from .monitors import Monitor
@@ -53,12 +52,8 @@ class Timeline:
 
     def __post_init__(self) -> None:
         """Check the lengths."""
-        for name in ("warmup_s", "live_s", "attack_s", "time_to_alert_s"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
-        if self.attack_s <= 0.0:
-            raise ValueError(f"`attack_s` must be > 0, got {self.attack_s}")
+        for name, value in vars(self).items():
+            check_finite(name, value, "> 0" if name == "attack_s" else ">= 0")
         if self.live_s > self.warmup_s:
             raise ValueError(
                 f"`live_s` must be at most `warmup_s` = {self.warmup_s}, got {self.live_s}"
@@ -78,29 +73,12 @@ class Timeline:
         return warmup - live, live, attack, round(self.time_to_alert_s / interval_s)
 
 
-class Commands(Protocol):
-    """What a spoofer commands: an `Attack`, or the `RateCommands` of a smaller victim."""
-
-    @property
-    def kind(self) -> str:
-        """Name of what is commanded, such as ``"false-position"``."""
-
-    @property
-    def label(self) -> str:
-        """Threat in a word, for results."""
-
-    control: str
-    acceleration_limit_mps2: float
-    rate_limit_mps: Any
-    capture: Any
-
-    def action_names(self, world: Any) -> tuple[str, ...]:
-        """Name of every element, such as ``"north_rate"``."""
-
-
 @dataclass(frozen=True)
 class RateCommands:
-    """Displacement commanded by rates, one an axis; `limits` (a,) are what an action of 1 means."""
+    """Displacement commanded by rates, one an axis, as an `Attack` of a smaller victim.
+
+    `limits` (a,) are what an action of 1 means [m/s].
+    """
 
     kind: str
     names: tuple[str, ...]
@@ -139,7 +117,7 @@ class Setup(ABC):
         Of the victim, such as ``"snapshot"``.
     name : str
         Of the scenario, for results.
-    attack : Commands
+    attack : Attack or RateCommands
         What a spoofer commands.
     detector : Detector
         In the loop; copied for every simulator.
@@ -204,11 +182,8 @@ class Setup(ABC):
         between: str,
     ) -> None:
         """Take detector, phases and decisions."""
-        self.detector, self.timeline, self.interval_s = (
-            make_detector(detector),
-            timeline,
-            interval_s,
-        )
+        self.detector, self.timeline = make_detector(detector), timeline
+        self.interval_s = interval_s
         self.monitors: tuple[Monitor, ...] = ()
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
         self.onset = self.quiet + self.live
@@ -268,6 +243,11 @@ class Setup(ABC):
         return first, last
 
     @property
+    def title(self) -> str:
+        """What a picture says of the victim."""
+        return f"{self.kind} receiver"
+
+    @property
     def action_names(self) -> tuple[str, ...]:
         """Name of every element that can be commanded."""
         names: tuple[str, ...] = self.attack.action_names(self.world)
@@ -325,7 +305,7 @@ def checked_target(target_heading_deg: float | str) -> float | str:
     """Target direction, or a ValueError."""
     if isinstance(target_heading_deg, str):
         check_choice("target_heading_deg", target_heading_deg, TARGETS)
-    elif not isinstance(target_heading_deg, Real) or not np.isfinite(float(target_heading_deg)):
+    elif not (is_number(target_heading_deg) and math.isfinite(target_heading_deg)):
         raise ValueError(
             f"`target_heading_deg` must be a finite number, 'random' or 'worst', got "
             f"{target_heading_deg!r}"
@@ -337,8 +317,7 @@ def _repeat(decision_interval_s: float | None, interval_s: float, steps: int) ->
     """Epochs of a decision."""
     if decision_interval_s is None:
         return 1
-    if not (math.isfinite(decision_interval_s) and decision_interval_s > 0.0):
-        raise ValueError(f"`decision_interval_s` must be finite and > 0, got {decision_interval_s}")
+    check_finite("decision_interval_s", decision_interval_s, "> 0")
     repeat = round(decision_interval_s / interval_s)
     if repeat < 1 or abs(repeat * interval_s - decision_interval_s) > 1e-6 * interval_s:
         raise ValueError(

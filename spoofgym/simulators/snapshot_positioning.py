@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build_record, check_finite
+from .._registry import build_record, check_finite, is_number
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch, frozen
 from ..receiver.least_squares import FIXED, fix_receivers
@@ -38,10 +38,9 @@ class SnapshotSetup(Setup):
     Parameters
     ----------
     detector : str, mapping or Detector
-        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied.
+        As in `SpoofEnv`.
     timeline : mapping or Timeline, optional
-        Lengths of warm-up, attack window and time to alert; by default 10 s, in which only the
-        detector has something to warm up, 60 s and 10 s.
+        As in `SpoofEnv`; by default 10 s, which only the detector needs, 60 s and 10 s.
     satellites : int
         How many are used, the highest ones.
     spoofed : int or sequence of int
@@ -58,21 +57,15 @@ class SnapshotSetup(Setup):
     time_offset_s : float
         Of the constellation: another geometry.
     domain : mapping or Domain, optional
-        What differs from episode to episode beside the noise: `turned_deg`, the vehicle's heading,
-        and `constellation_time_s`, with `worlds` and `world_seed`, and `satellites` in view in all
-        worlds; nothing by default.
+        As in `SpoofEnv`, of `turned_deg`, the vehicle's heading, and `constellation_time_s`, with
+        `worlds` and `world_seed`, and `satellites` in view in all worlds.
     target_heading_deg, decision_interval_s, between : float or str, optional
-        As in `TightlyCoupledSetup`.
+        As in `SpoofEnv`.
 
     Attributes
     ----------
     sky : Sky
         All worlds of the domain, one after the other.
-
-    Raises
-    ------
-    ValueError
-        When a setting is unknown or out of range.
 
     Notes
     -----
@@ -117,8 +110,8 @@ class SnapshotSetup(Setup):
         if not isinstance(satellites, int | np.integer) or satellites < 4:
             raise ValueError(f"`satellites` must be a whole number >= 4, got {satellites!r}")
         for name, value in (("speed_mps", speed_mps), ("heading_deg", heading_deg)):
-            if not math.isfinite(value):
-                raise ValueError(f"`{name}` must be finite, got {value}")
+            if not (is_number(value) and math.isfinite(value)):
+                raise ValueError(f"`{name}` must be finite, got {value!r}")
         self.name = self.kind
         self.noise_m, self.spoofed = float(noise_m), _which(spoofed, satellites)
         self.attack = RateCommands(
@@ -181,11 +174,13 @@ def _which(spoofed: int | Sequence[int], satellites: int) -> int | list[int]:
 
 def _rates(rate_limit_mps: float | Sequence[float]) -> tuple[float, ...]:
     """Limit of every axis."""
-    limits = np.asarray(rate_limit_mps, dtype=np.float64)
+    given = np.atleast_1d(np.asarray(rate_limit_mps, dtype=object))
+    numbers = all(map(is_number, given.flat))
+    limits = np.asarray(rate_limit_mps if numbers else np.nan, dtype=np.float64)
     if limits.shape not in ((), (4,)) or not (np.isfinite(limits) & (limits > 0.0)).all():
         raise ValueError(
             "`rate_limit_mps` must be finite and > 0, one number or one for each of "
-            f"{', '.join(AXES)}, got {rate_limit_mps}"
+            f"{', '.join(AXES)}, got {rate_limit_mps!r}"
         )
     return tuple(np.broadcast_to(limits, 4).tolist())
 
@@ -270,16 +265,9 @@ class SnapshotSimulator(RateSimulator):
 
     def _form_epoch(self) -> Epoch:
         memory = self.memory
-        expect(
-            self._pseudorange,
-            self._satellites,
-            memory["position_e"],
-            memory["clock"],
-            self.setup.noise_m**2,
-            self._innovation,
-            self._cov,
-            self._design,
-        )
+        last, written = (memory["position_e"], memory["clock"]), (self._innovation, self._cov)
+        variance = self.setup.noise_m**2
+        expect(self._pseudorange, self._satellites, *last, variance, *written, self._design)
         arrays = {
             "time": self.time_s(),
             "innovation": self._innovation,
@@ -296,14 +284,9 @@ class SnapshotSimulator(RateSimulator):
     def _correct(self, weights: FloatArray | None) -> None:
         """Make a fix; where there is none, the last one stays."""
         memory = self.memory
-        fix_receivers(
-            self._pseudorange,
-            self._satellites,
-            self.ones if weights is None else weights,
-            memory["position_e"],
-            memory["clock"],
-            memory["status"],
-        )
+        used = self.ones if weights is None else weights
+        written = memory["position_e"], memory["clock"], memory["status"]
+        fix_receivers(self._pseudorange, self._satellites, used, *written)
 
     @property
     def coasting(self) -> NDArray[np.bool_]:

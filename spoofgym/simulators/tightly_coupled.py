@@ -10,10 +10,10 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from .._memory import Memory
 from .._registry import build_record, check_choice
 from ..attacks import Attack, AttackContext, make_attack
 from ..detectors import Detector, DetectorContext
-from ..detectors.verdicts import checked_weights
 from ..receiver import TightlyCoupled, _kernels
 from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import LANES, ReceiverBuffers
@@ -22,10 +22,10 @@ from ..sim.scenario import Scenario, make_scenario
 from ..sim.sensors import SOURCES, SensorBuffers
 from ..sim.world import World
 from ._kernels import displace, local_motion
-from .base import Rows, Simulator, detector_name
+from .base import Rows, Simulator
 from .combinations import Combinations, worlds_of
 from .domain import Choice, Domain
-from .frame import EpisodeLayout, FrameData, SkyData
+from .frame import SkyData
 from .setup import Run, Setup, Timeline
 
 FloatArray = NDArray[np.float64]
@@ -110,13 +110,8 @@ class TightlyCoupledSetup(Setup):
         self.world = self.combinations.world
         self.epoch_time = self.world.epoch_time
         self.true_position, self.C_en = self.world.position_e, self.world.C_en
-        self.bounds = self._bounds(
-            self.combinations.worlds,
-            self.combinations.grades,
-            self.combinations.errors,
-            first,
-            last,
-        )
+        cases = self.combinations
+        self.bounds = self._bounds(cases.worlds, cases.grades, cases.errors, first, last)
         self.epochs_each = self.world.epochs // self.bounds.worlds
         slots = [f"slot{s:02d}" for s in range(self.world.channels)]
         self.weight_names = tuple(slots)
@@ -125,6 +120,11 @@ class TightlyCoupledSetup(Setup):
             *(f"visible_{slot}" for slot in slots),
         )
         self._check_first_fixes()
+
+    @property
+    def title(self) -> str:
+        """Scenario and attack."""
+        return f"{self.name}: {self.attack.label}"
 
     @property
     def combination_names(self) -> Mapping[str, Sequence[str]]:
@@ -144,19 +144,15 @@ class TightlyCoupledSetup(Setup):
         """(K, 6) motion of the target at every epoch, where each belongs to one onset."""
         if self.onsets is None:
             return None
-        world = self.world
-        table = np.empty((world.epochs, 6), dtype=np.float32)
-        local_motion(
-            world.position_e,
-            world.velocity_e,
-            world.C_en,
-            np.arange(world.epochs),
-            self.onsets,
-            per_position,
-            per_velocity,
-            table,
-        )
+        table = np.empty((self.world.epochs, 6), dtype=np.float32)
+        epochs = np.arange(self.world.epochs)
+        self.local_motion(epochs, self.onsets, per_position, per_velocity, table)
         return table
+
+    def local_motion(self, *epochs_to_out: Any) -> None:
+        """`_kernels.local_motion` in this world."""
+        world = self.world
+        local_motion(world.position_e, world.velocity_e, world.C_en, *epochs_to_out)
 
     def geometry_table(self) -> FloatArray:
         """(K, 4n) unit vectors to the satellites in local axes, then 1 or 0 for visible or not."""
@@ -189,15 +185,8 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
         check_choice("receiver", given, RECEIVERS)
         given = RECEIVERS[given]
     victim = build_record("receiver", TightlyCoupled, given, {"grade": scenario.imu})
-    if (
-        isinstance(given, Mapping)
-        and "grade" in given
-        and {victim.grade}
-        < {
-            victim.grade,
-            *domain.imu,
-        }
-    ):
+    fixed = isinstance(given, Mapping) and "grade" in given
+    if fixed and {victim.grade} < {victim.grade, *domain.imu}:
         raise ValueError(
             f"`receiver` has the grade {victim.grade!r}, but is tuned for the grade that it draws "
             f"from the domain's `imu` {', '.join(domain.imu)}: leave out one"
@@ -232,35 +221,20 @@ class TightlyCoupledSimulator(Simulator):
         self._serial = receivers <= LANES
         buffers, sensors, receiver = self.buffers, self.sensors, self.setup.receiver
         self._before = (buffers.floats, buffers.flags, buffers.block, buffers.samples)
-        self._after = (
-            sensors.floats,
-            sensors.keys,
-            sensors.epoch,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            receivers,
-            world.channels,
-            self._imu_noise,
-            self._gnss_noise,
-            receiver.covariance_code,
-            receiver.min_satellites,
-            receiver.orthonormalize,
-        )
+        self._errors = (sensors.floats, sensors.keys, sensors.epoch)
+        self._truth = (world.run, world.epoch_time, world.epoch_end, world.satellites)
+        self._sizes = (receivers, world.channels, self._imu_noise, self._gnss_noise)
+        rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize)
+        self._after = (*self._errors, *self._truth, *self._sizes, *rules)
         self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
         self.attack = copy.deepcopy(self.setup.attack)
         self.attack.bind(AttackContext(receivers, world))
 
     def _context(self) -> DetectorContext:
         setup = self.setup
-        return DetectorContext(
-            self.receivers,
-            setup.world.channels,
-            setup.interval_s,
-            setup.combinations.largest_variance,
-            setup.world.satellite_ids,
-        )
+        world, variance = setup.world, setup.combinations.largest_variance
+        sizes = self.receivers, world.channels
+        return DetectorContext(*sizes, setup.interval_s, variance, world.satellite_ids)
 
     def __getstate__(self) -> dict[str, Any]:
         """State without the view of the epoch, which a copy makes of its own buffers."""
@@ -287,16 +261,10 @@ class TightlyCoupledSimulator(Simulator):
         return self.buffers.measured.coasting
 
     @property
-    def commanded_displacement(self) -> FloatArray:
-        """(B, a) displacement that the spoofer has commanded so far [m]."""
-        displacement: FloatArray = self.attack.memory["displacement"]
-        return displacement
-
-    @property
-    def commanded_rate(self) -> FloatArray:
-        """(B, a) its rate [m/s]."""
-        rate: FloatArray = self.attack.memory["rate"]
-        return rate
+    def commands(self) -> Memory:
+        """Memory of the attack."""
+        memory: Memory = self.attack.memory
+        return memory
 
     def step_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray]:
         """Epochs, coasting, commanded displacement and rate, for kernels."""
@@ -319,7 +287,7 @@ class TightlyCoupledSimulator(Simulator):
         spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
         self.attack.begin(self._everyone, spoofer_keys, self.onset)
         self._start_combinations()
-        self._measure_first()
+        _kernels.measure(*self._errors, *self._before, *self._truth, *self._sizes, 0, 0, b)
         channels, position_e = setup.world.channels, setup.world.position_e[first]
         buffers = self.buffers
         _kernels.first_fix(buffers.floats, buffers.flags, position_e, b, channels, 0, b)
@@ -338,29 +306,6 @@ class TightlyCoupledSimulator(Simulator):
             measured.noise_variance[rows] = its.noise_variance
             self.buffers.noise_psd[rows] = its.noise_psd
             state.covariance[rows] = its.covariance
-
-    def _measure_first(self) -> None:
-        world, buffers, sensors = self.setup.world, self.buffers, self.sensors
-        _kernels.measure(
-            sensors.floats,
-            sensors.keys,
-            sensors.epoch,
-            buffers.floats,
-            buffers.flags,
-            buffers.block,
-            buffers.samples,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            self.receivers,
-            world.channels,
-            self._imu_noise,
-            self._gnss_noise,
-            0,
-            0,
-            self.receivers,
-        )
 
     def _epochs(self, what: int, count: int, lo: int, hi: int) -> None:
         _kernels.run_epochs(*self._before, self.weights, *self._after, what, count, lo, hi)
@@ -391,7 +336,11 @@ class TightlyCoupledSimulator(Simulator):
         return self.epoch
 
     def _correct(self, weights: FloatArray | None) -> None:
-        self.update(weights)
+        if self._serial:
+            b = self.receivers
+            _kernels.run_epochs(*self._before, self.weights, *self._after, _kernels.UPDATE, 1, 0, b)
+        else:
+            self._run(self._update, self.receivers)
 
     def predict(self, command: FloatArray | None) -> Epoch:
         """First half of an epoch under attack; the epoch's arrays follow the buffers."""
@@ -407,17 +356,6 @@ class TightlyCoupledSimulator(Simulator):
         self._run(self._advance, self.receivers)
         return self.epoch
 
-    def update(self, weights: FloatArray | None) -> None:
-        """Second half of an epoch: the update with the weighted gain."""
-        if weights is not None and (self.verdict is None or weights is not self.verdict.weights):
-            checked_weights(weights, self.epoch)
-        self.weights = self.ones if weights is None else weights
-        if self._serial:
-            b = self.receivers
-            _kernels.run_epochs(*self._before, self.weights, *self._after, _kernels.UPDATE, 1, 0, b)
-        else:
-            self._run(self._update, self.receivers)
-
     def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
         """Run clean epochs without a detector, several in one kernel call."""
         self.weights = self.ones
@@ -429,11 +367,7 @@ class TightlyCoupledSimulator(Simulator):
             self._run(partial(self._epochs, what, min(piece, count - start)), self.receivers)
 
     def live_epochs(
-        self,
-        count: int,
-        *,
-        holding: bool = False,
-        between: Callable[[], None] | None = None,
+        self, count: int, *, holding: bool = False, between: Callable[[], None] | None = None
     ) -> NDArray[np.bool_]:
         """Run epochs with the detector; an update and the next epoch share one turn of threads."""
         self._command = None
@@ -483,17 +417,7 @@ class TightlyCoupledSimulator(Simulator):
         self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
     ) -> None:
         """Write true position since the onset and true velocity in local axes there, scaled."""
-        world = self.setup.world
-        local_motion(
-            world.position_e,
-            world.velocity_e,
-            world.C_en,
-            self.epochs,
-            self.onset,
-            per_position,
-            per_velocity,
-            out,
-        )
+        self.setup.local_motion(self.epochs, self.onset, per_position, per_velocity, out)
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         """Take over receivers of another simulator, with all that they remember."""
@@ -517,57 +441,20 @@ class TightlyCoupledSimulator(Simulator):
         captured: NDArray[np.int64] = self.attack.memory["captured"].sum(axis=1)
         return captured
 
-    # --- pictures and recordings ---------------------------------------------------------------
+    def _ground_ne(self, epochs: slice) -> FloatArray:
+        onset, position_e = int(self.onset[0]), self.setup.world.position_e
+        ground: FloatArray = (position_e[epochs] - position_e[onset]) @ self.setup.world.C_en[onset]
+        return ground[:, :2]
 
-    def _local(self, vector_e: FloatArray) -> FloatArray:
-        """North and east parts, in the axes at the first receiver's onset, of (..., 3) in ECEF."""
-        local: FloatArray = (vector_e @ self.setup.world.C_en[int(self.onset[0])])[..., :2]
-        return local
-
-    def layout(self) -> EpisodeLayout:
-        """What stays the same in a picture of the first receiver's episode."""
-        setup, onset = self.setup, int(self.onset[0])
-        track = setup.world.position_e[onset : onset + setup.steps + setup.hold + 1]
-        return EpisodeLayout(
-            title=f"{setup.name}: {setup.attack.label} against {detector_name(setup.detector)}",
-            track_ne=self._local(track - setup.world.position_e[onset]),
-            interval_s=setup.interval_s,
-            steps=setup.steps,
-            attack_s=setup.steps * setup.interval_s,
-            hold_s=setup.hold * setup.interval_s,
-            onset_s=float(setup.world.epoch_time[onset]),
-            commands_position=self._displacement_ne() is not None,
-            has_sky=True,
-        )
-
-    def _displacement_ne(self) -> FloatArray | None:
-        """(2,) what the first receiver's spoofer has commanded; None where it is no position."""
-        axes = [name.rsplit("_", 1)[0] for name in self.setup.action_names]
-        if not set(axes) <= set(AXES):
-            return None
-        moved = dict(zip(axes, self.commanded_displacement[0], strict=True))
-        return np.array([moved.get("north", 0.0), moved.get("east", 0.0)])
-
-    def frame(self) -> FrameData:
-        """The first receiver now, for a picture."""
-        world, epoch = self.setup.world, int(self.epochs[0])
-        truth, offsets = world.position_e[epoch], self.sensors.state
-        spoofed: NDArray[np.bool_] = (offsets.range_offset[0] != 0.0) | (
-            offsets.rate_offset[0] != 0.0
-        )
-        return FrameData(
-            position_ne=self._local(truth - world.position_e[int(self.onset[0])]),
-            error_ne=self._local(self.buffers.state.position_e[0] - truth),
-            displacement_ne=self._displacement_ne(),
-            ratio=float(self.ratio()[0]),
-            sky=SkyData(
-                names=world.satellite_ids,
-                azimuth=world.azimuth[epoch],
-                elevation=world.elevation[epoch],
-                visible=world.visible[epoch],
-                spoofed=spoofed,
-                weight=self.weights[0, : world.channels].copy(),
-            ),
+    def _sky(self) -> SkyData:
+        world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors.state
+        return SkyData(
+            names=world.satellite_ids,
+            azimuth=world.azimuth[epoch],
+            elevation=world.elevation[epoch],
+            visible=world.visible[epoch],
+            spoofed=(offsets.range_offset[0] != 0.0) | (offsets.rate_offset[0] != 0.0),
+            weight=self.weights[0, : world.channels].copy(),
         )
 
     def recorded(self) -> dict[str, NDArray[Any]]:

@@ -45,11 +45,9 @@ class WheeledRobotSetup(Setup):
     Parameters
     ----------
     detector : str, mapping or Detector, optional
-        A name in `DETECTORS`, a dict with a name and settings, or an object, which is copied;
-        ``acna`` in production by default.
+        As in `SpoofEnv`; ``acna`` in production by default.
     timeline : mapping or Timeline, optional
-        Lengths of warm-up, attack window and time to alert; by default 60 s with the detector
-        live, 150 s and 10 s.
+        As in `SpoofEnv`; by default 60 s with the detector live, 150 s and 10 s.
     interval_s : float
         Time between fixes, a multiple of the encoders' sample interval.
     rate_limit_mps : float
@@ -69,11 +67,10 @@ class WheeledRobotSetup(Setup):
     interruptions_s : sequence of pairs of float
         Start and end of the times without a fix, counted from the start of the episode.
     domain : mapping or Domain, optional
-        What differs from episode to episode beside the noise: `start_s`, the time on the course
-        at which the robot is switched on; None as the latest is one lap after the earliest.
-        Nothing by default.
+        As in `SpoofEnv`, of `start_s`, the time on the course at which the robot is switched on;
+        None as the latest is one lap after the earliest.
     target_heading_deg, decision_interval_s, between : float or str, optional
-        As in `TightlyCoupledSetup`.
+        As in `SpoofEnv`.
 
     Attributes
     ----------
@@ -83,11 +80,6 @@ class WheeledRobotSetup(Setup):
         (K, 2) truth at every epoch, north and east [m/s].
     available : ndarray
         (K,) bool, whether there is a fix, from the start of an episode on.
-
-    Raises
-    ------
-    ValueError
-        When a setting is unknown or out of range.
     """
 
     kind: ClassVar[str] = "robot"

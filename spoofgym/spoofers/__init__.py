@@ -1,4 +1,4 @@
-"""Spoofers: who decides what the attack does, one idea a file, behind the contract of `base`."""
+"""Spoofers: they decide what the attack does, one idea per file, behind the contract of `base`."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
     ----------
     spec : str, dict or Spoofer
         A name in `SPOOFERS`, of a shipped spoofer, or the path of an ``.onnx`` file with its card
-        beside it; ``{"name": ..., "setting": value, ...}``; or a spoofer, which is copied.
+        in the same folder; ``{"name": ..., "setting": value, ...}``; or a spoofer, which is copied.
 
     Returns
     -------

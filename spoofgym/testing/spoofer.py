@@ -36,8 +36,8 @@ def check_spoofer(
 ) -> None:
     """Check that a spoofer keeps its contract.
 
-    It commands the attack against receivers of the default scenario, or of the one that its card
-    tells, and has to show that
+    It commands the attack against receivers of the default scenario, or of the one on its
+    card, and has to show that
 
     - it states its knowledge, and its tunable setting, if any, has a range;
     - actions have the right shape and type, are finite, and lie within -1 and 1;
@@ -52,7 +52,7 @@ def check_spoofer(
     spoofer : Spoofer, str or dict
         What `make_spoofer` takes.  The object itself is left as it is.
     attack : Attack, str or mapping, optional
-        What it commands: by default what its card tells, or else a false position.
+        What it commands: by default that of its card, or else a false position.
 
     Raises
     ------

@@ -87,7 +87,7 @@ class Wrong(Detector):
     quiet: int = QUIET
 
     paper: ClassVar[str] = "barshalom2001"
-    watches: ClassVar[str] = "any"
+    measures: ClassVar[str] = "any"
 
     def bind(self, context: Any) -> None:
         super().bind(context)

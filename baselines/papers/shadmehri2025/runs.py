@@ -148,11 +148,11 @@ def play(
     memory = simulator.memory
     for k in range(setup.steps + setup.hold):
         R = memory["measurement_cov"].copy()
-        engine.step(action if k < setup.steps else np.zeros_like(action))
+        verdict = engine.step(action if k < setup.steps else np.zeros_like(action))
         now, z = memory["measurement_cov"], memory["innovation"]
         S = memory["innovation_cov"] - R + now
         seen["masked"].append(np.einsum("bi,bi->b", z, np.linalg.solve(S, z[:, :, None])[:, :, 0]))
-        seen["statistic"].append(memory["statistic"].copy())
+        seen["statistic"].append(verdict.statistic.max(axis=1))
         seen["error"].append(simulator.error_n())
         seen["scale"].append(memory["process_scale"].copy())
         seen["noise_sd"].append(np.sqrt(now[:, 0, 0]))
@@ -374,10 +374,9 @@ def sample(seed: int) -> dict[str, Any]:
             memory, log = engine.simulator.memory, []
             for k in range(300):
                 rate = ramp / setup.attack.rate_limit_mps if 200 <= k < 250 else 0.0
-                engine.step(np.full((1, 2), rate))
-                fix = memory["position_error"][0] + memory["displacement"][0]
-                north, east = engine.simulator.error_n()[0]
-                log.append([memory["statistic"][0], north, east, fix[1], fix[0]])
+                statistic = engine.step(np.full((1, 2), rate)).statistic.max()
+                gnss_ne = memory["position_error"][0, [1, 0]] + memory["displacement"][0]
+                log.append([statistic, *engine.simulator.error_n()[0], *gnss_ne])
             columns = np.array(log).T
             out[name]["statistic"][f"{ramp:g}"] = columns[0].tolist()
             if ramp == RAMPS[0]:

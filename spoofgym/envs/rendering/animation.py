@@ -13,14 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._files import whole_file
-from ..._pictures import COLOURS, GREY, RED
 from ..._registry import check_choice
 
 Frame = NDArray[np.uint8]
-TINTS = 10
-"""Steps from a colour of the pictures to white, in the palette of a GIF."""
-GIF_CLOCK_S = 0.01
-"""Unit of the time that a GIF shows a frame."""
 
 
 def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0) -> Path:
@@ -29,8 +24,7 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
     Parameters
     ----------
     frames : iterable of ndarray
-        (H, W, 3) uint8, at least one, all of one shape; a GIF is made for those of `Painter`, and
-        takes the nearest of their colours.
+        (H, W, 3) uint8, at least one, all of one shape; a GIF takes 256 colours for each.
     path : Path or str
         File; its ending tells the format, ``.gif`` or ``.mp4``.
     fps : float
@@ -64,68 +58,23 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
 
 
 def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
-    """Write a GIF, in the colours of our pictures."""
+    """Write a GIF; its clock counts hundredths of a second."""
     try:
         from PIL import Image
     except ImportError as error:
         raise ImportError("a GIF needs Pillow: pip install spoofgym[report]") from error
 
-    palette = gif_palette()
-    nearest = nearest_colours(palette)
-
-    def images() -> Iterator[Any]:
-        """Frames in the colours of the palette."""
-        for frame in frames:
-            red, green, blue = (frame[..., k].astype(np.uint16) >> 3 for k in range(3))
-            image = Image.fromarray(nearest[(red << 10) | (green << 5) | blue])
-            image.putpalette(palette.tobytes())
-            yield image
-
-    stream = images()
-    clock = max(round(1.0 / (fps * GIF_CLOCK_S)), 1)
-    next(stream).save(
-        path,
-        format="GIF",
-        save_all=True,
-        append_images=stream,
-        duration=round(1000.0 * clock * GIF_CLOCK_S),
-        loop=0,
+    # of three ways to choose 256 colours the one that also keeps those of a few pixels, as alarms
+    images = (Image.fromarray(f).quantize(256, Image.Quantize.MAXCOVERAGE) for f in frames)
+    pace = 10 * max(round(100.0 / fps), 1)
+    next(images).save(
+        path, format="GIF", save_all=True, append_images=images, duration=pace, loop=0
     )
-
-
-def gif_palette() -> NDArray[np.uint8]:
-    """Tints of all colours of the pictures, as smooth edges have them, and shades of grey.
-
-    Returns (c, 3) red, green and blue of up to 256 colours.
-    """
-    named = (*COLOURS[:6], RED, GREY)
-    full = np.array([[int(name[k : k + 2], 16) for k in (1, 3, 5)] for name in named])
-    part = np.linspace(0.0, 1.0, TINTS, endpoint=False)[:, None, None]
-    tints = (1.0 - part) * full + part * 255.0
-    greys = np.repeat(np.linspace(0.0, 255.0, 64), 3)
-    levels = np.concatenate([tints.ravel(), greys])
-    return np.round(levels).astype(np.uint8).reshape(-1, 3)
-
-
-def nearest_colours(palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Nearest colour of a palette for every colour of five bits a channel.
-
-    `palette` (c, 3) uint8, c up to 256; returns (32768,) uint8, index into the palette, by red,
-    green and blue from the highest bits on.
-    """
-    level = np.linspace(0.0, 255.0, 32)
-    colours = np.stack(np.meshgrid(level, level, level, indexing="ij"), axis=-1).reshape(-1, 3)
-    found = [
-        ((part[:, None, :] - palette) ** 2).sum(axis=-1).argmin(axis=1)
-        for part in np.array_split(colours, 32)
-    ]
-    return np.concatenate(found).astype(np.uint8)
 
 
 def ffmpeg_program() -> str:
     """FFmpeg of this machine, or that of the package ``imageio-ffmpeg``."""
-    found = shutil.which("ffmpeg")
-    if found is not None:
+    if (found := shutil.which("ffmpeg")) is not None:
         return found
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
@@ -153,7 +102,7 @@ def _write_mp4(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps:
         except BaseException:
             process.kill()
             raise
-        _, told = process.communicate()
+        _, said = process.communicate()
     if process.returncode:
-        text = " ".join(told.decode(errors="replace").split())
+        text = " ".join(said.decode(errors="replace").split())
         raise OSError(f"FFmpeg failed with code {process.returncode}: {text}")

@@ -1,4 +1,4 @@
-"""What a picture shows of an episode so far: arrays, filled one step at a time."""
+"""What a picture shows of an episode so far, and where it comes from; nothing is drawn here."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...simulators.base import Simulator, run_serially
 from ...simulators.frame import EpisodeLayout, FrameData, SkyData
+from ..core import SpoofCore
 
 FloatArray = NDArray[np.float64]
 NUMBERS = ("time_s", "counted_s", "ratio", "twin_ratio", "induced_m", "error_m", "undetected_m")
-"""What there is one of at every instant."""
+"""Time since the onset, and that of the last command; statistic over threshold; errors from the
+clean twin and from the truth; the undetected displacement."""
+PAIRS = ("position_ne", "error_ne", "twin_error_ne", "displacement_ne")
 
 
 class RenderHistory:
@@ -27,8 +31,6 @@ class RenderHistory:
 
     Attributes
     ----------
-    layout : EpisodeLayout
-        The same.
     count : int
         Instants so far, K.
     sky : SkyData or None
@@ -41,46 +43,28 @@ class RenderHistory:
         self.sky: SkyData | None = None
         size = layout.steps + 1
         self._numbers = {name: np.full(size, np.nan) for name in NUMBERS}
-        self._pairs = {
-            name: np.full((size, 2), np.nan)
-            for name in ("position_ne", "error_ne", "twin_error_ne", "displacement_ne")
-        }
+        self._pairs = {name: np.full((size, 2), np.nan) for name in PAIRS}
         self._alarm = np.zeros(size, dtype=np.bool_)
 
     def add(self, attacked: FrameData, twin: FrameData, info: Mapping[str, Any]) -> None:
         """Append an instant."""
         k, self.count = self.count, self.count + 1
-        apart = attacked.error_ne - twin.error_ne
         since = info["time_s"] - self.layout.onset_s
-        for name, value in {
-            "time_s": since,
-            "counted_s": min(since, k * self._decision_s),
-            "ratio": attacked.ratio,
-            "twin_ratio": twin.ratio,
-            "induced_m": np.hypot(apart[0], apart[1]),
-            "error_m": np.hypot(attacked.error_ne[0], attacked.error_ne[1]),
-            "undetected_m": info.get("undetected_displacement_m", 0.0),
-        }.items():
+        times = since, min(since, k * self._decision_s)
+        errors = np.hypot(*(attacked.error_ne - twin.error_ne)), np.hypot(*attacked.error_ne)
+        undetected = info.get("undetected_displacement_m", 0.0)
+        numbers = *times, attacked.ratio, twin.ratio, *errors, undetected
+        for name, value in zip(NUMBERS, numbers, strict=True):
             self._numbers[name][k] = value
-        for name, pair in {
-            "position_ne": attacked.position_ne,
-            "error_ne": attacked.error_ne,
-            "twin_error_ne": twin.error_ne,
-            "displacement_ne": attacked.displacement_ne,
-        }.items():
+        ways = attacked.position_ne, attacked.error_ne, twin.error_ne, attacked.displacement_ne
+        for name, pair in zip(PAIRS, ways, strict=True):
             if pair is not None:
                 self._pairs[name][k] = pair
         self._alarm[k] = info.get("alarm", False)
         self.sky = attacked.sky
 
     def number(self, name: str) -> FloatArray:
-        """A number at every instant.
-
-        `name`: ``time_s`` since the onset; ``counted_s``, that of the last command; ``ratio`` and
-        ``twin_ratio`` of the statistic to its threshold; ``induced_m`` from the clean twin;
-        ``error_m`` from the truth; ``undetected_m``, the undetected displacement; returns (K,) a
-        view.
-        """
+        """One of `NUMBERS` at every instant: (K,), a view."""
         return self._numbers[name][: self.count]
 
     def pair(self, name: str) -> FloatArray:
@@ -96,3 +80,43 @@ class RenderHistory:
     def first_alarm(self) -> int | None:
         """Index of the first alarm."""
         return int(self.alarm.argmax()) if self.alarm.any() else None
+
+
+FIRST = np.zeros(1, dtype=np.intp)
+"""The receiver that is shown."""
+
+
+class CoreRecorder:
+    """Looks at the first receiver of a core of the spoofer's side, and at its clean twin.
+
+    The twin is a copy taken at the onset that goes on without an attack, with the same noise and
+    the same detector in the loop.
+    """
+
+    def __init__(self, core: SpoofCore) -> None:
+        self._core = core
+        self._twin: Simulator | None = None
+
+    @property
+    def interval_s(self) -> float:
+        """Time between two frames [s]."""
+        setup = self._core.setup
+        return setup.repeat * setup.interval_s
+
+    def begin(self) -> EpisodeLayout:
+        """Take the twin; called at the onset of every episode."""
+        simulator = self._core.engine.simulator
+        if self._twin is None:
+            self._twin = self._core.setup.simulator(1, run_serially)
+        self._twin.copy_rows(FIRST, simulator, FIRST)
+        return simulator.layout()
+
+    def frames(self) -> tuple[FrameData, FrameData]:
+        """Let the twin follow; the attacked receiver and the twin now."""
+        simulator, twin = self._core.engine.simulator, self._twin
+        if twin is None:
+            raise RuntimeError("no episode has started: call begin() before frames()")
+        while twin.epochs[0] < simulator.epochs[0]:
+            twin.advance()
+            twin.update(twin.judge().weights)
+        return simulator.frame(), twin.frame()

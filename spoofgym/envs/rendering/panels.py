@@ -6,6 +6,7 @@ A panel draws once what stays, keeps the artists that move, and lets them follow
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 from ..._pictures import BLUE, GREEN, GREY, GRID, ORANGE, RED, style
 from ...simulators.frame import EpisodeLayout, FloatArray, SkyData
 from .history import RenderHistory
-from .scales import equal_limits, round_down, round_up
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -39,6 +39,10 @@ MOST_LINEAR = 5.0
 """Ratio of statistic and threshold from which on the axis is logarithmic."""
 
 
+STEPS = (1.0, 2.0, 5.0, 10.0)
+"""Round numbers, times powers of ten; axes that end there seldom change, and are seldom drawn."""
+
+
 class Panel(Protocol):
     """One panel."""
 
@@ -57,8 +61,25 @@ def moving_line(ax: Axes, look: str, **settings: Any) -> Line2D:
     return line
 
 
-def head(ax: Axes, title: str, columns: int = 4) -> None:
-    """Title of a panel, and its key between title and panel."""
+class Way:
+    """A line with a dot at its end, as they move."""
+
+    def __init__(self, ax: Axes, look: str, color: str, **settings: Any) -> None:
+        self.line = moving_line(ax, look, color=color, **settings)
+        self.end = moving_line(ax, "o", color=color, ms=5.5, mec="white", mew=0.8)
+
+    def follow(self, way_ne: FloatArray) -> None:
+        """Draw a way (K, 2), north and east."""
+        north, east = way_ne.T
+        self.line.set_data(east, north)
+        self.end.set_data(east[-1:], north[-1:])
+
+
+def head(ax: Axes, title: str, columns: int = 4, unit: str = "") -> None:
+    """Title of a panel, its key between title and panel, and the unit of east and north."""
+    if unit:
+        ax.set_xlabel(f"east [{unit}]", fontsize=SMALL, labelpad=2)
+        ax.set_ylabel(f"north [{unit}]", fontsize=SMALL, labelpad=2)
     ax.set_title(title, loc="left", fontsize=10, fontweight="bold", pad=20)
     ax.legend(
         loc="lower left",
@@ -75,6 +96,37 @@ def head(ax: Axes, title: str, columns: int = 4) -> None:
     ax.locator_params(nbins=6)
 
 
+def round_up(value: float) -> float:
+    """Least of 1, 2, 5, 10, 20 ... that is no less than a value.
+
+    >>> round_up(3.1), round_up(0.02), round_up(60.0)
+    (5.0, 0.02, 100.0)
+    """
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step for step in STEPS if step * power >= value * (1.0 - 1e-9)) * power
+
+
+def round_down(value: float) -> float:
+    """Largest of 1, 2, 5, 10, 20 ... that is no more than a value.
+
+    >>> round_down(3.1), round_down(0.02), round_down(60.0)
+    (2.0, 0.02, 50.0)
+    """
+    power = 10.0 ** math.floor(math.log10(value) + 1e-9)
+    return next(s for s in reversed(STEPS) if s * power <= value * (1.0 + 1e-9)) * power
+
+
+def equal_limits(ax: Axes, low: tuple[float, float], high: tuple[float, float]) -> None:
+    """Show a rectangle from corner `low` to `high`, (x, y), with one scale for both axes."""
+    box = ax.get_window_extent()
+    scale = max((high[0] - low[0]) / box.width, (high[1] - low[1]) / box.height)
+    for middle, size, limit in (
+        (0.5 * (low[0] + high[0]), box.width, ax.set_xlim),
+        (0.5 * (low[1] + high[1]), box.height, ax.set_ylim),
+    ):
+        limit(middle - 0.5 * scale * size, middle + 0.5 * scale * size)
+
+
 class FlightMap:
     """The flight, with both estimates; their errors are magnified, by a factor that is shown."""
 
@@ -84,34 +136,29 @@ class FlightMap:
         extent = np.ptp(layout.track_ne, axis=0).max()
         self._unit, name = (1000.0, "km") if extent > 2000.0 else (1.0, "m")
         self._extent = max(float(extent), 1.0)
-        self._factor = round_down(MAGNIFIED * self._extent / LEAST_M)
         north, east = (layout.track_ne / self._unit).T
         ax.plot(east, north, color=GRID, lw=5, solid_capstyle="round", label="way ahead", zorder=1)
-        self._twin = moving_line(ax, "-", color=BLUE, lw=1.4, label="clean twin")
-        self._estimate = moving_line(ax, "-", color=ORANGE, lw=1.8, label="estimate")
-        self._truth = moving_line(ax, "-", color="black", lw=1.6, label="truth")
-        self._ends = [
-            moving_line(ax, "o", color=colour, ms=5.5, mec="white", mew=0.8)
-            for colour in (BLUE, ORANGE, "black")
+        self._ways = [
+            Way(ax, "-", BLUE, lw=1.4, label="clean twin"),
+            Way(ax, "-", ORANGE, lw=1.8, label="estimate"),
+            Way(ax, "-", "black", lw=1.6, label="truth"),
         ]
-        self.artists: list[Artist] = [self._twin, self._estimate, self._truth, *self._ends]
+        self.artists: list[Artist] = [*(w.line for w in self._ways), *(w.end for w in self._ways)]
         margin = 1.1 * MAGNIFIED * self._extent / self._unit
         equal_limits(
             ax,
             (east.min() - margin, north.min() - margin),
             (east.max() + margin, north.max() + margin),
         )
-        ax.set_xlabel(f"east [{name}]", fontsize=SMALL, labelpad=2)
-        ax.set_ylabel(f"north [{name}]", fontsize=SMALL, labelpad=2)
-        head(ax, "Track", 4)
-        self._told = ax.text(
+        head(ax, "Track", unit=name)
+        self._scale = ax.text(
             0.02, 0.02, "", transform=ax.transAxes, fontsize=SMALL, color=GREY, zorder=5
         )
-        self._tell()
+        self._magnify(round_down(MAGNIFIED * self._extent / LEAST_M))
 
-    def _tell(self) -> None:
-        factor = self._factor
-        self._told.set_text(
+    def _magnify(self, factor: float) -> None:
+        self._factor = factor
+        self._scale.set_text(
             f"errors drawn {factor:,.0f} times as large" if factor > 1.0 else "errors to scale"
         )
 
@@ -121,23 +168,15 @@ class FlightMap:
         factor = max(round_down(MAGNIFIED * self._extent / largest), 1.0)
         if factor >= self._factor:
             return False
-        self._factor = factor
-        self._tell()
+        self._magnify(factor)
         return True
 
     def follow(self, history: RenderHistory) -> None:
         """Draw the way so far."""
         truth = history.pair("position_ne")
-        ways = (
-            truth + self._factor * history.pair("twin_error_ne"),
-            truth + self._factor * history.pair("error_ne"),
-            truth,
-        )
-        lines = (self._twin, self._estimate, self._truth)
-        for line, end, way in zip(lines, self._ends, ways, strict=True):
-            north, east = (way / self._unit).T
-            line.set_data(east, north)
-            end.set_data(east[-1:], north[-1:])
+        errors = history.pair("twin_error_ne"), history.pair("error_ne"), np.zeros_like(truth)
+        for way, error in zip(self._ways, errors, strict=True):
+            way.follow((truth + self._factor * error) / self._unit)
 
 
 class ErrorPlane:
@@ -147,32 +186,22 @@ class ErrorPlane:
         style(ax)
         self._ax, self._radius = ax, 0.0
         ax.plot(0, 0, "+", color="black", ms=9, mew=1.4, ls="none", label="truth")
-        ends = [("twin_error_ne", BLUE, "-", "clean twin"), ("error_ne", ORANGE, "-", "estimate")]
+        self._ways: dict[str, Way] = {}
         if layout.commands_position:
-            ends.insert(0, ("displacement_ne", GREEN, "--", "commanded"))
-        self._ways: list[tuple[str, Line2D, Line2D]] = [
-            (
-                name,
-                moving_line(ax, dashes, color=colour, lw=1.5, label=label),
-                moving_line(ax, "o", color=colour, ms=5.5, mec="white", mew=0.8),
-            )
-            for name, colour, dashes, label in ends
-        ]
+            self._ways["displacement_ne"] = Way(ax, "--", GREEN, lw=1.5, label="commanded")
+        self._ways["twin_error_ne"] = Way(ax, "-", BLUE, lw=1.5, label="clean twin")
+        self._ways["error_ne"] = Way(ax, "-", ORANGE, lw=1.5, label="estimate")
         self._alarm = moving_line(ax, "X", color=RED, ms=9, mec="white", mew=0.8)
-        self.artists: list[Artist] = [artist for _, *pair in self._ways for artist in pair]
+        self.artists: list[Artist] = [a for w in self._ways.values() for a in (w.line, w.end)]
         self.artists.append(self._alarm)
         self._circles: list[Artist] = []
-        ax.set_xlabel("east [m]", fontsize=SMALL, labelpad=2)
-        ax.set_ylabel("north [m]", fontsize=SMALL, labelpad=2)
-        head(ax, "Estimate minus truth", 4)
+        head(ax, "Estimate minus truth", unit="m")
 
     def fit(self, history: RenderHistory) -> bool:
         """Widen the plane where errors have grown."""
         from matplotlib.patches import Circle
 
-        largest = max(
-            float(np.nanmax(np.abs(history.pair(name)), initial=0.0)) for name, *_ in self._ways
-        )
+        largest = max(_largest(np.abs(history.pair(name))) for name in self._ways)
         radius = round_up(max(1.1 * largest, LEAST_M))
         if radius <= self._radius:
             return False
@@ -188,10 +217,8 @@ class ErrorPlane:
 
     def follow(self, history: RenderHistory) -> None:
         """Draw the errors so far."""
-        for name, line, end in self._ways:
-            north, east = history.pair(name).T
-            line.set_data(east, north)
-            end.set_data(east[-1:], north[-1:])
+        for name, way in self._ways.items():
+            way.follow(history.pair(name))
         first = history.first_alarm
         if first is not None:
             north, east = history.pair("error_ne")[first]
@@ -218,9 +245,8 @@ class SkyPlot:
         shape: dict[str, Any] = {"ms": 10.5, "mew": 1.2, "ls": "none"}
         self._authentic = moving_line(ax, "o", color="white", mec=BLUE, label="authentic", **shape)
         self._spoofed = moving_line(ax, "o", color=ORANGE, mec="white", label="spoofed", **shape)
-        self._excluded = moving_line(
-            ax, "x", color="black", ms=8, mew=1.6, ls="none", label="excluded"
-        )
+        shape = {"ms": 8, "mew": 1.6, "ls": "none"}
+        self._excluded = moving_line(ax, "x", color="black", label="excluded", **shape)
         self._ax = ax
         self._names: list[Text] = []
         self._named: tuple[FloatArray, NDArray[np.bool_]] | None = None
@@ -265,9 +291,9 @@ class SkyPlot:
 
 
 def beside(place: FloatArray, visible: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Lower left corners of names beside satellites, where they lie on nothing else if possible.
+    """Lower left corners of names next to satellites at `place` (2, n), free of others if possible.
 
-    `place` (2, n) of the satellites on the plot; `visible` (n,) bool, which of them are drawn.
+    `visible` (n,) bool: which of them are drawn.
     """
     width, height = NAME_SIZE
     marks = [(x - 0.08, y - 0.08, 0.16, 0.16) for x, y in place.T.tolist()]
@@ -286,7 +312,7 @@ def beside(place: FloatArray, visible: NDArray[np.bool_]) -> list[tuple[float, f
 
 
 def _overlap(box: Box, others: Sequence[Box]) -> float:
-    """Area that a box shares with others; each by its corner, width and height."""
+    """Area that a box shares with others."""
     shared = 0.0
     for other in others:
         sides = [
@@ -313,16 +339,9 @@ class TimePanel:
         ax.set_xlim(0.0, end)
         if layout.hold_s:
             ax.axvspan(layout.attack_s, end, color=GREY, alpha=0.12, lw=0)
-            ax.text(
-                layout.attack_s,
-                0.03,
-                " time to alert",
-                transform=ax.get_xaxis_transform(),
-                rotation=90,
-                fontsize=7,
-                color=GREY,
-                va="bottom",
-            )
+            look: dict[str, Any] = {"rotation": 90, "fontsize": 7, "color": GREY, "va": "bottom"}
+            across = ax.get_xaxis_transform()
+            ax.text(layout.attack_s, 0.03, " time to alert", transform=across, **look)
         ax.set_xlabel("time since the onset [s]", fontsize=SMALL, labelpad=2)
         self._first = moving_line(ax, "-", color=RED, lw=1.1)
         self._first.set_transform(ax.get_xaxis_transform())
@@ -347,7 +366,7 @@ class StatisticPanel(TimePanel):
         self._alarms = moving_line(ax, "o", color=RED, ms=3.5, ls="none", label="alarm")
         self.artists += [self._twin, self._attacked, self._alarms]
         self._top = 0.0
-        head(ax, "Statistic over threshold", 4)
+        head(ax, "Statistic over threshold")
 
     def fit(self, history: RenderHistory) -> bool:
         """Raise the axis where the statistic has grown."""
@@ -388,7 +407,7 @@ class ErrorPanel(TimePanel):
             self.artists.append(self._commanded)
         self.artists += [line for _, line in self._lines]
         self._top = 0.0
-        head(ax, "Displacement of the victim [m]", 4)
+        head(ax, "Displacement of the victim [m]")
 
     def fit(self, history: RenderHistory) -> bool:
         """Raise the axis where errors have grown."""

@@ -1,4 +1,4 @@
-"""What an environment with a render mode keeps: history, painter, window."""
+"""What an environment with a render mode keeps: the history, and a window where it is shown."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._pictures import figure_class
 from ..._registry import check_choice
-from .history import RenderHistory
-from .painter import Painter
-from .recorders import Recorder
-from .window import Window
+from .figure import DPI, SIZE_IN, Painter
+from .history import CoreRecorder, RenderHistory
 
 RENDER_MODES = ("human", "rgb_array")
 
@@ -24,16 +23,11 @@ class Screen:
     ----------
     mode : {"human", "rgb_array"}
         Whether frames go to a window or to the caller.
-    recorder : Recorder
+    recorder : CoreRecorder
         Where frames come from.
-
-    Raises
-    ------
-    ValueError
-        When there is no such mode.
     """
 
-    def __init__(self, mode: str, recorder: Recorder) -> None:
+    def __init__(self, mode: str, recorder: CoreRecorder) -> None:
         check_choice("render mode", mode, RENDER_MODES)
         self.mode, self._recorder = mode, recorder
         self._history: RenderHistory | None = None
@@ -84,3 +78,47 @@ class Screen:
         if self._window is not None:
             self._window.close()
         self._window = self._painter = None
+
+
+class Window:
+    """A window on the screen."""
+
+    def __init__(self, title: str) -> None:
+        figure_class()  # which says how to install matplotlib
+        import matplotlib
+        from matplotlib import pyplot
+
+        self._figure = pyplot.figure(figsize=SIZE_IN, dpi=DPI)
+        if self._figure.canvas.required_interactive_framework is None:
+            pyplot.close(self._figure)
+            raise RuntimeError(
+                "render_mode='human' needs a display, and matplotlib's backend "
+                f"{matplotlib.get_backend()!r} has no window: use render_mode='rgb_array', or set "
+                "MPLBACKEND to a backend with windows, such as TkAgg or QtAgg"
+            )
+        manager = self._figure.canvas.manager
+        if manager is not None:
+            manager.set_window_title(title)
+            manager.show()
+        self._ax = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        self._ax.set_axis_off()
+        self._image: Any = None
+
+    def show(self, frame: NDArray[np.uint8]) -> None:
+        """Show a frame; nothing where the user has closed the window.  `frame` (H, W, 3) uint8."""
+        from matplotlib import pyplot
+
+        if not pyplot.fignum_exists(self._figure.number):
+            return
+        if self._image is None:
+            self._image = self._ax.imshow(frame)
+        else:
+            self._image.set_data(frame)
+        self._figure.canvas.draw()
+        self._figure.canvas.flush_events()
+
+    def close(self) -> None:
+        """Close it; once more does nothing."""
+        from matplotlib import pyplot
+
+        pyplot.close(self._figure)

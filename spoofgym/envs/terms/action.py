@@ -166,21 +166,9 @@ ACTION_TERMS: dict[str, type[ActionTerm]] = {
 
 
 class CommandMap:
-    """Commands of a list of terms.
+    """Commands of a list of terms, in the order of the action: `names` (k,) of its elements.
 
-    Parameters
-    ----------
-    terms : sequence of ActionTerm
-        In the order of the action.
-    setup : Setup
-        Knows the attack.
-
-    Attributes
-    ----------
-    names : tuple of str
-        (k,) name of every element.
-    is_plain : bool
-        Whether an action is the command.
+    `is_plain` says that an action is the command.
     """
 
     def __init__(self, terms: Sequence[ActionTerm], setup: Setup) -> None:
@@ -196,19 +184,13 @@ class CommandMap:
         self._matrix = np.zeros((0, 0, 0))
 
     def aim(self, heading_rad: FloatArray) -> None:
-        """Take the directions of the running episodes.
-
-        `heading_rad` (B,) direction in which displacement counts, clockwise from north.
-        """
+        """Take the directions (B,) of the running episodes, clockwise from north."""
         if not self.is_plain:
             parts = [term.matrix(self.setup, heading_rad) for term in self._terms]
             self._matrix = np.ascontiguousarray(np.concatenate(parts, axis=2))
 
     def command(self, action: FloatArray) -> FloatArray:
-        """Command of an action.
-
-        `action` (B, k) in [-1, 1]; returns (B, a), C-contiguous; the attack limits it.
-        """
+        """Command (B, a), C-contiguous, of an action (B, k) in [-1, 1]; the attack limits it."""
         if self.is_plain:
             return action
         # a sum of products, since the bits of a matrix product depend on the size of the batch

@@ -56,8 +56,24 @@ class DynamicTerm(ObservationTerm, Protocol):
         """Write the values into `out` (B, k); clipping follows."""
 
 
+class _Term:
+    """What the terms below share: fixed bounds, and settings that are scales above 0."""
+
+    limits: ClassVar[tuple[float, float]] = (-10.0, 10.0)
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        for name, value in vars(self).items():
+            if name != "largest":
+                check_finite(name, value, "> 0")
+
+    def bounds(self, setup: Setup) -> tuple[float, float]:
+        """Least and largest value of all elements."""
+        return self.limits
+
+
 @dataclass(frozen=True)
-class OwnCommand:
+class OwnCommand(_Term):
     """Commanded displacement and rate.
 
     Parameters
@@ -69,18 +85,10 @@ class OwnCommand:
     scale_m: float = 100.0
     knowledge: ClassVar[str] = "blind"
 
-    def __post_init__(self) -> None:
-        """Check the scale."""
-        check_finite("scale_m", self.scale_m, "> 0")
-
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``own_displacement_*`` and ``own_rate_*`` for every element of the action."""
         axes = [name.rsplit("_", 1)[0] for name in setup.action_names]
         return (*(f"own_displacement_{a}" for a in axes), *(f"own_rate_{a}" for a in axes))
-
-    def bounds(self, setup: Setup) -> tuple[float, float]:
-        """-10 and 10."""
-        return -10.0, 10.0
 
     def factors(self, setup: Setup) -> tuple[float, FloatArray]:
         """Factors on displacement, and on the rate of every axis, for kernels that write both."""
@@ -95,18 +103,15 @@ class OwnCommand:
 
 
 @dataclass(frozen=True)
-class Time:
+class Time(_Term):
     """Parts of the command phase that are over, and left."""
 
     knowledge: ClassVar[str] = "blind"
+    limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``time_since_onset`` and ``time_left``."""
         return ("time_since_onset", "time_left")
-
-    def bounds(self, setup: Setup) -> tuple[float, float]:
-        """0 and 1."""
-        return 0.0, 1.0
 
     def table(self, setup: Setup) -> NDArray[np.float32] | None:
         """The two fractions, where every epoch belongs to one onset."""
@@ -125,7 +130,7 @@ class Time:
 
 
 @dataclass(frozen=True)
-class TargetMotion:
+class TargetMotion(_Term):
     """True position since the onset, and true velocity, in local axes at the onset.
 
     Parameters
@@ -138,18 +143,9 @@ class TargetMotion:
     velocity_scale_mps: float = 100.0
     knowledge: ClassVar[str] = "tracking"
 
-    def __post_init__(self) -> None:
-        """Check the scales."""
-        check_finite("position_scale_m", self.position_scale_m, "> 0")
-        check_finite("velocity_scale_mps", self.velocity_scale_mps, "> 0")
-
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``target_position_*`` and ``target_velocity_*``, as far as the victim has them."""
         return tuple(f"target_{name}" for name in setup.motion_names)
-
-    def bounds(self, setup: Setup) -> tuple[float, float]:
-        """-10 and 10."""
-        return -10.0, 10.0
 
     def table(self, setup: Setup) -> NDArray[np.float32] | None:
         """Position and velocity over their scales, where every epoch belongs to one onset."""
@@ -161,18 +157,15 @@ class TargetMotion:
 
 
 @dataclass(frozen=True)
-class TargetDirection:
+class TargetDirection(_Term):
     """Direction in which displacement counts: its north and its east component."""
 
     knowledge: ClassVar[str] = "blind"
+    limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``target_direction_north`` and ``target_direction_east``."""
         return ("target_direction_north", "target_direction_east")
-
-    def bounds(self, setup: Setup) -> tuple[float, float]:
-        """-1 and 1."""
-        return -1.0, 1.0
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write cosine and sine of the heading."""
@@ -181,20 +174,17 @@ class TargetDirection:
 
 
 @dataclass(frozen=True)
-class SatelliteGeometry:
+class SatelliteGeometry(_Term):
     """Line of sight to every slot in local axes, then whether it is visible, or spoofed."""
 
     knowledge: ClassVar[str] = "tracking"
+    limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``sight_*_SLOT``, and ``visible_SLOT`` or ``spoofed_SLOT``."""
         if not setup.geometry_names:
             raise ValueError(f"{setup.whose} has no satellites to observe")
         return setup.geometry_names
-
-    def bounds(self, setup: Setup) -> tuple[float, float]:
-        """-1 and 1."""
-        return -1.0, 1.0
 
     def table(self, setup: Setup) -> FloatArray | None:
         """Unit vectors, 0 where not visible, then 1 or 0."""
@@ -206,7 +196,7 @@ class SatelliteGeometry:
 
 
 @dataclass(frozen=True)
-class StatisticRatio:
+class StatisticRatio(_Term):
     """The detector's statistic over its threshold: 1 is an alarm.
 
     Parameters
@@ -217,6 +207,7 @@ class StatisticRatio:
 
     largest: bool = False
     knowledge: ClassVar[str] = "oracle"
+    limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``statistic_ratio_SLOT``, or ``statistic_ratio`` for one of the whole receiver."""
@@ -225,10 +216,6 @@ class StatisticRatio:
         if not setup.weight_names:
             raise ValueError(f"{setup.whose} has no channels: observe the `largest` ratio")
         return tuple(f"statistic_ratio_{name}" for name in setup.weight_names)
-
-    def bounds(self, setup: Setup) -> tuple[float, float]:
-        """0 and 10."""
-        return 0.0, 10.0
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the ratios of the last verdict; 0 before the first."""
@@ -242,18 +229,15 @@ class StatisticRatio:
 
 
 @dataclass(frozen=True)
-class GainWeight:
+class GainWeight(_Term):
     """The detector's weight on every pseudorange, or on the position; 1 from a monitor."""
 
     knowledge: ClassVar[str] = "oracle"
+    limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``weight_SLOT`` or ``weight_AXIS``."""
         return tuple(f"weight_{name}" for name in setup.weight_names)
-
-    def bounds(self, setup: Setup) -> tuple[float, float]:
-        """0 and 1."""
-        return 0.0, 1.0
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the weights of the last update."""
@@ -261,7 +245,7 @@ class GainWeight:
 
 
 @dataclass(frozen=True)
-class EstimateError:
+class EstimateError(_Term):
     """Error of the victim's position in local axes at the onset.
 
     Parameters
@@ -273,17 +257,9 @@ class EstimateError:
     scale_m: float = 100.0
     knowledge: ClassVar[str] = "oracle"
 
-    def __post_init__(self) -> None:
-        """Check the scale."""
-        check_finite("scale_m", self.scale_m, "> 0")
-
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``error_north``, ``error_east``, and ``error_down`` of some victims."""
         return tuple(f"error_{name}" for name in setup.error_names)
-
-    def bounds(self, setup: Setup) -> tuple[float, float]:
-        """-10 and 10."""
-        return -10.0, 10.0
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write estimate minus truth."""
@@ -291,7 +267,7 @@ class EstimateError:
 
 
 @dataclass(frozen=True)
-class DivergenceSpent:
+class DivergenceSpent(_Term):
     """Divergence that the attack has caused so far, over a budget; see `Divergence`.
 
     Parameters
@@ -302,19 +278,12 @@ class DivergenceSpent:
 
     budget_nats: float = 2.0
     knowledge: ClassVar[str] = "oracle"
+    limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
     needs: ClassVar[tuple[type[Divergence], ...]] = (Divergence,)
-
-    def __post_init__(self) -> None:
-        """Check the budget."""
-        check_finite("budget_nats", self.budget_nats, "> 0")
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``divergence_spent``."""
         return ("divergence_spent",)
-
-    def bounds(self, setup: Setup) -> tuple[float, float]:
-        """0 and 10."""
-        return 0.0, 10.0
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the part of the budget that is spent."""

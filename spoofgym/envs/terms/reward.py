@@ -74,6 +74,11 @@ class _Shared:
     field: ClassVar[str]
     sign: ClassVar[float] = 1.0
 
+    def __post_init__(self) -> None:
+        """Check the setting; a price is at least 0."""
+        for name, value in vars(self).items():
+            check_finite(name, value, ">= 0" if self.sign < 0.0 else "")
+
     @property
     def share(self) -> Share:
         """Field, of `SHARED`, and factor."""
@@ -100,10 +105,6 @@ class DisplacementGain(_Shared):
     name: ClassVar[str] = "displacement"
     field: ClassVar[str] = "gain"
 
-    def __post_init__(self) -> None:
-        """Check the factor."""
-        check_finite("per_m", self.per_m)
-
 
 @dataclass(frozen=True)
 class Retraction(_Shared):
@@ -118,10 +119,6 @@ class Retraction(_Shared):
     per_m: float = 1.0
     name: ClassVar[str] = "retraction"
     field: ClassVar[str] = "retraction"
-
-    def __post_init__(self) -> None:
-        """Check the factor."""
-        check_finite("per_m", self.per_m)
 
 
 @dataclass(frozen=True)
@@ -139,10 +136,6 @@ class AlarmPenalty(_Shared):
     field: ClassVar[str] = "detected"
     sign: ClassVar[float] = -1.0
 
-    def __post_init__(self) -> None:
-        """Check the price."""
-        check_finite("penalty_m", self.penalty_m, ">= 0")
-
 
 @dataclass(frozen=True)
 class AlarmedEpochs(_Shared):
@@ -158,10 +151,6 @@ class AlarmedEpochs(_Shared):
     name: ClassVar[str] = "alarmed_epochs"
     field: ClassVar[str] = "alarm"
     sign: ClassVar[float] = -1.0
-
-    def __post_init__(self) -> None:
-        """Check the price."""
-        check_finite("per_epoch_m", self.per_epoch_m, ">= 0")
 
 
 @dataclass(frozen=True)

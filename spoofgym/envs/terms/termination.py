@@ -168,21 +168,9 @@ END_TERMS: dict[str, type[EndTerm]] = {
 
 
 class Ends:
-    """Ends of a list of terms.
+    """Ends of a list of terms, each with a name of its own; `judge` writes the keys `info_names`.
 
-    The game itself knows of the alarm and of the last command; `judge` is for all others.
-
-    Parameters
-    ----------
-    terms : sequence of EndTerm
-        Each with a name of its own.
-
-    Attributes
-    ----------
-    at_alarm : bool
-        Whether an alarm ends an episode.
-    info_names : tuple of str
-        Keys that `judge` writes.
+    The core itself knows of the alarm and of the last command; `judge` is for all others.
     """
 
     def __init__(self, terms: Sequence[EndTerm]) -> None:

@@ -1,6 +1,7 @@
 """Wrappers of the vector environment, around what `gymnasium.make_vec` returns.
 
-`gymnasium.make_vec` takes no ``wrappers=`` where an environment has a vector form of its own.
+It takes no ``wrappers=`` where an environment has a vector form of its own.  Arguments are those of
+the wrappers of the same names in `single`; `RecordEpochs` writes a file an episode of a receiver.
 """
 
 from __future__ import annotations
@@ -29,15 +30,7 @@ else:
 
 
 class DetectorWrapper(Wrapper):
-    """Sets the detector in the loop, as the argument ``detector=`` does.
-
-    Parameters
-    ----------
-    env : VectorEnv
-        A `SpoofVectorEnv`, wrapped or not, without a detector of its own, and not reset yet.
-    detector : str, mapping or Detector
-        As `make_detector` takes it.
-    """
+    """As `single.DetectorWrapper`, of all receivers."""
 
     def __init__(self, env: Envs, detector: str | Mapping[str, Any] | Detector) -> None:
         super().__init__(env)
@@ -45,15 +38,7 @@ class DetectorWrapper(Wrapper):
 
 
 class WatchWrapper(Wrapper):
-    """Adds passive detectors, as the argument ``watch=`` does.
-
-    Parameters
-    ----------
-    env : VectorEnv
-        A `SpoofVectorEnv`, wrapped or not, and not reset yet.
-    watch : sequence of str, mapping or Detector
-        Each as `make_detector` takes it.  Their weights are not used.
-    """
+    """As `single.WatchWrapper`, of all receivers."""
 
     def __init__(self, env: Envs, watch: WatchSpec) -> None:
         super().__init__(env)
@@ -61,15 +46,7 @@ class WatchWrapper(Wrapper):
 
 
 class StealthBudget(Wrapper):
-    """Ends an episode where the attack has spent its divergence; the end term `AtStealthBudget`.
-
-    Parameters
-    ----------
-    env : VectorEnv
-        A `SpoofVectorEnv`, wrapped or not, and not reset yet.
-    budget_nats : float
-        Largest divergence, by the belief of the victim's filter.
-    """
+    """As `single.StealthBudget`, of all receivers."""
 
     def __init__(self, env: Envs, budget_nats: float) -> None:
         super().__init__(env)
@@ -77,15 +54,7 @@ class StealthBudget(Wrapper):
 
 
 class RecordEpochs(Wrapper):
-    """Writes every epoch of the commands into Parquet files, one an episode of a receiver.
-
-    Parameters
-    ----------
-    env : VectorEnv
-        A `SpoofVectorEnv`, wrapped or not.
-    folder : str or Path
-        Where the files go.
-    """
+    """As `single.RecordEpochs`, of all receivers."""
 
     def __init__(self, env: Envs, folder: str | Path) -> None:
         super().__init__(env)

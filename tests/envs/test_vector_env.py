@@ -1,4 +1,4 @@
-"""Gymnasium's contracts of vector environments, over every id and every autoreset mode."""
+"""Vector environments: seeds, masks, final observations, and the information that is asked for."""
 
 from __future__ import annotations
 
@@ -9,63 +9,24 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from .test_small_envs import SMALL, Sooner, short
+from spoofgym.detectors import Never
 
-MAIN = "spoofgym/TightlyCoupled-v0"
-MODES = ("next_step", "same_step", "disabled")
-COUNT = 3
-
-
-def settings(name, **kwargs):
-    """Episodes of 24 commands, some of which end early, and at different times."""
-    if name == MAIN:
-        kwargs["timeline"] = {"warmup_s": 5, "live_s": 5, "attack_s": 12, "time_to_alert_s": 2}
-    else:
-        kwargs = short(name, **kwargs)
-    return {"detector": Sooner(), "knowledge": "blind", **kwargs}
+from .players import COUNT, MODES, VICTIM_IDS, early
+from .support import STEPS, vector
 
 
 def make(name, mode="next_step", **kwargs):
-    return gym.make_vec(name, num_envs=COUNT, autoreset_mode=mode, **settings(name, **kwargs))
+    settings = early(name, knowledge="blind", **kwargs)
+    return gym.make_vec(name, num_envs=COUNT, autoreset_mode=mode, **settings)
 
 
-@pytest.fixture(params=[MAIN, *SMALL])
+@pytest.fixture(params=VICTIM_IDS)
 def name(request):
     return request.param
 
 
 def actions(envs, rng):
     return rng.uniform(-0.2, 0.2, envs.action_space.shape).astype(np.float32)
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_spaces_flags_and_masks(name, mode):
-    envs = make(name, mode)
-    assert envs.metadata["autoreset_mode"] == AutoresetMode[mode.upper()]
-    observation, info = envs.reset(seed=4)
-    rng = np.random.default_rng(0)
-    ended = np.zeros(COUNT, dtype=int)
-    held = []
-    for _ in range(60):
-        held.append((observation, observation.copy()))
-        assert envs.observation_space.contains(observation)
-        assert observation.dtype == np.float32
-        for key, value in info.items():
-            if not key.startswith("_") and key != "final_info":
-                assert value.shape[0] == COUNT, key
-                assert info[f"_{key}"].dtype == bool
-                assert info[f"_{key}"].shape == (COUNT,)
-        observation, reward, terminated, truncated, info = envs.step(actions(envs, rng))
-        assert reward.shape == terminated.shape == truncated.shape == (COUNT,)
-        assert (reward.dtype, terminated.dtype, truncated.dtype) == (float, bool, bool)
-        over = terminated | truncated
-        ended += over
-        if mode == "disabled" and over.any():
-            observation, info = envs.reset(options={"reset_mask": over})
-            np.testing.assert_array_equal(info["_time_s"], over)
-    assert ended.min() >= 2
-    for given, kept in held:  # nothing that was handed out is written again
-        np.testing.assert_array_equal(given, kept)
 
 
 def test_a_seed_is_that_of_every_receiver(name):
@@ -79,41 +40,6 @@ def test_a_seed_is_that_of_every_receiver(name):
     assert set(onwards) == set(again)
     with pytest.raises(ValueError, match="must have 3 elements, got 2"):
         envs.reset(seed=[1, 2])
-
-
-def run(name, mode, steps=56):
-    """Transitions of receivers one by one, without those that only begin an episode."""
-    envs = make(name, mode)
-    observation, _ = envs.reset(seed=2)
-    rows = [[] for _ in range(COUNT)]
-    over = np.zeros(COUNT, dtype=bool)
-    while min(map(len, rows)) < steps:
-        # an action that depends on receiver and number of its transition alone
-        given = np.stack(
-            [np.full(envs.single_action_space.shape, 0.2 * np.sin(len(r) + i))
-             for i, r in enumerate(rows)]
-        )  # fmt: skip
-        before = over
-        observation, reward, terminated, truncated, info = envs.step(given)
-        over = terminated | truncated
-        for i in range(COUNT):
-            if mode == "next_step" and before[i]:
-                assert reward[i] == 0.0
-                assert not over[i]
-                continue
-            final = info["final_obs"][i] if mode == "same_step" and over[i] else observation[i]
-            rows[i].append((final.tobytes(), reward[i], over[i]))
-        if mode == "disabled" and over.any():
-            observation, _ = envs.reset(options={"reset_mask": over})
-            over = np.zeros(COUNT, dtype=bool)
-    return [row[:steps] for row in rows]
-
-
-def test_the_modes_play_the_same_episodes(name):
-    """Bit for bit: they differ in when an episode is begun, and in nothing else."""
-    played = {mode: run(name, mode) for mode in MODES}
-    assert any(end for row in played["disabled"] for *_, end in row)
-    assert played["next_step"] == played["same_step"] == played["disabled"]
 
 
 def test_final_observation_and_information(name):
@@ -147,7 +73,7 @@ def types(info):
 def test_the_types_of_the_last_information_are_those_of_gymnasium(name):
     ours = make(name, "same_step")
     theirs = gym.vector.SyncVectorEnv(
-        [lambda: gym.make(name, **settings(name))] * COUNT,
+        [lambda: gym.make(name, **early(name, knowledge="blind"))] * COUNT,
         autoreset_mode=AutoresetMode.SAME_STEP,
     )
     ours.reset(seed=4)
@@ -213,7 +139,7 @@ def test_a_part_of_the_receivers_can_be_seeded():
 
 
 def test_unknown_options_are_warned_of(name):
-    envs, env = make(name), gym.make(name, **settings(name))
+    envs, env = make(name), gym.make(name, **early(name, knowledge="blind"))
     with pytest.warns(UserWarning, match=r"no option 'speed'; valid: domain, reset_mask"):
         envs.reset(seed=0, options={"speed": 2})
     with pytest.warns(UserWarning, match=r"no option 'speed'; valid: domain"):
@@ -249,3 +175,37 @@ def test_unknown_information_is_refused(name):
         make(name, infos=("alarms",))
     with pytest.raises(ValueError, match="unknown choice of infos 'some'; valid: all, none"):
         make(name, infos="some")
+
+
+def test_next_step_resets_in_the_step_after_the_end():
+    envs = vector(3, autoreset_mode="next_step", detector=Never())
+    first, _ = envs.reset(seed=2)
+    for _ in range(STEPS - 1):
+        _, _, terminated, _, _ = envs.step(np.zeros((3, 2)))
+        assert not terminated.any()
+    last, _, terminated, _, info = envs.step(np.zeros((3, 2)))
+    assert terminated.all()
+    assert "final_obs" not in info
+    assert last[0, envs.observation_names.index("time_left")] == 0.0
+    observation, reward, terminated, _, info = envs.step(np.ones((3, 2)))
+    assert not terminated.any()
+    assert not reward.any()
+    assert observation[0, envs.observation_names.index("time_left")] == 1.0
+    assert info["_time_s"].all()
+    assert "reward_alarm" not in info or not info["_reward_alarm"].any()
+    assert first.shape == observation.shape
+
+
+def test_same_step_keeps_the_final_observation():
+    envs = vector(2, autoreset_mode="same_step", detector=Never())
+    envs.reset(seed=2)
+    for _ in range(STEPS):
+        observation, _, terminated, _, info = envs.step(np.ones((2, 2)))
+    left = envs.observation_names.index("time_left")
+    assert terminated.all()
+    assert info["_final_obs"].all()
+    assert info["final_obs"][1][left] == 0.0
+    assert observation[1, left] == 1.0
+    assert info["final_info"]["undetected_displacement_m"].shape == (2,)
+    assert info["final_info"]["_undetected_displacement_m"].all()
+    assert not info["_undetected_displacement_m"].any()

@@ -1,7 +1,8 @@
-"""Title of the picture of an episode, and its present numbers.
+"""The picture of an episode as an array of pixels.
 
-Numbers change with every frame, and matplotlib lays out a text in milliseconds: their characters
-are drawn once, and put into the frames as tiles.
+What stays is drawn once and kept; a frame copies it, and draws upon it what moves.  Numbers change
+with every frame, and matplotlib lays out a text in milliseconds: their characters are drawn once,
+and put into the frames as tiles.
 """
 
 from __future__ import annotations
@@ -15,10 +16,13 @@ from numpy.typing import NDArray
 from ..._pictures import RED, figure_class
 from ...simulators.frame import EpisodeLayout
 from .history import RenderHistory
+from .panels import ErrorPanel, ErrorPlane, FlightMap, Panel, SkyPlot, StatisticPanel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+SIZE_IN = (11.2, 7.0)
+DPI = 100
 NUMBERS = (
     ("time_s", "time [s]", "{:.1f}"),
     ("induced_m", "induced error [m]", "{:.2f}"),
@@ -29,7 +33,7 @@ NUMBERS = (
 CHARACTERS = "0123456789.-+einfa "
 SIZE_PT = 10.0
 LEFT, BELOW_TOP = 0.015, 0.912
-"""Where the numbers begin, as parts of the picture."""
+"""Where the numbers start, as parts of the picture."""
 WIDTH = 8
 """Characters that are left free for a number."""
 
@@ -54,20 +58,13 @@ class Tiles:
         self._tiles = dict(zip(CHARACTERS, np.split(strip, count, axis=1), strict=True))
 
     def write(self, frame: NDArray[np.uint8], x: int, y: int, text: str) -> None:
-        """Put a text into a frame.
-
-        `frame` (H, W, 3) uint8, written; `x`, `y`: left upper corner, from the left upper one of
-        the frame [pixels].
-        """
+        """Put a text into a frame, (H, W, 3); `x`, `y`: its left upper corner [pixels]."""
         row = np.concatenate([self._tiles[letter] for letter in text], axis=1)
         frame[y : y + row.shape[0], x : x + row.shape[1]] = row
 
 
 class Headline:
-    """Title, present numbers, and whether the detector has alarmed.
-
-    `figure`: where; it has a canvas.
-    """
+    """Title, present numbers, and whether the detector has alarmed, on a figure with a canvas."""
 
     def __init__(self, figure: Figure, layout: EpisodeLayout) -> None:
         figure.text(LEFT, 0.975, layout.title, fontsize=13, fontweight="bold", va="top")
@@ -94,7 +91,57 @@ class Headline:
         return True
 
     def write(self, history: RenderHistory, frame: NDArray[np.uint8]) -> None:
-        """Write the present numbers into a frame.  `frame` (H, W, 3) uint8, written."""
+        """Write the present numbers into a frame, (H, W, 3)."""
         for (x, y), (name, _, form) in zip(self._corners, NUMBERS, strict=True):
             number = form.format(history.number(name)[-1]).rjust(WIDTH)
             self._tiles.write(frame, x, y, number)
+
+
+class Painter:
+    """Draws the frames of one episode.
+
+    Parameters
+    ----------
+    layout : EpisodeLayout
+        What stays the same in it.
+    """
+
+    def __init__(self, layout: EpisodeLayout) -> None:
+        figure = figure_class()(figsize=SIZE_IN, dpi=DPI)
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        self._canvas: Any = FigureCanvasAgg(figure)
+        self._figure = figure
+        grid = figure.add_gridspec(
+            2, 6, left=0.066, right=0.985, bottom=0.065, top=0.832, hspace=0.42, wspace=0.9
+        )
+        half = 2 if layout.has_sky else 3
+        self._panels: list[Panel] = [
+            FlightMap(figure.add_subplot(grid[0, :half]), layout),
+            ErrorPlane(figure.add_subplot(grid[0, half : 2 * half]), layout),
+            StatisticPanel(figure.add_subplot(grid[1, :3]), layout),
+            ErrorPanel(figure.add_subplot(grid[1, 3:]), layout),
+        ]
+        if layout.has_sky:
+            self._panels.append(SkyPlot(figure.add_subplot(grid[0, 4:])))
+        self._headline = Headline(figure, layout)
+        self._kept: Any = None
+
+    def paint(self, history: RenderHistory) -> NDArray[np.uint8]:
+        """Draw the episode so far, with at least one instant: (H, W, 3) uint8, a new array."""
+        changed = [panel.fit(history) for panel in self._panels]
+        changed.append(self._headline.fit(history))
+        if self._kept is None or any(changed):
+            self._canvas.draw()
+            self._kept = self._canvas.copy_from_bbox(self._figure.bbox)
+        self._canvas.restore_region(self._kept)
+        for panel in self._panels:
+            panel.follow(history)
+            for artist in panel.artists:
+                self._figure.draw_artist(artist)
+        pixels = np.asarray(self._canvas.buffer_rgba())
+        frame = np.empty((*pixels.shape[:2], 3), dtype=np.uint8)
+        for colour in range(3):  # ten times as fast as a copy of pixels[..., :3]
+            frame[..., colour] = pixels[..., colour]
+        self._headline.write(history, frame)
+        return frame
