@@ -228,7 +228,7 @@ class Acna(Detector):
 
     paper: ClassVar[str] = "song2021"
     needs: ClassVar[frozenset[str]] = frozenset({"gnss_position"})
-    watches: ClassVar[str] = "position"
+    measures: ClassVar[str] = "position"
 
     def __post_init__(self) -> None:
         """Check the settings."""

@@ -75,8 +75,11 @@ class ConsistencyTest(Detector):
             self._data,
             statistic,
             threshold,
+            self.memory["group"],
+            weights,
         )
-        self.search(self._data)
-        write_groups(self._data, epoch.visible, self.memory["group"], weights)
         alarm: NDArray[np.bool_] = statistic > threshold
+        if alarm.any():
+            self.search(self._data)
+            write_groups(self._data, epoch.visible, self.memory["group"], weights)
         return Verdict(statistic, threshold, alarm, weights if self.exclude else None)
