@@ -224,9 +224,10 @@ def line_up_all(
     """Test all satellites in view of every receiver.
 
     `axes` (B, 3, 3) from the frame of the search to ECEF; `alarm_limit` (most + 1,) limit of s^2
-    [m^2] by number of satellites, `most` at least n and 5; `data`, written; `statistic`, `threshold` (B, 1), written: SSE and its threshold [m]; with fewer than
-    5 satellites or a singular geometry, 0 and that of 5; `group`, `weights` as `write_groups`
-    writes them before a search.
+    [m^2] by number of satellites, `most` at least n and 5; `data`, written; `statistic`,
+    `threshold` (B, 1), written: SSE and its threshold [m]; with fewer than 5 satellites or a
+    singular geometry, 0 and that of 5; `group`, `weights` as `write_groups` writes them before a
+    search.
     """
     for b in range(visible.shape[0]):
         lines, offsets, table = data.lines[b], data.offsets[b], data.table[b]
@@ -255,13 +256,8 @@ def line_up_all(
     write_groups(data, visible, group, weights)
 
 
-def frame_axes(frame: str, position_e: FloatArray) -> FloatArray:
-    """Axes of the frame that a test works in.
-
-    `position_e` (B, 3) ECEF [m]; returns (B, 3, 3) to ECEF from this frame.
-    """
-    if frame == "ecef":
-        return np.tile(np.eye(3), (len(position_e), 1, 1))
+def frame_axes(position_e: FloatArray) -> FloatArray:
+    """Axes north, east, down at (B, 3) positions, ECEF [m]; returns (B, 3, 3) to ECEF."""
     latitude, longitude, _ = ecef_to_geodetic(position_e)
     return np.ascontiguousarray(dcm_e_from_n(latitude, longitude))
 
