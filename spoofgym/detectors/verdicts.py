@@ -123,7 +123,7 @@ def _examine_part(
         valid, bad = "be finite", ~np.isfinite(part)
     for row, column in np.argwhere(bad)[:1].tolist():
         raise ValueError(
-            f"{_at(detector, epoch, row)} `{name}` must {valid}, got {part[row, column]} for "
+            f"{_at(kind, epoch, row)} `{name}` must {valid}, got {part[row, column]} for "
             f"receiver {row} of {len(part)}, column {column}"
         )
     if name == "weights" and not part.flags.carray:
