@@ -9,6 +9,8 @@ from __future__ import annotations
 import pkgutil
 from pathlib import Path
 
+from sphinx.addnodes import desc_annotation
+
 import spoofgym
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,6 +58,7 @@ exclude_patterns = [each.name for each in ROOT.iterdir() if each.name not in PAG
 html_theme = "furo"
 html_title = f"spoofgym {version}"
 html_copy_source = False
+html_show_copyright = False
 html_css_files = ["site.css"]
 html_static_path = ["static"]
 
@@ -64,8 +67,9 @@ myst_heading_anchors = 3
 default_role = "py:obj"
 nitpicky = True
 python_use_unqualified_type_names = True
+toc_object_entries_show_parents = "hide"
 autodoc_mock_imports = ["stable_baselines3", "torch"]
-autodoc_default_options = {"members": True, "member-order": "bysource", "no-value": True}
+autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints_format = "short"
 numpydoc_show_class_members = False
 
@@ -84,6 +88,24 @@ def silence(app, env, node, contnode):
     return contnode
 
 
+def first_paragraph(app, what, name, obj, options, lines):
+    """Of a module's docstring: the rest, a map or a form, is for readers of the source."""
+    if what == "module" and "" in lines:
+        del lines[lines.index("") :]
+
+
+def written_defaults(app, what, name, obj, options, signature, returns):
+    """Write a default that is made as what parses."""
+    return (signature.replace("<factory>", "..."), returns) if signature else None
+
+
+def shorten(app, domain, objtype, content):
+    """Leave out long values, such as those of registries."""
+    for note in list(content.parent.findall(desc_annotation)):
+        if objtype == "data" and note.astext().startswith(" = ") and len(note.astext()) > 60:
+            note.parent.remove(note)
+
+
 def exists(name):
     """Whether a dotted name is a module, or something in one."""
     try:
@@ -96,4 +118,7 @@ def exists(name):
 def setup(app):
     """Called by Sphinx."""
     app.connect("source-read", add_contents)
+    app.connect("autodoc-process-docstring", first_paragraph)
+    app.connect("autodoc-process-signature", written_defaults)
     app.connect("missing-reference", silence)
+    app.connect("object-description-transform", shorten)

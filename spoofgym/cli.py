@@ -359,7 +359,7 @@ def list_(kind: KindArgument = None, as_json: JsonOption = False) -> None:
 @clear_errors
 def card(
     name: Annotated[
-        str, typer.Argument(help="A shipped spoofer, or a card or an ONNX file with one beside it.")
+        str, typer.Argument(help="A shipped spoofer, or a card or an ONNX file that has one.")
     ],
     as_json: JsonOption = False,
 ) -> None:
@@ -468,13 +468,13 @@ def render(
     suite, real = _suite(context, [detector] if detector else None, _specs([spoofer]))
     judge, player = suite.detector_entries[-1], _untuned(suite)
     _print_lines(real)
-    with _progress(frame_count(suite, judge, every)) as told:
+    with _progress(frame_count(suite, judge, every)) as progress:
 
         def frames() -> Iterator[Any]:
             """Frames, counted."""
             for frame in play_frames(suite, judge, player, number, every=every):
                 yield frame
-                told.advance(1.0, "drawing")
+                progress.advance(1.0, "drawing")
 
         save_animation(frames(), out, fps)
     typer.echo(f"written: {out}")
@@ -532,10 +532,10 @@ def tune(
     entries = [entry for entry in suite.spoofer_entries if entry.tuned]
     each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite)
     results = []
-    with _progress(each * len(suite.detector_entries)) as told:
+    with _progress(each * len(suite.detector_entries)) as progress:
         for judge in suite.detector_entries:
-            start, clean = training_start(suite, judge, threads, told or Silent())
-            results += [search(suite, judge, entry, start, clean, told) for entry in entries]
+            start, clean = training_start(suite, judge, threads, progress or Silent())
+            results += [search(suite, judge, entry, start, clean, progress) for entry in entries]
     if as_json:
         _print_json([result.as_dict() for result in results])
         return
@@ -625,8 +625,8 @@ def bench(
         for line in suite.left_out:
             typer.echo(line)
     try:
-        with _progress(expected_work(suite, folder)) as told:
-            run_campaign(suite, folder, threads=threads, progress=told)
+        with _progress(expected_work(suite, folder)) as progress:
+            run_campaign(suite, folder, threads=threads, progress=progress)
     except KeyboardInterrupt:
         done = sum(
             folder.has_cell(judge.label, player.label)
@@ -683,7 +683,7 @@ def report(
     folder: Annotated[Path, typer.Argument(help="Folder of the results.")] = Path("results"),
     as_json: JsonOption = False,
 ) -> None:
-    """Score the finished cells of a folder anew, with table and picture."""
+    """Score the finished cells of a folder again, with table and picture."""
     from .bench.store import ResultsFolder
 
     _report(ResultsFolder(folder), as_json, None)
@@ -716,11 +716,11 @@ def perf(
         for key in found["vector"]
     ]
     _print_table("speed", ("", "single", "vector"), rows)
-    beside = found["overhead"]
+    more = found["overhead"]
     _print_table(
-        "a step of the environment beside its engine, one thread",
+        "a step of the environment on top of its engine, one thread",
         ("", "single", "vector"),
-        [(key, *(str(each[key]) for each in beside)) for key in beside[0]],
+        [(key, *(str(each[key]) for each in more)) for key in more[0]],
     )
 
 

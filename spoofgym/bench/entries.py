@@ -20,7 +20,7 @@ DEFAULT_SPOOFERS: tuple[Spec, ...] = (
     {"name": "ramp", "rate_mps": TUNED},
     {"name": "accelerating-ramp", "acceleration_mps2": TUNED},
 )
-"""Beside them, a campaign plays the shipped spoofers that fit it."""
+"""With them, a campaign plays the shipped spoofers that fit it."""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .._pictures import BLUE, GREEN, GREY, ORANGE, figure_class, save_figure, style
 from .._registry import whole_number
 from ..simulators.engine import Engine
+from ..spoofers.aim import AXES
 from .decisions import Attacker
 from .entries import Entry
 from .intervals import Interval, spoofing_intervals
@@ -190,7 +191,7 @@ def _draw_displacement(ax: Any, episode: Episode) -> None:
         north, east = episode.error_n[:, row, 0], episode.error_n[:, row, 1]
         ax.plot(east, north, color=colour, lw=1.6, label=label)
         ax.plot(east[-1], north[-1], "o", color=colour, ms=6)
-    if set(episode.channels) <= {"north", "east", "down"}:
+    if set(episode.channels) <= set(AXES):
         moved = dict(zip(episode.channels, episode.displacement.T, strict=True))
         still = np.zeros(len(episode.displacement))
         east, north = moved.get("east", still), moved.get("north", still)
@@ -235,7 +236,7 @@ def _draw_error(ax: Any, episode: Episode) -> None:
     _phases(ax, episode)
     summary, window = episode.summary(), episode.time[episode.onset :]
     size = np.linalg.norm(episode.displacement, axis=1)
-    if set(episode.channels) <= {"north", "east", "down"}:
+    if set(episode.channels) <= set(AXES):
         ax.plot(window, size, color=GREEN, lw=1.4, ls="--", label="commanded")
     ax.plot(window, episode.induced, color=ORANGE, lw=1.8, label="distance from the clean twin")
     counted = summary["undetected_displacement_m"]

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import numpy as np
-
 from .tables import (
     CLEAN_HEAD,
     KNOWLEDGE_HEAD,
@@ -70,7 +68,7 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
 def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
     """What was run."""
     line, attack = config["timeline"], config["attack"]
-    by, limits = attack["control"], attack["rate_limit_mps"]
+    by = attack["control"]
     kinds = sorted({cell["attack"] for cell in summary["cells"]})
     knowledge = sorted({cell["knowledge"]["run_time"] for cell in summary["cells"]})
     notes = config["notes"]
@@ -78,8 +76,7 @@ def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
         *_victim(config, [f"- {note}" for note in notes]),
         f"- Attack: {', '.join(kinds)}, commanded by {by}, limits "
         + (f"{attack['acceleration_limit_mps2']:g} m/s^2 and " if by == "acceleration" else "")
-        + " / ".join(f"{each:g}" for each in np.atleast_1d(limits))
-        + " m/s",
+        + f"{attack['rate_limit_mps']:g} m/s",
         f"- Timeline: warm-up {line['warmup_s']:g} s with detectors live in its last "
         f"{line['live_s']:g} s, attack {line['attack_s']:g} s, then "
         f"{line['time_to_alert_s']:g} s in which the offsets hold their rate and alarms count",
@@ -93,7 +90,8 @@ def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
 def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
     """World and receiver."""
     if "settings" in config:
-        own = ", ".join(f"{k}={json.dumps(x)}" for k, x in config["settings"].items())
+        given = {k: json.dumps(x) for k, x in config["settings"].items() if x is not None}
+        own = ", ".join(f"{k}={text}" for k, text in given.items())
         return [f"- Environment: {config['env']}, {own}", *notes]
     scenario, receiver = config["scenario"], config["receiver"]
     errors = scenario["errors"]

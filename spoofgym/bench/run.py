@@ -37,12 +37,7 @@ class Runs(NamedTuple):
 
     def first(self, count: int) -> Runs:
         """Some of the runs."""
-        return Runs(
-            self.position[:, :count],
-            self.alarm[:, :count],
-            self.peak[:count],
-            self.onset[:count],
-        )
+        return self.take(np.arange(min(count, len(self.peak))))
 
     def take(self, rows: NDArray[np.intp]) -> Runs:
         """Chosen runs, some of them more than once if so wanted."""

@@ -324,18 +324,11 @@ class Suite:
                 "attack": spec_of("attack", ATTACKS, setup.attack),
             }
         every = {**settings_of(type(setup)), **self.given}
+        limits = {"control": setup.attack.control, "rate_limit_mps": setup.attack.rate_limit_mps}
         return {
             "scenario": {"name": setup.name},
-            "attack": {
-                "control": setup.attack.control,
-                "rate_limit_mps": describe(setup.attack.rate_limit_mps),
-            },
-            "settings": {
-                name: describe(value)
-                for name, value in every.items()
-                if name not in WORLD or name == "receiver"
-                if name != "detector"
-            },
+            "attack": limits,
+            "settings": {k: describe(value) for k, value in every.items() if k != "detector"},
         }
 
     @cached_property

@@ -103,10 +103,10 @@ def _examine(verdict: Verdict, detector: Detector, epoch: Epoch) -> None:
 
 
 def _examine_part(
-    detector: str, epoch: Epoch, name: str, part: Any, shape: tuple[int, ...], sizes: str
+    kind: str, epoch: Epoch, name: str, part: Any, shape: tuple[int, ...], sizes: str
 ) -> None:
     """Raise unless one array of a verdict is sound."""
-    where = f"{_at(detector, epoch, 0)} `{name}`"
+    where = f"{_at(kind, epoch, 0)} `{name}`"
     if type(part) is not np.ndarray:
         raise TypeError(f"{where} must be an array, got {type(part).__name__}")
     if part.shape != shape:
@@ -123,8 +123,8 @@ def _examine_part(
         valid, bad = "be finite", ~np.isfinite(part)
     for row, column in np.argwhere(bad)[:1].tolist():
         raise ValueError(
-            f"{_at(detector, epoch, row)} `{name}` must {valid}, got {part[row, column]} for receiver "
-            f"{row} of {len(part)}, column {column}"
+            f"{_at(kind, epoch, row)} `{name}` must {valid}, got {part[row, column]} for "
+            f"receiver {row} of {len(part)}, column {column}"
         )
     if name == "weights" and not part.flags.carray:
         raise ValueError(
@@ -133,5 +133,5 @@ def _examine_part(
         )
 
 
-def _at(detector: str, epoch: Epoch, row: int) -> str:
-    return f"{detector}, epoch at {epoch.time[row]:g} s:"
+def _at(kind: str, epoch: Epoch, row: int) -> str:
+    return f"{kind}, epoch at {epoch.time[row]:g} s:"

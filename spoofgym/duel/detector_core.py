@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,8 @@ class DetectorCore:
     `reset_names`, `info_names`: keys of `reset_info`, and of the information of a step.
     """
 
-    reset_names: ClassVar[tuple[str, ...]] = ("time_s", "decision_delay")
-    info_names: ClassVar[tuple[str, ...]] = (
+    reset_names: tuple[str, ...] = ("time_s", "decision_delay")
+    info_names: tuple[str, ...] = (
         "time_s",
         "alarm",
         "statistic",
@@ -44,6 +44,9 @@ class DetectorCore:
     ) -> None:
         self.duel = duel
         self.set_pool(pool, weights)
+        observer, self.action_names = duel.agent.observer, duel.agent.action_names
+        self.observation_names, self.bounds = observer.names, (observer.low, observer.high)
+        self.receivers, self.episode_steps = duel.receivers, duel.epochs
         self._everyone = np.arange(duel.receivers)
 
     def set_pool(
@@ -55,31 +58,6 @@ class DetectorCore:
     def opponents(self) -> list[str]:
         """Label of the spoofer of every receiver, in clean episodes too."""
         return [self.pool.labels[k] for k in self.pool.opponent]
-
-    @property
-    def receivers(self) -> int:
-        """B."""
-        return self.duel.receivers
-
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        """Name of every element of an observation."""
-        return self.duel.agent.sight.names
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Name of every element of an action."""
-        return self.duel.agent.action_names
-
-    @property
-    def episode_steps(self) -> int:
-        """Epochs that are judged."""
-        return self.duel.epochs
-
-    @property
-    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Least and largest observation, (o,) each."""
-        return self.duel.agent.sight.low, self.duel.agent.sight.high
 
     def reset(
         self,

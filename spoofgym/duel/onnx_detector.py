@@ -111,13 +111,13 @@ def write_card(
     path, content = card_path(file), Path(file).read_bytes()
     duel = view.unwrapped.core.duel
     agent, size = duel.agent, len(duel.agent.action_names)
-    check_signature(read_model(content, str(file)), len(agent.sight.names), size, str(file))
+    check_signature(read_model(content, str(file)), len(agent.observer.names), size, str(file))
     card = DetectorCard(
         name=name,
         observation=Space(
-            names=agent.sight.names,
-            low=tuple(agent.sight.low.tolist()),
-            high=tuple(agent.sight.high.tolist()),
+            names=agent.observer.names,
+            low=tuple(agent.observer.low.tolist()),
+            high=tuple(agent.observer.high.tolist()),
         ),
         action=Space(names=agent.action_names, low=(-1.0,) * size, high=(1.0,) * size),
         statistic=agent.statistic,

@@ -58,7 +58,7 @@ class DetectorPolicy(Policy[PolicyContext]):
         """
 
     def digest(self) -> str | None:
-        """What tells this frozen policy from any other.
+        """What distinguishes this frozen policy from any other.
 
         Returns
         -------
@@ -85,7 +85,7 @@ class FunctionPolicy(DetectorPolicy):
     function : callable
         (B, o) to (B, a), in [-1, 1].
     name : str, optional
-        What tells it from other functions, for the store of calibrations.
+        What distinguishes it from other functions, for the store of calibrations.
     """
 
     def __init__(self, function: Callable[[Any], Any], name: str | None = None) -> None:

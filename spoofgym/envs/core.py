@@ -35,42 +35,29 @@ WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any
 """Passive detectors: they judge the same epochs as the one in the loop, and change nothing."""
 SingleStep = tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]
 """Observation, reward, terminated, truncated, and information, of a batch of one."""
-RESET_NAMES = ("time_s", "warmup_alarm", "coasting")
+RESET_NAMES: tuple[str, ...] = ("time_s", "warmup_alarm", "coasting")
 """Keys of the information of a reset."""
 DEFAULT_PENALTY_M = 10.0
 NOTHING_SEEN = np.empty(0, dtype=np.float32)
 
 
 class Core(Protocol):
-    """Episodes of B receivers, as an environment of either side needs them."""
+    """Episodes of B receivers, as an environment of either side needs them.
 
-    @property
-    def receivers(self) -> int:
-        """B."""
+    `bounds` are the least and the largest observation, (o,) each; `reset_names` the keys of the
+    information of a reset; `episode_steps` the steps of an episode that nothing ends early.
+    """
 
-    @property
-    def observation_names(self) -> tuple[str, ...]:
-        """Name of every element of an observation."""
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Name of every element of an action."""
-
-    @property
-    def reset_names(self) -> tuple[str, ...]:
-        """Keys of the information of a reset."""
+    receivers: int
+    observation_names: tuple[str, ...]
+    action_names: tuple[str, ...]
+    reset_names: tuple[str, ...]
+    bounds: tuple[NDArray[np.float32], NDArray[np.float32]]
+    episode_steps: int
 
     @property
     def info_names(self) -> tuple[str, ...]:
         """Keys of the information of a step."""
-
-    @property
-    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Least and largest observation, (o,) each."""
-
-    @property
-    def episode_steps(self) -> int:
-        """Steps of an episode that nothing ends early."""
 
     def reset(
         self,
@@ -116,12 +103,8 @@ class SpoofCore:
 
     Attributes
     ----------
-    observation_names, action_names : tuple of str
-        Name of every element.
-    bounds : tuple of ndarray
-        Least and largest observation, (o,) float32 each.
-    episode_steps : int
-        Steps of an episode that nothing ends early.
+    observation_names, action_names, reset_names, bounds, episode_steps
+        As in `Core`.
     engine : Engine
         The receivers.
     score : DisplacementScore
@@ -181,8 +164,10 @@ class SpoofCore:
         monitors = needed_monitors([*seen, *self._ends.terms])
         passive = self.settings["watch"]
         self._passive = PassiveInfo(PassiveDetectors(passive), receivers) if passive else None
+        self.reset_names = RESET_NAMES
         if self._passive is not None:
             monitors.append(self._passive.monitor)
+            self.reset_names += self._passive.reset_names
         self.setup = setup.altered(monitors=monitors)
         self.engine = Engine(receivers, self.setup, threads=threads, prefetch=prefetch, twin=twin)
         self.receivers, self.episode_steps = receivers, setup.steps // setup.repeat
@@ -205,11 +190,6 @@ class SpoofCore:
     def heading_rad(self) -> FloatArray:
         """(B,) direction in which displacement counts, clockwise from north [rad]."""
         return self.engine.simulator.heading
-
-    @property
-    def reset_names(self) -> tuple[str, ...]:
-        """Keys of `reset_info`."""
-        return (*RESET_NAMES, *(self._passive.reset_names if self._passive else ()))
 
     @property
     def info_names(self) -> tuple[str, ...]:

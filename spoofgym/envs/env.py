@@ -28,42 +28,40 @@ C = TypeVar("C", bound=Core)
 NOT_RESET, OVER = "no episode has started", "the episode is over"
 
 
-def with_length(spec: EnvSpec | None, core: Core) -> EnvSpec | None:
-    """The spec with a limit of one step more than an episode has."""
-    # with the length itself `gymnasium.make` would wrap what it makes from the spec in a
-    # `TimeLimit` that truncates at the last step, where the episode ends by itself
-    return None if spec is None else replace(spec, max_episode_steps=core.episode_steps + 1)
+class HasSpec:
+    """What the environments share: a spec with the length of an episode."""
+
+    core: Core
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gymnasium` made it from; ``max_episode_steps`` is an episode's and one."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        """Fill in the limit.
+
+        With the length itself `gymnasium.make` would wrap what it makes from the spec in a
+        `TimeLimit` that truncates at the last step, where the episode ends by itself.  In the
+        arguments of `make_vec` the limit has a field of its own.
+        """
+        if given is not None:
+            kwargs = {key: given.kwargs[key] for key in given.kwargs if key != "max_episode_steps"}
+            limit = self.core.episode_steps + 1
+            given = replace(given, kwargs=kwargs, max_episode_steps=limit)
+        self._spec = given
 
 
-class CoreEnv(gym.Env[Observation, Observation], Generic[C]):
-    """Environment of one receiver.
+class CoreEnv(HasSpec, gym.Env[Observation, Observation], Generic[C]):
+    """Environment of one receiver, from a core of one, not begun yet."""
 
-    Parameters
-    ----------
-    core : Core
-        Of one receiver, not begun yet.
-    render_mode : {"human", "rgb_array"}, optional
-        Whether a window shows the episode, or `render` returns pictures of it.
-
-    Raises
-    ------
-    ValueError
-        When there is no such render mode.
-
-    Attributes
-    ----------
-    core : Core
-        The same.
-    observation_names, action_names : tuple of str
-        Name of every element.
-    """
-
+    core: C
     metadata: dict[str, Any] = {  # noqa: RUF012  (Gymnasium's)
         "render_modes": list(RENDER_MODES),
         "render_fps": 2,
     }
-
-    _spec: EnvSpec | None = None
 
     def __init__(self, core: C, render_mode: str | None = None) -> None:
         self.render_mode = render_mode
@@ -82,16 +80,6 @@ class CoreEnv(gym.Env[Observation, Observation], Generic[C]):
         self.action_space = action_space(core)
         self._stopped: str | None = NOT_RESET
         self._halfway = False
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """What `gymnasium.make` made it from; ``max_episode_steps`` is an episode's and one."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, given: EnvSpec | None) -> None:
-        """Fill in the limit."""
-        self._spec = with_length(given, self.core)
 
     @property
     def begun(self) -> bool:

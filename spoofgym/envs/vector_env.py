@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Generic
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from .._registry import whole_number
-from .env import C, with_length
+from .env import C, HasSpec
 from .options import (
     HALFWAY,
     RESET_MASK,
@@ -38,42 +36,19 @@ LIMIT = "`max_episode_steps`"
 NEXT_STEP, SAME_STEP = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP
 
 
-class CoreVectorEnv(VectorEnv[Array, Array, Array], Generic[C]):
+class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
     """Environment of B receivers; receiver i is the single one seeded with ``seed + i``.
 
-    Parameters
-    ----------
-    core : Core
-        Of B receivers, not begun yet.
-    autoreset_mode : AutoresetMode
-        When a finished receiver begins its next episode: at the next step, at the same, or when
-        ``reset`` is called with a mask.
-    infos : {"all", "none"} or sequence of str
-        Which information is handed out, by its keys; ``final_obs`` and ``final_info`` always are.
-    max_episode_steps : int, optional
-        As `gymnasium.make_vec` hands it on from a spec: more than an episode has.
-
-    Raises
-    ------
-    ValueError
-        When `max_episode_steps` would cut an episode short.
-
-    Attributes
-    ----------
-    core : Core
-        The same.
-    observation_names, action_names : tuple of str
-        Name of every element.
+    `core` is of B receivers, not begun yet; the others are as in `SpoofVectorEnv`.
     """
 
+    core: C
     metadata: dict[str, Any] = {  # noqa: RUF012  (declared so by Gymnasium)
         "render_modes": [],
         "render_fps": 2,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    closed = True  # until there is a game: older Gymnasium closes what has failed to be made
-
-    _spec: EnvSpec | None = None
+    closed = True  # until there is a core: older Gymnasium closes what has failed to be made
 
     def __init__(
         self,
@@ -109,19 +84,6 @@ class CoreVectorEnv(VectorEnv[Array, Array, Array], Generic[C]):
         self._halfway = False
         self._over = np.ones(self.num_envs, dtype=np.bool_)
         self._all = np.ones(self.num_envs, dtype=np.bool_)
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """What `gymnasium.make_vec` made it from; ``max_episode_steps`` is an episode's and one."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, given: EnvSpec | None) -> None:
-        """Fill in the limit."""
-        if given is not None:  # the limit has a field of its own, from which `make_vec` takes it
-            kwargs = {key: given.kwargs[key] for key in given.kwargs if key != "max_episode_steps"}
-            given = replace(given, kwargs=kwargs)
-        self._spec = with_length(given, self.core)
 
     @property
     def begun(self) -> bool:

@@ -10,8 +10,8 @@ measurement,
 with a detector's weight w on the gain: 1 is the paper's credible update, 0 its auxiliary update.
 t is the time since the last fix that was believed: a heading that is off lets dead reckoning drift
 at a constant rate, of deviation d, so that the variance grows with the square of t, and a fix that
-is believed again after an outage sets the position again.  q is chosen such that the gain settles at
-a stated value.  With no detector in the loop this is the paper's plain EKF.
+is believed again after an outage resets the position.  q is chosen such that the gain settles at a
+stated value.  With no detector in the loop this is the paper's plain EKF.
 
 Interruption check: a fix that is missing or not finite gives a zero row of `design`, innovation 0
 and the identity in `innovation_cov`; no update takes place, and `interrupted` counts on.

@@ -44,7 +44,7 @@ class InertialErrors:
 
     Notes
     -----
-    The defaults are what the filter of `shadmehri2025` is given of its sensors (section 4.2), before
+    The defaults are what the filter of `shadmehri2025` assumes of its sensors (section 4.2), before
     the factor of 3 of its initial covariance.
     """
 

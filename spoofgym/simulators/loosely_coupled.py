@@ -106,13 +106,9 @@ class LooselyCoupledSetup(Setup):
             "receiver", LooselyCoupled, DEFAULT_RECEIVER if receiver is None else receiver
         )
         self._aim(target_heading_deg, domain)
-        self._phase(
-            DEFAULT_DETECTOR if detector is None else detector,
-            build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE),
-            INTERVAL_S,
-            decision_interval_s,
-            between,
-        )
+        detector = DEFAULT_DETECTOR if detector is None else detector
+        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
+        self._phase(detector, timeline, INTERVAL_S, decision_interval_s, between)
         self.epochs_each = self.world.epochs
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, flight))
         self.epoch_time = np.arange(self.epochs_each, dtype=np.float64) * INTERVAL_S
@@ -164,23 +160,12 @@ class LooselyCoupledSimulator(RateSimulator):
         self._move(command)
         memory, setup, world = self.memory, self.setup, self.setup.world
         self._offset[:, :2] = memory["displacement"][:, ::-1]
-        measure(
-            memory["keys"],
-            memory["epoch"],
-            world.run,
-            world.position_e,
-            world.C_el,
-            world.imu_interval_s,
-            setup.inertial.noise,
-            memory["first_error"][:, 9:].copy(),
-            setup.errors.decay,
-            setup.errors.sd,
-            self._offset,
-            self._deviates,
-            memory["position_error"],
-            self.victims.samples,
-            self.victims.fix_e,
-        )
+        flight = world.run, world.position_e, world.C_el, world.imu_interval_s
+        inertial = setup.inertial.noise, memory["first_error"][:, 9:].copy()
+        errors = setup.errors.decay, setup.errors.sd
+        written = memory["position_error"], self.victims.samples, self.victims.fix_e
+        drawn = memory["keys"], memory["epoch"]
+        measure(*drawn, *flight, *inertial, *errors, self._offset, self._deviates, *written)
         self.victims.predict()
 
     def _form_epoch(self) -> Epoch:

@@ -85,6 +85,7 @@ class RateCommands:
     limits: tuple[float, ...]
     control: ClassVar[str] = "rate"
     capture: ClassVar[None] = None
+    acceleration_limit_mps2: ClassVar[float] = math.inf
 
     @property
     def label(self) -> str:
@@ -95,11 +96,6 @@ class RateCommands:
     def rate_limit_mps(self) -> float | tuple[float, ...]:
         """Limit of all axes, or of each where they differ [m/s]."""
         return self.limits[0] if len(set(self.limits)) == 1 else self.limits
-
-    @property
-    def acceleration_limit_mps2(self) -> float:
-        """No limit of acceleration binds."""
-        return math.inf
 
     def action_names(self, world: object) -> tuple[str, ...]:
         """Name of every element."""

@@ -118,13 +118,8 @@ class SnapshotSetup(Setup):
             self.kind, tuple(f"{axis}_rate" for axis in AXES), _rates(rate_limit_mps)
         )
         self._aim(target_heading_deg, domain)
-        self._phase(
-            detector,
-            build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE),
-            float(interval_s),
-            decision_interval_s,
-            between,
-        )
+        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
+        self._phase(detector, timeline, float(interval_s), decision_interval_s, between)
         self.epochs_each = self.length + 1
         skies = [
             make_sky(
@@ -242,21 +237,11 @@ class SnapshotSimulator(RateSimulator):
     def _receive(self) -> None:
         """Measure the pseudoranges of the epoch."""
         sky, memory = self.setup.sky, self.memory
-        measure(
-            memory["epoch"],
-            memory["keys"],
-            memory["true_clock"],
-            memory["displacement"],
-            memory["spoofed"],
-            sky.time,
-            sky.position_e,
-            sky.C_en,
-            sky.satellite_position_e,
-            self.setup.noise_m,
-            self._deviates,
-            self._pseudorange,
-            self._satellites,
-        )
+        drawn = memory["epoch"], memory["keys"], memory["true_clock"]
+        spoofing = memory["displacement"], memory["spoofed"]
+        world = sky.time, sky.position_e, sky.C_en, sky.satellite_position_e
+        written = self._deviates, self._pseudorange, self._satellites
+        measure(*drawn, *spoofing, *world, self.setup.noise_m, *written)
 
     def _measure(self, command: FloatArray | None) -> None:
         self._move(command)

@@ -95,13 +95,10 @@ class TightlyCoupledSetup(Setup):
         self._aim(target_heading_deg, domain)
         self.receiver = _victim(receiver, self.scenario, self.domain)
         self.attack = make_attack(attack)
-        self._phase(
-            DEFAULT_DETECTOR if detector is None else detector,
-            build_record("timeline", Timeline, timeline),
-            self.scenario.epoch_interval_s,
-            decision_interval_s,
-            between,
-        )
+        detector = DEFAULT_DETECTOR if detector is None else detector
+        timeline = build_record("timeline", Timeline, timeline)
+        interval_s = self.scenario.epoch_interval_s
+        self._phase(detector, timeline, interval_s, decision_interval_s, between)
         worlds = worlds_of(self.scenario, self.domain)
         first, last = self._starts(worlds[0].epochs, worlds[0].name)
         self.combinations = Combinations(
@@ -197,14 +194,7 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
 class TightlyCoupledSimulator(Simulator):
     """B tightly coupled receivers; kernels work on slices of them, possibly in threads.
 
-    Attributes
-    ----------
-    buffers : ReceiverBuffers
-        Estimates and measurements.
-    sensors : SensorBuffers
-        Errors of the sensors.
-    attack : Attack
-        Bound; ``attack.memory`` has the commanded displacement and rate.
+    `buffers` has the estimates and measurements, `sensors` their errors; `attack` is bound.
     """
 
     setup: TightlyCoupledSetup
@@ -365,30 +355,6 @@ class TightlyCoupledSimulator(Simulator):
             if between is not None:
                 between()
             self._run(partial(self._epochs, what, min(piece, count - start)), self.receivers)
-
-    def live_epochs(
-        self, count: int, *, holding: bool = False, between: Callable[[], None] | None = None
-    ) -> NDArray[np.bool_]:
-        """Run epochs with the detector; an update and the next epoch share one turn of threads."""
-        self._command = None
-        first = self._attack_and_advance if holding else self._advance
-
-        def onwards(lo: int, hi: int) -> None:
-            """Update of one epoch, and measurements of the next."""
-            self._update(lo, hi)
-            first(lo, hi)
-
-        alarms = np.zeros((count, self.receivers), dtype=np.bool_)
-        for k in range(count):
-            if between is not None:
-                between()
-            self._run(onwards if k else first, self.receivers)
-            verdict = self.judge()
-            alarms[k] = verdict.alarm.any(axis=1)
-            self.weights = self.ones if verdict.weights is None else verdict.weights
-        if count:
-            self._run(self._update, self.receivers)
-        return alarms
 
     def error_n(self) -> FloatArray:
         """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""

@@ -129,13 +129,9 @@ class WheeledRobotSetup(Setup):
         self.fix_errors = build_record("fix_errors", FixErrors, fix_errors)
         self.receiver = build_record("receiver", CredibleFilter, receiver)
         self._aim(target_heading_deg, domain)
-        self._phase(
-            DEFAULT_DETECTOR if detector is None else detector,
-            build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE),
-            float(interval_s),
-            decision_interval_s,
-            between,
-        )
+        detector = DEFAULT_DETECTOR if detector is None else detector
+        timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
+        self._phase(detector, timeline, float(interval_s), decision_interval_s, between)
         self._drive()
         self._interrupt(interruptions_s)
 

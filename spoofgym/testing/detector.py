@@ -30,7 +30,7 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     `measures` positions, with made-up ones of two and of three coordinates instead, and where it
     measures any, with all of them.  It has to show that
 
-    - it cites a paper, states its scope and what it measures, and needs only what an epoch can have;
+    - it cites a paper, states its scope and what it measures, and needs what an epoch can have;
     - verdicts have the right shapes and types, and are finite; weights lie within 0 and 1; an
       invisible channel has statistic 0, no alarm and weight 1;
     - it neither writes to an epoch nor keeps it, nor hands out arrays that it goes on using;

@@ -182,7 +182,7 @@ def test_detectors_that_do_not_fit_are_refused(env: str, detector: Any, message:
     ("changes", "message"),
     [
         ({"env": "Snapshot"}, "unknown environment of the benchmark 'Snapshot'; valid: .*Loosely"),
-        ({"settings": {"satelites": 8}}, "Snapshot-v0 has no setting 'satelites', got 8; valid: t"),
+        ({"settings": {"sats": 8}}, "Snapshot-v0 has no setting 'sats', got 8; valid: t"),
         ({"scenario": "groves"}, "Snapshot-v0 has no setting 'scenario', got 'groves'; valid:"),
         ({"receiver": "matched"}, "Snapshot-v0 has no setting 'receiver', got 'matched'"),
         ({"settings": {"timeline": {}}}, "`settings` has 'timeline', which is given by name, too"),

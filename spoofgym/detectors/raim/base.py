@@ -50,6 +50,7 @@ class ConsistencyTest(Detector):
         most = max(n, MIN_SATELLITES)
         self._limit = fit_thresholds(sigma, 1.0 - self.confidence, most)
         self._alarm_limit = fit_thresholds(sigma, self.false_alarm, most)
+        self._axes = np.tile(np.eye(3), (b, 1, 1))
         self._data = search_data(b, n)  # overwritten at every epoch
         self.memory.declare("group", np.zeros((b, n), dtype=np.int8))
 
@@ -70,13 +71,16 @@ class ConsistencyTest(Detector):
             epoch.satellite_position,
             epoch.visible,
             epoch.predicted_position,
-            frame_axes(self.frame, epoch.predicted_position),
+            self._axes if self.frame == "ecef" else frame_axes(epoch.predicted_position),
             self._alarm_limit,
             self._data,
             statistic,
             threshold,
+            self.memory["group"],
+            weights,
         )
-        self.search(self._data)
-        write_groups(self._data, epoch.visible, self.memory["group"], weights)
         alarm: NDArray[np.bool_] = statistic > threshold
+        if alarm.any():
+            self.search(self._data)
+            write_groups(self._data, epoch.visible, self.memory["group"], weights)
         return Verdict(statistic, threshold, alarm, weights if self.exclude else None)

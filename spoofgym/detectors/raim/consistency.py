@@ -183,6 +183,31 @@ def line_up(
 
 
 @njit
+def write_groups(
+    data: SearchData,
+    visible: NDArray[np.bool_],
+    group: NDArray[np.int8],
+    weights: FloatArray,
+) -> None:
+    """Groups and weights of all receivers.
+
+    `group` (B, n) int8, written: 0 unknown, 1 and 2 the groups; `weights` (B, 2n), written: 0 for
+    the second group and for visible satellites without a finite offset.
+    """
+    n = visible.shape[1]
+    for b in range(visible.shape[0]):
+        for j in range(n):
+            group[b, j] = 0
+            weights[b, j] = weights[b, n + j] = 0.0 if visible[b, j] else 1.0
+        for i in range(data.rows[b]):
+            j = data.slots[b, i]
+            first = not data.found[b] or (data.mask[b] >> i) & 1 == 1
+            if data.found[b]:
+                group[b, j] = 1 if first else 2
+            weights[b, j] = weights[b, n + j] = 1.0 if first else 0.0
+
+
+@njit
 def line_up_all(
     pseudorange: FloatArray,
     satellite_position: FloatArray,
@@ -193,13 +218,16 @@ def line_up_all(
     data: SearchData,
     statistic: FloatArray,
     threshold: FloatArray,
+    group: NDArray[np.int8],
+    weights: FloatArray,
 ) -> None:
     """Test all satellites in view of every receiver.
 
     `axes` (B, 3, 3) from the frame of the search to ECEF; `alarm_limit` (most + 1,) limit of s^2
-    [m^2] by number of satellites, `most` at least n and 5; `data`, written, with all satellites in
-    one group; `statistic`, `threshold` (B, 1), written: SSE and its threshold [m]; with fewer than
-    5 satellites or a singular geometry, 0 and that of 5.
+    [m^2] by number of satellites, `most` at least n and 5; `data`, written; `statistic`,
+    `threshold` (B, 1), written: SSE and its threshold [m]; with fewer than 5 satellites or a
+    singular geometry, 0 and that of 5; `group`, `weights` as `write_groups` writes them before a
+    search.
     """
     for b in range(visible.shape[0]):
         lines, offsets, table = data.lines[b], data.offsets[b], data.table[b]
@@ -225,15 +253,11 @@ def line_up_all(
             statistic[b, 0] = math.sqrt(max(s2, 0.0) / (count - STATES))
             data.alarm[b] = statistic[b, 0] > threshold[b, 0]
             data.found[b] = not data.alarm[b]
+    write_groups(data, visible, group, weights)
 
 
-def frame_axes(frame: str, position_e: FloatArray) -> FloatArray:
-    """Axes of the frame that a test works in.
-
-    `position_e` (B, 3) ECEF [m]; returns (B, 3, 3) to ECEF from this frame.
-    """
-    if frame == "ecef":
-        return np.tile(np.eye(3), (len(position_e), 1, 1))
+def frame_axes(position_e: FloatArray) -> FloatArray:
+    """Axes north, east, down at (B, 3) positions, ECEF [m]; returns (B, 3, 3) to ECEF."""
     latitude, longitude, _ = ecef_to_geodetic(position_e)
     return np.ascontiguousarray(dcm_e_from_n(latitude, longitude))
 
@@ -291,28 +315,3 @@ def check_channels(channels: int) -> None:
     """Raise unless a mask has room for all satellites."""
     if channels > MAX_SATELLITES:
         raise ValueError(f"at most {MAX_SATELLITES} channels can be searched, got {channels}")
-
-
-@njit
-def write_groups(
-    data: SearchData,
-    visible: NDArray[np.bool_],
-    group: NDArray[np.int8],
-    weights: FloatArray,
-) -> None:
-    """Groups and weights of all receivers.
-
-    `group` (B, n) int8, written: 0 unknown, 1 and 2 the groups; `weights` (B, 2n), written: 0 for
-    the second group and for visible satellites without a finite offset.
-    """
-    n = visible.shape[1]
-    for b in range(visible.shape[0]):
-        for j in range(n):
-            group[b, j] = 0
-            weights[b, j] = weights[b, n + j] = 0.0 if visible[b, j] else 1.0
-        for i in range(data.rows[b]):
-            j = data.slots[b, i]
-            first = not data.found[b] or (data.mask[b] >> i) & 1 == 1
-            if data.found[b]:
-                group[b, j] = 1 if first else 2
-            weights[b, j] = weights[b, n + j] = 1.0 if first else 0.0

@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 Written = NDArray[np.float32]
 
 
-class SightTerm(Protocol):
+class DetectorTerm(Protocol):
     """One part of the observation."""
 
     def names(self, channels: int) -> tuple[str, ...]:
@@ -85,7 +85,7 @@ class AverageInnovation:
 
     Notes
     -----
-    `roberts1959`.  A satellite that sets begins anew.
+    `roberts1959`.  A satellite that sets starts again.
     """
 
     smoothing: float = 0.1

@@ -8,18 +8,18 @@ import numpy as np
 
 from .._memory import Memory
 from ..receiver.epoch import Epoch
-from .sight_terms import (
+from .detector_terms import (
     AverageInnovation,
     ChiSquare,
+    DetectorTerm,
     Elapsed,
     Innovation,
     InnovationSd,
     InView,
     PredictedMotion,
-    SightTerm,
 )
 
-ALL_SIGHTS: tuple[SightTerm, ...] = (
+ALL_TERMS: tuple[DetectorTerm, ...] = (
     Innovation(),
     AverageInnovation(),
     InnovationSd(),
@@ -31,12 +31,12 @@ ALL_SIGHTS: tuple[SightTerm, ...] = (
 """All terms with their default scales."""
 
 
-class Sight:
+class DetectorObserver:
     """Observations of a list of terms.
 
     Parameters
     ----------
-    terms : sequence of SightTerm
+    terms : sequence of DetectorTerm
         In the order of the observation.
     channels : int
         Slots.
@@ -49,8 +49,8 @@ class Sight:
         (o,) float32 bounds.
     """
 
-    def __init__(self, terms: Sequence[SightTerm], channels: int) -> None:
-        self._parts: list[tuple[SightTerm, slice]] = []
+    def __init__(self, terms: Sequence[DetectorTerm], channels: int) -> None:
+        self._parts: list[tuple[DetectorTerm, slice]] = []
         names: list[str] = []
         low: list[float] = []
         high: list[float] = []
