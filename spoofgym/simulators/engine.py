@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
 from ..receiver.state import LANES
-from .base import Rows, Simulator, run_serially
+from .base import Given, Rngs, Rows, Simulator, run_serially
 from .domain import draw, given_choice
 from .prefetch import STOCK, NextEpisodes
 from .setup import Setup
@@ -27,7 +27,7 @@ KEPT = 8
 
 
 def _warmed_up(
-    setup: Setup, rngs: Sequence[np.random.Generator], between: Callable[[], None]
+    setup: Setup, rngs: Rngs, between: Callable[[], None]
 ) -> tuple[Simulator, NDArray[np.bool_]]:
     """Receivers at the onset, by one thread."""
     simulator: Simulator = setup.simulator(len(rngs), run_serially)
@@ -111,12 +111,7 @@ class Engine:
         bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
         self._workers.run(work, bounds)
 
-    def reset(
-        self,
-        rngs: Sequence[np.random.Generator],
-        rows: Rows | None = None,
-        given: Mapping[str, Any] | None = None,
-    ) -> None:
+    def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
         """Start new episodes of some receivers, all by default, and run their warm-up.
 
         `rngs` has one generator a row; `given` are circumstances that are not to be drawn, one
@@ -140,9 +135,7 @@ class Engine:
         if self.twin is not None:
             self.twin.copy_rows(where, self.simulator, where)
 
-    def _reset(
-        self, rngs: Sequence[np.random.Generator], where: Rows, given: Mapping[str, Any] | None
-    ) -> None:
+    def _reset(self, rngs: Rngs, where: Rows, given: Given | None) -> None:
         if self._next is None:
             self._begin(rngs, where, given)
             return
@@ -159,12 +152,7 @@ class Engine:
             self._begin(others, where[~prepared])
         self._next.prepare(where, rngs)
 
-    def _begin(
-        self,
-        rngs: Sequence[np.random.Generator],
-        rows: Rows,
-        given: Mapping[str, Any] | None = None,
-    ) -> None:
+    def _begin(self, rngs: Rngs, rows: Rows, given: Given | None = None) -> None:
         """Start new episodes and run their warm-up here and now."""
         if len(rows) == self.receivers:
             self.warmup_alarm = self.simulator.warm_up(rngs, given=given)

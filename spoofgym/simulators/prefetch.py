@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _threads
-from .base import Simulator
+from .base import Rngs, Simulator
 
 WarmUp = Callable[
     [Sequence[np.random.Generator], Callable[[], Any]], "tuple[Simulator, NDArray[np.bool_]]"
@@ -192,7 +192,7 @@ class NextEpisodes:
         slots: NDArray[np.intp] = rows + self._receivers * ((self._taken[rows] + ahead) % STOCK)
         return slots
 
-    def prepare(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
+    def prepare(self, rows: NDArray[np.intp], rngs: Rngs) -> None:
         """Ask for the next episodes of some receivers.
 
         `rngs`: one per row; the coming episodes of each are taken from it at once.  One is asked
@@ -217,9 +217,7 @@ class NextEpisodes:
         if slot not in self._asked:
             self._asked.append(slot)
 
-    def prepared(
-        self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator], least: int = 1
-    ) -> NDArray[np.bool_]:
+    def prepared(self, rows: NDArray[np.intp], rngs: Rngs, least: int = 1) -> NDArray[np.bool_]:
         """Whether the next episodes of these generators have been asked for."""
         pairs = zip(rows.tolist(), rngs, strict=True)
         same = np.array([self._sources[row] is rng for row, rng in pairs], dtype=np.bool_)
@@ -243,9 +241,7 @@ class NextEpisodes:
             self._stock[rows] -= 1
             return self._alarm[slots]
 
-    def instead(
-        self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]
-    ) -> list[np.random.Generator]:
+    def instead(self, rows: NDArray[np.intp], rngs: Rngs) -> list[np.random.Generator]:
         """Give up the next episodes of some receivers, to be begun otherwise."""
         background = self._started()
         with background.change:

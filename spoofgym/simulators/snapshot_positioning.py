@@ -25,6 +25,7 @@ from ..receiver.snapshot import (
 )
 from ..sim.constellation import CircularConstellation
 from ..sim.sky import chain_skies, make_sky, measure, scratch
+from .base import Written
 from .domain import Choice, Domain
 from .frame import SkyData
 from .rates import RateSimulator
@@ -42,10 +43,10 @@ class SnapshotSetup(Setup):
 
     Parameters
     ----------
-    detector : str, mapping or Detector
-        As in `SpoofEnv`.
-    timeline : mapping or Timeline, optional
-        As in `SpoofEnv`; by default 10 s, which only the detector needs, 60 s and 10 s.
+    detector, timeline, domain, target_heading_deg, decision_interval_s, between : optional
+        As in `SpoofEnv`; by default 10 s, which only the detector needs, 60 s and 10 s.  A domain
+        has `turned_deg`, the vehicle's heading, and `constellation_time_s`, with `worlds` and
+        `world_seed`, and `satellites` in view in all worlds.
     satellites : int
         How many are used, the highest ones.
     spoofed : int or sequence of int
@@ -61,11 +62,6 @@ class SnapshotSetup(Setup):
         Time between epochs.
     time_offset_s : float
         Of the constellation: another geometry.
-    domain : mapping or Domain, optional
-        As in `SpoofEnv`, of `turned_deg`, the vehicle's heading, and `constellation_time_s`, with
-        `worlds` and `world_seed`, and `satellites` in view in all worlds.
-    target_heading_deg, decision_interval_s, between : float or str, optional
-        As in `SpoofEnv`.
 
     Attributes
     ----------
@@ -286,9 +282,7 @@ class SnapshotSimulator(RateSimulator):
         error = self.memory["position_e"] - sky.position_e[self.epochs]
         return np.asarray(np.einsum("bi,ij->bj", error, sky.C_en)[:, :2])
 
-    def motion(
-        self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
-    ) -> None:
+    def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         """Write true position since the onset, scaled."""
         sky = self.setup.sky
         moved = sky.position_e[self.epochs] - sky.position_e[self.onset]

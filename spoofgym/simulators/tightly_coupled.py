@@ -22,7 +22,7 @@ from ..sim.scenario import Scenario, make_scenario
 from ..sim.sensors import SOURCES, SensorBuffers
 from ..sim.world import World
 from ._kernels import displace, local_motion
-from .base import Rows, Simulator
+from .base import Rngs, Rows, Simulator, Written
 from .combinations import Combinations, worlds_of
 from .domain import Choice, Domain
 from .frame import SkyData
@@ -256,7 +256,7 @@ class TightlyCoupledSimulator(Simulator):
         coasting = self.buffers.measured.coasting
         return self.sensors.epoch, coasting, memory["displacement"], memory["rate"]
 
-    def _draw(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.uint64]:
+    def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         self.sensors.draw_keys(self._everyone, rngs)
         keys: NDArray[np.uint64] = self.sensors.keys[SOURCES.index("domain")]
         return keys
@@ -373,9 +373,7 @@ class TightlyCoupledSimulator(Simulator):
             out,
         )
 
-    def motion(
-        self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
-    ) -> None:
+    def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         """Write true position since the onset and true velocity in local axes there, scaled."""
         self.setup.local_motion(self.epochs, self.onset, per_position, per_velocity, out)
 
