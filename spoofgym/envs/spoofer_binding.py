@@ -166,8 +166,7 @@ def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card 
     name = spec.get("name") if isinstance(spec, Mapping) else spec
     if isinstance(name, str) and name in shipped():
         return card_of(name)
-    card: Card | None = getattr(made, "card", None)
-    return card
+    return getattr(made, "card", None)
 
 
 def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:

@@ -195,8 +195,7 @@ class Simulator(ABC):
 
     def time_s(self) -> FloatArray:
         """(B,) time of the present epoch [s], a new array."""
-        time: NDArray[np.float64] = self.setup.epoch_time[self.epochs]
-        return time
+        return self.setup.epoch_time[self.epochs]
 
     def bind_detector(self, detector: Detector) -> None:
         """Bind a detector to these receivers; a ValueError where it can't judge or alarm."""

@@ -189,8 +189,7 @@ class NextEpisodes:
 
     def _slots(self, rows: NDArray[np.intp], ahead: NDArray[np.int64] | int) -> NDArray[np.intp]:
         """Where the episodes lie that some receivers come to after some others."""
-        slots: NDArray[np.intp] = rows + self._receivers * ((self._taken[rows] + ahead) % STOCK)
-        return slots
+        return rows + self._receivers * ((self._taken[rows] + ahead) % STOCK)
 
     def prepare(self, rows: NDArray[np.intp], rngs: Rngs) -> None:
         """Ask for the next episodes of some receivers.

@@ -435,8 +435,7 @@ class ErrorPanel(TimePanel):
 
 
 def _size(pair: FloatArray) -> FloatArray:
-    size: FloatArray = np.hypot(pair[:, 0], pair[:, 1])
-    return size
+    return np.hypot(pair[:, 0], pair[:, 1])
 
 
 def _largest(values: FloatArray) -> float:
