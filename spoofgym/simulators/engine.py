@@ -202,15 +202,14 @@ class Engine:
         """Run the time to alert of some receivers and their twins; (hold, b) bool alarms."""
         count = self.setup.hold
         if self.twin is not None:
-            self._apart(self.twin, rows, lambda part: part.live_epochs(count))
+            self.apart(rows, lambda part: part.live_epochs(count), self.twin)
         return self.apart(rows, lambda part: part.live_epochs(count, holding=True))
 
-    def apart(self, rows: Rows, work: Callable[[Simulator], T]) -> T:
-        """Do something with a simulator of some receivers alone, while the others wait."""
-        return self._apart(self.simulator, rows, work)
-
-    def _apart(self, whole: Simulator, rows: Rows, work: Callable[[Simulator], T]) -> T:
-        """`apart` of the receivers, or of their twins."""
+    def apart(
+        self, rows: Rows, work: Callable[[Simulator], T], whole: Simulator | None = None
+    ) -> T:
+        """Do something with a simulator of some receivers, or twins, alone; the others wait."""
+        whole = self.simulator if whole is None else whole
         if len(rows) == self.receivers:
             return work(whole)
         part, here = self._part_of(whole, len(rows)), np.arange(len(rows))

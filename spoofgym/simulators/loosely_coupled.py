@@ -68,12 +68,7 @@ class LooselyCoupledSetup(Setup):
         f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")
     )
     weight_names = ("east", "north", "up")
-    scales: Mapping[str, float] = {
-        "displacement_m": 25.0,
-        "position_m": 10_000.0,
-        "velocity_mps": 100.0,
-        "error_m": 25.0,
-    }
+    scales: Mapping[str, float] = {**Setup.scales, "displacement_m": 25.0, "error_m": 25.0}
 
     def __init__(
         self,

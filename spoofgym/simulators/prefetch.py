@@ -37,8 +37,6 @@ LEAST_TOGETHER, MOST_TOGETHER = 16, 64
 many that one waits for the others."""
 STOCK = 2
 """Episodes that wait for every receiver."""
-
-
 JOIN_S = 5.0
 """How long a thread that has been stopped is waited for.  It ends within a millisecond or so, if no
 detector holds it up."""
@@ -206,15 +204,12 @@ class NextEpisodes:
                 lacking = (self._stock[rows] <= ahead) & (ahead < wanted)
                 slots = self._slots(rows[lacking], ahead).tolist()
                 for i, slot in zip(np.flatnonzero(lacking).tolist(), slots, strict=True):
-                    self._ask(slot, rngs[i])
+                    self._ready[slot], self._episodes[slot] = False, take_episode(rngs[i])
+                    if slot not in self._asked:
+                        self._asked.append(slot)
                     self._sources[int(rows[i])] = rngs[i]
                     self._stock[rows[i]] += 1
         background.wake.put(True)
-
-    def _ask(self, slot: int, rng: np.random.Generator) -> None:
-        self._ready[slot], self._episodes[slot] = False, take_episode(rng)
-        if slot not in self._asked:
-            self._asked.append(slot)
 
     def prepared(self, rows: NDArray[np.intp], rngs: Rngs, least: int = 1) -> NDArray[np.bool_]:
         """Whether the next episodes of these generators have been asked for."""
@@ -296,10 +291,7 @@ class NextEpisodes:
 
 
 def _serve(owner: weakref.ref[NextEpisodes], background: Background) -> None:
-    while background.wake.get():
-        episodes = owner()
-        if episodes is None:
-            return
+    while background.wake.get() and (episodes := owner()) is not None:
         episodes.serve(background)
         del episodes
 

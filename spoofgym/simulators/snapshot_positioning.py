@@ -81,12 +81,6 @@ class SnapshotSetup(Setup):
     )
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"position_{axis}" for axis in AXES[:3])
-    scales: Mapping[str, float] = {
-        "displacement_m": 100.0,
-        "position_m": 10_000.0,
-        "velocity_mps": 100.0,
-        "error_m": 100.0,
-    }
 
     def __init__(
         self,

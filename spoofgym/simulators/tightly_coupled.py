@@ -31,10 +31,7 @@ from .setup import Run, Setup, Timeline
 FloatArray = NDArray[np.float64]
 DEFAULT_ATTACK = "false-position"
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
-RECEIVERS: dict[str, dict[str, Any]] = {
-    "paper": {"tuning": "paper"},
-    "matched": {"tuning": "matched"},
-}
+RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in ("paper", "matched")}
 """Victims by name: the noise that they assume as the papers print it, or as the world has it."""
 FIRST_FIX = 4
 """Satellites that a first fix takes."""
@@ -69,12 +66,6 @@ class TightlyCoupledSetup(Setup):
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"{what}_{axis}" for what in ("position", "velocity") for axis in AXES)
     error_names = AXES
-    scales: Mapping[str, float] = {
-        "displacement_m": 100.0,
-        "position_m": 10_000.0,
-        "velocity_mps": 100.0,
-        "error_m": 100.0,
-    }
     world: World
 
     def __init__(
