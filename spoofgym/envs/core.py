@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .._memory import Memory
 from .._registry import check_choice, check_truth
 from ..detectors import Detector, Verdict, make_detector
-from ..simulators.base import run_serially
+from ..simulators.base import Given, Rngs, Rows, run_serially
 from ..simulators.engine import Engine
 from ..simulators.monitors import PassiveDetectors, needed_monitors
 from ..simulators.setup import Setup
@@ -28,7 +28,6 @@ from .terms.termination import AtAlarm, Ends, EpochState
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Rows = NDArray[np.intp]
 Listener = Callable[["SpoofCore", EpochState, Verdict], None]
 """Called after every epoch of a command, before the time to alert, if it was the last."""
 WatchSpec = str | Mapping[str, Any] | Detector | Sequence[str | Mapping[str, Any] | Detector]
@@ -59,12 +58,7 @@ class Core(Protocol):
     def info_names(self) -> tuple[str, ...]:
         """Keys of the information of a step."""
 
-    def reset(
-        self,
-        rngs: Sequence[np.random.Generator],
-        rows: Rows | None = None,
-        given: Mapping[str, Any] | None = None,
-    ) -> None:
+    def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
         """Start new episodes of some receivers, all by default; one generator a row."""
 
     def step(self, action: FloatArray) -> tuple[StepResult | PlainResult, NDArray[np.float32]]:
@@ -244,12 +238,7 @@ class SpoofCore:
         """Observe all receivers, (B, o), a new array."""
         return self.observer.observe(self.snapshot())
 
-    def reset(
-        self,
-        rngs: Sequence[np.random.Generator],
-        rows: Rows | None = None,
-        given: Mapping[str, Any] | None = None,
-    ) -> None:
+    def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
         """Start new episodes, and run their warm-up up to the onset; as `Engine.reset`."""
         where = self._everyone if rows is None else rows
         self.engine.reset(rngs, rows, given)

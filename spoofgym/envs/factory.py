@@ -95,14 +95,22 @@ def compose(
 
 
 def composable(env: Any) -> Any:
-    """Environment of the spoofer's side inside all wrappers; a TypeError where there is none."""
+    """Environment of the spoofer's side inside all wrappers, with a detector that can be set."""
     inner = getattr(env, "unwrapped", env)
-    # a view of the duel has a core of the spoofer's side, and a pool of its own to choose from
-    if not isinstance(getattr(inner, "core", None), SpoofCore) or not hasattr(
-        inner, "given_detector"
-    ):
+    if not hasattr(inner, "given_detector"):
+        raise TypeError(
+            "this wrapper needs an environment of spoofgym, single or vector, wrapped or not, got "
+            f"{inner!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
+        )
+    return inner
+
+
+def core_of(env: Any) -> SpoofCore:
+    """Core behind an environment."""
+    core = getattr(getattr(env, "unwrapped", env), "core", None)
+    if not isinstance(core, SpoofCore):
         raise TypeError(
             "`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv, wrapped or not, got "
             f"{env!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
         )
-    return inner
+    return core

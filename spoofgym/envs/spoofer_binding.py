@@ -23,7 +23,7 @@ from ..spoofers import (
 )
 from ..spoofers.aim import TARGET, has_heading
 from .core import SpoofCore
-from .factory import composable, make_setup, settings_of
+from .factory import core_of, make_setup, settings_of
 from .observer import Observer
 from .options import action_space, observation_space
 
@@ -74,7 +74,7 @@ def attach(
     >>> envs.close()
     """
     made = make_spoofer(dict(spoofer) if isinstance(spoofer, Mapping) else spoofer)
-    core: SpoofCore = composable(env).core
+    core = core_of(env)
     context = spoofer_context(core.setup, core.receivers, core.observer)
     context = context._replace(action_names=core.action_names)
     card = card_behind(spoofer, made)
@@ -166,8 +166,7 @@ def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card 
     name = spec.get("name") if isinstance(spec, Mapping) else spec
     if isinstance(name, str) and name in shipped():
         return card_of(name)
-    card: Card | None = getattr(made, "card", None)
-    return card
+    return getattr(made, "card", None)
 
 
 def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:

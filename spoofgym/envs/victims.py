@@ -203,14 +203,7 @@ class SpoofVectorEnv(VictimVectorEnv):
     max_episode_steps : int, optional
         Of `gymnasium.make_vec`, from a spec: more than an episode has, and without effect.
     **settings
-        As in `SpoofEnv`.
-
-    Attributes
-    ----------
-    observation_names, action_names : tuple of str
-        Name of every element.
-    given_detector : object
-        Detector that has been set, as it was given; None for the default.
+        As in `SpoofEnv`, as are the attributes.
 
     Examples
     --------
@@ -247,6 +240,7 @@ class LooselyCoupledEnv(VictimEnv):
     **Reward, start and end.** As in `SpoofEnv`; it starts without an offset.
 
     **Arguments.** The settings of `LooselyCoupledSetup` and of `SpoofCore`.
+    **Version history.** v0, the first.
 
     Examples
     --------
@@ -256,10 +250,6 @@ class LooselyCoupledEnv(VictimEnv):
     >>> env.action_space
     Box(-1.0, 1.0, (2,), float32)
     >>> env.close()
-
-    Notes
-    -----
-    Version history: v0, the first.
     """
 
     setup_type: ClassVar[type[Setup]] = LooselyCoupledSetup
@@ -296,7 +286,7 @@ class SnapshotEnv(VictimEnv):
     metres, with few satellites many, and that is the zero of this scale.
 
     **Arguments.** The settings of `SnapshotSetup` and of `SpoofCore`.  The detector is
-    ``srv-raim`` by default.
+    ``srv-raim`` by default.  **Version history.** v0, the first.
 
     Examples
     --------
@@ -306,10 +296,6 @@ class SnapshotEnv(VictimEnv):
     >>> env.action_space
     Box(-1.0, 1.0, (4,), float32)
     >>> env.close()
-
-    Notes
-    -----
-    Version history: v0, the first.
     """
 
     setup_type: ClassVar[type[Setup]] = SnapshotSetup
@@ -343,7 +329,7 @@ class WheeledRobotEnv(VictimEnv):
     **Reward, start and end.** As in `SpoofEnv`; it starts without an offset.
 
     **Arguments.** The settings of `WheeledRobotSetup` and of `SpoofCore`.  The detector is
-    ``acna`` in its production variant by default.
+    ``acna`` in its production variant by default.  **Version history.** v0, the first.
 
     Examples
     --------
@@ -353,10 +339,6 @@ class WheeledRobotEnv(VictimEnv):
     >>> env.action_space
     Box(-1.0, 1.0, (2,), float32)
     >>> env.close()
-
-    Notes
-    -----
-    Version history: v0, the first.
     """
 
     setup_type: ClassVar[type[Setup]] = WheeledRobotSetup

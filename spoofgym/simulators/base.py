@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.intp]
+Rngs = Sequence[np.random.Generator]
+Given = Mapping[str, Any]
+"""Circumstances that are not to be drawn, by `domain.CHOICES`."""
+Written = NDArray[np.floating[Any]]
 M = TypeVar("M", bound=Monitor)
 DOMAIN_STREAM = 0xD0
 """Key of the stream of an episode's seed from which a domain is drawn."""
@@ -86,7 +90,7 @@ class Simulator(ABC):
         """Sizes, interval, noise and satellites, for detectors."""
 
     @abstractmethod
-    def _draw(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.uint64]:
+    def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         """Take a new episode from every generator; (B, 2) keys of its domain."""
 
     @abstractmethod
@@ -132,23 +136,19 @@ class Simulator(ABC):
     @property
     def commanded_displacement(self) -> FloatArray:
         """(B, a) displacement that the spoofer has commanded so far [m]."""
-        displacement: FloatArray = self.commands["displacement"]
-        return displacement
+        return self.commands["displacement"]
 
     @property
     def commanded_rate(self) -> FloatArray:
         """(B, a) its rate [m/s]."""
-        rate: FloatArray = self.commands["rate"]
-        return rate
+        return self.commands["rate"]
 
     def step_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray]:
         """Epochs, coasting, commanded displacement and rate, for kernels."""
         return self.epochs, self.coasting, self.commanded_displacement, self.commanded_rate
 
     @abstractmethod
-    def motion(
-        self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
-    ) -> None:
+    def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         """Write the target's true motion since the onset, along `Setup.motion_names`, scaled."""
 
     def geometry(self, out: NDArray[np.float32]) -> None:
@@ -180,19 +180,16 @@ class Simulator(ABC):
     @property
     def onset(self) -> NDArray[np.int64]:
         """(B,) the epoch after which each receiver's attack starts."""
-        onset: NDArray[np.int64] = self.memory["onset"]
-        return onset
+        return self.memory["onset"]
 
     @property
     def heading(self) -> FloatArray:
         """(B,) direction in which displacement counts, clockwise from north [rad]."""
-        heading: FloatArray = self.memory["heading"]
-        return heading
+        return self.memory["heading"]
 
     def time_s(self) -> FloatArray:
         """(B,) time of the present epoch [s], a new array."""
-        time: NDArray[np.float64] = self.setup.epoch_time[self.epochs]
-        return time
+        return self.setup.epoch_time[self.epochs]
 
     def bind_detector(self, detector: Detector) -> None:
         """Bind a detector to these receivers; a ValueError where it can't judge or alarm."""
@@ -218,9 +215,7 @@ class Simulator(ABC):
                 return monitor
         raise LookupError(f"no {kind.__name__} looks at these epochs")
 
-    def begin(
-        self, rngs: Sequence[np.random.Generator], given: Mapping[str, Any] | None = None
-    ) -> None:
+    def begin(self, rngs: Rngs, given: Given | None = None) -> None:
         """Start a new episode in every receiver; `given` are circumstances not to be drawn."""
         keys = self._draw(rngs)
         self.memory["key"][:] = keys
@@ -233,7 +228,7 @@ class Simulator(ABC):
         self._start(choice)
         self.verdict, self.weights = None, self.ones
 
-    def _choose(self, keys: NDArray[np.uint64], given: Mapping[str, Any] | None) -> Choice:
+    def _choose(self, keys: NDArray[np.uint64], given: Given | None) -> Choice:
         """Choose the circumstances of new episodes."""
         setup = self.setup
         choice = draw(setup.bounds, keys)
@@ -299,10 +294,7 @@ class Simulator(ABC):
         return alarms
 
     def warm_up(
-        self,
-        rngs: Sequence[np.random.Generator],
-        between: Callable[[], None] | None = None,
-        given: Mapping[str, Any] | None = None,
+        self, rngs: Rngs, between: Callable[[], None] | None = None, given: Given | None = None
     ) -> NDArray[np.bool_]:
         """Start new episodes, and run them to the onset; (B,) bool, who alarmed."""
         self.begin(rngs, given)
@@ -317,6 +309,7 @@ class Simulator(ABC):
         return EpisodeLayout(
             title=f"{setup.title} against {detector_name(setup.detector)}",
             track_ne=self._ground_ne(slice(onset, onset + setup.steps + setup.hold + 1)),
+            interval_s=setup.interval_s,
             steps=setup.steps,
             attack_s=setup.steps * setup.interval_s,
             hold_s=setup.hold * setup.interval_s,
@@ -416,7 +409,7 @@ def _merge(mine: Verdict | None, theirs: Verdict, to: Rows, rows: Rows, receiver
     return Verdict(*merged)
 
 
-def episode_seeds(rngs: Sequence[np.random.Generator]) -> list[np.random.SeedSequence]:
+def episode_seeds(rngs: Rngs) -> list[np.random.SeedSequence]:
     """Seed of the next episode of every generator."""
     return [rng.bit_generator.seed_seq.spawn(1)[0] for rng in rngs]  # type: ignore[attr-defined]
 

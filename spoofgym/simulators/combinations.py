@@ -108,8 +108,7 @@ class Combinations:
         self, world: NDArray[np.int64], grade: NDArray[np.int64], error: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """(b,) index, for `__getitem__`, of combinations of a `Choice`."""
-        result: NDArray[np.int64] = (world * self.grades + grade) * self.errors + error
-        return result
+        return (world * self.grades + grade) * self.errors + error
 
     def __getitem__(self, index: int) -> Combination:
         """Return the combination of an index."""
@@ -145,5 +144,4 @@ def _first_attitudes(world: World, grade: ImuGrade) -> FloatArray:
     error = euler_to_dcm(*(-np.radians(grade.attitude_error_deg)))
     # the error turns the local axes: C_nb (estimated) = dC C_nb
     C_ne = np.ascontiguousarray(world.C_en.transpose(0, 2, 1))
-    first: FloatArray = world.C_en @ (error.T @ (C_ne @ world.C_eb))
-    return first
+    return world.C_en @ (error.T @ (C_ne @ world.C_eb))

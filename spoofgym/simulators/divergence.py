@@ -14,14 +14,10 @@ filter's covariance S, the divergence of their distribution under attack from th
 This is the belief of the victim's own filter.  Where the filter's noise is not the world's, the
 belief is wrong by the same measure; it is comparable to the literature, and no bound.
 
-The response is that of the gain and weights of the run, W, so no clean twin is needed.  Where the
-weights answer to the attack, a clean twin would have others: that difference is not counted.  Where
-the receiver coasts, e goes on by :math:`\Phi_k` alone, and the innovations, which detectors see all
-the same, count.
-
-What the attack adds is what it has added in this run.  Errors of the spoofer's own, of its tracking
-or of its signals, count as if the analyst knew them; authentic errors that its signals do not have
-are not counted.
+Gain and weights W are those of the run, so no clean twin is needed; that one would have others,
+which is not counted.  Where the receiver coasts, e goes on by :math:`\Phi_k` alone, and the
+innovations, which detectors see all the same, count.  Errors of the spoofer's own count as if the
+analyst knew them; authentic errors that its signals do not have are not counted.
 """
 
 from __future__ import annotations

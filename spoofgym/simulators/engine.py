@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
 from ..receiver.state import LANES
-from .base import Rows, Simulator, run_serially
+from .base import Given, Rngs, Rows, Simulator, run_serially
 from .domain import draw, given_choice
 from .prefetch import STOCK, NextEpisodes
 from .setup import Setup
@@ -29,7 +29,7 @@ KEPT = 8
 
 
 def _warmed_up(
-    setup: Setup, rngs: Sequence[np.random.Generator], between: Callable[[], None]
+    setup: Setup, rngs: Rngs, between: Callable[[], None]
 ) -> tuple[Simulator, NDArray[np.bool_]]:
     """Receivers at the onset, by one thread."""
     simulator: Simulator = setup.simulator(len(rngs), run_serially)
@@ -113,12 +113,7 @@ class Engine:
         bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
         self._workers.run(work, bounds)
 
-    def reset(
-        self,
-        rngs: Sequence[np.random.Generator],
-        rows: Rows | None = None,
-        given: Mapping[str, Any] | None = None,
-    ) -> None:
+    def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
         """Start new episodes of some receivers, all by default, and run their warm-up.
 
         `rngs` has one generator a row; `given` are circumstances that are not to be drawn, one
@@ -142,9 +137,7 @@ class Engine:
         if self.twin is not None:
             self.twin.copy_rows(where, self.simulator, where)
 
-    def _reset(
-        self, rngs: Sequence[np.random.Generator], where: Rows, given: Mapping[str, Any] | None
-    ) -> None:
+    def _reset(self, rngs: Rngs, where: Rows, given: Given | None) -> None:
         if self._next is None:
             self._begin(rngs, where, given)
             return
@@ -161,12 +154,7 @@ class Engine:
             self._begin(others, where[~prepared])
         self._next.prepare(where, rngs)
 
-    def _begin(
-        self,
-        rngs: Sequence[np.random.Generator],
-        rows: Rows,
-        given: Mapping[str, Any] | None = None,
-    ) -> None:
+    def _begin(self, rngs: Rngs, rows: Rows, given: Given | None = None) -> None:
         """Start new episodes and run their warm-up here and now."""
         if len(rows) == self.receivers:
             self.warmup_alarm = self.simulator.warm_up(rngs, given=given)
@@ -211,15 +199,14 @@ class Engine:
         """Run the time to alert of some receivers and their twins; (hold, b) bool alarms."""
         count = self.setup.hold
         if self.twin is not None:
-            self._apart(self.twin, rows, lambda part: part.live_epochs(count))
+            self.apart(rows, lambda part: part.live_epochs(count), self.twin)
         return self.apart(rows, lambda part: part.live_epochs(count, holding=True))
 
-    def apart(self, rows: Rows, work: Callable[[Simulator], T]) -> T:
-        """Do something with a simulator of some receivers alone, while the others wait."""
-        return self._apart(self.simulator, rows, work)
-
-    def _apart(self, whole: Simulator, rows: Rows, work: Callable[[Simulator], T]) -> T:
-        """`apart` of the receivers, or of their twins."""
+    def apart(
+        self, rows: Rows, work: Callable[[Simulator], T], whole: Simulator | None = None
+    ) -> T:
+        """Do something with a simulator of some receivers, or twins, alone; the others wait."""
+        whole = self.simulator if whole is None else whole
         if len(rows) == self.receivers:
             return work(whole)
         part, here = self._part_of(whole, len(rows)), np.arange(len(rows))

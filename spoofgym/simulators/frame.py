@@ -50,6 +50,7 @@ class EpisodeLayout(NamedTuple):
 
     title: str
     track_ne: FloatArray
+    interval_s: float
     steps: int
     attack_s: float
     hold_s: float

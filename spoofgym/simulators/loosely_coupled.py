@@ -16,6 +16,7 @@ from ..sim.loose_world import SOURCES, InertialErrors, first_errors, flown_world
 from ..sim.noise import padded
 from ..sim.position_error import PositionErrors
 from ._kernels import local_motion
+from .base import Written
 from .domain import Choice, Domain
 from .rates import RateSimulator
 from .setup import RateCommands, Run, Setup, Timeline
@@ -38,11 +39,10 @@ class LooselyCoupledSetup(Setup):
 
     Parameters
     ----------
-    detector : str, mapping or Detector, optional
+    detector, timeline, domain, target_heading_deg, decision_interval_s, between : optional
         As in `SpoofEnv`; by default a chi-square test of one epoch, with the threshold for an
-        estimated covariance.
-    timeline : mapping or Timeline, optional
-        As in `SpoofEnv`; by default 20 s in which all windows fill, 5 s and 5 s.
+        estimated covariance, and 20 s in which all windows fill, 5 s and 5 s.  A domain has
+        `start_s` alone.
     flight : str
         A name in `FLIGHTS`, whose inertial sensors run at a multiple of 10 Hz.
     errors : mapping or PositionErrors, optional
@@ -53,10 +53,6 @@ class LooselyCoupledSetup(Setup):
         Settings of the victim; by default R adapts, over 100 epochs.
     rate_limit_mps : float
         Rate of the displacement to the north and to the east that a command of 1 means.
-    domain : mapping or Domain, optional
-        As in `SpoofEnv`, of `start_s` alone.
-    target_heading_deg, decision_interval_s, between : float or str, optional
-        As in `SpoofEnv`.
 
     Notes
     -----
@@ -72,12 +68,7 @@ class LooselyCoupledSetup(Setup):
         f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")
     )
     weight_names = ("east", "north", "up")
-    scales: Mapping[str, float] = {
-        "displacement_m": 25.0,
-        "position_m": 10_000.0,
-        "velocity_mps": 100.0,
-        "error_m": 25.0,
-    }
+    scales: Mapping[str, float] = {**Setup.scales, "displacement_m": 25.0, "error_m": 25.0}
 
     def __init__(
         self,
@@ -187,9 +178,7 @@ class LooselyCoupledSimulator(RateSimulator):
         error: FloatArray = (apart[:, :, None] * self.setup.C_en[epochs, :, :2]).sum(axis=1)
         return error
 
-    def motion(
-        self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
-    ) -> None:
+    def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         """Write true position since the onset and true velocity in local axes there, scaled."""
         world, axes, where = self.setup.world, self.setup.C_en, (self.epochs, self.onset)
         local_motion(

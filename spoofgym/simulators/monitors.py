@@ -107,7 +107,5 @@ def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
     """Names of detectors, with underscores."""
     known = {kind: name for name, kind in DETECTORS.items()}
     words = [known.get(type(d), type(d).__name__).replace("-", "_").lower() for d in detectors]
-    before = [words[:k].count(word) for k, word in enumerate(words)]
-    return tuple(
-        f"{word}_{count + 1}" if count else word for word, count in zip(words, before, strict=True)
-    )
+    before = ((word, words[:k].count(word)) for k, word in enumerate(words))
+    return tuple(f"{word}_{count + 1}" if count else word for word, count in before)

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import _threads
-from .base import Simulator
+from .base import Rngs, Simulator
 
 WarmUp = Callable[
     [Sequence[np.random.Generator], Callable[[], Any]], "tuple[Simulator, NDArray[np.bool_]]"
@@ -37,8 +37,6 @@ LEAST_TOGETHER, MOST_TOGETHER = 16, 64
 many that one waits for the others."""
 STOCK = 2
 """Episodes that wait for every receiver."""
-
-
 JOIN_S = 5.0
 """How long a thread that has been stopped is waited for.  It ends within a millisecond or so, if no
 detector holds it up."""
@@ -189,10 +187,9 @@ class NextEpisodes:
 
     def _slots(self, rows: NDArray[np.intp], ahead: NDArray[np.int64] | int) -> NDArray[np.intp]:
         """Where the episodes lie that some receivers come to after some others."""
-        slots: NDArray[np.intp] = rows + self._receivers * ((self._taken[rows] + ahead) % STOCK)
-        return slots
+        return rows + self._receivers * ((self._taken[rows] + ahead) % STOCK)
 
-    def prepare(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
+    def prepare(self, rows: NDArray[np.intp], rngs: Rngs) -> None:
         """Ask for the next episodes of some receivers.
 
         `rngs`: one per row; the coming episodes of each are taken from it at once.  One is asked
@@ -207,19 +204,14 @@ class NextEpisodes:
                 lacking = (self._stock[rows] <= ahead) & (ahead < wanted)
                 slots = self._slots(rows[lacking], ahead).tolist()
                 for i, slot in zip(np.flatnonzero(lacking).tolist(), slots, strict=True):
-                    self._ask(slot, rngs[i])
+                    self._ready[slot], self._episodes[slot] = False, take_episode(rngs[i])
+                    if slot not in self._asked:
+                        self._asked.append(slot)
                     self._sources[int(rows[i])] = rngs[i]
                     self._stock[rows[i]] += 1
         background.wake.put(True)
 
-    def _ask(self, slot: int, rng: np.random.Generator) -> None:
-        self._ready[slot], self._episodes[slot] = False, take_episode(rng)
-        if slot not in self._asked:
-            self._asked.append(slot)
-
-    def prepared(
-        self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator], least: int = 1
-    ) -> NDArray[np.bool_]:
+    def prepared(self, rows: NDArray[np.intp], rngs: Rngs, least: int = 1) -> NDArray[np.bool_]:
         """Whether the next episodes of these generators have been asked for."""
         pairs = zip(rows.tolist(), rngs, strict=True)
         same = np.array([self._sources[row] is rng for row, rng in pairs], dtype=np.bool_)
@@ -243,9 +235,7 @@ class NextEpisodes:
             self._stock[rows] -= 1
             return self._alarm[slots]
 
-    def instead(
-        self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]
-    ) -> list[np.random.Generator]:
+    def instead(self, rows: NDArray[np.intp], rngs: Rngs) -> list[np.random.Generator]:
         """Give up the next episodes of some receivers, to be begun otherwise."""
         background = self._started()
         with background.change:
@@ -301,10 +291,7 @@ class NextEpisodes:
 
 
 def _serve(owner: weakref.ref[NextEpisodes], background: Background) -> None:
-    while background.wake.get():
-        episodes = owner()
-        if episodes is None:
-            return
+    while background.wake.get() and (episodes := owner()) is not None:
         episodes.serve(background)
         del episodes
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .base import Simulator, domain_keys, episode_seeds
+from .base import Rngs, Simulator, domain_keys, episode_seeds
 
 FloatArray = NDArray[np.float64]
 
@@ -25,7 +24,7 @@ class RateSimulator(Simulator):
         self.memory.declare("displacement", none)
         self.memory.declare("rate", none)
 
-    def _draw(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.uint64]:
+    def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         self.memory.reset()
         episodes = episode_seeds(rngs)
         for row, episode in enumerate(episodes):
@@ -39,8 +38,7 @@ class RateSimulator(Simulator):
     @property
     def epochs(self) -> NDArray[np.int64]:
         """(B,) index of each receiver's epoch."""
-        epochs: NDArray[np.int64] = self.memory["epoch"]
-        return epochs
+        return self.memory["epoch"]
 
     def _move(self, command: FloatArray | None) -> None:
         """Move the counterfeit over one epoch, by a new rate or by the present one."""

@@ -58,30 +58,28 @@ def record_run(
         clock_bias_m=float(state.clock[0, 0]),
         clock_drift_mps=float(state.clock[0, 1]),
     )
-    samples, ranges, rates, satellites, motions, position_e = [], [], [], [], [], []
+    kept = []
     for k in range(count):
         if command is None or k < setup.onset:
             victim.advance()
         else:
             victim.predict(command(k - setup.onset))
-        seen = measured.visible[0]
-        samples.append(victim.buffers.measured_samples(0))
-        ranges.append(np.where(seen, measured.pseudorange[0], np.nan))
-        rates.append(np.where(seen, measured.range_rate[0], np.nan))
-        satellites.append(measured.satellite_position[0].copy())
-        motions.append(measured.satellite_velocity[0].copy())
+        seen, samples = measured.visible[0], victim.buffers.measured_samples(0)
+        ranges = [np.where(seen, m[0], np.nan) for m in (measured.pseudorange, measured.range_rate)]
+        satellites = measured.satellite_position[0].copy(), measured.satellite_velocity[0].copy()
         victim.update(None)
-        position_e.append(state.position_e[0].copy())
+        kept.append((samples, *ranges, *satellites, state.position_e[0].copy()))
+    imu_samples, pseudorange, range_rate, *motion, position_e = map(list, zip(*kept, strict=True))
     end = setup.world.epoch_end[count]
-    imu = np.concatenate(samples)
+    imu = np.concatenate(imu_samples)
     recording = Recording(
         imu_time=setup.world.imu_time[1 : end + 1],
         specific_force_b=imu[:, :3],
         angular_rate_b=imu[:, 3:],
         gnss_time=setup.world.epoch_time[1 : count + 1],
-        pseudorange=ranges,
-        range_rate=rates,
-        satellite_position_e=satellites,
-        satellite_velocity_e=motions,
+        pseudorange=pseudorange,
+        range_rate=range_rate,
+        satellite_position_e=motion[0],
+        satellite_velocity_e=motion[1],
     )
     return initial, recording, np.array(position_e)

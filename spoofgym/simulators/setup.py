@@ -153,7 +153,12 @@ class Setup(ABC):
     error_names: tuple[str, ...] = ("north", "east")
     weight_names: tuple[str, ...] = ()
     geometry_names: tuple[str, ...] = ()
-    scales: Mapping[str, float]
+    scales: Mapping[str, float] = {
+        "displacement_m": 100.0,
+        "position_m": 10_000.0,
+        "velocity_mps": 100.0,
+        "error_m": 100.0,
+    }
 
     name: str
     attack: Any
@@ -211,8 +216,9 @@ class Setup(ABC):
                 )
 
     def _bounds(self, worlds: int, grades: int, errors: int, first: int, last: int) -> Bounds:
-        heading = self.target_heading_deg
-        fixed = None if heading == "random" else float(np.radians(_number(heading)))
+        heading, fixed = self.target_heading_deg, None
+        if heading != "random":  # where "worst" counts, no direction does
+            fixed = 0.0 if isinstance(heading, str) else float(np.radians(heading))
         return Bounds(worlds, grades, errors, first, last, fixed)
 
     def _starts(self, epochs: int, name: str) -> tuple[int, int]:
@@ -326,7 +332,3 @@ def _repeat(decision_interval_s: float | None, interval_s: float, steps: int) ->
             f"got `decision_interval_s` {decision_interval_s}"
         )
     return repeat
-
-
-def _number(heading: float | str) -> float:
-    return 0.0 if isinstance(heading, str) else float(heading)

@@ -19,6 +19,7 @@ from ..receiver.least_squares import FIXED, fix_receivers
 from ..receiver.snapshot_positioning import EXPECTED_CLOCK_SD_M, EXPECTED_POSITION_SD_M, expect
 from ..sim.constellation import CircularConstellation
 from ..sim.sky import chain_skies, make_sky, measure, scratch
+from .base import Written
 from .domain import Choice, Domain
 from .frame import SkyData
 from .rates import RateSimulator
@@ -36,10 +37,10 @@ class SnapshotSetup(Setup):
 
     Parameters
     ----------
-    detector : str, mapping or Detector
-        As in `SpoofEnv`.
-    timeline : mapping or Timeline, optional
-        As in `SpoofEnv`; by default 10 s, which only the detector needs, 60 s and 10 s.
+    detector, timeline, domain, target_heading_deg, decision_interval_s, between : optional
+        As in `SpoofEnv`; by default 10 s, which only the detector needs, 60 s and 10 s.  A domain
+        has `turned_deg`, the vehicle's heading, and `constellation_time_s`, with `worlds` and
+        `world_seed`, and `satellites` in view in all worlds.
     satellites : int
         How many are used, the highest ones.
     spoofed : int or sequence of int
@@ -55,11 +56,6 @@ class SnapshotSetup(Setup):
         Time between epochs.
     time_offset_s : float
         Of the constellation: another geometry.
-    domain : mapping or Domain, optional
-        As in `SpoofEnv`, of `turned_deg`, the vehicle's heading, and `constellation_time_s`, with
-        `worlds` and `world_seed`, and `satellites` in view in all worlds.
-    target_heading_deg, decision_interval_s, between : float or str, optional
-        As in `SpoofEnv`.
 
     Attributes
     ----------
@@ -79,12 +75,6 @@ class SnapshotSetup(Setup):
     )
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"position_{axis}" for axis in AXES[:3])
-    scales: Mapping[str, float] = {
-        "displacement_m": 100.0,
-        "position_m": 10_000.0,
-        "velocity_mps": 100.0,
-        "error_m": 100.0,
-    }
 
     def __init__(
         self,
@@ -289,9 +279,7 @@ class SnapshotSimulator(RateSimulator):
         error = self.memory["position_e"] - sky.position_e[self.epochs]
         return np.asarray(np.einsum("bi,ij->bj", error, sky.C_en)[:, :2])
 
-    def motion(
-        self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
-    ) -> None:
+    def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         """Write true position since the onset, scaled."""
         sky = self.setup.sky
         moved = sky.position_e[self.epochs] - sky.position_e[self.onset]

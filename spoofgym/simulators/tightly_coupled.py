@@ -22,7 +22,7 @@ from ..sim.scenario import Scenario, make_scenario
 from ..sim.sensors import SOURCES, SensorBuffers
 from ..sim.world import World
 from ._kernels import displace, local_motion
-from .base import Rows, Simulator
+from .base import Rngs, Rows, Simulator, Written
 from .combinations import Combinations, worlds_of
 from .domain import Choice, Domain
 from .frame import SkyData
@@ -31,10 +31,7 @@ from .setup import Run, Setup, Timeline
 FloatArray = NDArray[np.float64]
 DEFAULT_ATTACK = "false-position"
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
-RECEIVERS: dict[str, dict[str, Any]] = {
-    "paper": {"tuning": "paper"},
-    "matched": {"tuning": "matched"},
-}
+RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in ("paper", "matched")}
 """Victims by name: the noise that they assume as the papers print it, or as the world has it."""
 FIRST_FIX = 4
 """Satellites that a first fix takes."""
@@ -69,12 +66,6 @@ class TightlyCoupledSetup(Setup):
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"{what}_{axis}" for what in ("position", "velocity") for axis in AXES)
     error_names = AXES
-    scales: Mapping[str, float] = {
-        "displacement_m": 100.0,
-        "position_m": 10_000.0,
-        "velocity_mps": 100.0,
-        "error_m": 100.0,
-    }
     world: World
 
     def __init__(
@@ -262,7 +253,7 @@ class TightlyCoupledSimulator(Simulator):
         coasting = self.buffers.measured.coasting
         return self.sensors.epoch, coasting, memory["displacement"], memory["rate"]
 
-    def _draw(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.uint64]:
+    def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         self.sensors.draw_keys(self._everyone, rngs)
         keys: NDArray[np.uint64] = self.sensors.keys[SOURCES.index("domain")]
         return keys
@@ -379,9 +370,7 @@ class TightlyCoupledSimulator(Simulator):
             out,
         )
 
-    def motion(
-        self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
-    ) -> None:
+    def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         """Write true position since the onset and true velocity in local axes there, scaled."""
         self.setup.local_motion(self.epochs, self.onset, per_position, per_velocity, out)
 

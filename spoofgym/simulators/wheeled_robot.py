@@ -30,6 +30,7 @@ from ..sim.odometry import (
     measure_odometry,
 )
 from ..sim.robot_track import RobotLoop
+from .base import Written
 from .domain import Choice, Domain
 from .rates import RateSimulator
 from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
@@ -44,10 +45,10 @@ class WheeledRobotSetup(Setup):
 
     Parameters
     ----------
-    detector : str, mapping or Detector, optional
-        As in `SpoofEnv`; ``acna`` in production by default.
-    timeline : mapping or Timeline, optional
-        As in `SpoofEnv`; by default 60 s with the detector live, 150 s and 10 s.
+    detector, timeline, domain, target_heading_deg, decision_interval_s, between : optional
+        As in `SpoofEnv`; by default ``acna`` in production, and 60 s with the detector live, 150 s
+        and 10 s.  A domain has `start_s`, the time on the course at which the robot is switched on;
+        None as the latest is one lap after the earliest.
     interval_s : float
         Time between fixes, a multiple of the encoders' sample interval.
     rate_limit_mps : float
@@ -66,11 +67,6 @@ class WheeledRobotSetup(Setup):
         Settings of the victim.
     interruptions_s : sequence of pairs of float
         Start and end of the times without a fix, counted from the start of the episode.
-    domain : mapping or Domain, optional
-        As in `SpoofEnv`, of `start_s`, the time on the course at which the robot is switched on;
-        None as the latest is one lap after the earliest.
-    target_heading_deg, decision_interval_s, between : float or str, optional
-        As in `SpoofEnv`.
 
     Attributes
     ----------
@@ -278,9 +274,7 @@ class WheeledRobotSimulator(RateSimulator):
         mean: FloatArray = self.weights.mean(axis=1, keepdims=True)
         return mean
 
-    def motion(
-        self, per_position: float, per_velocity: float, out: NDArray[np.floating[Any]]
-    ) -> None:
+    def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         """Write true position since the onset and true velocity, scaled."""
         setup, truth = self.setup, self.setup.true_position
         out[:, :AXES] = per_position * (truth[self.epochs] - truth[self.onset])

@@ -81,17 +81,9 @@ def head(ax: Axes, title: str, columns: int = 4, unit: str = "") -> None:
         ax.set_xlabel(f"east [{unit}]", fontsize=SMALL, labelpad=2)
         ax.set_ylabel(f"north [{unit}]", fontsize=SMALL, labelpad=2)
     ax.set_title(title, loc="left", fontsize=10, fontweight="bold", pad=20)
-    ax.legend(
-        loc="lower left",
-        bbox_to_anchor=(-0.02, 0.985),
-        ncols=columns,
-        frameon=False,
-        fontsize=SMALL,
-        handlelength=1.5,
-        columnspacing=1.0,
-        handletextpad=0.5,
-        borderaxespad=0.1,
-    )
+    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.02, 0.985)}
+    gaps: dict[str, Any] = {"columnspacing": 1.0, "handletextpad": 0.5, "borderaxespad": 0.1}
+    ax.legend(ncols=columns, frameon=False, fontsize=SMALL, handlelength=1.5, **place, **gaps)
     ax.tick_params(labelsize=SMALL)
     ax.locator_params(nbins=6)
 
@@ -145,11 +137,8 @@ class FlightMap:
         ]
         self.artists: list[Artist] = [*(w.line for w in self._ways), *(w.end for w in self._ways)]
         margin = 1.1 * MAGNIFIED * self._extent / self._unit
-        equal_limits(
-            ax,
-            (east.min() - margin, north.min() - margin),
-            (east.max() + margin, north.max() + margin),
-        )
+        low, high = (east.min() - margin, north.min() - margin), (east.max(), north.max())
+        equal_limits(ax, low, (high[0] + margin, high[1] + margin))
         head(ax, "Track", unit=name)
         self._scale = ax.text(
             0.02, 0.02, "", transform=ax.transAxes, fontsize=SMALL, color=GREY, zorder=5
@@ -313,14 +302,11 @@ def beside(place: FloatArray, visible: NDArray[np.bool_]) -> list[tuple[float, f
 
 def _overlap(box: Box, others: Sequence[Box]) -> float:
     """Area that a box shares with others."""
-    shared = 0.0
-    for other in others:
-        sides = [
-            max(0.0, min(box[i] + box[i + 2], other[i] + other[i + 2]) - max(box[i], other[i]))
-            for i in (0, 1)
-        ]
-        shared += sides[0] * sides[1]
-    return shared
+    if not others:
+        return 0.0
+    mine, theirs = np.array(box), np.array(others)
+    right = np.minimum(mine[:2] + mine[2:], theirs[:, :2] + theirs[:, 2:])
+    return float(np.maximum(right - np.maximum(mine[:2], theirs[:, :2]), 0.0).prod(axis=1).sum())
 
 
 def _on_sky(sky: SkyData) -> FloatArray:
@@ -435,8 +421,7 @@ class ErrorPanel(TimePanel):
 
 
 def _size(pair: FloatArray) -> FloatArray:
-    size: FloatArray = np.hypot(pair[:, 0], pair[:, 1])
-    return size
+    return np.hypot(pair[:, 0], pair[:, 1])
 
 
 def _largest(values: FloatArray) -> float:

@@ -80,8 +80,7 @@ class AtWindowEnd:
 
     def __call__(self, state: EpochState) -> Mask:
         """Whether this was the last command."""
-        last: Mask = state.snapshot.step >= state.snapshot.setup.steps
-        return last
+        return state.snapshot.step >= state.snapshot.setup.steps
 
 
 @dataclass(frozen=True)
@@ -153,8 +152,7 @@ class AtSteps:
     def __call__(self, state: EpochState) -> Mask:
         """Whether there were as many."""
         snapshot = state.snapshot
-        over: Mask = snapshot.step >= self.steps * snapshot.setup.repeat
-        return over
+        return snapshot.step >= self.steps * snapshot.setup.repeat
 
 
 END_TERMS: dict[str, type[EndTerm]] = {

@@ -1,7 +1,7 @@
 """Wrappers of the vector environment, around what `gymnasium.make_vec` returns.
 
 It takes no ``wrappers=`` where an environment has a vector form of its own.  Arguments are those of
-the wrappers of the same names in `single`; `RecordEpochs` writes a file an episode of a receiver.
+those of the same names in `wrappers`; `RecordEpochs` writes a file an episode of a receiver.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ else:
 
 
 class DetectorWrapper(Wrapper):
-    """As `single.DetectorWrapper`, of all receivers."""
+    """As `wrappers.DetectorWrapper`, of all receivers."""
 
     def __init__(self, env: Envs, detector: str | Mapping[str, Any] | Detector) -> None:
         super().__init__(env)
@@ -38,7 +38,7 @@ class DetectorWrapper(Wrapper):
 
 
 class WatchWrapper(Wrapper):
-    """As `single.WatchWrapper`, of all receivers."""
+    """As `wrappers.WatchWrapper`, of all receivers."""
 
     def __init__(self, env: Envs, watch: WatchSpec) -> None:
         super().__init__(env)
@@ -46,7 +46,7 @@ class WatchWrapper(Wrapper):
 
 
 class StealthBudget(Wrapper):
-    """As `single.StealthBudget`, of all receivers."""
+    """As `wrappers.StealthBudget`, of all receivers."""
 
     def __init__(self, env: Envs, budget_nats: float) -> None:
         super().__init__(env)
@@ -54,7 +54,7 @@ class StealthBudget(Wrapper):
 
 
 class RecordEpochs(Wrapper):
-    """As `single.RecordEpochs`, of all receivers."""
+    """As `wrappers.RecordEpochs`, of all receivers."""
 
     def __init__(self, env: Envs, folder: str | Path) -> None:
         super().__init__(env)
