@@ -3,13 +3,14 @@
 Nothing that is slow to load is imported before a command needs it.
 """
 
-from .app import INTERRUPTED, app, clear_errors, main
+from .app import INTERRUPTED as INTERRUPTED
+from .app import app as app
+from .app import clear_errors as clear_errors
+from .app import main as main
 from .bench import bench, report, tune
 from .listing import card, list_, tasks
 from .perf import perf
 from .run import render, run
-
-__all__ = ["INTERRUPTED", "app", "clear_errors", "main"]
 
 # in the order of the help page
 app.command("list")(clear_errors(list_))
