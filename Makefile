@@ -13,6 +13,7 @@ WORKERS ?= auto
 # What each target needs beside the library itself.
 extras_bench := flights,report
 extras_check := flights,report,dev
+extras_docs  := docs
 extras_test  := flights,report,video,dev,train
 extras_train := report,train
 
@@ -20,7 +21,7 @@ extras_train := report,train
 tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py
 
 .DEFAULT_GOAL := help
-.PHONY: help venv bench test test-cpus test-ray check perf train
+.PHONY: help venv bench test test-cpus test-ray check docs perf train
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
@@ -46,6 +47,10 @@ check: $(VENV)/.installed-check ## format, lint, types, import directions, docst
 	$(VENV)/bin/lint-imports
 	find spoofgym -name '*.py' -exec $(python) -m numpydoc lint {} +
 	$(VENV)/bin/codespell
+
+docs: $(VENV)/.installed-docs ## build the pages and the API as a site, build/docs/index.html; warnings are errors
+	$(python) -m sphinx -q -W --keep-going -c docs -d build/doctrees . build/docs $(ARGS)
+	cp build/docs/README.html build/docs/index.html
 
 train: $(VENV)/.installed-train ## train a spoofer, for example ARGS="--out runs/my-first"
 	$(python) -m train.ppo_spoofer $(ARGS)

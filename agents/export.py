@@ -7,7 +7,6 @@ written.
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import math
 import tempfile
@@ -29,11 +28,10 @@ from stable_baselines3.common.distributions import (
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from spoofgym._files import write_file
+from spoofgym.policies.onnx_model import file_of
 from spoofgym.spoofers.base import SpooferContext
 from spoofgym.spoofers.card import Card
-from spoofgym.spoofers.card_parts import PolicyFile
-from spoofgym.spoofers.onnx_file import opset_of
-from spoofgym.spoofers.onnx_policy import OnnxPolicy
+from spoofgym.spoofers.learned import OnnxPolicy
 
 from .networks import InformedCritic
 
@@ -188,12 +186,7 @@ class PolicyExporter:
             raise ValueError(f"`path` must end in .onnx, got {path}")
         observed = fields["observation"]  # where there is none, the card is refused
         content = self.content(observed["names"] if observed else (), amplitude)
-        file = PolicyFile(
-            name=path.name,
-            sha256=hashlib.sha256(content).hexdigest(),
-            bytes=len(content),
-            opset=opset_of(self._model),
-        )
+        file = file_of(path.name, content)
         card = Card(name=path.stem, kind="onnx-policy", file=file, **fields)
         with tempfile.TemporaryDirectory() as folder:
             _write(Path(folder) / path.name, content, card)

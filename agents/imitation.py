@@ -32,7 +32,7 @@ def check_imitable(envs: SpoofVecEnv, profile: Profile, direction: FloatArray) -
     ValueError
         When the attack is commanded by rate, or the profile leaves the direction.
     """
-    control = envs.game.setup.attack.control
+    control = envs.core.setup.attack.control
     if control != "acceleration":
         raise ValueError(
             f"a profile is imitated by commands of acceleration, got control = {control!r}"
@@ -79,17 +79,17 @@ def demonstrations(
         As `check_imitable`.
     """
     check_imitable(envs, profile, direction)
-    setup = envs.game.setup
+    setup = envs.core.setup
     attack = setup.attack
     rng = np.random.default_rng(seed)
     decisions = setup.steps // setup.repeat
     rates = sampled(profile.rates_mps, decisions)
-    most = attack.acceleration_limit_mps2 * setup.scenario.epoch_interval_s * setup.repeat
+    most = attack.acceleration_limit_mps2 * setup.interval_s * setup.repeat
     own = [envs.observation_names.index(name) for name in _rates(envs)]
     seen, told = [], []
     observation = envs.reset()
     for _ in range(decisions):
-        wanted = rates[envs.game.step_count // setup.repeat]
+        wanted = rates[envs.core.step_count // setup.repeat]
         rate = observation[:, own] @ direction * attack.rate_limit_mps
         command = np.clip((wanted - rate) / most, -1.0, 1.0)[:, None]
         seen.append(observation)

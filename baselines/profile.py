@@ -27,7 +27,7 @@ from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.suite import Suite, Tuning
 from spoofgym.bench.tuning_table import EXCESS_HEAD, excess_texts
 from spoofgym.cli import INTERRUPTED, clear_errors
-from spoofgym.envs.setup import Timeline
+from spoofgym.simulators import Timeline
 from spoofgym.tasks import task_of
 
 from .profile_card import profile_card, rivals

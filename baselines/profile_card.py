@@ -38,9 +38,9 @@ def profile_card(run: ProfileRun, choice: Choice, command: str) -> Card:
     Card
         Not written yet.
     """
-    suite, fields = run.suite, fields_of(spoofer_context(run.setup))
+    fields = fields_of(spoofer_context(run.setup))
     designed_on = (
-        f"{run.detector.label}, {run.setup.attack.label}, scenario {suite.world.name}, "
+        f"{run.detector.label}, {run.setup.attack.label}, scenario {run.setup.name}, "
         f"receiver tuning {run.setup.receiver.tuning}"
     )
     profile = replace(choice.profile, label=run.out.stem, designed_on=designed_on)
@@ -75,21 +75,15 @@ def profile_card(run: ProfileRun, choice: Choice, command: str) -> Card:
 def _env_kwargs(run: ProfileRun) -> dict[str, Any]:
     """What `gymnasium.make` takes to make the game that the profile was optimised for."""
     suite = run.suite
-    receiver = suite.receiver
-    found = {
-        "scenario": describe(suite.scenario),
+    return {
+        "receiver": {},
+        **describe(suite.given),
         "detector": run.detector.spec,
         "attack": dict(suite.config["attack"]),
-        "receiver": receiver if isinstance(receiver, str) else describe(dict(receiver)),
         "timeline": {k: v for k, v in suite.config["timeline"].items() if k != "kind"},
         "knowledge": "blind",
         "target_heading_deg": run.settings.search.heading_deg,
     }
-    if suite.decision_interval_s is not None:
-        found |= {"decision_interval_s": suite.decision_interval_s, "between": suite.between}
-    if suite.domain is not None:
-        found["domain"] = suite.domain
-    return found
 
 
 def _training(run: ProfileRun, choice: Choice, command: str) -> dict[str, Any]:

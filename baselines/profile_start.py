@@ -42,7 +42,7 @@ def start_between(
     Start
         With the spread that suits it.
     """
-    window = pool.setup.steps * pool.setup.scenario.epoch_interval_s
+    window = pool.setup.steps * pool.setup.interval_s
     ramp = np.full(settings.knots, rate_mps)
     faster = acceleration_mps2 * window * np.linspace(0.0, 1.0, settings.knots)
     curves = [

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spoofgym.bench.run import WarmStart, displacement_of, play
-from spoofgym.envs.setup import Setup
+from spoofgym.simulators import Setup
 from spoofgym.spoofers import Profile, SpooferContext
 from spoofgym.spoofers.profile import sampled
 
@@ -80,7 +80,7 @@ class Population(Profile):
         self.memory.declare("member", member)
 
     def _row(self, step: FloatArray) -> NDArray[np.int64]:
-        """Place of the coming epoch in the sampled curves, which stand one after the other."""
+        """Place of the coming epoch in the sampled curves, which lie one after the other."""
         steps = self.context.steps
         within = np.minimum(step.astype(np.int64), steps - 1)
         return np.asarray(self.memory["member"] * steps + within)

@@ -26,7 +26,7 @@ e  Earth-centred, Earth-fixed (WGS-84).
 n  local north, east, down.
 b  body: forward, right, down; the antenna and the inertial sensors are at its origin.
 
-A suffix tells the axes of a vector: `velocity_n`, `specific_force_b`.  `C_nb` is the matrix to n
+A suffix gives the axes of a vector: `velocity_n`, `specific_force_b`.  `C_nb` is the matrix to n
 from b; inner letters meet in a product, ``C_en @ C_nb``.
 
 **Units**
@@ -45,7 +45,7 @@ local east, north and up, in metres, then gyro and accelerometer biases.
 
 A *spoofer* decides, an *attack* obeys physics, a *detector* judges an *epoch* and raises an
 *alarm* where its *statistic* exceeds its *threshold*; a *scenario* is flight x errors x grade of
-the sensors.  Prefixes tell whose value it is: `true_`, `estimated_`, `counterfeit_`.
+the sensors.  Prefixes say whose value it is: `true_`, `estimated_`, `counterfeit_`.
 
 **Environments**
 

@@ -1,6 +1,6 @@
 """The one ``njit`` of the project, and the folder in which its compiled code is kept.
 
-numba's own cache notices an edit of the file a function stands in, not of the files of the
+numba's own cache notices an edit of the file a function is in, not of the files of the
 functions it calls, and then goes on to run the old machine code.  Here the folder is named by a
 digest of the sources and of the numba version, so that any edit of them starts afresh.
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 class Memory(dict[str, NDArray[Any]]):
     """Arrays by name, one row a receiver, that can be reset, taken out and put back by rows.
 
-    Declare every array once, with the values that an episode begins with; write into the arrays
+    Declare every array once, with the values that an episode starts with; write into the arrays
     afterwards, or assign new ones of the same shape.
 
     Examples
@@ -33,7 +33,7 @@ class Memory(dict[str, NDArray[Any]]):
 
     @property
     def declared(self) -> Mapping[str, NDArray[Any]]:
-        """Values at the begin of an episode, by name."""
+        """Values at the start of an episode, by name."""
         return self._initial
 
     def declare(self, name: str, initial: NDArray[Any]) -> None:

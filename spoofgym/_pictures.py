@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, which colour-blind people tell apart, and two more
+# Okabe and Ito's colours, which colour-blind people can distinguish, and two more
 COLOURS = (
     "#0072B2",
     "#D55E00",
@@ -41,7 +41,7 @@ def figure_class() -> type[Figure]:
 
 
 def save_figure(figure: Figure, path: Path, dpi: float | Literal["figure"] = "figure") -> Path:
-    """Write a picture whole or not at all; its ending tells the format, PNG where it has none."""
+    """Write a picture whole or not at all; its ending gives the format, PNG where it has none."""
     path = path if path.suffix else path.with_suffix(".png")
     with whole_file(path) as part:
         figure.savefig(part, format=path.suffix[1:], dpi=dpi)

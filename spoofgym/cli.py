@@ -31,6 +31,7 @@ _signals: list[int] = []
 P = ParamSpec("P")
 R = TypeVar("R")
 TRACEBACK_VARIABLE = "SPOOFGYM_TRACEBACK"
+ENV = "spoofgym/TightlyCoupled-v0"
 LARGEST_RUNS = 1_000_000
 """More are a slip of the keyboard."""
 INTERRUPTED = 130
@@ -55,6 +56,21 @@ KindArgument = Annotated[
     typer.Argument(help="envs, scenarios, attacks, detectors, spoofers or shipped; all of them."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else.")]
+EnvOption = Annotated[
+    str,
+    typer.Option(
+        help="Environment whose victim is attacked: spoofgym/TightlyCoupled-v0, "
+        "spoofgym/LooselyCoupled-v0, spoofgym/Snapshot-v0 or spoofgym/WheeledRobot-v0."
+    ),
+]
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="Setting of the victim that has no option of its own, may be repeated: name=value, "
+        "the value as JSON, as in satellites=10 or domain='{\"start_s\": [0, 60]}'.",
+    ),
+]
 ScenarioOption = Annotated[
     str, typer.Option(help="Scenario: a name, with settings as for a detector.")
 ]
@@ -72,6 +88,10 @@ TuningOption = Annotated[
         help="Noise that the receiver assumes: as the papers print it, or as the world "
         "has it (matched)."
     ),
+]
+DetectorOption = Annotated[
+    str | None,
+    typer.Option(help=f"Detector. Default: ewma, or one that suits the victim. {SPEC_HELP}"),
 ]
 AttackOption = Annotated[str, typer.Option(help=f"What the spoofer can do. {SPEC_HELP}")]
 TrackOption = Annotated[
@@ -101,7 +121,13 @@ DateOption = Annotated[
         "--date", help="Day of the flight, YYYY-MM-DD. Default: the day of the ephemerides."
     ),
 ]
-WarmupOption = Annotated[float, typer.Option(help="Clean run before the attack, in seconds.")]
+WarmupOption = Annotated[
+    float,
+    typer.Option(
+        help="Clean run before the attack, in seconds. The defaults of the times are those of "
+        "spoofgym/TightlyCoupled-v0; the others have their own."
+    ),
+]
 LiveOption = Annotated[
     float, typer.Option(help="Its last part, with the detectors live, in seconds.")
 ]
@@ -113,9 +139,9 @@ AlertOption = Annotated[
         "does not count."
     ),
 ]
-SeedOption = Annotated[int, typer.Option(help="All chance follows from this number.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of the random number generators.")]
 ThreadsOption = Annotated[
-    int | None, typer.Option(min=1, help="Threads of the engine. Default: as many as pay.")
+    int | None, typer.Option(min=1, help="Threads of the engine. Default: all useful cores.")
 ]
 BudgetOption = Annotated[
     float,
@@ -136,7 +162,7 @@ OraclesOption = Annotated[
     bool,
     typer.Option(
         "--allow-oracles",
-        help="Let detectors play that are told the attack by their settings; the results say so.",
+        help="Let detectors play that know the attack by their settings; the results say so.",
     ),
 ]
 TaskOption = Annotated[
@@ -229,7 +255,7 @@ def _world(
     track: Path | None,
     ephemeris: Path | None,
     from_s: float | None,
-    duration_s: float | None,
+    duration: float | None,
     day: str | None,
 ) -> tuple[Scenario, RealInput | None]:
     """The scenario of the options, and the reports of real input."""
@@ -238,7 +264,7 @@ def _world(
     (spec,) = _specs([scenario])
     changes = {key: value for key, value in (("errors", errors), ("imu", imu)) if value is not None}
     if track is None and ephemeris is None:
-        for name, given in (("--from", from_s), ("--duration", duration_s), ("--date", day)):
+        for name, given in (("--from", from_s), ("--duration", duration), ("--date", day)):
             if given is not None:
                 raise ValueError(f"{name} cuts a recorded track; there is no --track")
         return make_scenario({**spec, **changes}), None
@@ -251,7 +277,7 @@ def _world(
         track,
         ephemeris,
         from_s=from_s,
-        duration_s=duration_s,
+        duration_s=duration,
         day=None if day is None else _day(day),
         errors=named.errors,
         imu=named.imu,
@@ -333,7 +359,7 @@ def list_(kind: KindArgument = None, as_json: JsonOption = False) -> None:
 @clear_errors
 def card(
     name: Annotated[
-        str, typer.Argument(help="A shipped spoofer, or a card or an ONNX file with one beside it.")
+        str, typer.Argument(help="A shipped spoofer, or a card or an ONNX file that has one.")
     ],
     as_json: JsonOption = False,
 ) -> None:
@@ -352,7 +378,8 @@ def card(
 @app.command()
 @clear_errors
 def run(
-    detector: Annotated[str, typer.Option(help=f"Detector. {SPEC_HELP}")] = "ewma",
+    context: typer.Context,
+    detector: DetectorOption = None,
     spoofer: Annotated[
         str, typer.Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")
     ] = "ramp",
@@ -362,6 +389,8 @@ def run(
     ),
     picture: Annotated[bool, typer.Option(help="Draw the picture.")] = True,
     as_json: JsonOption = False,
+    env: EnvOption = ENV,
+    settings: SettingsOption = None,
     scenario: ScenarioOption = "zhong2025",
     errors: ErrorsOption = None,
     imu: ImuOption = None,
@@ -379,25 +408,14 @@ def run(
     seed: SeedOption = 0,
     allow_oracles: OraclesOption = False,
 ) -> None:
-    """Play one run of the benchmark beside its clean twin: a summary, and a picture."""
+    """Play one run of the benchmark and its clean twin: a summary, and a picture."""
     from .bench.episode import draw_episode, play_episode
 
-    world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
-    suite = _suite(
-        world,
-        real,
-        tuning,
-        attack,
-        (warmup_s, live_s, attack_s, time_to_alert_s),
-        seed,
-        detectors=_specs([detector]),
-        spoofers=_specs([spoofer]),
-        allow_oracles=allow_oracles,
-    )
+    suite, real = _suite(context, [detector] if detector else None, _specs([spoofer]))
     player = _untuned(suite)
     if not as_json:
         _print_lines(real)
-    episode = play_episode(suite, suite.detector_entries[0], player, number)
+    episode = play_episode(suite, suite.detector_entries[-1], player, number)
     summary = episode.summary()
     if picture:
         summary["picture"] = str(draw_episode(episode, out))
@@ -405,24 +423,27 @@ def run(
         _print_json({**summary, "input": None if real is None else real.reports})
         return
     rows = [(key, "-" if value is None else str(value)) for key, value in summary.items()]
-    _print_table(f"{player.label} against {suite.detector_entries[0].label}", ("", ""), rows)
+    _print_table(f"{player.label} against {suite.detector_entries[-1].label}", ("", ""), rows)
 
 
 @app.command()
 @clear_errors
 def render(
-    detector: Annotated[str, typer.Option(help=f"Detector. {SPEC_HELP}")] = "ewma",
+    context: typer.Context,
+    detector: DetectorOption = None,
     spoofer: Annotated[
         str, typer.Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")
     ] = "ramp",
     number: RunOption = 0,
     out: Annotated[
-        Path, typer.Option(help="File of the moving picture, .gif or .mp4 (needs FFmpeg).")
+        Path, typer.Option(help="File of the animation, .gif or .mp4 (needs FFmpeg).")
     ] = Path("run.gif"),
     fps: Annotated[
         float, typer.Option(help="Frames a second; 2 is real time with epochs of 0.5 s.")
     ] = 25.0,
     every: Annotated[int, typer.Option(min=1, help="A frame for every so many epochs.")] = 1,
+    env: EnvOption = ENV,
+    settings: SettingsOption = None,
     scenario: ScenarioOption = "zhong2025",
     errors: ErrorsOption = None,
     imu: ImuOption = None,
@@ -440,31 +461,20 @@ def render(
     seed: SeedOption = 0,
     allow_oracles: OraclesOption = False,
 ) -> None:
-    """Draw one run of the benchmark as a moving picture: flight, satellites, statistic, error."""
+    """Draw one run of the benchmark as a animation: flight, satellites, statistic, error."""
     from .bench.animate import frame_count, play_frames
     from .envs.rendering import save_animation
 
-    world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
-    suite = _suite(
-        world,
-        real,
-        tuning,
-        attack,
-        (warmup_s, live_s, attack_s, time_to_alert_s),
-        seed,
-        detectors=_specs([detector]),
-        spoofers=_specs([spoofer]),
-        allow_oracles=allow_oracles,
-    )
-    judge, player = suite.detector_entries[0], _untuned(suite)
+    suite, real = _suite(context, [detector] if detector else None, _specs([spoofer]))
+    judge, player = suite.detector_entries[-1], _untuned(suite)
     _print_lines(real)
-    with _progress(frame_count(suite, judge, every)) as told:
+    with _progress(frame_count(suite, judge, every)) as progress:
 
         def frames() -> Iterator[Any]:
             """Frames, counted."""
             for frame in play_frames(suite, judge, player, number, every=every):
                 yield frame
-                told.advance(1.0, "drawing")
+                progress.advance(1.0, "drawing")
 
         save_animation(frames(), out, fps)
     typer.echo(f"written: {out}")
@@ -473,6 +483,7 @@ def render(
 @app.command()
 @clear_errors
 def tune(
+    context: typer.Context,
     detector: Annotated[
         list[str] | None, typer.Option(help=f"Detector, may be repeated. {SPEC_HELP}")
     ] = None,
@@ -483,6 +494,8 @@ def tune(
     budget: BudgetOption = 0.05,
     training_seeds: TrainingOption = 1024,
     as_json: JsonOption = False,
+    env: EnvOption = ENV,
+    settings: SettingsOption = None,
     scenario: ScenarioOption = "zhong2025",
     errors: ErrorsOption = None,
     imu: ImuOption = None,
@@ -503,39 +516,26 @@ def tune(
 ) -> None:
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
     from .bench.campaign import Silent, search, search_work, training_start
-    from .bench.entries import DEFAULT_DETECTORS, TUNED, build_spoofer
+    from .bench.entries import TUNED, build_spoofer
     from .bench.tuning_table import tuning_head, tuning_rows
 
     specs = _specs(spoofer or ["ramp", "accelerating-ramp"])
     for spec in specs:
-        settings = {key: value for key, value in spec.items() if value != TUNED}
-        tunable = build_spoofer(settings).tunable
+        untuned = {key: value for key, value in spec.items() if value != TUNED}
+        tunable = build_spoofer(untuned).tunable
         if tunable is None:
             raise ValueError(f"spoofer {spec['name']!r} has no setting to tune")
         spec[tunable] = TUNED
-    world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
-    suite = _suite(
-        world,
-        real,
-        tuning,
-        attack,
-        (warmup_s, live_s, attack_s, time_to_alert_s),
-        seed,
-        detectors=_specs(detector) if detector else list(DEFAULT_DETECTORS),
-        spoofers=specs,
-        budget=budget,
-        training=training_seeds,
-        allow_oracles=allow_oracles,
-    )
+    suite, real = _suite(context, detector, specs)
     if not as_json:
         _print_lines(real)
     entries = [entry for entry in suite.spoofer_entries if entry.tuned]
     each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite)
     results = []
-    with _progress(each * len(suite.detector_entries)) as told:
+    with _progress(each * len(suite.detector_entries)) as progress:
         for judge in suite.detector_entries:
-            start, clean = training_start(suite, judge, threads, told or Silent())
-            results += [search(suite, judge, entry, start, clean, told) for entry in entries]
+            start, clean = training_start(suite, judge, threads, progress or Silent())
+            results += [search(suite, judge, entry, start, clean, progress) for entry in entries]
     if as_json:
         _print_json([result.as_dict() for result in results])
         return
@@ -560,7 +560,8 @@ def bench(
     detector: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Detector, may be repeated. Default: snapshot-chi2 and ewma. {SPEC_HELP}"
+            help="Detector, may be repeated. Default: snapshot-chi2 and ewma, or those that suit "
+            f"the victim. {SPEC_HELP}"
         ),
     ] = None,
     spoofer: Annotated[
@@ -583,6 +584,8 @@ def bench(
         bool, typer.Option("--overwrite", help="Replace the results of another campaign.")
     ] = False,
     as_json: JsonOption = False,
+    env: EnvOption = ENV,
+    settings: SettingsOption = None,
     scenario: ScenarioOption = "zhong2025",
     errors: ErrorsOption = None,
     imu: ImuOption = None,
@@ -605,30 +608,16 @@ def bench(
 ) -> None:
     """Play detectors against spoofers on the same runs; interrupted, it goes on when run again."""
     from .bench.campaign import expected_work, run_campaign
-    from .bench.entries import DEFAULT_DETECTORS
     from .bench.store import ResultsFolder
 
     spoofers = _tuned_by_default(_specs(spoofer)) if spoofer else None
-    world, real = _world(scenario, errors, imu, track, ephemeris, from_s, duration, day)
+    real = None
     if task is None:
-        suite = _suite(
-            world,
-            real,
-            tuning,
-            attack,
-            (warmup_s, live_s, attack_s, time_to_alert_s),
-            seed,
-            detectors=_specs(detector) if detector else list(DEFAULT_DETECTORS),
-            spoofers=spoofers,
-            budget=budget,
-            training=training_seeds,
-            runs=seeds,
-            allow_oracles=allow_oracles,
-        )
+        suite, real = _suite(context, detector, spoofers)
     else:
         _refuse_world(context)
         suite = _suite_of_task(task, spoofers, seed, budget, training_seeds, seeds)
-    suite.check_fit()
+        suite.check_fit()
     folder = ResultsFolder(out)
     folder.open(suite, overwrite=overwrite)
     if not as_json:
@@ -636,8 +625,8 @@ def bench(
         for line in suite.left_out:
             typer.echo(line)
     try:
-        with _progress(expected_work(suite, folder)) as told:
-            run_campaign(suite, folder, threads=threads, progress=told)
+        with _progress(expected_work(suite, folder)) as progress:
+            run_campaign(suite, folder, threads=threads, progress=progress)
     except KeyboardInterrupt:
         done = sum(
             folder.has_cell(judge.label, player.label)
@@ -694,7 +683,7 @@ def report(
     folder: Annotated[Path, typer.Argument(help="Folder of the results.")] = Path("results"),
     as_json: JsonOption = False,
 ) -> None:
-    """Score the finished cells of a folder anew, with table and picture."""
+    """Score the finished cells of a folder again, with table and picture."""
     from .bench.store import ResultsFolder
 
     _report(ResultsFolder(folder), as_json, None)
@@ -727,16 +716,15 @@ def perf(
         for key in found["vector"]
     ]
     _print_table("speed", ("", "single", "vector"), rows)
-    beside = found["overhead"]
+    more = found["overhead"]
     _print_table(
-        "a step of the environment beside its engine, one thread",
+        "a step of the environment on top of its engine, one thread",
         ("", "single", "vector"),
-        [(key, *(str(each[key]) for each in beside)) for key in beside[0]],
+        [(key, *(str(each[key]) for each in more)) for key in more[0]],
     )
 
 
-WORLD_OPTIONS = (
-    "detector",
+SCENARIO_OPTIONS = (
     "scenario",
     "errors",
     "imu",
@@ -747,20 +735,27 @@ WORLD_OPTIONS = (
     "from_s",
     "duration",
     "day",
-    "warmup_s",
-    "live_s",
-    "attack_s",
-    "time_to_alert_s",
 )
+"""Options of the tightly coupled receiver alone."""
+TIMES = ("warmup_s", "live_s", "attack_s", "time_to_alert_s")
+WORLD_OPTIONS = ("env", "settings", "detector", *SCENARIO_OPTIONS, *TIMES)
 """Options that a task decides."""
+
+
+def _given(context: typer.Context, names: Sequence[str]) -> dict[str, str]:
+    """Which of some options are on the command line, as they are written there."""
+    found = {}
+    for option in context.command.params:
+        source = context.get_parameter_source(str(option.name))
+        if option.name in names and source is not None and source.name == "COMMANDLINE":
+            found[str(option.name)] = option.opts[0]
+    return found
 
 
 def _refuse_world(context: typer.Context) -> None:
     """Raise where an option is given that the task decides."""
-    for option in context.command.params:
-        source = context.get_parameter_source(str(option.name))
-        if option.name in WORLD_OPTIONS and source is not None and source.name == "COMMANDLINE":
-            raise ValueError(f"{option.opts[0]} can't be given with --task, which decides it")
+    for option in _given(context, WORLD_OPTIONS).values():
+        raise ValueError(f"{option} can't be given with --task, which decides it")
 
 
 def _suite_of_task(
@@ -787,40 +782,68 @@ def _suite_of_task(
 
 
 def _suite(
-    world: Scenario,
-    real: RealInput | None,
-    tuning: str,
-    attack: str,
-    times: tuple[float, float, float, float],
-    seed: int,
-    *,
-    detectors: list[dict[str, Any]],
+    context: typer.Context,
+    detectors: Sequence[str] | None,
     spoofers: list[dict[str, Any]] | None,
-    budget: float = 0.05,
-    training: int = 1024,
-    runs: int = 200,
-    allow_oracles: bool = False,
-) -> Suite:
-    """The suite of the options."""
+) -> tuple[Suite, RealInput | None]:
+    """The suite of the options, and the reports of real input."""
     from .bench.suite import Suite, Tuning
-    from .envs.setup import Timeline
 
-    (attack_spec,) = _specs([attack])
-    return Suite(
-        scenario=world,
-        receiver={"tuning": tuning},
-        attack=attack_spec,
-        timeline=Timeline(
-            **dict(zip(("warmup_s", "live_s", "attack_s", "time_to_alert_s"), times, strict=True))
-        ),
-        detectors=detectors,
+    options = context.params
+    world, real = _world_of(context)
+    training = options.get("training_seeds", 1024)
+    suite = Suite(
+        env=options["env"],
+        **world,
+        settings=_settings(options["settings"] or ()),
+        detectors=_specs(detectors) if detectors else None,
         spoofers=spoofers,
-        runs=runs,
-        entropy=seed,
-        tuning=Tuning(runs=training, sift_runs=max(training // 16, 1), budget=budget),
+        runs=options.get("seeds", 200),
+        entropy=options["seed"],
+        tuning=Tuning(
+            runs=training, sift_runs=max(training // 16, 1), budget=options.get("budget", 0.05)
+        ),
         notes=() if real is None else real.lines,
-        allow_oracles=allow_oracles,
+        allow_oracles=options["allow_oracles"],
     )
+    suite.check_fit()
+    return suite, real
+
+
+def _world_of(context: typer.Context) -> tuple[dict[str, Any], RealInput | None]:
+    """Settings of the victim that have options of their own, and the reports of real input."""
+    options = context.params
+    if options["env"] != ENV:
+        for option in _given(context, SCENARIO_OPTIONS).values():
+            raise ValueError(
+                f"{option} is an option of {ENV}, not of {options['env']}, whose settings are "
+                "given with --set"
+            )
+        times = {name: options[name] for name in _given(context, TIMES)}
+        return ({"timeline": times} if times else {}), None
+    scenario, real = _world(
+        **{name: options[name] for name in SCENARIO_OPTIONS if name not in ("tuning", "attack")}
+    )
+    (attack,) = _specs([options["attack"]])
+    return {
+        "scenario": scenario,
+        "receiver": {"tuning": options["tuning"]},
+        "attack": attack,
+        "timeline": {name: options[name] for name in TIMES},
+    }, real
+
+
+def _settings(texts: Sequence[str]) -> dict[str, Any]:
+    """Settings by name."""
+    from .bench.specs import parse_setting
+
+    found: dict[str, Any] = {}
+    for text in texts:
+        name, value = parse_setting(text)
+        if name in found:
+            raise ValueError(f"--set {name} is given twice: {found[name]!r} and {value!r}")
+        found[name] = value
+    return found
 
 
 def _untuned(suite: Suite) -> Entry:

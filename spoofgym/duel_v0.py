@@ -48,33 +48,30 @@ def env(*, render_mode: None = None, **settings: Any) -> Any:
 
     Parameters
     ----------
-    statistic : {"receiver", "channel"}
-        Whether the detector has one statistic, or one for every slot.
-    weighs : bool
-        Whether the detector weighs satellites in the filter.
-    exclusion_s : float or None
-        Allowance of exclusion in an episode: an epoch costs its interval times what the weights of
-        the visible satellites lack, on average, of 1; beyond it all weights are 1.  None for no
-        limit: then the best answer to any attack is not to look at GNSS.
-    payoff : {"neyman-pearson", "weighted"} or mapping
-        Undetected displacement at a fixed false-alarm rate, or a weighted sum of false alarms,
-        delay and error, ``{"name": "weighted", "false_alarm": ..., "delay_per_s": ...,
-        "error_per_m": ...}``.
-    threshold : "running", float in (0, 1] or Calibration
-        What the statistic is compared with: it follows the clean episodes of this environment, or
-        is that of `calibrate` for one frozen detector.
-    false_alarm : float
-        Rate of clean episodes with an alarm that a running threshold keeps, in (0, 1).
-    attack_probability : float
-        That nature draws an attack, in [0, 1].
     render_mode : None
         There is nothing to render.
     **settings
-        Those above, ``knowledge`` of the spoofer, and the world of `spoofgym.envs.SpoofEnv`:
-        scenario, receiver, attack, timeline, domain, target_heading_deg, decision_interval_s,
-        between.  The decisions are the spoofer's; the detector decides on every epoch, since its
-        weights gate the filter: here it has the turns in between, too; in `parallel_env` the
-        spoofer's actions in between are not looked at.
+        The world of `spoofgym.envs.SpoofEnv`: scenario, receiver, attack, timeline, domain,
+        target_heading_deg, decision_interval_s, between; ``knowledge`` of the spoofer; and
+
+        - ``statistic``, "receiver" or "channel": whether the detector has one statistic, or one for
+          every slot; ``weighs``: whether it weighs satellites in the filter;
+        - ``exclusion_s``: allowance of exclusion in an episode.  An epoch costs its interval times
+          what the weights of the visible satellites lack, on average, of 1; beyond it all weights
+          are 1.  None for no limit: then the best answer to any attack is to ignore GNSS;
+        - ``payoff``, "neyman-pearson" or "weighted": undetected displacement at a fixed false-alarm
+          rate, or a weighted sum of false alarms, delay and error, ``{"name": "weighted",
+          "false_alarm": ..., "delay_per_s": ..., "error_per_m": ...}``;
+        - ``threshold``, "running", a float in (0, 1] or a `Calibration`: what the statistic is
+          compared with.  It follows the clean episodes of this environment, or is that of
+          `calibrate` for one frozen detector;
+        - ``false_alarm``: rate of clean episodes with an alarm that a running threshold keeps, in
+          (0, 1);
+        - ``attack_probability``: that nature draws an attack, in [0, 1].
+
+        The decisions are the spoofer's; the detector decides on every epoch, since its weights gate
+        the filter: here it has the turns in between, too; in `parallel_env` the spoofer's actions
+        in between are ignored.
 
     Returns
     -------

@@ -64,7 +64,7 @@ class Task:
         """Keyword arguments of the environment; a copy."""
         if not self.pooled:
             return {**self.world_kwargs, "detector": self.detector}
-        # a view pays no alarm penalty unless it is told to, and all tasks are paid alike
+        # a view pays no alarm penalty unless it is set to, and all tasks are paid alike
         pool = {"pool": list(self.detectors), "alarm_penalty_m": ALARM_PENALTY_M}
         return copy.deepcopy({**self.settings, **pool})
 
@@ -129,7 +129,7 @@ TASKS: dict[str, Task] = {
         ),
         Task(
             "T5",
-            "everything drawn anew in every episode",
+            "everything drawn again in every episode",
             {
                 "scenario": "realistic",
                 "receiver": "matched",

@@ -32,7 +32,7 @@ KINDS = {
 VIEWS = "tests/duel/test_views.py::test_every_receiver_of_a_vector_view_is_the_single_view"
 TESTS = (
     "tests/test_cpus.py",
-    "tests/envs/test_identity.py",
+    "tests/simulators/test_engine.py",
     VIEWS,
     "tests/receiver/test_strapdown.py",
     "tests/receiver/test_kernels.py",

@@ -56,6 +56,9 @@ def test_help_of_every_command() -> None:
         page = call(command, "--help")
         assert page.exit_code == 0
         assert "Usage" in page.output
+        if command in ("run", "bench"):
+            assert "--env" in page.output
+            assert "--set" in page.output
     assert call("--version").output.strip() == __version__
 
 
@@ -100,22 +103,22 @@ def test_list_names_all_there_is() -> None:
     assert "target_heading_deg=random" in " ".join(call("list", "envs").output.split())
     table = call("list", "detectors").output
     assert "snapshot-chi2" in table
-    assert "[oracle, told what no receiver knows]" in " ".join(table.split())
+    assert "[oracle, knows what no receiver does]" in " ".join(table.split())
     assert "accelerating-ramp" not in table
 
 
-def test_list_marks_oracles_and_what_watches_positions(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_list_marks_oracles_and_what_measures_positions(monkeypatch: pytest.MonkeyPatch) -> None:
     told = type("Told", (DETECTORS["ewma"],), {"__doc__": "Knows it.", "oracle": True})
-    fixes = type("Fixes", (DETECTORS["ewma"],), {"__doc__": "Fixes.", "watches": "position"})
+    fixes = type("Fixes", (DETECTORS["ewma"],), {"__doc__": "Fixes.", "measures": "position"})
     monkeypatch.setitem(DETECTORS, "told", told)
     monkeypatch.setitem(DETECTORS, "fixes", fixes)
     rows = json.loads(call("list", "detectors", "--json").stdout)["detectors"]
     assert {row["name"]: row["oracle"] for row in rows}["told"] is True
-    assert {row["name"]: row["watches"] for row in rows}["fixes"] == "position"
+    assert {row["name"]: row["measures"] for row in rows}["fixes"] == "position"
     lines = call("list", "detectors").output.splitlines()
     by_name = {line.split()[0]: line for line in lines if line.strip()}
     assert "oracle" in by_name["told"]
-    assert "watches positions" in by_name["fixes"]
+    assert "for positions" in by_name["fixes"]
     for name in ("ewma", "snapshot-chi2"):
         assert "oracle" not in by_name[name]
         assert "[" not in by_name[name]
@@ -342,6 +345,36 @@ def test_run_is_a_run_of_the_bench() -> None:
     assert summary["final_error_m"] == pytest.approx(cell.records["final_error_m"][2], abs=1e-4)
 
 
+def test_the_other_victims_are_played_by_their_environment() -> None:
+    env = ["--env", "spoofgym/Snapshot-v0", "--set", "satellites=9", "--set", "noise_m=2.0"]
+    times = ["--attack-s", "12", "--spoofer", "ramp:rate_mps=0.4"]
+    bench = call(
+        "bench", *env, *times, "--seeds", "4", "--out", "small", "--json", "--threads", "1"
+    )
+    assert bench.exit_code == 0, bench.output
+    report = json.loads(bench.stdout)
+    assert (report["scenario"], report["missing"]) == ("snapshot", [])
+    assert [row["detector"] for row in report["detectors"]] == ["raim", "srv-raim"]
+    config = json.loads(Path("small/config.json").read_text())
+    assert (config["settings"]["satellites"], config["settings"]["noise_m"]) == (9, 2.0)
+    assert config["timeline"]["attack_s"] == 12.0
+    assert config["timeline"]["warmup_s"] == 10.0  # the victim's own, not that of the option
+    assert "satellites=9" in Path("small/results.md").read_text()
+    run = call("run", *env, *times, "--run", "2", "--json", "--no-picture")
+    told = json.loads(run.stdout)
+    assert told["detector"]["name"] == "srv-raim"
+    rows = Path("small/cells/srv-raim--ramp-rate_mps=0.4.jsonl").read_text().splitlines()
+    (mine,) = [row for row in map(json.loads, rows) if row.get("run") == 2]
+    assert told["undetected_displacement_m"] == pytest.approx(
+        mine["undetected_displacement_m"], abs=1e-4
+    )
+    drawn = call("render", *env, "--attack-s", "3", "--out", "small.gif")
+    assert drawn.exit_code == 0, drawn.output
+    assert Path("small.gif").stat().st_size > 10_000
+    tuned = call("tune", *env, "--spoofer", "ramp", *TRAINING[-6:], "--attack-s", "5", "--json")
+    assert [found["detector"] for found in json.loads(tuned.stdout)] == ["raim", "srv-raim"]
+
+
 def test_tune_tells_what_it_tried() -> None:
     result = call("tune", *TRAINING, "--detector", "ewma", "--spoofer", "ramp", "--json")
     (found,) = json.loads(result.stdout)
@@ -415,7 +448,7 @@ def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
     [
         (["list", "planes"], "unknown kind 'planes'; valid: attacks, detectors, envs"),
         (["bench", "--detector", "emwa"], "unknown detector 'emwa'; valid: "),
-        (["bench", "--detector", "oracle-step"], "oracle-step: an oracle is told the attack's"),
+        (["bench", "--detector", "oracle-step"], "oracle-step: an oracle knows the attack's"),
         (["run", "--detector", "oracle-ramp"], "to play it all the same: `--allow-oracles`"),
         (["bench", "--spoofer", "ramp:rate=1"], "spoofer 'ramp' has no setting 'rate'; valid: "),
         (["run", "--scenario", "zhong"], "unknown scenario 'zhong'; valid: "),
@@ -438,6 +471,20 @@ def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
         (["bench", "--from", "3"], "there is no --track"),
         (["bench", "--track", "a.json", "--ephemeris", "b.n"], "a.json: No such file"),
         (["report", "nowhere"], "nowhere holds no results of a campaign"),
+        (["bench", "--env", "Snapshot-v0"], "unknown environment of the benchmark 'Snapshot-v0'"),
+        (
+            ["bench", "--env", "spoofgym/Snapshot-v0", "--attack", "paper-ideal"],
+            "--attack is an option of spoofgym/TightlyCoupled-v0, not of spoofgym/Snapshot-v0, "
+            "whose settings are given with --set",
+        ),
+        (
+            ["run", "--env", "spoofgym/WheeledRobot-v0", "--detector", "ewma"],
+            "detector ewma does not fit a wheeled robot (spoofgym/WheeledRobot-v0): ",
+        ),
+        (["bench", "--set", "satellites"], "a setting is written `name=value`, got 'satellites'"),
+        (["bench", "--set", "between=a", "--set", "between=b"], "--set between is given twice"),
+        (["run", "--set", "satellites=9"], "TightlyCoupled-v0 has no setting 'satellites', got 9"),
+        (["bench", "--task", "T1", "--set", "worlds=2"], "--set can't be given with --task"),
     ],
 )
 def test_wrong_input_gets_one_clear_line(arguments: list[str], message: str) -> None:

@@ -41,7 +41,7 @@ def _played():
 @pytest.mark.usefixtures("_played")
 @pytest.mark.parametrize(
     "kernel",
-    [receiver.run_epochs, step.play, false_position, judge_channels],
+    [receiver.run_epochs, step.finish, false_position, judge_channels],
     ids=lambda kernel: kernel.__name__,
 )
 def test_no_operations_are_fused_and_no_sums_regrouped(kernel):

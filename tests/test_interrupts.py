@@ -27,7 +27,7 @@ SIZE = ["--training-seeds", "48", "--budget", "0.25", "--seeds", "96", "--thread
 BENCH = ["bench", *TIMES, *CHOSEN, *SIZE]
 ENVIRONMENT = """
 import itertools, random, sys, time
-from spoofgym.envs.vector_env import SpoofVectorEnv
+from spoofgym.envs import SpoofVectorEnv
 
 times = {"warmup_s": 100.0, "live_s": 50.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
 envs = SpoofVectorEnv(64, threads=2, timeline=times)

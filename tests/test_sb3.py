@@ -18,7 +18,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
 from spoofgym.envs import SpoofEnv
-from spoofgym.envs.rewards import AlarmPenalty, default_rewards
+from spoofgym.envs.terms.reward import AlarmPenalty, default_rewards
 from spoofgym.envs.wrappers import vector as vector_wrappers
 from spoofgym.sb3 import RecordEpochs, SpoofVecEnv
 
@@ -338,10 +338,10 @@ def test_a_reset_may_be_told_the_circumstances():
     envs = make(domain={"start_s": (0.0, 10.0)})
     envs.set_options([{"domain": {"start_s": float(row)}} for row in range(ENVS)])
     envs.reset()
-    begun = envs.game.engine.batch.memory["first"]
+    begun = envs.core.engine.simulator.memory["first"]
     np.testing.assert_array_equal(begun, 2 * np.arange(ENVS))
     envs.set_options([{"domain": {"start_s": 1.0}}] + [{}] * (ENVS - 1))
-    with pytest.raises(ValueError, match="the same circumstances of every receiver"):
+    with pytest.raises(ValueError, match="the same circumstances for every receiver"):
         envs.reset()
     envs.set_options({"start": 1.0})
     with pytest.warns(UserWarning, match="reset has no option 'start'; valid: domain"):

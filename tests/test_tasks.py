@@ -43,7 +43,7 @@ def test_a_task_can_be_played(key):
 
 
 def test_the_long_task_has_a_decision_every_ten_seconds():
-    setup = gym.make(TASKS["T4"].env_id).unwrapped.game.setup
+    setup = gym.make(TASKS["T4"].env_id).unwrapped.core.setup
     assert (setup.steps, setup.repeat) == (3600, 20)
     assert setup.receiver.tuning == "matched"
 

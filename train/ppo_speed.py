@@ -50,7 +50,7 @@ class Nothing(SpoofVecEnv):
     """The same spaces, episodes of full length, and no simulation."""
 
     def reset(self) -> np.ndarray:
-        """Begin."""
+        """Start over."""
         self._step = 0
         self._seen = np.zeros((self.num_envs, *self.observation_space.shape), dtype=np.float32)
         return self._seen.copy()
@@ -61,7 +61,7 @@ class Nothing(SpoofVecEnv):
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Count."""
         self._step += 1
-        over = self._step % self.game.setup.steps == 0
+        over = self._step % self.core.setup.steps == 0
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if over:
             for info in infos:

@@ -96,16 +96,20 @@ from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.suite import Suite, Tuning, versions
 from spoofgym.bench.tune import Trial, TuningResult, tune
 from spoofgym.detectors import DETECTORS
-from spoofgym.envs.attach import spoofer_context
-from spoofgym.envs.observations import OwnCommand, terms_of
-from spoofgym.envs.observer import Observer
-from spoofgym.envs.rewards import AlarmPenalty, DisplacementGain, Retraction, RewardTerm
-from spoofgym.envs.setup import Setup
+from spoofgym.envs import Observer, Setup, default_terms
+from spoofgym.envs.spoofer_binding import spoofer_context
+from spoofgym.envs.terms.observation import OwnCommand
+from spoofgym.envs.terms.reward import (
+    AlarmPenalty,
+    DisplacementGain,
+    Retraction,
+    RewardTerm,
+)
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE, Profile, card_of, shipped
 from spoofgym.spoofers.aim import direction
 from spoofgym.spoofers.card import Card, fields_of
-from spoofgym.spoofers.onnx_policy import OnnxPolicy
+from spoofgym.spoofers.learned import OnnxPolicy
 from spoofgym.tasks import task_of
 
 
@@ -434,7 +438,7 @@ class Scales:
         """Read them from tuning tables."""
         attack, values = setup.attack, {table["setting"]: table["value"] for table in tables}
         own = "acceleration_mps2" if attack.control == "acceleration" else "rate_mps"
-        window_s = setup.steps * setup.scenario.epoch_interval_s
+        window_s = setup.steps * setup.interval_s
         fastest = max(values["rate_mps"], values["acceleration_mps2"] * window_s)
         return cls(
             values[own] / attack.unit_scale,
@@ -454,15 +458,15 @@ class Scales:
 
 def make_model(args: Arguments, env: AlongHeading, scales: Scales = Scales()) -> PPO:
     """PPO with fresh weights, whose first actions lie around that of a ramp."""
-    setup = env.get_attr("game")[0].setup
+    setup = env.get_attr("core")[0].setup
     n_steps = args.n_steps or setup.steps // setup.repeat
     size = n_steps * args.num_envs
     if size % args.batch_size and args.batch_size < size:
         # stable-baselines3 warns of a last minibatch that is smaller; it is harmless
         warnings.filterwarnings("ignore", message="You have specified a mini-batch size")
     shape = MlpShape(width=args.width, log_std_init=args.log_std_init)
-    game = env.venv.game
-    observer = Observer(terms_of(args.knowledge), game.setup)
+    core = env.venv.core
+    observer = Observer(default_terms(core.setup, args.knowledge), core.setup)
     model = PPO(
         InformedCritic,
         env,
@@ -474,7 +478,7 @@ def make_model(args: Arguments, env: AlongHeading, scales: Scales = Scales()) ->
         gae_lambda=args.gae_lambda,
         clip_range=args.clip_range,
         policy_kwargs=shape.policy_kwargs()
-        | {"seen": len(observer.names), "scale": scales.factors(game.observer, game.setup.attack)},
+        | {"seen": len(observer.names), "scale": scales.factors(core.observer, core.setup.attack)},
         seed=args.seed,
         device="cpu",
     )
@@ -659,8 +663,9 @@ class Run(BaseCallback):
 
     def card_fields(self, scores: list[dict[str, Any]], amplitude: float) -> dict[str, Any]:
         """Card of the policy as it is."""
-        game, args = self.env.venv.game, self.args
-        context = spoofer_context(game.setup, 1, Observer(terms_of(args.knowledge), game.setup))
+        setup, args = self.env.venv.core.setup, self.args
+        observer = Observer(default_terms(setup, args.knowledge), setup)
+        context = spoofer_context(setup, 1, observer)
         return {
             "env_id": "spoofgym/TightlyCoupled-v0",
             "env_kwargs": args.env_kwargs,
@@ -874,7 +879,7 @@ def learn(
 ) -> tuple[Path, float]:
     """Learn from where the folder is at."""
     rivals = config["rivals"]
-    model = make_model(args, env, Scales.of(env.venv.game.setup, rivals))
+    model = make_model(args, env, Scales.of(env.venv.core.setup, rivals))
     run = Run(args, env, rivals, config["spent_s"])
     resumed = args.resume and (args.out / CHECKPOINT).is_file()
     if resumed:

@@ -1,8 +1,8 @@
 """Compiled loops of a spoofer's equipment.
 
 The noise of epoch k belongs to the counters 2 k and 2 k + 1 of the attack's key: the first for what
-moves, the second for what is drawn anew.  An attack measures only epochs after its onset, so that
-the first counter of the onset is free for what an episode begins with.
+moves, the second for what is drawn again.  An attack measures only epochs after its onset, so that
+the first counter of the onset is free for what an episode starts with.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MOVING = 64
 
 @njit
 def first_deviates(keys, onsets, size, drawn):
-    """Deviates of the begin of some episodes.
+    """Deviates of the start of some episodes.
 
     `keys` (b, 2) of the attack's noise; `onsets` (b,) epochs; `drawn` (b, d), written, d at most
     `size`.

@@ -24,7 +24,7 @@ ERRORS = ("inherited", "replaced")
 
 
 class AttackContext(NamedTuple):
-    """What an attack is told once.
+    """What an attack is given once.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ class Attack(ABC):
 
     @property
     def replaces_errors(self) -> bool:
-        """Whether ``memory["authentic"]`` tells which authentic errors stay."""
+        """Whether ``memory["authentic"]`` says which authentic errors stay."""
         return self.errors != "inherited"
 
     @property

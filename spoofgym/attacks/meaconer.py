@@ -74,7 +74,7 @@ class Meaconer(Attack):
     def begin(
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
     ) -> None:
-        """Place the antenna beside the target."""
+        """Place the antenna next to the target."""
         super().begin(rows, keys, onsets)
         self.memory["antenna"][rows] = (self.world.C_en[onsets] * self.antenna_m).sum(axis=2)
 

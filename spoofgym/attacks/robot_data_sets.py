@@ -1,12 +1,12 @@
 r"""The data sets of `song2021`: what is added to the fixes of a robot, and when.
 
-A jump adds an offset that is drawn anew at every fix, a slow change one that grows by a drawn step,
+A jump adds an offset that is drawn at every fix, a slow change one that grows by a drawn step,
 in north and in east alike:
 
 .. math:: \Delta^J \sim N(20, 0.1), \qquad \Delta^S_k = \Delta^S_{k-1} + N(0.5, 0.05)
 
 in metres, the second numbers being variances.  The printed largest errors are the root of the sum
-of the squares of two axes, which tells that both axes are attacked.
+of the squares of two axes, which shows that both axes are attacked.
 
 Source: `song2021`, eqs. 28 and 29 and section 4.2.
 """
@@ -88,4 +88,4 @@ DATA_SETS: dict[str, RobotDataSet] = {
     "slow": RobotDataSet(slow_s=((150.0, 300.0),)),
     "both": RobotDataSet(jump_s=((50.0, 100.0),), slow_s=((150.0, 200.0),)),
 }
-"""By name: standing and driving without an attack, then the paper's attacked sets 2, 3 and 4."""
+"""By name: at rest and driving without an attack, then the paper's attacked sets 2, 3 and 4."""

@@ -1,6 +1,8 @@
 """The benchmark: detectors x spoofers x paired seeds, and their scores.
 
 suite      what is run, with a digest of everything that results depend on
+victims    the four kinds of victim, with the detectors that suit each
+decisions  a spoofer in front of an engine, from decision to decision
 run        one cell: all runs side by side, from a warm-up that all spoofers share
 tune       the strongest attack of a family within an alarm budget
 metrics    proportions, delays, displacements and their intervals

@@ -1,4 +1,4 @@
-"""One evaluation run as frames of a moving picture."""
+"""One evaluation run as frames of a animation."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._registry import whole_number
-from ..envs.game import Game
-from ..envs.presets import make_game
-from ..envs.rendering import GameRecorder, Screen
+from ..envs.core import SpoofCore
+from ..envs.rendering import CoreRecorder, Screen
+from .decisions import Attacker
 from .entries import Entry
-from .run import command
-from .suite import Suite, make_bound_spoofer
+from .suite import Suite
 
 
 def play_frames(
@@ -25,20 +24,21 @@ def play_frames(
     """
     run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
     setup = suite.setup(detector)
-    player, observer = make_bound_spoofer(spoofer.spec, setup, 1)
-    game: Game = make_game(1, setup, end_at_alarm=False, threads=1)
-    screen = Screen("rgb_array", GameRecorder(game))
-    game.reset(suite.generators("evaluation", run + 1, run))
-    screen.begin({name: array[0] for name, array in game.begin_info().items()})
+    core = SpoofCore(1, setup, end_at_alarm=False, threads=1)
+    screen = Screen("rgb_array", CoreRecorder(core))
+    core.reset(suite.generators("evaluation", run + 1, run))
+    attacker = Attacker(spoofer.spec, core.engine)
+    screen.begin({name: array[0] for name, array in core.reset_info().items()})
     yield screen.frame()
-    for step in range(1, setup.steps + 1):
-        turn = game.step(command(player, observer, game.engine, step - 1))
-        screen.add({name: array[0] for name, array in turn.info.items()})
-        if step % every == 0 or step == setup.steps:
+    for step in range(1, core.episode_steps + 1):
+        result, _ = core.step(attacker.decide((step - 1) * setup.repeat))
+        screen.add({name: array[0] for name, array in result.info.items()})
+        if step % every == 0 or step == core.episode_steps:
             yield screen.frame()
-    game.close()
+    core.close()
 
 
 def frame_count(suite: Suite, detector: Entry, every: int = 1) -> int:
     """How many frames `play_frames` yields."""
-    return 1 + -(-suite.setup(detector).steps // every)
+    setup = suite.setup(detector)
+    return 1 + -(-(setup.steps // setup.repeat) // every)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from ..envs.setup import Setup
+from ..simulators.setup import Setup
 from .cells import make_cell
 from .entries import Entry, build_spoofer
 from .run import Runs, WarmStart, play
@@ -18,14 +18,14 @@ WARMUP_SHARE = 1.0
 
 
 class Progress(Protocol):
-    """Who is told how far a campaign is."""
+    """Shows how far a campaign is."""
 
     def advance(self, amount: float, now: str) -> None:
         """Some work is done."""
 
 
 class Silent:
-    """Nobody is told."""
+    """Shows nothing."""
 
     def advance(self, amount: float, now: str) -> None:
         """Ignore it."""
@@ -84,15 +84,15 @@ def run_campaign(
     threads : int, optional
         As in `Engine`.
     progress : Progress, optional
-        Who is told.
+        Shows how far it is.
     """
-    told = progress or Silent()
+    progress = progress or Silent()
     for detector in suite.detector_entries:
         cells, searches = _open(suite, folder, detector)
         if searches:
-            _search(suite, folder, detector, searches, threads, told)
+            _search(suite, folder, detector, searches, threads, progress)
         if cells:
-            _cells(suite, folder, detector, cells, threads, told)
+            _cells(suite, folder, detector, cells, threads, progress)
 
 
 def _search(
@@ -101,24 +101,24 @@ def _search(
     detector: Entry,
     searches: list[Entry],
     threads: int | None,
-    told: Progress,
+    progress: Progress,
 ) -> None:
-    start, clean = training_start(suite, detector, threads, told)
+    start, clean = training_start(suite, detector, threads, progress)
     for entry in searches:
-        folder.put_tuning(search(suite, detector, entry, start, clean, told))
+        folder.put_tuning(search(suite, detector, entry, start, clean, progress))
 
 
 def training_start(
-    suite: Suite, detector: Entry, threads: int | None, told: Progress
+    suite: Suite, detector: Entry, threads: int | None, progress: Progress
 ) -> tuple[WarmStart, Runs]:
     """Training runs of a detector at the onset, and what they do without attack."""
     runs = suite.tuning.runs
     now = f"{detector.label}: training runs"
-    told.advance(0.0, now)
+    progress.advance(0.0, now)
     setup = suite.setup(detector)
     start = WarmStart(setup, suite.generators("training", runs), threads=threads)
-    told.advance(runs * WARMUP_SHARE, now)
-    return start, play(start, "none", tick=lambda part: told.advance(runs * part, now))
+    progress.advance(runs * WARMUP_SHARE, now)
+    return start, play(start, "none", tick=lambda part: progress.advance(runs * part, now))
 
 
 def search(
@@ -127,21 +127,21 @@ def search(
     entry: Entry,
     start: WarmStart,
     clean: Runs,
-    told: Progress,
+    progress: Progress,
 ) -> TuningResult:
     """Search for the setting of one spoofer."""
     now = f"{detector.label}: tuning {entry.label}"
     left = search_work(suite)
 
     def tick(amount: float) -> None:
-        """Tell of it, but of no more than was expected."""
+        """Show it, but no more than was expected."""
         nonlocal left
         amount = min(amount, left)
         left -= amount
-        told.advance(amount, now)
+        progress.advance(amount, now)
 
     result = tune(start, clean, entry, detector.label, suite.tuning, tick=tick)
-    told.advance(left, now)
+    progress.advance(left, now)
     return result
 
 
@@ -151,22 +151,22 @@ def _cells(
     detector: Entry,
     cells: list[Entry],
     threads: int | None,
-    told: Progress,
+    progress: Progress,
 ) -> None:
     now = f"{detector.label}: evaluation runs"
-    told.advance(0.0, now)
+    progress.advance(0.0, now)
     setup = suite.setup(detector)
     start = WarmStart(setup, suite.generators("evaluation", suite.runs), threads=threads)
-    told.advance(suite.runs * WARMUP_SHARE, now)
+    progress.advance(suite.runs * WARMUP_SHARE, now)
 
-    def watched(label: str) -> Any:
-        return lambda part: told.advance(suite.runs * part, f"{detector.label}: {label}")
+    def tick_of(label: str) -> Any:
+        return lambda part: progress.advance(suite.runs * part, f"{detector.label}: {label}")
 
-    twin = play(start, "none", tick=watched("none"))
+    twin = play(start, "none", tick=tick_of("none"))
     for entry in cells:
         tuning = folder.tuning(detector.label, entry.label) if entry.tuned else None
         spec = entry.spec if tuning is None else entry.with_value(tuning.value)
-        attacked = twin if entry.label == "none" else play(start, spec, tick=watched(entry.label))
+        attacked = twin if entry.label == "none" else play(start, spec, tick=tick_of(entry.label))
         head = {
             "detector": detector.label,
             "spoofer": entry.label,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..envs.setup import Setup
+from ..simulators.setup import Setup
 from .metrics import undetected_displacement
 from .run import Runs, induced_error, navigation_error
 
@@ -100,7 +100,7 @@ def make_cell(
     twin: Runs,
 ) -> Cell:
     """Score the runs of a cell.  `warmup_alarm` (R,) bool, alarms before the onset."""
-    interval = setup.scenario.epoch_interval_s
+    interval = setup.interval_s
     error = induced_error(setup, attacked, twin)
     commanded = error[: setup.steps]
     off = navigation_error(setup, attacked)

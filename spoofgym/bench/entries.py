@@ -20,7 +20,7 @@ DEFAULT_SPOOFERS: tuple[Spec, ...] = (
     {"name": "ramp", "rate_mps": TUNED},
     {"name": "accelerating-ramp", "acceleration_mps2": TUNED},
 )
-"""Beside them, a campaign plays the shipped spoofers that fit it."""
+"""With them, a campaign plays the shipped spoofers that fit it."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def refuse_oracles(entries: tuple[Entry, ...]) -> None:
     labels = oracle_labels(entries)
     if labels:
         raise ValueError(
-            f"{', '.join(labels)}: an oracle is told the attack's channel, size and onset by its "
+            f"{', '.join(labels)}: an oracle knows the attack's channel, size and onset by its "
             "settings, which no receiver knows, and alarms without an attack, too; it can't be "
             "compared with detectors; to play it all the same: `--allow-oracles`, or "
             "`Suite(allow_oracles=True)`"
@@ -114,7 +114,7 @@ def check_labels(entries: tuple[Entry, ...]) -> None:
     files = [slug(entry.label) for entry in entries]
     twice = [entry for entry in entries if files.count(slug(entry.label)) > 1]
     if twice:
-        told = any("label" in entry.spec for entry in twice)
-        hint = "; a `label` of its own tells one from the other" if told else ""
+        labelled = any("label" in entry.spec for entry in twice)
+        hint = "; a `label` of its own tells one from the other" if labelled else ""
         names = sorted({entry.label for entry in twice})
         raise ValueError(f"listed twice: {', '.join(names)}{hint}")

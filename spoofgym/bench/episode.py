@@ -1,4 +1,4 @@
-"""One run looked at closely: an attack beside its clean twin, epoch by epoch."""
+"""One run looked at closely: an attack and its clean twin, epoch by epoch."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 
 from .._pictures import BLUE, GREEN, GREY, ORANGE, figure_class, save_figure, style
 from .._registry import whole_number
-from ..earth.frames import ecef_to_geodetic
-from ..envs.engine import Engine
+from ..simulators.engine import Engine
+from ..spoofers.aim import AXES
+from .decisions import Attacker
 from .entries import Entry
 from .intervals import Interval, spoofing_intervals
 from .metrics import undetected_displacement
-from .run import command, epochs_of, to_local
-from .suite import Suite, make_bound_spoofer
+from .run import epochs_of, to_local
+from .suite import Suite
 
 FloatArray = NDArray[np.float64]
 ATTACKED, TWIN = 0, 1
-"""Rows of the two receivers."""
+"""Columns of the two receivers."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,10 @@ class Episode:
     - `time` (L + K,) [s];
     - `ratio` (L + K, 2) largest ratio of a statistic to its threshold, attacked and twin;
     - `alarm` (L + K, 2) bool;
-    - `error_n` (K, 2, 3) distance from the truth, north, east, down [m];
+    - `error_n` (K, 2, d) distance from the truth, north, east (and down) [m];
     - `displacement` (K, a) commanded displacement [m];
     - `channels` (a,) what is displaced;
-    - `onset_epoch`: epoch of the world after which the attack begins.
+    - `onset_epoch`: epoch of `Setup.epoch_time` after which the attack starts.
     """
 
     suite: Suite
@@ -79,13 +80,13 @@ class Episode:
     def summary(self) -> dict[str, Any]:
         """What came of it, JSON-able."""
         setup = self.suite.setup(self.detector)
-        interval, induced, first = setup.scenario.epoch_interval_s, self.induced, self.first_alarm
+        interval, induced, first = setup.interval_s, self.induced, self.first_alarm
         commanded = induced[: setup.steps]
         alarms = self.alarm[: self.onset, ATTACKED]
         undetected = undetected_displacement(commanded[:, None], [first], setup.hold)[0]
         twin = self.error_n[:, TWIN, :2]
         return {
-            "scenario": setup.scenario.name,
+            "scenario": setup.name,
             "detector": self.detector.spec,
             "spoofer": self.spoofer.spec,
             "attack": setup.attack.label,
@@ -107,52 +108,44 @@ class Episode:
 
 
 def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) -> Episode:
-    """Play one of the evaluation runs, attacked and not, side by side."""
+    """Play one of the evaluation runs, attacked and not."""
     run = whole_number("`run`", run)
     setup = suite.setup(detector)
-    player, observer = make_bound_spoofer(spoofer.spec, setup, 2)
-    engine = Engine(2, setup, threads=1)
-    batch = engine.batch
-    batch.begin([suite.generators("evaluation", run + 1, run)[0] for _ in range(2)])
-    batch.quiet_epochs(setup.quiet)
-    batch.clean = np.array([not player.transmits, True])
-    epochs = setup.steps + setup.hold
+    engine = Engine(1, setup, threads=1, twin=True)
+    simulator, twin = engine.simulator, engine.twin
+    assert twin is not None  # as was asked for
+    everyone, epochs = np.zeros(1, dtype=np.intp), setup.steps + setup.hold
     ratio = np.zeros((setup.live + epochs, 2))
     alarm = np.zeros(ratio.shape, dtype=np.bool_)
-    error_e = np.zeros((epochs, 2, 3))
-    displacement = np.zeros((epochs, len(setup.attack.action_names(setup.world))))
-    before = given = np.zeros((2, displacement.shape[1]))
-    for k in range(setup.live + epochs):
-        step = k - setup.live
-        if step < 0:
-            batch.advance()
-            verdict = batch.judge()
-            batch.update(verdict.weights)
-        elif step < setup.steps:
-            if step % setup.repeat == 0:
-                before, given = given, command(player, observer, engine, step)
-            verdict = engine.step(setup.command(before, given, step % setup.repeat))
-        else:
-            verdict = engine.step(None)
-        ratio[k] = (verdict.statistic / verdict.threshold).max(axis=1)
-        alarm[k] = verdict.alarm.any(axis=1)
-        if step >= 0:
-            truth = setup.world.position_e[batch.epochs]
-            error_e[step] = batch.buffers.state.position_e - truth
-            displacement[step] = batch.attack.memory["displacement"][ATTACKED]
-    names = setup.attack.action_names(setup.world)
+    simulator.begin(suite.generators("evaluation", run + 1, run))
+    simulator.quiet_epochs(setup.quiet)
+    for k in range(setup.live):
+        alarm[k], ratio[k] = simulator.live_epochs(1)[0], simulator.ratio()
+    twin.copy_rows(everyone, simulator, everyone)
+    attacker = Attacker(spoofer.spec, engine)
+    truth = setup.true_position
+    apart = np.zeros((epochs, 2, truth.shape[1]))
+    displacement = np.zeros((epochs, len(setup.action_names)))
+    for k in range(epochs):
+        engine.step(attacker.command(k))
+        for column, each in ((ATTACKED, simulator), (TWIN, twin)):
+            assert each.verdict is not None  # an epoch has been judged
+            alarm[setup.live + k, column] = each.verdict.alarm.any()
+            ratio[setup.live + k, column] = each.ratio()[0]
+            apart[k, column] = (each.position - truth[each.epochs])[0]
+        displacement[k] = simulator.commanded_displacement[0]
     return Episode(
         suite=suite,
         detector=detector,
         spoofer=spoofer,
         run=run,
-        time=np.arange(1.0 - setup.live, epochs + 1) * setup.scenario.epoch_interval_s,
+        time=np.arange(1.0 - setup.live, epochs + 1) * setup.interval_s,
         ratio=ratio,
         alarm=alarm,
-        error_n=to_local(error_e, setup.world.C_en[epochs_of(setup, batch.onset)]),
-        onset_epoch=int(batch.onset[ATTACKED]),
+        error_n=to_local(apart, setup.C_en[epochs_of(setup, simulator.onset)]),
+        onset_epoch=int(simulator.onset[0]),
         displacement=displacement,
-        channels=tuple(name.rsplit("_", 1)[0] for name in names),
+        channels=tuple(name.rsplit("_", 1)[0] for name in setup.action_names),
     )
 
 
@@ -178,14 +171,11 @@ def draw_episode(episode: Episode, path: Path) -> Path:
 def _draw_flight(ax: Any, episode: Episode) -> None:
     """True ground track; the part under attack stands out."""
     setup = episode.suite.setup(episode.detector)
-    world, each = setup.world, setup.epochs_each
-    flown = slice(episode.onset_epoch // each * each, (episode.onset_epoch // each + 1) * each)
-    onset = episode.onset_epoch % each
+    world, onset = divmod(episode.onset_epoch, setup.epochs_each)
+    flown = setup.true_position[world * setup.epochs_each :][: setup.epochs_each]
     end, first = onset + setup.steps + setup.hold, onset - setup.onset
-    latitude, longitude, _ = ecef_to_geodetic(world.position_e[flown])
-    radius = 6_371.0
-    north = (latitude - latitude[onset]) * radius
-    east = (longitude - longitude[onset]) * radius * np.cos(latitude[onset])
+    axes = setup.C_en[episode.onset_epoch]
+    north, east = ((flown - flown[onset]) @ axes).T[:2] / 1000.0
     ax.plot(east, north, color="#cccccc", lw=2, label="flight")
     ax.plot(east[first : onset + 1], north[first : onset + 1], color=GREY, lw=2, label="warm-up")
     ax.plot(east[onset : end + 1], north[onset : end + 1], color=ORANGE, lw=2.5, label="attack")
@@ -201,7 +191,7 @@ def _draw_displacement(ax: Any, episode: Episode) -> None:
         north, east = episode.error_n[:, row, 0], episode.error_n[:, row, 1]
         ax.plot(east, north, color=colour, lw=1.6, label=label)
         ax.plot(east[-1], north[-1], "o", color=colour, ms=6)
-    if set(episode.channels) <= {"north", "east", "down"}:
+    if set(episode.channels) <= set(AXES):
         moved = dict(zip(episode.channels, episode.displacement.T, strict=True))
         still = np.zeros(len(episode.displacement))
         east, north = moved.get("east", still), moved.get("north", still)
@@ -218,7 +208,7 @@ def _draw_displacement(ax: Any, episode: Episode) -> None:
 
 def _phases(ax: Any, episode: Episode) -> None:
     setup = episode.suite.setup(episode.detector)
-    interval = setup.scenario.epoch_interval_s
+    interval = setup.interval_s
     end = setup.steps * interval
     ax.axvline(0.0, color=GREY, lw=1)
     ax.axvspan(end, end + setup.hold * interval, color=GREY, alpha=0.12, lw=0)
@@ -246,7 +236,7 @@ def _draw_error(ax: Any, episode: Episode) -> None:
     _phases(ax, episode)
     summary, window = episode.summary(), episode.time[episode.onset :]
     size = np.linalg.norm(episode.displacement, axis=1)
-    if set(episode.channels) <= {"north", "east", "down"}:
+    if set(episode.channels) <= set(AXES):
         ax.plot(window, size, color=GREEN, lw=1.4, ls="--", label="commanded")
     ax.plot(window, episode.induced, color=ORANGE, lw=1.8, label="distance from the clean twin")
     counted = summary["undetected_displacement_m"]

@@ -109,12 +109,12 @@ KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "envs": _envs,
     "scenarios": _scenarios,
     "attacks": lambda: _classes(ATTACKS),
-    "detectors": lambda: _classes(DETECTORS, "paper", "scope", "watches", "oracle"),
+    "detectors": lambda: _classes(DETECTORS, "paper", "scope", "measures", "oracle"),
     "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
     "shipped": _shipped,
 }
 """Lists by kind; each row has a name, a summary, and settings with their defaults or what its
-card tells."""
+card says."""
 
 
 def table_of(kind: str, rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[list[str]]]:
@@ -127,16 +127,16 @@ def table_of(kind: str, rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], li
             for row in rows
         ]
     return ("name", "what it is", "settings and their defaults"), [
-        [row["name"], _told(row), ", ".join(f"{k}={v}" for k, v in row["settings"].items())]
+        [row["name"], _marked(row), ", ".join(f"{k}={v}" for k, v in row["settings"].items())]
         for row in rows
     ]
 
 
-def _told(row: Mapping[str, Any]) -> str:
-    """Summary, with a mark where a detector is told the truth or watches no satellites."""
+def _marked(row: Mapping[str, Any]) -> str:
+    """Summary, with a mark where a detector knows the truth or judges no satellites."""
     marks = []
     if row.get("oracle"):
-        marks.append("oracle, told what no receiver knows")
-    if row.get("watches", "satellites") != "satellites":
-        marks.append("watches positions" if row["watches"] == "position" else "watches anything")
+        marks.append("oracle, knows what no receiver does")
+    if row.get("measures", "satellites") != "satellites":
+        marks.append("for positions" if row["measures"] == "position" else "for any measurement")
     return f"{row['summary']} [{'; '.join(marks)}]" if marks else str(row["summary"])

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special, stats
 
+from ..envs import _kernels
+
 FloatArray = NDArray[np.float64]
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -55,10 +57,10 @@ def undetected_displacement(
     where there is none up to epoch K + h; returns (R,) [m].
     """
     e = np.asarray(error, dtype=np.float64)
-    alarm = np.asarray(first_alarm)
-    last = np.where(alarm > 0, alarm - time_to_alert - 1, len(e))
-    counts = np.arange(1, len(e) + 1)[:, None] <= last
-    return np.asarray(np.where(counts, e, 0.0).max(axis=0, initial=0.0))
+    largest = np.maximum.accumulate(np.concatenate([np.zeros((1, e.shape[1])), e]))
+    return np.asarray(
+        _kernels.undetected_displacement(largest, np.asarray(first_alarm), time_to_alert)
+    )
 
 
 def wilson(events: int, trials: int, confidence: float = CONFIDENCE) -> Estimate:
@@ -127,18 +129,18 @@ def restricted_mean_delay(
     .. math:: \int_0^H S(t) \, dt, \qquad
         S(t) = \prod_{t_i \le t} \left(1 - \frac{d_i}{n_i}\right)
 
-    with d detections at time :math:`t_i` among the n runs that were still undetected and watched;
+    with d detections at time :math:`t_i` among the n runs that were still undetected and observed;
     S is the part of the runs that has not been detected yet.
 
-    `delay` (R,) time of the detection, or the time up to which the run was watched; `detected` (R,)
-    bool, which of the two it is; `horizon`: H, a delay counts as at most this; `weights` (..., R)
-    how often each run counts, such as `counts_of` bootstrap samples; once by default; returns
-    (...,) in the unit of the delays; NaN where no run counts.
+    `delay` (R,) time of the detection, or the time up to which the run was observed; `detected`
+    (R,) bool, which of the two it is; `horizon`: H, a delay counts as at most this; `weights`
+    (..., R) how often each run counts, such as `counts_of` bootstrap samples; once by default;
+    returns (...,) in the unit of the delays; NaN where no run counts.
     """
     t = np.minimum(np.asarray(delay, dtype=np.float64), horizon)
     seen = np.asarray(detected, dtype=np.bool_)
     w = np.ones(len(t)) if weights is None else np.asarray(weights, dtype=np.float64)
-    # where times are equal, detections come before those that are watched no longer
+    # where times are equal, detections come before those that are observed no longer
     order = np.lexsort((~seen, t))
     t, seen, w = t[order], seen[order], w[..., order]
     at_risk = np.cumsum(w[..., ::-1], axis=-1)[..., ::-1]

@@ -57,6 +57,21 @@ def _log_metres(ax: Axes) -> None:
     ax.yaxis.set_minor_formatter(NullFormatter())
 
 
+def _note(ax: Axes, text: str, x: float, apart: tuple[int, int], *, top: bool = False) -> None:
+    """Write at a vertical line, upwards from its foot, or at its top."""
+    ax.annotate(
+        text,
+        (x, 1.0 if top else 0.02),
+        xycoords=("data", "axes fraction"),
+        xytext=apart,
+        textcoords="offset points",
+        color=GREY,
+        fontsize=8,
+        rotation=0 if top else 90,
+        va="baseline" if top else "bottom",
+    )
+
+
 def draw_means(ax: Axes, scores: dict[str, dict[str, Any]], look: dict[str, Look]) -> None:
     """Mean displacement of every spoofer, below each other on one linear scale."""
     style(ax)
@@ -111,17 +126,7 @@ def draw_trade(
         ax.axvspan(100 * rate["low"], 100 * rate["high"], color=GREY, alpha=0.15, lw=0)
         ax.axvline(100 * rate["value"], color=GREY, lw=1.2)
         ax.axvline(100 * (rate["value"] + budget), color=GREY, lw=1, ls=":")
-        ax.annotate(
-            "no attack",
-            (100 * rate["value"], 0.02),
-            xycoords=("data", "axes fraction"),
-            xytext=(4, 0),
-            textcoords="offset points",
-            color=GREY,
-            fontsize=8,
-            rotation=90,
-            va="bottom",
-        )
+        _note(ax, "no attack", 100 * rate["value"], (4, 0))
     for search in searches:
         trials = [trial for trial in search["trials"] if trial["runs"] == search["runs"]]
         trials += [
@@ -157,15 +162,7 @@ def draw_exceedance(
     """Probability that the undetected displacement exceeds a limit."""
     style(ax)
     ax.axvline(limit_m, color=GREY, lw=1, ls=":")
-    ax.annotate(
-        f"{limit_m:g} m",
-        (limit_m, 1.0),
-        xycoords=("data", "axes fraction"),
-        xytext=(3, -10),
-        textcoords="offset points",
-        color=GREY,
-        fontsize=8,
-    )
+    _note(ax, f"{limit_m:g} m", limit_m, (3, -10), top=True)
     far = [float(cell.records["undetected_displacement_m"].max()) for cell in cells.values()]
     decades = max(math.ceil(math.log10(max(*far, 1000.0))), 3) if far else 3
     limits = np.geomspace(1.0, 10.0**decades, 400)
@@ -202,17 +199,7 @@ def draw_course(ax: Axes, cells: dict[str, Cell], look: dict[str, Look]) -> None
         end = cell.head["steps"] * cell.interval_s
     if cells:
         ax.axvspan(end, time[-1], color=GREY, alpha=0.12, lw=0)
-        ax.annotate(
-            "hold",
-            (end, 0.02),
-            xycoords=("data", "axes fraction"),
-            xytext=(2, 0),
-            textcoords="offset points",
-            color=GREY,
-            fontsize=8,
-            rotation=90,
-            va="bottom",
-        )
+        _note(ax, "hold", end, (2, 0))
         ax.set_xlim(0.0, time[-1])
     _log_metres(ax)
     ax.set_xlabel("time since the onset [s] (X: half of the runs have alarmed)")

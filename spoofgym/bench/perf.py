@@ -1,9 +1,9 @@
 """How fast this machine steps the environments, measured as Gymnasium measures it.
 
 The vector environment has 64 receivers with epochs of 1 s (100 inertial samples), the ``ewma``
-detector and the default observations; episodes do not end at an alarm.  The loop lasts at least as
-long as asked for, and until every receiver has begun a second episode, so that its share of resets
-with their warm-up is counted.
+detector and the default observations; episodes do not end at an alarm.  The loop lasts at least
+as long as asked for, and until every receiver has started a second episode, so that its share of
+resets with their warm-up is counted.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def vector_speed(
 
     _check_duration(duration_s)
     envs = gym.make_vec(ENV, num_envs=num_envs, threads=threads, **{**SETTINGS, **settings})
-    used = envs.unwrapped.game.engine.threads  # type: ignore[attr-defined]
+    used = envs.unwrapped.core.engine.threads  # type: ignore[attr-defined]
     envs.action_space.seed(0)
     envs.reset(seed=0)
     actions = envs.action_space.sample()
@@ -53,7 +53,7 @@ def vector_speed(
         steps += num_envs
         ended += terminated | truncated
         passed = time.perf_counter() - began
-        # the step after the end is the one that begins the next episode
+        # the step after the end is the one that starts the next episode
         if passed >= duration_s and ended.min() >= 1 and not (terminated | truncated).any():
             break
     envs.close()
@@ -99,7 +99,7 @@ def single_speed(duration_s: float = 5.0, **settings: Any) -> dict[str, Any]:
 
 
 def overhead(num_envs: int = 64, rounds: int = 5, **settings: Any) -> dict[str, Any]:
-    """What an environment costs beside its engine, in steps without resets.
+    """What an environment costs on top of its engine, in steps without resets.
 
     Engine and environment run the same commands from the same seed by turns, on one thread and in
     processor time, so that a busy machine counts little.
@@ -112,9 +112,9 @@ def overhead(num_envs: int = 64, rounds: int = 5, **settings: Any) -> dict[str, 
         env = gym.make(ENV, **given).unwrapped
     else:
         env = gym.make_vec(ENV, num_envs=num_envs, threads=1, prefetch=False, **given).unwrapped
-    engine, steps = env.game.engine, env.game.setup.steps - 1
+    engine, steps = env.core.engine, env.core.setup.steps - 1
     action = np.zeros(env.action_space.shape, dtype=np.float32)
-    command = env.game.actor.command(np.zeros((num_envs, len(env.action_names))))
+    command = np.zeros((num_envs, len(env.action_names)))
 
     def seconds(step: Callable[[Any], Any], what: Any) -> float:
         """Processor time of the steps of an episode."""

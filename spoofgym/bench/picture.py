@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 COLUMNS = 4
-"""Detectors side by side; more of them begin another block."""
+"""Detectors side by side; more of them start another block."""
 ROWS_IN = (3.2, 3.2, 3.2)
 """Heights of the panels below the one of the means, in inches."""
 LABELS = (

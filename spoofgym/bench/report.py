@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 from .tables import (
@@ -57,7 +58,7 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
             for row in summary["differences"]
         ]
         lines += _table(("spoofer", "detectors", "undetected displacement [m]"), rows)
-        lines += ["", "A tuned spoofer is set anew for every detector.", ""]
+        lines += ["", "A tuned spoofer is set for every detector by itself.", ""]
     lines += ["## What the spoofers know", "", *_table(KNOWLEDGE_HEAD, knowledge_rows(summary)), ""]
     if summary["tuning"]:
         lines += ["## Tuning", "", *_tunings(summary["tuning"])]
@@ -66,19 +67,13 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
 
 def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
     """What was run."""
-    scenario, receiver, line = config["scenario"], config["receiver"], config["timeline"]
-    attack = config["attack"]
+    line, attack = config["timeline"], config["attack"]
     by = attack["control"]
-    errors = scenario["errors"]
     kinds = sorted({cell["attack"] for cell in summary["cells"]})
     knowledge = sorted({cell["knowledge"]["run_time"] for cell in summary["cells"]})
     notes = config["notes"]
     return [
-        f"- Scenario: errors {errors if isinstance(errors, str) else errors['kind']}, "
-        f"{scenario['imu']} inertial sensors, epochs of {scenario['epoch_interval_s']:g} s",
-        *(f"- {note}" for note in notes),
-        f"- Receiver: tightly coupled, tuning {receiver['tuning']}, covariance update "
-        f"{receiver['covariance_update']}",
+        *_victim(config, [f"- {note}" for note in notes]),
         f"- Attack: {', '.join(kinds)}, commanded by {by}, limits "
         + (f"{attack['acceleration_limit_mps2']:g} m/s^2 and " if by == "acceleration" else "")
         + f"{attack['rate_limit_mps']:g} m/s",
@@ -92,18 +87,35 @@ def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
     ]
 
 
+def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
+    """World and receiver."""
+    if "settings" in config:
+        given = {k: json.dumps(x) for k, x in config["settings"].items() if x is not None}
+        own = ", ".join(f"{k}={text}" for k, text in given.items())
+        return [f"- Environment: {config['env']}, {own}", *notes]
+    scenario, receiver = config["scenario"], config["receiver"]
+    errors = scenario["errors"]
+    return [
+        f"- Scenario: errors {errors if isinstance(errors, str) else errors['kind']}, "
+        f"{scenario['imu']} inertial sensors, epochs of {scenario['epoch_interval_s']:g} s",
+        *notes,
+        f"- Receiver: tightly coupled, tuning {receiver['tuning']}, covariance update "
+        f"{receiver['covariance_update']}",
+    ]
+
+
 def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
     """How the numbers are meant."""
     alert = config["timeline"]["time_to_alert_s"]
     horizon = summary["cells"][0]["delay_horizon_s"] if summary["cells"] else 0.0
     excluded = {cell["detector"]: cell["delay_excluded"] for cell in summary["cells"]}
-    told = ", ".join(f"{count} with {detector}" for detector, count in excluded.items())
+    counts = ", ".join(f"{count} with {detector}" for detector, count in excluded.items())
     return [
         f"In brackets: 95 % intervals. *Alarm rate*: runs with an alarm within {horizon:g} s of "
         "the onset (Wilson), under attack the detection probability. *Delay*: from the onset to "
         f"the first alarm, restricted mean with horizon {horizon:g} s, missed runs censored "
         "(Kaplan-Meier, bootstrap); runs with a false alarm in the warm-up are excluded "
-        f"({told}). *Undetected displacement*: largest "
+        f"({counts}). *Undetected displacement*: largest "
         "horizontal distance from the clean twin (same seed, same detector, no attack) with no "
         f"alarm up to {alert:g} s after it, mean over all runs, alarmed ones with what they had "
         "until then (bootstrap, paired over runs). *Over budget*: the alarm rate exceeds that of "

@@ -1,7 +1,7 @@
 """Spoofers compared on equal footing: what one achieves over the best ramp and the best profile.
 
 Two spoofers are comparable where both keep the alarm budget: at most so many more of the runs with
-an alarm than without attack, by the same detector.  Whether they do is told by the evaluation runs.
+an alarm than without attack, by the same detector.  Whether they do is seen on the evaluation runs.
 
 The reference among the ramps is the one with the larger mean undetected displacement, on these
 very runs, among those whose search found a value within the budget.  It is not known beforehand
@@ -97,8 +97,8 @@ def compare_rivals(
         found.append(
             {
                 "detector": detector,
-                "best_ramp": _told(ramp, feet, samples),
-                "best_profile": _told(profile, feet, samples),
+                "best_ramp": _scored(ramp, feet, samples),
+                "best_profile": _scored(profile, feet, samples),
                 "comparisons": [
                     {
                         "spoofer": cell.spoofer,
@@ -136,7 +136,7 @@ def _best(cells: Iterable[Cell]) -> Cell | None:
     return max(cells, key=lambda cell: float(_displacement(cell).mean()), default=None)
 
 
-def _told(
+def _scored(
     reference: Cell | None, feet: dict[str, dict[str, Any]], samples: NDArray[np.int64]
 ) -> dict[str, Any] | None:
     """A reference with its scores."""
@@ -144,8 +144,8 @@ def _told(
         return None
     mean = bootstrap_mean(_displacement(reference), samples).as_json()
     name, made = reference.spoofer, _made_for_it(reference)
-    told = {"spoofer": name, "made_for_it": made, "undetected_displacement_m": mean}
-    return {**told, **feet[name]}
+    scores = {"spoofer": name, "made_for_it": made, "undetected_displacement_m": mean}
+    return {**scores, **feet[name]}
 
 
 def _over(cell: Cell, reference: Cell | None, samples: NDArray[np.int64]) -> dict[str, Any] | None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ..attacks import ATTACKS
-from ..envs.attach import setup_of_card
-from ..envs.setup import Setup
+from ..envs.spoofer_binding import setup_of_card
+from ..simulators.setup import Setup
 from ..spoofers import SPOOFERS, Spoofer, SpooferContext
 from ..spoofers.card import Card
 from ..spoofers.zoo import card_of, shipped
@@ -14,11 +14,18 @@ from .entries import Entry, build_spoofer, detector_entry
 from .specs import describe, spec_of
 
 
-def fitting(context_of: Callable[[str], SpooferContext]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Shipped spoofers whose actions and observations mean in a campaign what they meant."""
+def fitting(
+    env: str, context_of: Callable[[str], SpooferContext]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Shipped spoofers of an environment whose actions and observations mean what they meant.
+
+    Returns their names, and why others of it are left out.
+    """
     names, notes = [], []
     for name in shipped():
         card = card_of(name)
+        if card.env_id != env:
+            continue
         differences = card.differences(context_of(card.knowledge.run_time))
         if differences:
             notes.append(f"shipped spoofer {name} is left out: {'; '.join(differences)}")
@@ -43,6 +50,8 @@ def transferred(card: Card, setup: Setup, detector: Entry) -> tuple[str, list[st
     """What a spoofer was made for, and what is another one in a campaign."""
     made = setup_of_card(card)
     label = detector_entry(made.detector).label
+    if type(made) is not type(setup):
+        return label, ["environment"]
     found = [] if label == detector.label else ["detector"]
     if spec_of("attack", ATTACKS, made.attack) != spec_of("attack", ATTACKS, setup.attack):
         found.append("attack")

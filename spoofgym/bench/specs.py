@@ -44,11 +44,23 @@ def parse_spec(text: str) -> Spec:
         name, rest = text, ""
     spec = {"name": name}
     for part in filter(None, re.split(_COMMAS, rest)):
-        setting, equals, value = part.partition("=")
-        if not equals or not setting.strip():
-            raise ValueError(f"a setting is written `name=value`, got {part!r} in {text!r}")
-        spec[setting.strip()] = _value(value.strip())
+        setting, value = parse_setting(part, f" in {text!r}")
+        spec[setting] = value
     return spec
+
+
+def parse_setting(text: str, where: str = "") -> tuple[str, Any]:
+    """One setting and its value, from ``name=value``.
+
+    Examples
+    --------
+    >>> parse_setting('domain={"start_s": [0, 60]}')
+    ('domain', {'start_s': [0, 60]})
+    """
+    setting, equals, value = text.partition("=")
+    if not equals or not setting.strip():
+        raise ValueError(f"a setting is written `name=value`, got {text!r}{where}")
+    return setting.strip(), _value(value.strip())
 
 
 def _value(text: str) -> Any:
@@ -105,7 +117,7 @@ def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
     missing = [key for key in settings_of(kind) if not hasattr(thing, key)]
     if missing:
         raise TypeError(
-            f"{word} {name!r} must keep its settings under their names, so that results can tell "
+            f"{word} {name!r} must keep its settings under their names, so that results can name "
             f"them; it has no {', '.join(map(repr, missing))}"
         )
     return {"name": name, **{key: describe(getattr(thing, key)) for key in settings_of(kind)}}

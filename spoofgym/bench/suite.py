@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import hashlib
 import math
@@ -20,20 +19,23 @@ import numpy as np
 
 from .. import __version__
 from .._describe import outside_sources
-from .._registry import whole_number
-from ..attacks import ATTACKS, Attack, make_attack
+from .._registry import check_choice, whole_number
+from ..attacks import ATTACKS, Attack
 from ..detectors import DETECTORS, Detector
-from ..envs.attach import spoofer_context as spoofer_context
-from ..envs.attach import warn_of_headings
-from ..envs.domain import Domain
+from ..envs.factory import make_setup
 from ..envs.observer import Observer
-from ..envs.presets import default_terms, make_setup
-from ..envs.setup import Setup, Timeline
-from ..sim.scenario import Scenario, make_scenario
+from ..envs.spoofer_binding import ENV_ID, warn_of_headings
+from ..envs.spoofer_binding import spoofer_context as spoofer_context
+from ..envs.terms.observation import default_terms
+from ..sim.scenario import Scenario
+from ..simulators.base import run_serially
+from ..simulators.domain import Domain
+from ..simulators.setup import Setup, Timeline
+from ..simulators.tightly_coupled import TightlyCoupledSetup
 from ..spoofers import Spoofer, SpooferContext
 from .budget import BUDGET, MARGIN
+from .decisions import make_bound_spoofer
 from .entries import (
-    DEFAULT_DETECTORS,
     DEFAULT_SPOOFERS,
     Entry,
     build_spoofer,
@@ -44,12 +46,24 @@ from .entries import (
     spoofer_entry,
 )
 from .shipped import fitting
-from .specs import describe, digest_of, make, spec_of
+from .specs import describe, digest_of, make, settings_of, spec_of
+from .victims import VICTIMS
 
 FORMAT = 4
 """Of the results; those of another one are not scored."""
 SPLITS = {"training": 0, "calibration": 1, "evaluation": 2, "bootstrap": 3}
 """First element of the spawn keys; runs of different splits share no noise."""
+WORLD = (
+    "scenario",
+    "receiver",
+    "attack",
+    "timeline",
+    "domain",
+    "target_heading_deg",
+    "decision_interval_s",
+    "between",
+)
+"""Settings of a victim that a suite has by name."""
 
 
 def seed_sequences(
@@ -110,47 +124,46 @@ class Suite:
 
     Parameters
     ----------
-    scenario : str, mapping or Scenario
-        As `make_scenario` takes it.
-    receiver : str or mapping
-        A name, or settings of the victim.
-    attack : str, mapping or Attack
-        As `make_attack` takes it.
-    timeline : mapping or Timeline
-        Phases of a run.
-    domain : mapping or Domain, optional
-        What differs from run to run beside the noise.
+    env : str
+        Environment whose victim it is, in `VICTIMS`.
+    scenario, receiver, attack, timeline, domain : optional
+        Settings of the victim, as its environment takes them; an attack and a scenario only where
+        it has them.
     target_heading_deg, decision_interval_s, between : optional
-        As in `SpoofEnv`; the score counts any direction.
-    detectors : sequence
-        As `detector_entry` takes them.
+        The same; the score counts any direction.
+    settings : mapping
+        Further settings of the victim.
+    detectors : sequence, optional
+        As `detector_entry` takes them; by default those that suit the victim.
     spoofers : sequence, optional
         As `spoofer_entry` takes them; ``none`` is always among them.  By default
         `DEFAULT_SPOOFERS` and the shipped spoofers that were made for such attacks.
     runs : int
         Evaluation runs of every cell, the same for all.
     entropy : int
-        All chance follows from it.
+        Seed of the random number generators.
     tuning : Tuning
         Search for the settings that are ``"tuned"``.
     alert_limit_m : float
-        Undetected displacement of which tables tell how often it is exceeded; by default the
+        Undetected displacement of which tables show how often it is exceeded; by default the
         horizontal alert limit of an approach with vertical guidance.
     notes : sequence of str
         Where the scenario comes from, for the report.
     allow_oracles : bool
-        Whether detectors may play that are told the attack; the report then says which ones are.
+        Whether detectors may play that know the attack; the report then says which ones do.
     """
 
-    scenario: str | Mapping[str, Any] | Scenario = "zhong2025"
-    receiver: str | Mapping[str, Any] = field(default_factory=dict)
-    attack: str | Mapping[str, Any] | Attack = "false-position"
-    timeline: Mapping[str, float] | Timeline = field(default_factory=Timeline)
+    env: str = ENV_ID
+    scenario: str | Mapping[str, Any] | Scenario | None = None
+    receiver: str | Mapping[str, Any] | None = None
+    attack: str | Mapping[str, Any] | Attack | None = None
+    timeline: Mapping[str, float] | Timeline | None = None
     domain: Mapping[str, Any] | Domain | None = None
-    target_heading_deg: float | str = 90.0
+    target_heading_deg: float | str | None = None
     decision_interval_s: float | None = None
-    between: str = "hold"
-    detectors: Sequence[str | Mapping[str, Any] | Detector] = DEFAULT_DETECTORS
+    between: str | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    detectors: Sequence[str | Mapping[str, Any] | Detector] | None = None
     spoofers: Sequence[str | Mapping[str, Any] | Spoofer] | None = None
     runs: int = 200
     entropy: int = 0
@@ -161,6 +174,16 @@ class Suite:
 
     def __post_init__(self) -> None:
         """Check names and settings; no receiver is simulated yet."""
+        check_choice("environment of the benchmark", self.env, VICTIMS)
+        valid = [name for name in settings_of(VICTIMS[self.env].setup) if name != "detector"]
+        for name in self.given:
+            if name in self.settings and getattr(self, name, None) is not None:
+                raise ValueError(f"`settings` has {name!r}, which is given by name, too")
+            if name not in valid:
+                raise ValueError(
+                    f"{self.env} has no setting {name!r}, got {self.given[name]!r}; valid: "
+                    f"{', '.join(valid)}"
+                )
         for name, least in (("runs", 2), ("entropy", 0)):
             object.__setattr__(self, name, whole_number(f"`{name}`", getattr(self, name), least))
         if not (math.isfinite(self.alert_limit_m) and self.alert_limit_m > 0.0):
@@ -175,13 +198,20 @@ class Suite:
     @cached_property
     def detector_entries(self) -> tuple[Entry, ...]:
         """Detectors in their order."""
-        return tuple(detector_entry(spec) for spec in self.detectors)
+        specs = VICTIMS[self.env].detectors if self.detectors is None else self.detectors
+        return tuple(detector_entry(spec) for spec in specs)
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Settings of the victim that are not its defaults."""
+        own = {name: getattr(self, name) for name in WORLD}
+        return {**{name: x for name, x in own.items() if x is not None}, **self.settings}
 
     @property
     def _oracle_notes(self) -> tuple[str, ...]:
         """Which detectors are none; a line each."""
         labels = oracle_labels(self.detector_entries)
-        return tuple(f"{label} is an oracle: it is told the attack" for label in labels)
+        return tuple(f"{label} is an oracle: it knows the attack" for label in labels)
 
     @cached_property
     def spoofer_entries(self) -> tuple[Entry, ...]:
@@ -196,10 +226,10 @@ class Suite:
     @cached_property
     def _shipped(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Shipped spoofers that fit, and why others do not."""
-        return fitting(self._context)
+        return fitting(self.env, self._context)
 
     def _context(self, knowledge: str) -> SpooferContext:
-        """What a spoofer with such knowledge at run time would be told."""
+        """What a spoofer with such knowledge at run time knows of the attack."""
         observer = Observer(default_terms(self._setup, knowledge), self._setup)
         return spoofer_context(self._setup, 1, observer)
 
@@ -209,10 +239,17 @@ class Suite:
         return self._shipped[1] if self.spoofers is None else ()
 
     def check_fit(self) -> None:
-        """Raise where a spoofer does not fit the attack, before anything is played.
+        """Raise where a detector or a spoofer does not fit, before anything is played.
 
         Spoofers that ignore a target direction that is drawn are warned of.
         """
+        for entry in self.detector_entries:
+            try:
+                self.setup(entry).simulator(1, run_serially)
+            except (TypeError, ValueError) as error:
+                raise ValueError(
+                    f"detector {entry.label} does not fit {self._setup.whose} ({self.env}): {error}"
+                ) from error
         bound = []
         for entry in self.spoofer_entries:
             spec = entry.spec
@@ -224,39 +261,16 @@ class Suite:
         warn_of_headings(bound, self._setup)
 
     @cached_property
-    def world(self) -> Scenario:
-        """The scenario."""
-        return make_scenario(self.scenario)
-
-    @cached_property
     def _setup(self) -> Setup:
-        timeline = self.timeline
-        return make_setup(
-            scenario=self.world,
-            receiver=self.receiver,
-            attack=make_attack(
-                self.attack if not isinstance(self.attack, Mapping) else dict(self.attack)
-            ),
-            detector="never",
-            timeline=timeline,
-            domain=self.domain,
-            target_heading_deg=self.target_heading_deg,
-            decision_interval_s=self.decision_interval_s,
-            between=self.between,
-        )
+        return make_setup(VICTIMS[self.env].setup, {"detector": "never", **self.given})
 
     def setup(self, detector: Entry) -> Setup:
-        """What all receivers share, with one of the detectors.
-
-        World and all else are shared.
-        """
-        setup = copy.copy(self._setup)
-        setup.detector = make("detector", DETECTORS, Detector, detector.spec)
-        return setup
+        """What all receivers share, with one of the detectors; world and all else are the same."""
+        return self._setup.altered(detector=make("detector", DETECTORS, Detector, detector.spec))
 
     def generators(self, split: str, runs: int, first: int = 0) -> list[np.random.Generator]:
-        """Sources of chance of the runs of a split, from `first` on."""
-        seeds = seed_sequences(self.entropy, split, self.world.name, runs, first)
+        """Generators of the runs of a split, from `first` on."""
+        seeds = seed_sequences(self.entropy, split, self._setup.name, runs, first)
         return [np.random.Generator(np.random.PCG64(seed)) for seed in seeds]
 
     @cached_property
@@ -270,8 +284,8 @@ class Suite:
         setup = self._setup
         judges = [make("detector", DETECTORS, Detector, e.spec) for e in self.detector_entries]
         players = [build_spoofer(entry.untuned) for entry in self.spoofer_entries]
-        world = (self.world, setup.receiver, setup.attack, setup.timeline, setup.domain)
-        outside = outside_sources(*judges, *players, *world)
+        parts = [getattr(setup, name) for name in WORLD if hasattr(setup, name)]
+        outside = outside_sources(*judges, *players, *parts, *self.given.values())
         unknown = [
             f"the source of {name} can't be read: its results are never taken up again"
             for name, digest in outside.items()
@@ -283,14 +297,13 @@ class Suite:
             "format": FORMAT,
             "versions": versions(),
             "outside": {name: d or f"unknown, {uuid.uuid4().hex}" for name, d in outside.items()},
-            "scenario": describe(self.world),
-            "receiver": describe(setup.receiver),
-            "attack": spec_of("attack", ATTACKS, setup.attack),
+            "env": self.env,
+            **self._described(),
             "timeline": describe(setup.timeline),
             "domain": describe(setup.domain),
-            "target_heading_deg": self.target_heading_deg,
-            "decision_interval_s": self.decision_interval_s,
-            "between": self.between,
+            "target_heading_deg": setup.target_heading_deg,
+            "decision_interval_s": setup.decision_interval_s,
+            "between": setup.between,
             "detectors": [dataclasses.asdict(entry) for entry in self.detector_entries],
             "spoofers": [dataclasses.asdict(entry) for entry in self.spoofer_entries],
             "runs": self.runs,
@@ -301,19 +314,27 @@ class Suite:
             "notes": [*self.notes, *self._oracle_notes, *self.left_out, *unknown],
         }
 
+    def _described(self) -> dict[str, Any]:
+        """Scenario, receiver and attack, or what the victim has in their place; JSON-able."""
+        setup = self._setup
+        if isinstance(setup, TightlyCoupledSetup):
+            return {
+                "scenario": describe(setup.scenario),
+                "receiver": describe(setup.receiver),
+                "attack": spec_of("attack", ATTACKS, setup.attack),
+            }
+        every = {**settings_of(type(setup)), **self.given}
+        limits = {"control": setup.attack.control, "rate_limit_mps": setup.attack.rate_limit_mps}
+        return {
+            "scenario": {"name": setup.name},
+            "attack": limits,
+            "settings": {k: describe(value) for k, value in every.items() if k != "detector"},
+        }
+
     @cached_property
     def digest(self) -> str:
         """Digest of `config`."""
         return digest_of(self.config)
-
-
-def make_bound_spoofer(spec: Any, setup: Setup, receivers: int) -> tuple[Spoofer, Observer]:
-    """Spoofer that is ready for a batch, and what it observes."""
-    spoofer = build_spoofer(spec)
-    observer = Observer(default_terms(setup, spoofer.knowledge), setup)
-    spoofer.bind(spoofer_context(setup, receivers, observer))
-    spoofer.reset()
-    return spoofer, observer
 
 
 def versions() -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Tables of a campaign: what stands in their rows, on the terminal and in the report."""
+"""Tables of a campaign: what is in their rows, on the terminal and in the report."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RIVALS_HEAD = (
 )
 KNOWLEDGE_HEAD = ("spoofer", "knows at run time", "was designed on")
 UNTOLD = {"name", "heading_deg", "label", "designed_on", "file"}
-"""Settings that a table leaves out: they stand in other columns, or in the results only."""
+"""Settings that a table leaves out: they are in other columns, or in the results only."""
 OVER = ", over budget"
 
 
@@ -78,7 +78,7 @@ def setting_of(cell: dict[str, Any]) -> str:
 
 
 def _setting(key: str, value: Any) -> str:
-    """One setting, short: of a list its length and range, of a digest its begin."""
+    """One setting, short: of a list its length and range, of a digest its first letters."""
     if isinstance(value, float):
         return f"{key}={value:g}"
     if isinstance(value, list) and all(isinstance(item, int | float) for item in value):
@@ -196,4 +196,4 @@ def reference_lines(summary: dict[str, Any]) -> list[str]:
 def knowledge_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table of what the spoofers know: name, at run time, at design time."""
     known = {cell["spoofer"]: cell["knowledge"] for cell in summary["cells"]}
-    return [(name, told["run_time"], told["design_time"]) for name, told in known.items()]
+    return [(name, x["run_time"], x["design_time"]) for name, x in known.items()]

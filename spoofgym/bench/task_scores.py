@@ -10,7 +10,7 @@ from ..tasks import TASKS, normalised
 from .entries import detector_entry
 
 FILE = "task_scores_v1.json"
-"""Stored beside this module."""
+"""Stored with this module."""
 
 
 def stored_scores() -> dict[str, dict[str, Any]]:

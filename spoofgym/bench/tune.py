@@ -107,8 +107,8 @@ class _Search:
         """Let the spoofer attack with a value of its setting."""
         everyone = runs >= self.start.receivers
         start = self.start if everyone else self.start.first(runs)
-        told = self.tick
-        tick = None if told is None else lambda part: told(part * start.receivers)
+        advance = self.tick
+        tick = None if advance is None else lambda part: advance(part * start.receivers)
         attacked = play(start, self.entry.with_value(value), drop_alarmed=True, tick=tick)
         clean = self.clean.first(start.receivers)
         alarm = attacked.alarm.any(axis=0)

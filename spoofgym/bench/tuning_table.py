@@ -16,8 +16,8 @@ def excess_texts(tried: Mapping[str, Any], margin: float) -> tuple[str, str]:
 
 def tuning_head(search: dict[str, Any]) -> tuple[str, ...]:
     """Head of the table of a search."""
-    told = ("alarm rate [%]", *EXCESS_HEAD, "undetected displacement [m]", "within budget")
-    return (search["setting"], "runs", *told)
+    rest = ("alarm rate [%]", *EXCESS_HEAD, "undetected displacement [m]", "within budget")
+    return (search["setting"], "runs", *rest)
 
 
 def tuning_rows(search: dict[str, Any]) -> list[tuple[str, ...]]:

@@ -18,13 +18,11 @@ from .joint_chart import JointChart
 from .lag_cusum import LagCusum
 from .never import Never
 from .pool import PooledDetector
-from .raim import Raim
+from .raim import Raim, SrvRaim, TraversalRaim
 from .rio import Rio
 from .sequential_chi2 import SequentialChi2
 from .shewhart import Shewhart
 from .snapshot_chi2 import SnapshotChi2
-from .srv_raim import SrvRaim
-from .traversal_raim import TraversalRaim
 from .windowed_chi2 import WindowedChi2
 
 __all__ = [

@@ -11,7 +11,7 @@ change a mean drift above another threshold,
 and while either holds the fix is rejected and dead reckoning goes on alone.  The statistic is the
 larger one of the two left sides, each over its threshold; the threshold is 1.
 
-Symbols: g position by GNSS, :math:`\hat p^-` prediction of the filter [m].
+Symbols: g GNSS position, :math:`\hat p^-` prediction of the filter [m].
 
 Assumptions: the prediction is the last estimate moved on by dead reckoning.  The errors of GNSS
 change slowly: with white noise of 0.9 m an axis the printed thresholds alarm all the time.  Nothing
@@ -20,7 +20,7 @@ that is off by 4 deg, 0.15 % of the fixes alarm in ``literal``, in 2.5 % of the 
 good, and 0.13 % in ``production``, in 5 % of the runs.
 
 A drift slower than gain times :math:`Th_s` (0.2 m/s) is never seen for long, since the prediction
-follows it: that needs another test beside this one.
+follows it: that needs a second test.
 
 Variants:
 
@@ -33,12 +33,12 @@ Variants:
 ``production``
     ``held``, and with an end: the alarm stays until :math:`n_r` fixes in a row have a drift of at
     most :math:`Th_s + \min(c \, t, c_{max})`, t being the time without a believed fix, since dead
-    reckoning drifts as well.  Then the windows begin anew.  After a longest exclusion a fix is
+    reckoning drifts as well.  Then the windows start again.  After a longest exclusion a fix is
     believed in any case.
 
 Deviations from `song2021`:
 
-1. Its :math:`\rho^{DI}` would run free from the begin, and 90 % of the clean fixes alarm then; it
+1. Its :math:`\rho^{DI}` would run free from the start, and 90 % of the clean fixes alarm then; it
    is anchored on the estimate here.
 2. The jump rule comes first in the flowchart and hides the slow one; here the larger ratio counts,
    which gives the same alarms.  Equality with :math:`Th_s` is no alarm.
@@ -228,7 +228,7 @@ class Acna(Detector):
 
     paper: ClassVar[str] = "song2021"
     needs: ClassVar[frozenset[str]] = frozenset({"gnss_position"})
-    watches: ClassVar[str] = "position"
+    measures: ClassVar[str] = "position"
 
     def __post_init__(self) -> None:
         """Check the settings."""

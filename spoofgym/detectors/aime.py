@@ -1,6 +1,6 @@
 r"""AIME: averages of the innovations over several windows, tested by chi-square.
 
-A slow drift that no single innovation shows stands out of their average.  Innovations are whitened
+A slow drift that no single innovation shows is visible in their average.  Innovations are whitened
 by the covariance of their own epoch, and the average over a window of W epochs is normalized,
 
 .. math:: q_W = \sum_j \frac{1}{N_j} \Big(\sum_{i=k-W+1}^{k} y_{i,j}\Big)^2 \sim \chi^2(d),
@@ -39,17 +39,9 @@ from numpy.typing import NDArray
 
 from .._jit import njit
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
-from .innovations import (
-    check_length,
-    check_signals,
-    declare_bias,
-    epochs_of,
-    rows_of,
-    whiten,
-    without_bias,
-)
-from .thresholds import check_probability, chi2_thresholds
+from .base import DetectorContext, Verdict
+from .innovation_test import InnovationTest, epochs_of
+from .thresholds import chi2_thresholds
 
 FloatArray = NDArray[np.float64]
 
@@ -100,7 +92,7 @@ def largest_average(
 
 
 @dataclass
-class Aime(Detector):
+class Aime(InnovationTest):
     """Chi-square of the average innovation over several windows, for the whole receiver.
 
     Parameters
@@ -127,7 +119,6 @@ class Aime(Detector):
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        check_probability("false_alarm", self.false_alarm)
         if isinstance(self.windows_s, int | float | str):
             raise ValueError(f"`windows_s` must be a list of lengths, got {self.windows_s!r}")
         self.windows_s = tuple(self.windows_s)
@@ -137,33 +128,24 @@ class Aime(Detector):
             raise ValueError(
                 f"`windows_s` must be lengths > 0 in increasing order, got {self.windows_s}"
             )
-        check_signals(self.signals)
-        check_length("bias_window_s", self.bias_window_s)
+        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare thresholds and windows."""
         super().bind(context)
-        first, last = self._rows = rows_of(self.signals, context.channels)
+        first, last = self._rows
         self._windows = np.array([epochs_of(w, context) for w in self.windows_s], dtype=np.int64)
         shape = (context.receivers, int(self._windows[-1]), last - first)
         self.memory.declare("past", np.zeros(shape))
         self.memory.declare("taken", np.zeros(shape, dtype=np.bool_))
         self.memory.declare("place", np.zeros(context.receivers, dtype=np.int64))
-        each = (last - first) // context.channels
         share = self.false_alarm / len(self._windows)
-        self._thresholds = chi2_thresholds(share, last - first)[::each]
-        self._bias_window = 0
-        if self.bias_window_s > 0.0:
-            self._bias_window = epochs_of(self.bias_window_s, context)
-            self.silent_epochs = self._bias_window
-            declare_bias(self.memory, context)
+        self._thresholds = chi2_thresholds(share, last - first)[:: self._per_satellite]
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
-        first, last = self._rows
-        innovation, judged = without_bias(epoch, self.memory, self._bias_window)
-        white = np.empty((len(judged), last - first))
-        whiten(innovation, epoch.innovation_cov, judged, first, last, white)
+        white, judged = self._whitened(epoch)
+        first = self._rows[0]
         statistic = np.empty((len(judged), 1))
         ring = (self.memory["past"], self.memory["taken"], self.memory["place"])
         largest_average(white, judged, first, self._windows, *ring, statistic[:, 0])

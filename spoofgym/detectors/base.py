@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Verdict(NamedTuple):
-    """What a detector says of an epoch.
+    """Judgement of an epoch by a detector.
 
     Attributes
     ----------
@@ -26,8 +26,8 @@ class Verdict(NamedTuple):
     alarm : ndarray
         (B, c) bool.
     weights : ndarray or None
-        (B, m) in [0, 1] on the columns of the Kalman gain, pseudoranges first; None for a detector
-        that only watches.
+        (B, m) in [0, 1] on the columns of the Kalman gain, pseudoranges first; None for a
+        passive detector.
     """
 
     statistic: FloatArray
@@ -37,7 +37,7 @@ class Verdict(NamedTuple):
 
 
 class DetectorContext(NamedTuple):
-    """What a detector is told once, before the first epoch.
+    """What a detector is given once, before the first epoch.
 
     Attributes
     ----------
@@ -77,10 +77,10 @@ class Detector(ABC):
     scope : {"channel", "receiver"}
         Whether it judges every channel, c = n (every coordinate of a position, c = m), or the
         receiver as a whole, c = 1.
-    watches : {"satellites", "position", "any"}
+    measures : {"satellites", "position", "any"}
         What it takes for a measurement: satellites' ranges, a position (n = 0), or either.
     oracle : bool
-        Whether it is told what no receiver can know; never part of a comparison by default.
+        Whether it is given what no receiver can know; never part of a comparison by default.
     silent_epochs : int
         Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`.
     memory : Memory
@@ -90,7 +90,7 @@ class Detector(ABC):
     paper: ClassVar[str]
     needs: ClassVar[frozenset[str]] = frozenset()
     scope: ClassVar[str] = "receiver"
-    watches: ClassVar[str] = "satellites"
+    measures: ClassVar[str] = "satellites"
     oracle: ClassVar[bool] = False
     silent_epochs: int = 0
     memory: Memory
@@ -107,13 +107,13 @@ class Detector(ABC):
         Raises
         ------
         ValueError
-            When the receiver measures what the detector does not watch.
+            When the receiver does not measure what the detector does.
         """
-        measures = "satellites" if context.channels else "position"
-        if self.watches not in (measures, "any"):
+        measured = "satellites" if context.channels else "position"
+        if self.measures not in (measured, "any"):
             raise ValueError(
-                f"{type(self).__name__} watches {self.watches}, but the receiver measures "
-                f"{measures}"
+                f"{type(self).__name__} measures {self.measures}, but the receiver measures "
+                f"{measured}"
             )
         self.memory = Memory(context.receivers)
 

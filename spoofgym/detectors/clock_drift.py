@@ -1,7 +1,7 @@
 r"""Clock monitor: what all innovations have in common, which is what moves the clock states.
 
 A spoofer whose own clock differs in offset or rate from the authentic system's moves all
-pseudoranges, or all range rates, by the same amount, and geometry can't tell that from the
+pseudoranges, or all range rates, by the same amount, and geometry can't separate that from the
 receiver's clock.  A known oscillator can: its states are predicted, and the correction that an
 epoch asks for has to stay within the predicted spread.  The common part of the innovations is that
 correction, estimated with the weights of their covariance and normalized,
@@ -35,17 +35,9 @@ from numpy.typing import NDArray
 
 from .._jit import njit
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
-from .innovations import (
-    check_length,
-    check_signals,
-    cholesky_of_rows,
-    declare_bias,
-    epochs_of,
-    rows_of,
-    without_bias,
-)
-from .thresholds import check_probability, chi2_thresholds
+from .base import DetectorContext, Verdict
+from .innovation_test import InnovationTest, cholesky_of_rows, epochs_of
+from .thresholds import chi2_thresholds
 
 FloatArray = NDArray[np.float64]
 
@@ -149,8 +141,8 @@ def window_average(
 
 
 @dataclass
-class ClockDrift(Detector):
-    """Chi-square of the average common part of the innovations; it only watches.
+class ClockDrift(InnovationTest):
+    """Chi-square of the average common part of the innovations; monitor only.
 
     Parameters
     ----------
@@ -175,32 +167,24 @@ class ClockDrift(Detector):
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        check_probability("false_alarm", self.false_alarm)
         if not (math.isfinite(self.window_s) and self.window_s > 0.0):
             raise ValueError(f"`window_s` must be finite and > 0, got {self.window_s}")
-        check_signals(self.signals)
-        check_length("bias_window_s", self.bias_window_s)
+        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare threshold and window."""
         super().bind(context)
-        first, last = self._rows = rows_of(self.signals, context.channels)
-        self._signals = (last - first) // context.channels
-        self._threshold = float(chi2_thresholds(self.false_alarm, 2)[self._signals])
+        signals = self._per_satellite
+        self._threshold = float(chi2_thresholds(self.false_alarm, 2)[signals])
         b, window = context.receivers, epochs_of(self.window_s, context)
-        self.memory.declare("past", np.zeros((b, window, self._signals)))
+        self.memory.declare("past", np.zeros((b, window, signals)))
         self.memory.declare("taken", np.zeros((b, window), dtype=np.bool_))
         self.memory.declare("place", np.zeros(b, dtype=np.int64))
-        self._bias_window = 0
-        if self.bias_window_s > 0.0:
-            self._bias_window = epochs_of(self.bias_window_s, context)
-            self.silent_epochs = self._bias_window
-            declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
-        innovation, judged = without_bias(epoch, self.memory, self._bias_window)
-        part = np.empty((len(judged), self._signals))
+        innovation, judged = self._without_bias(epoch)
+        part = np.empty((len(judged), self._per_satellite))
         common_part(innovation, epoch.innovation_cov, judged, *self._rows, part)
         statistic = np.empty((len(judged), 1))
         ring = (self.memory["past"], self.memory["taken"], self.memory["place"])

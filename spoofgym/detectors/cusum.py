@@ -32,15 +32,8 @@ from numpy.typing import NDArray
 
 from .._jit import njit
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
-from .innovations import (
-    check_length,
-    check_signals,
-    declare_bias,
-    epochs_of,
-    rows_of,
-    without_bias,
-)
+from .base import DetectorContext, Verdict
+from .innovation_test import InnovationTest
 from .thresholds import run_length
 
 FloatArray = NDArray[np.float64]
@@ -91,8 +84,8 @@ def advance_sums(
 
 
 @dataclass
-class Cusum(Detector):
-    """Cumulative sum of every satellite's innovation; it only watches.
+class Cusum(InnovationTest):
+    """Cumulative sum of every satellite's innovation; monitor only.
 
     Parameters
     ----------
@@ -121,24 +114,18 @@ class Cusum(Detector):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"`{name}` must be finite and > 0, got {value}")
-        check_signals(self.signals)
-        check_length("bias_window_s", self.bias_window_s)
+        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         """Begin the sums of all satellites."""
         super().bind(context)
-        first, last = self._rows = rows_of(self.signals, context.channels)
+        first, last = self._rows
         for name in ("above", "below"):
             self.memory.declare(name, np.zeros((context.receivers, last - first)))
-        self._bias_window = 0
-        if self.bias_window_s > 0.0:
-            self._bias_window = epochs_of(self.bias_window_s, context)
-            self.silent_epochs = self._bias_window
-            declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch: (B, n) sums, limits, alarms; no weights."""
-        innovation, judged = without_bias(epoch, self.memory, self._bias_window)
+        innovation, judged = self._without_bias(epoch)
         statistic = advance_sums(
             innovation,
             epoch.innovation_cov,

@@ -29,7 +29,7 @@ Deviations from `zhong2025`, whose method M2 this is:
 3. m = 0.1 as printed locks satellites out for good; the default is 0.3.
 4. The range rates keep weight 1, and the covariance update with the unweighted gain is the
    receiver's default (``covariance_update="unweighted"``), without which the delays are not met.
-5. A satellite that sets and rises begins anew.
+5. A satellite that sets and rises starts again.
 6. Exclusion can be limited in time and in number (`lockout`).  It is not by default, so that the
    chart stays the one that the shipped spoofers were trained against.
 
@@ -102,8 +102,8 @@ class Ewma(Detector):
     false_alarm : float
         Alpha, probability of an alarm of one satellite in one epoch, in (0, 1).
     weight_scale : float or None
-        m, in (0, 1]: the weight thresholds are m T and m T / 2.  None for a chart that only
-        watches.
+        m, in (0, 1]: the weight thresholds are m T and m T / 2.  None for a passive
+        chart.
     max_exclusion_s : float or None
         Longest time that a satellite can have weight 0 without an alarm, above 0; None for no
         limit.

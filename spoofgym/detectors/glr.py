@@ -26,10 +26,10 @@ the papers' receiver, which overstates its noise, alarms are rarer still.
 
 Deviations: `willsky1976` knows how a filter answers to a jump, and tests for this answer.  Here the
 change is taken to stay in the innovation as it is, which a filter that follows an offset slowly, or
-not at all, comes near to.  A satellite that sets and rises begins anew.  Every onset of the window
+not at all, comes near to.  A satellite that sets and rises starts again.  Every onset of the window
 is tried, at every epoch.
 
-Source: `willsky1976`; the use as what `ke2022` lacks, a test that is not told the attack, is ours.
+Source: `willsky1976`; the use as what `ke2022` lacks, a test that is not given the attack, is ours.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 from .._jit import inlined, njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
-from .innovations import check_signals
+from .innovation_test import check_signals
 from .thresholds import check_epochs, check_probability, two_sided_quantile
 
 FloatArray = NDArray[np.float64]
@@ -274,7 +274,7 @@ class _Glr(Detector):
 
 @dataclass
 class GlrStep(_Glr):
-    """Likelihood-ratio scan over all onsets for a step of every innovation; it only watches.
+    """Likelihood-ratio scan over all onsets for a step of every innovation; monitor only.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ class GlrStep(_Glr):
     window : int
         W, longest time since the onset, in epochs.
     baseline : int
-        Most epochs before the onset that tell the mean without attack.
+        Most epochs before the onset that give the mean without attack.
     signals : {"pseudorange", "range_rate", "both"}
         Innovations to test.
     """
@@ -294,7 +294,7 @@ class GlrStep(_Glr):
 
 @dataclass
 class GlrRamp(_Glr):
-    """Likelihood-ratio scan over all onsets for a ramp of every innovation; it only watches.
+    """Likelihood-ratio scan over all onsets for a ramp of every innovation; monitor only.
 
     Parameters
     ----------
@@ -304,7 +304,7 @@ class GlrRamp(_Glr):
     window : int
         W, longest time since the onset, in epochs.
     baseline : int
-        Most epochs before the onset that tell the mean without attack.
+        Most epochs before the onset that give the mean without attack.
     signals : {"pseudorange", "range_rate", "both"}
         Innovations to test.
     """

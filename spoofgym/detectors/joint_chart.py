@@ -7,7 +7,7 @@ present innovation forgets at once.  So once the chart has alarmed, the ratio of
     \Lambda_k = \lambda z_k + (1 - \lambda) \Lambda_{k-1}
 
 is near 1 as long as the offset lasts, and falls to about 0 at the first epoch without it.  There
-the alarm ends, and chart and threshold begin anew: :math:`\Lambda = 0`, k = 0 in
+the alarm ends, and chart and threshold start again: :math:`\Lambda = 0`, k = 0 in
 
 .. math:: T_k = z_{\alpha/2} \, \sigma_k
     \sqrt{\tfrac{\lambda}{2 - \lambda} \left(1 - (1 - \lambda)^{2k}\right)}
@@ -26,7 +26,7 @@ by about noise over offset, and :math:`T_3 = 0.6` is no quantile of that.
 Deviations from `zhong2025`, whose method M3 this is:
 
 1. The paper ends spoofing where any of the three ratios is further than :math:`T_3` from their
-   median.  With the zeros that stand for the time before the alarm that ends it as soon as it
+   median.  With the zeros for the time before the alarm that ends it as soon as it
    begins; the paper's figures show it otherwise.  The rule above asks for a full window since the
    alarm and for a drop of the newest ratio.  ``end_rule="literal"`` is the printed one, tested from
    the epoch after the onset on.
@@ -34,7 +34,7 @@ Deviations from `zhong2025`, whose method M3 this is:
 3. The time index of the threshold is set back with :math:`\Lambda`.
 4. m = 0.1 as printed locks satellites out; the default is 0.3, and exclusion is limited
    (`lockout`).  ``weight_scale=0.1, max_exclusion_s=None, min_satellites=0`` is the paper's.
-5. A satellite that sets and rises begins anew.
+5. A satellite that sets and rises starts again.
 
 The rate of false alarms is a little below that of the EWMA chart, since a false alarm can end
 early.
@@ -63,7 +63,7 @@ END_RULES = ("drop", "literal")
 
 @inlined
 def has_dropped(older: float, old: float, newest: float, drop: float) -> bool:
-    r"""Whether the newest of three ratios tells the end of an offset.
+    r"""Whether the newest of three ratios shows the end of an offset.
 
     .. math:: \min(\xi_{k-2}, \xi_{k-1}) - \xi_k > T_3, \qquad \xi_k < 1 - T_3
     """
@@ -160,8 +160,8 @@ class JointChart(Detector):
     false_alarm : float
         Alpha, probability of an alarm of one satellite in one epoch, in (0, 1).
     weight_scale : float or None
-        m, in (0, 1]: the weight thresholds are m T and m T / 2.  None for a chart that only
-        watches.
+        m, in (0, 1]: the weight thresholds are m T and m T / 2.  None for a passive
+        chart.
     drop : float
         T_3, in (0, 1): fall of the ratio that ends an alarm.
     end_rule : {"drop", "literal"}

@@ -19,12 +19,12 @@ of the mean's own error, so that a false mean does not make an alarm.
 Assumptions: normalized innovations are independent and of variance 1 about their mean.  Then the
 mean time between false alarms of one sum is Siegmund's, `thresholds.run_length`; for two sums of
 each of 8 satellites the defaults 0.5 and 13.3 give 4e-6 alarms an epoch, the probability of
-`ke2022`.  Sums that are not begun anew cross the threshold several times, and the baseline errs:
+`ke2022`.  Sums that are not started again cross the threshold several times, and the baseline errs:
 with h = 6 alarms begin in 1.0 % of the epochs for 0.6 % where the receiver assumes the noise of its
 world.
 
-Deviations: `page1954` knows the mean.  An alarm does not begin the sums anew: they fall again when
-the change is over.  A satellite that sets and rises begins anew.
+Deviations: `page1954` knows the mean.  An alarm does not restart the sums: they fall again when
+the change is over.  A satellite that sets and rises starts again.
 
 Source: `page1954`; `siegmund1985` for the threshold; the lagged baseline is ours.
 """
@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from .._jit import njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
-from .innovations import check_signals
+from .innovation_test import check_signals
 from .thresholds import check_epochs
 
 FloatArray = NDArray[np.float64]
@@ -105,7 +105,7 @@ def sum_channels(
 
 @dataclass
 class LagCusum(Detector):
-    """Two-sided cumulative sum of every innovation against its own past; it only watches.
+    """Two-sided cumulative sum of every innovation against its own past; monitor only.
 
     Parameters
     ----------

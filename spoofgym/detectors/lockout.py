@@ -3,11 +3,11 @@
 Weights that follow from innovations have a trap.  A filter that leaves a satellite out drifts away
 from it, by constant errors alone, so that the innovation grows and the satellite stays out, though
 nothing was ever alarmed; and when all satellites are out, nothing but the inertial sensors is left
-to tell that.  Two rules open the trap:
+to show that.  Two rules open the trap:
 
 1. A satellite that has had weight 0 without an alarm for longer than the *maximum exclusion time*
    gets weight 1, until it is trusted again by itself or alarms.  While it alarms it stays out: that
-   is what the alarm says.
+   is what the alarm means.
 2. When fewer satellites than the *minimum satellite count* have a weight above 0, the ones with
    the smallest ratio of statistic to threshold get weight 1, alarmed or not, until there are as
    many, or no more are in view.

@@ -19,13 +19,13 @@ class Never(Detector):
     """No defence: statistic 0, threshold 1, never an alarm, no weights."""
 
     paper: ClassVar[str] = "groves2013"
-    watches: ClassVar[str] = "any"
+    measures: ClassVar[str] = "any"
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare for a batch."""
         super().bind(context)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Say nothing: (B, 1) zeros, ones and no alarm."""
+        """No alarm: (B, 1) zeros, ones and no alarm."""
         shape = (len(epoch.time), 1)
         return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))

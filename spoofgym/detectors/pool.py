@@ -17,7 +17,7 @@ from .verdicts import judged
 
 FloatArray = NDArray[np.float64]
 NATURE, OPPONENT = 1, 2
-"""What is drawn for an episode: whether it is attacked, and who the opponent is."""
+"""What is drawn for an episode: whether it is attacked, and by which opponent."""
 
 
 def uniforms(keys: NDArray[np.uint64], purpose: int) -> FloatArray:
@@ -103,7 +103,7 @@ def _spec_of(member: Any, detector: Detector) -> Any:
 
 @dataclass
 class PooledDetector(Detector):
-    """A hidden pool: one of its detectors, drawn for every episode, judges it from begin to end.
+    """A hidden pool: one of its detectors, drawn for every episode, judges it from start to end.
 
     The draw depends on the key of the episode alone, so that paired runs have the same opponent.
     Every detector that has a receiver at present judges the epoch of all receivers in one call, and
@@ -121,7 +121,7 @@ class PooledDetector(Detector):
     ------
     ValueError
         When there is no detector, a name or a setting is unknown, the weights do not fit, one is
-        a pool itself, or some of the detectors watch satellites and others positions.
+        a pool itself, or some of the detectors measure satellites and others positions.
     TypeError
         When `members` is no sequence of detectors.
 
@@ -134,7 +134,7 @@ class PooledDetector(Detector):
     weights: Sequence[float] | None = None
 
     paper: ClassVar[str] = "lanctot2017"
-    watches: ClassVar[str] = "any"
+    measures: ClassVar[str] = "any"
 
     def __post_init__(self) -> None:
         """Make the detectors, and find out what they have in common."""
@@ -147,16 +147,16 @@ class PooledDetector(Detector):
         self.members = tuple(map(_spec_of, self.members, self.judges))
         if any(isinstance(judge, PooledDetector) for judge in self.judges):
             raise ValueError("a pool can't be one of the detectors of a pool; list its detectors")
-        watched = {judge.watches for judge in self.judges} - {"any"}
-        if len(watched) > 1:
+        measures = {judge.measures for judge in self.judges} - {"any"}
+        if len(measures) > 1:
             raise ValueError(
-                "the detectors of a pool must watch the same, got "
-                + ", ".join(f"{type(judge).__name__} ({judge.watches})" for judge in self.judges)
+                "the detectors of a pool must measure the same, got "
+                + ", ".join(f"{type(judge).__name__} ({judge.measures})" for judge in self.judges)
             )
         scopes = {judge.scope for judge in self.judges}
         self._alike = len(scopes) == 1
         # these differ from pool to pool, so that they are the object's, not the class's
-        self.watches = watched.pop() if watched else "any"  # type: ignore[misc]
+        self.measures = measures.pop() if measures else "any"  # type: ignore[misc]
         self.scope = scopes.pop() if self._alike else "receiver"  # type: ignore[misc]
         self.needs = frozenset().union(*(j.needs for j in self.judges))  # type: ignore[misc]
         self.oracle = any(judge.oracle for judge in self.judges)  # type: ignore[misc]

@@ -1,14 +1,14 @@
 r"""Distance constraint: GNSS must stay near to dead reckoning.
 
 A fix is rejected where it is farther than D from the position that dead reckoning alone gives since
-the begin of the run, and so are all fixes after it, until one comes within a small distance of the
+the start of the run, and so are all fixes after it, until one comes within a small distance of the
 receiver's own estimate:
 
 .. math:: |g_k - p_k^{DR}| > D, \qquad\text{and then until}\quad |g_k - \hat p_k^-| \le D_r
 
 It knows jumps at once, and a drift once it amounts to D.
 
-Symbols: g position by GNSS, :math:`p^{DR}` dead reckoning alone, :math:`\hat p^-` prediction [m].
+Symbols: g GNSS position, :math:`p^{DR}` dead reckoning alone, :math:`\hat p^-` prediction [m].
 
 Assumptions: dead reckoning drifts by much less than D during the run.  Nothing promises a
 false-alarm rate.
@@ -18,7 +18,7 @@ Deviations from `song2021`, which compares with it:
 1. The paper gives neither the test nor D.  16.5 m is chosen by its latency of 26 s after a ramp of
    0.7 m/s.
 2. The latch and D_r = 5 m are ours: after a slow attack the estimate is some 15 m off, so that no
-   fix is believed any more, as the equal rows of the paper's data sets 3 and 4 tell.
+   fix is believed any more, as the equal rows of the paper's data sets 3 and 4 show.
 3. A missing fix has statistic 0 and changes nothing.
 
 Source: `song2021`, section 5, which names `melendez2017` as the origin of its comparison.
@@ -100,7 +100,7 @@ class Rio(Detector):
 
     paper: ClassVar[str] = "song2021"
     needs: ClassVar[frozenset[str]] = frozenset({"gnss_position", "auxiliary_position"})
-    watches: ClassVar[str] = "position"
+    measures: ClassVar[str] = "position"
 
     def __post_init__(self) -> None:
         """Check the settings."""

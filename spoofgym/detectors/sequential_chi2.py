@@ -6,7 +6,7 @@ The normalized innovations squared of many epochs are added up, and so are their
 
 where i runs over all epochs so far, or over the last ones.  Innovations of a filter whose belief is
 right are white, so that the sum has this distribution at every epoch.  The longer the sum, the less
-a short attack stands out of it: the test that takes all history goes blind with time.
+a short attack shows in it: the test that takes all history goes blind with time.
 
 Symbols: z innovation, S innovation covariance, d rows that take part, :math:`\alpha` false-alarm
 probability of one epoch.
@@ -30,17 +30,8 @@ from scipy import special
 
 from .._jit import njit
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
-from .innovations import (
-    check_length,
-    check_signals,
-    declare_bias,
-    epochs_of,
-    rows_of,
-    whiten,
-    without_bias,
-)
-from .thresholds import check_probability
+from .base import DetectorContext, Verdict
+from .innovation_test import InnovationTest, epochs_of
 
 FloatArray = NDArray[np.float64]
 
@@ -96,7 +87,7 @@ def add_to_window(
 
 
 @dataclass
-class SequentialChi2(Detector):
+class SequentialChi2(InnovationTest):
     """Chi-square of all innovations so far, or of a window, for the whole receiver.
 
     Parameters
@@ -122,18 +113,14 @@ class SequentialChi2(Detector):
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        check_probability("false_alarm", self.false_alarm)
         if self.window_s is not None and not (np.isfinite(self.window_s) and self.window_s > 0.0):
             raise ValueError(f"`window_s` must be finite and > 0, or None, got {self.window_s}")
-        check_signals(self.signals)
-        check_length("bias_window_s", self.bias_window_s)
+        super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
         """Begin the sums."""
         super().bind(context)
         b = context.receivers
-        self._rows = rows_of(self.signals, context.channels)
-        self._each = 2 if self.signals == "both" else 1
         if self.window_s is None:
             self.memory.declare("total", np.zeros(b))
             self.memory.declare("degrees", np.zeros(b))
@@ -142,25 +129,17 @@ class SequentialChi2(Detector):
             self.memory.declare("squares", np.zeros((b, window)))
             self.memory.declare("counts", np.zeros((b, window)))
             self.memory.declare("place", np.zeros(b, dtype=np.int64))
-        self._bias_window = 0
-        if self.bias_window_s > 0.0:
-            self._bias_window = epochs_of(self.bias_window_s, context)
-            self.silent_epochs = self._bias_window
-            declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
-        first, last = self._rows
-        innovation, judged = without_bias(epoch, self.memory, self._bias_window)
-        white = np.empty((len(judged), last - first))
-        whiten(innovation, epoch.innovation_cov, judged, first, last, white)
+        white, judged = self._whitened(epoch)
         statistic, degrees = self._sums(white, judged)
         threshold = special.chdtri(np.maximum(degrees, 1.0), self.false_alarm)[:, None]
         return Verdict(statistic[:, None], threshold, statistic[:, None] > threshold)
 
     def _sums(self, white: FloatArray, judged: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
         """Sum of squares and degrees of freedom, with the present epoch."""
-        memory, each = self.memory, self._each
+        memory, each = self.memory, self._per_satellite
         if self.window_s is None:
             add_to_sums(white, judged, each, memory["total"], memory["degrees"])
             return memory["total"].copy(), memory["degrees"].copy()

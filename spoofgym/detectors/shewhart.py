@@ -36,17 +36,10 @@ from numpy.typing import NDArray
 
 from .._jit import njit
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
-from .innovations import (
-    check_length,
-    check_signals,
-    declare_bias,
-    epochs_of,
-    rows_of,
-    without_bias,
-)
+from .base import DetectorContext, Verdict
+from .innovation_test import InnovationTest
 from .lockout import check_limits, limit_exclusions, longest_exclusion
-from .thresholds import check_probability, igg3_weight, two_sided_quantile
+from .thresholds import igg3_weight, two_sided_quantile
 
 FloatArray = NDArray[np.float64]
 
@@ -91,7 +84,7 @@ def snapshot_weights(statistic: FloatArray, reject: float) -> FloatArray:
 
 
 @dataclass
-class Shewhart(Detector):
+class Shewhart(InnovationTest):
     """Every satellite's innovation against its own standard deviation.
 
     Parameters
@@ -100,7 +93,7 @@ class Shewhart(Detector):
         Alpha, probability of an alarm of one satellite in one epoch, in (0, 1).
     weight_scale : float or None
         m, in (0, 1]: the pseudorange gets no weight from m times the threshold on, and less than 1
-        from half of that.  None for a chart that only watches.
+        from half of that.  None for a passive chart.
     signals : {"pseudorange", "range_rate", "both"}
         Innovations to test.
     bias_window_s : float
@@ -125,27 +118,18 @@ class Shewhart(Detector):
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        check_probability("false_alarm", self.false_alarm)
         if self.weight_scale is not None and not 0.0 < self.weight_scale <= 1.0:
             raise ValueError(f"`weight_scale` must be in (0, 1] or None, got {self.weight_scale}")
-        check_signals(self.signals)
-        check_length("bias_window_s", self.bias_window_s)
+        super().__post_init__()
         check_limits(self.max_exclusion_s, self.min_satellites)
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare the threshold."""
         super().bind(context)
-        self._rows = rows_of(self.signals, context.channels)
-        tests = 2 if self.signals == "both" else 1
-        self._quantile = two_sided_quantile(self.false_alarm / tests)
+        self._quantile = two_sided_quantile(self.false_alarm / self._per_satellite)
         shape = (context.receivers, context.channels)
         self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
         self._longest = longest_exclusion(self.max_exclusion_s, context.epoch_interval_s)
-        self._window = 0
-        if self.bias_window_s > 0.0:
-            self._window = epochs_of(self.bias_window_s, context)
-            self.silent_epochs = self._window
-            declare_bias(self.memory, context)
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch.
@@ -153,7 +137,7 @@ class Shewhart(Detector):
         Returns (B, n) innovations in standard deviations, thresholds, alarms; (B, 2n) weights, 1
         for range rates.
         """
-        innovation, judged = without_bias(epoch, self.memory, self._window)
+        innovation, judged = self._without_bias(epoch)
         statistic = largest_normalized(innovation, epoch.innovation_cov, judged, *self._rows)
         threshold = np.full(statistic.shape, self._quantile)
         weights = None

@@ -21,21 +21,14 @@ import numpy as np
 
 from ..receiver.epoch import Epoch
 from ..receiver.nis import normalized_innovation_squared
-from .base import Detector, DetectorContext, Verdict
-from .innovations import (
-    check_length,
-    check_signals,
-    declare_bias,
-    epochs_of,
-    rows_of,
-    without_bias,
-)
-from .thresholds import check_probability, chi2_thresholds
+from .base import DetectorContext, Verdict
+from .innovation_test import InnovationTest
+from .thresholds import chi2_thresholds
 
 
 @dataclass
-class SnapshotChi2(Detector):
-    """Chi-square test of the present epoch, for the whole receiver; it only watches.
+class SnapshotChi2(InnovationTest):
+    """Chi-square test of the present epoch, for the whole receiver; monitor only.
 
     Parameters
     ----------
@@ -54,30 +47,17 @@ class SnapshotChi2(Detector):
 
     paper: ClassVar[str] = "barshalom2001"
 
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        check_probability("false_alarm", self.false_alarm)
-        check_signals(self.signals)
-        check_length("bias_window_s", self.bias_window_s)
-
     def bind(self, context: DetectorContext) -> None:
         """Prepare the thresholds for every number of visible satellites."""
         super().bind(context)
-        n = context.channels
-        self._rows = rows_of(self.signals, n)
-        per_satellite = 2 if self.signals == "both" else 1
-        self._thresholds = chi2_thresholds(self.false_alarm, per_satellite * n)[::per_satellite]
-        self._window = 0
-        if self.bias_window_s > 0.0:
-            self._window = epochs_of(self.bias_window_s, context)
-            self.silent_epochs = self._window
-            declare_bias(self.memory, context)
+        each = self._per_satellite
+        self._thresholds = chi2_thresholds(self.false_alarm, each * context.channels)[::each]
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
-        innovation, judged = without_bias(epoch, self.memory, self._window)
+        innovation, judged = self._without_bias(epoch)
         belief = epoch.innovation_cov
-        if self._window > 0:
+        if self._bias_window > 0:
             rows = np.hstack([judged, judged])
             belief = np.where(rows[:, :, None] & rows[:, None, :], belief, np.eye(rows.shape[1]))
         statistic = normalized_innovation_squared(innovation, belief, *self._rows)[:, None]

@@ -86,10 +86,10 @@ def _is_sound(statistic: FloatArray, threshold: FloatArray, weights: FloatArray 
 
 def _examine(verdict: Verdict, detector: Detector, epoch: Epoch) -> None:
     """Raise unless a verdict is sound."""
-    who = type(detector).__name__
+    kind = type(detector).__name__
     if not isinstance(verdict, Verdict):
         raise TypeError(
-            f"{_at(who, epoch, 0)} `judge` must return a `Verdict`, got {type(verdict).__name__}; "
+            f"{_at(kind, epoch, 0)} `judge` must return a `Verdict`, got {type(verdict).__name__}; "
             "`from spoofgym.detectors import Verdict`"
         )
     (b, m), n = epoch.innovation.shape, epoch.visible.shape[1]
@@ -99,14 +99,14 @@ def _examine(verdict: Verdict, detector: Detector, epoch: Epoch) -> None:
     for name, part in verdict._asdict().items():
         if part is not None or name != "weights":
             shape = (b, m if name == "weights" else columns)
-            _examine_part(who, epoch, name, part, shape, sizes)
+            _examine_part(kind, epoch, name, part, shape, sizes)
 
 
 def _examine_part(
-    who: str, epoch: Epoch, name: str, part: Any, shape: tuple[int, ...], sizes: str
+    kind: str, epoch: Epoch, name: str, part: Any, shape: tuple[int, ...], sizes: str
 ) -> None:
     """Raise unless one array of a verdict is sound."""
-    where = f"{_at(who, epoch, 0)} `{name}`"
+    where = f"{_at(kind, epoch, 0)} `{name}`"
     if type(part) is not np.ndarray:
         raise TypeError(f"{where} must be an array, got {type(part).__name__}")
     if part.shape != shape:
@@ -123,8 +123,8 @@ def _examine_part(
         valid, bad = "be finite", ~np.isfinite(part)
     for row, column in np.argwhere(bad)[:1].tolist():
         raise ValueError(
-            f"{_at(who, epoch, row)} `{name}` must {valid}, got {part[row, column]} for receiver "
-            f"{row} of {len(part)}, column {column}"
+            f"{_at(kind, epoch, row)} `{name}` must {valid}, got {part[row, column]} for "
+            f"receiver {row} of {len(part)}, column {column}"
         )
     if name == "weights" and not part.flags.carray:
         raise ValueError(
@@ -133,5 +133,5 @@ def _examine_part(
         )
 
 
-def _at(who: str, epoch: Epoch, row: int) -> str:
-    return f"{who}, epoch at {epoch.time[row]:g} s:"
+def _at(kind: str, epoch: Epoch, row: int) -> str:
+    return f"{kind}, epoch at {epoch.time[row]:g} s:"

@@ -54,7 +54,7 @@ from .._jit import njit
 from ..receiver.epoch import Epoch
 from ..receiver.nis import normalized_innovation_squared
 from .base import Detector, DetectorContext, Verdict
-from .innovations import check_signals
+from .innovation_test import check_signals
 from .thresholds import check_epochs, check_probability, chi2_thresholds
 
 FloatArray = NDArray[np.float64]
@@ -117,7 +117,7 @@ def window_sum(
 
 @dataclass
 class WindowedChi2(Detector):
-    """Chi-square test of a window of epochs, for the whole receiver; it only watches.
+    """Chi-square test of a window of epochs, for the whole receiver; monitor only.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class WindowedChi2(Detector):
     covariance_window: int = 100
 
     paper: ClassVar[str] = "shadmehri2025"
-    watches: ClassVar[str] = "any"
+    measures: ClassVar[str] = "any"
 
     def __post_init__(self) -> None:
         """Check the settings."""

@@ -64,7 +64,7 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
         self._cumulative_rewards = dict.fromkeys(AGENTS, 0.0)
         self.terminations = dict.fromkeys(AGENTS, False)
         self.truncations = dict.fromkeys(AGENTS, False)
-        self.infos = self.rules.begin_infos()
+        self.infos = self.rules.reset_infos()
         self._observations = self.rules.observe()
 
     def observe(self, agent: str) -> NDArray[np.float32]:

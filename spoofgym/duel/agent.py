@@ -17,9 +17,9 @@ from .._registry import check_choice, is_number
 from ..detectors import Detector, DetectorContext, Verdict
 from ..detectors.pool import JointMemory
 from ..receiver.epoch import Epoch
+from .detector_observer import ALL_TERMS, DetectorObserver
+from .detector_terms import ExclusionLeft, slots
 from .policy import DetectorPolicy, PolicyContext
-from .sight import ALL_SIGHTS, Sight
-from .sight_terms import ExclusionLeft, slots
 
 FloatArray = NDArray[np.float64]
 STATISTICS = ("receiver", "channel")
@@ -77,14 +77,14 @@ class DetectorAgent(Detector):
         """Prepare what is observed."""
         super().bind(context)
         n = context.channels
-        self.sight = Sight((*ALL_SIGHTS, ExclusionLeft(self.exclusion_s)), n)
+        self.observer = DetectorObserver((*ALL_TERMS, ExclusionLeft(self.exclusion_s)), n)
         self.action_names = action_names(self.statistic, self.weighs, n)
         self._columns = n if self.statistic == "channel" else 1
-        self.sight.declare(self.memory)
+        self.observer.declare(self.memory)
 
     def look(self, epoch: Epoch) -> None:
         """Take in one epoch."""
-        self.sight.look(epoch, self.memory)
+        self.observer.look(epoch, self.memory)
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Take in an epoch of the warm-up, where nobody is asked.
@@ -205,8 +205,8 @@ def policy_context(agent: DetectorAgent, context: DetectorContext) -> PolicyCont
     return PolicyContext(
         receivers=context.receivers,
         interval_s=context.epoch_interval_s,
-        observation_names=agent.sight.names,
-        observation_low=tuple(agent.sight.low.tolist()),
-        observation_high=tuple(agent.sight.high.tolist()),
+        observation_names=agent.observer.names,
+        observation_low=tuple(agent.observer.low.tolist()),
+        observation_high=tuple(agent.observer.high.tolist()),
         action_names=agent.action_names,
     )

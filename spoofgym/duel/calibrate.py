@@ -82,7 +82,7 @@ def calibrate(
         min(receivers, runs), decision_delay=decision_delay, attack_probability=0.0, **settings
     )
     duel.threshold = FixedThreshold(np.inf, duel.receivers)
-    told = digest_of(_told(duel))
+    conditions = digest_of(_conditions(duel))
     seed, runs = whole_number("`seed`", seed), int(runs)
     request = {"false_alarm": false_alarm, "runs": runs, "seed": seed, "confidence": confidence}
     path = None
@@ -92,7 +92,7 @@ def calibrate(
                 f"{frozen!r} has no digest to store its calibration by: give a FunctionPolicy a "
                 "`name`, or override `digest`"
             )
-        name = digest_of({**request, "detector": frozen.digest(), "settings": told})
+        name = digest_of({**request, "detector": frozen.digest(), "settings": conditions})
         path = Path(store) / f"{name}.json"
         if path.is_file():
             return Calibration.load(path)
@@ -108,7 +108,7 @@ def calibrate(
         false_alarm=false_alarm,
         runs=runs,
         detector=frozen.digest(),
-        settings=told,
+        settings=conditions,
     )
     if path is not None:
         found.save(path)
@@ -132,15 +132,15 @@ def _check(false_alarm: float, runs: int, confidence: float, receivers: int) -> 
         raise ValueError(f"`receivers` must be at least 1, got {receivers}")
 
 
-def _told(duel: Duel) -> dict[str, Any]:
+def _conditions(duel: Duel) -> dict[str, Any]:
     """Everything of a duel that a clean run depends on, JSON-able."""
     setup = duel.setup
     parts = ("scenario", "receiver", "timeline", "detector", "domain")
-    told = {name: describe(getattr(setup, name)) for name in parts}
+    found = {name: describe(getattr(setup, name)) for name in parts}
     if setup.repeat > 1:
-        # an episode keeps a decision to spare, so that it may have to begin earlier
-        told["decision_interval_s"] = setup.decision_interval_s
-    return {**told, "decision_delay": duel.decision_delay}
+        # an episode keeps a decision to spare, so that it may have to start earlier
+        found["decision_interval_s"] = setup.decision_interval_s
+    return {**found, "decision_delay": duel.decision_delay}
 
 
 def largest_statistics(duel: Duel, policy: DetectorPolicy, runs: int, seed: int) -> FloatArray:
@@ -167,14 +167,14 @@ def largest_statistics(duel: Duel, policy: DetectorPolicy, runs: int, seed: int)
 
 
 def _context(duel: Duel) -> Any:
-    """What a policy is told of a duel."""
+    """What a policy knows of a duel."""
     setup = duel.setup
     return policy_context(
         duel.agent,
         DetectorContext(
             duel.receivers,
             setup.world.channels,
-            setup.scenario.epoch_interval_s,
+            setup.interval_s,
             setup.combinations.largest_variance,
             setup.world.satellite_ids,
         ),

@@ -44,8 +44,8 @@ class DetectorCore:
     ) -> None:
         self.duel = duel
         self.set_pool(pool, weights)
-        sight, self.action_names = duel.agent.sight, duel.agent.action_names
-        self.observation_names, self.bounds = sight.names, (sight.low, sight.high)
+        observer, self.action_names = duel.agent.observer, duel.agent.action_names
+        self.observation_names, self.bounds = observer.names, (observer.low, observer.high)
         self.receivers, self.episode_steps = duel.receivers, duel.epochs
         self._everyone = np.arange(duel.receivers)
 

@@ -1,28 +1,28 @@
-"""A learned detector: a policy in an ONNX file, run by onnxruntime, with a card beside it."""
+"""A learned detector: a policy of the duel in an ONNX file, and its card.
+
+It observes what a `DetectorView` observes, and judges no `Epoch`, so that it belongs to the duel
+and not to the detectors.
+"""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from .._files import write_file
-from ..spoofers import SPOOFERS, SUFFIX
-from ..spoofers.card_parts import PolicyFile, Record, Space, kind_of, told
-from ..spoofers.onnx_file import check_signature, opset_of, read_model
-from ..spoofers.onnx_policy import make_session
+from ..policies.card import PolicyCard, PolicyFile, Space, unlike_spaces
+from ..policies.contract import FloatArray
+from ..policies.onnx_model import SUFFIX, OnnxModel, check_signature, file_of, read_model
 from .calibration import Calibration
-from .policy import DetectorPolicy, FloatArray, PolicyContext, checked_decision
+from .policy import DetectorPolicy, PolicyContext
 
 
-class DetectorCard(Record):
-    """The card of a detector policy, on disk a JSON file beside its ONNX file.
+class DetectorCard(PolicyCard):
+    """The card of a detector policy, on disk a JSON file with its ONNX file.
 
     Attributes
     ----------
@@ -51,6 +51,11 @@ class DetectorCard(Record):
     file : PolicyFile
         The policy.
     """
+
+    other_kinds: ClassVar = dict.fromkeys(
+        ("onnx-policy", "profile"),
+        "a spoofer, which is no detector policy: it belongs into the pool of a DetectorView",
+    )
 
     format: Literal[1] = 1
     name: str = Field(min_length=1)
@@ -104,17 +109,15 @@ def write_card(
         As it was written.
     """
     path, content = card_path(file), Path(file).read_bytes()
-    model = read_model(content, str(file))
-    duel = view.unwrapped.game.duel
+    duel = view.unwrapped.core.duel
     agent, size = duel.agent, len(duel.agent.action_names)
-    check_signature(model, len(agent.sight.names), size, str(file))
-    told = {} if calibration is None else {**vars(calibration)}
+    check_signature(read_model(content, str(file)), len(agent.observer.names), size, str(file))
     card = DetectorCard(
         name=name,
         observation=Space(
-            names=agent.sight.names,
-            low=tuple(agent.sight.low.tolist()),
-            high=tuple(agent.sight.high.tolist()),
+            names=agent.observer.names,
+            low=tuple(agent.observer.low.tolist()),
+            high=tuple(agent.observer.high.tolist()),
         ),
         action=Space(names=agent.action_names, low=(-1.0,) * size, high=(1.0,) * size),
         statistic=agent.statistic,
@@ -122,21 +125,16 @@ def write_card(
         exclusion_s=agent.exclusion_s,
         decision_delay=duel.decision_delay,
         threshold=None if calibration is None else calibration.threshold,
-        calibration=told,
+        calibration={} if calibration is None else {**vars(calibration)},
         training=training or {},
-        file=PolicyFile(
-            name=Path(file).name,
-            sha256=hashlib.sha256(content).hexdigest(),
-            bytes=len(content),
-            opset=opset_of(model),
-        ),
+        file=file_of(Path(file).name, content),
     )
-    write_file(path, (json.dumps(card.model_dump(), indent=1, allow_nan=False) + "\n").encode())
+    card.save(path)
     return card
 
 
 class OnnxDetector(DetectorPolicy):
-    """Decides what a network in an ONNX file says; the card of the same name lies beside it.
+    """Decides as a network in an ONNX file does; the card of the same name is in the same folder.
 
     Parameters
     ----------
@@ -157,73 +155,25 @@ class OnnxDetector(DetectorPolicy):
     def __init__(self, file: str | os.PathLike[str]) -> None:
         self.file = os.fspath(file)
         path = card_path(file)
-        try:
-            self._content = Path(file).read_bytes()
-            text = path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise ValueError(f"{self.file}: there is no {error.filename}") from error
-        try:
-            self.card = DetectorCard.model_validate_json(text)
-        except ValidationError as error:
-            kind = kind_of(text)
-            if kind in SPOOFERS:
-                raise ValueError(
-                    f"{path} is the card of a spoofer ({kind}), which is no detector policy: it "
-                    "belongs into the pool of a DetectorView"
-                ) from error
-            raise ValueError(f"{path} is no card of a detector policy: {told(error)}") from error
-        digest = hashlib.sha256(self._content).hexdigest()
-        if digest != self.card.file.sha256:
-            raise ValueError(f"{self.file} is not the file of its card: its digest is {digest}")
-        model = read_model(self._content, self.file)
-        sizes = len(self.card.observation.names), len(self.card.action.names)
-        check_signature(model, *sizes, self.file)
-        self._session: Any = None
-        self._process = 0
+        if not Path(file).is_file():
+            raise ValueError(f"there is no ONNX file {self.file}")
+        self.card = card = DetectorCard.load(path)
+        self.model = OnnxModel(Path(file), card.file, card.observation, card.action)
 
     def bind(self, context: PolicyContext) -> None:
         """Prepare for a batch of receivers."""
         super().bind(context)
-        here = Space(
-            names=context.observation_names,
-            low=context.observation_low,
-            high=context.observation_high,
-        )
-        for word, card, names in (
-            ("observation", self.card.observation, context.observation_names),
-            ("action", self.card.action, context.action_names),
-        ):
-            if card.names != names:
-                odd = [
-                    name
-                    for name in (*card.names, *names)
-                    if (name in card.names) != (name in names)
-                ]
-                raise ValueError(
-                    f"the detector {self.card.name!r} ({self.file}) does not fit this duel: its "
-                    f"{word} has {len(card.names)} elements, and {len(names)} here; "
-                    f"{', '.join(odd[:4]) or 'in another order'}"
-                )
-        if self.card.observation != here:
+        found = unlike_spaces(self.card.observation, self.card.action, context)
+        if found:
             raise ValueError(
-                f"the detector {self.card.name!r} ({self.file}) does not fit this duel: the bounds "
-                "of its observation differ"
+                f"the detector {self.card.name!r} ({self.file}) does not fit this duel: "
+                f"{'; '.join(found)}"
             )
 
     def decide(self, observation: NDArray[np.float32]) -> FloatArray:
         """Decide on one epoch.  `observation` (B, o); returns (B, a) in [-1, 1]."""
-        if self._session is None or self._process != os.getpid():
-            self._session = make_session(self._content)
-            self._input = self._session.get_inputs()[0].name
-            self._process = os.getpid()
-        given = np.ascontiguousarray(observation, dtype=np.float32)
-        action = self._session.run(None, {self._input: given})[0]
-        return checked_decision(action, self.context, self.file)
+        return self.model.act(observation)
 
     def digest(self) -> str:
         """Digest of the file."""
         return self.card.file.sha256[:16]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """All but the session, which neither pickles nor copies."""
-        return {**self.__dict__, "_session": None}

@@ -20,7 +20,7 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
     """Both act at once: the detector's decision on the last epoch is applied to the next one.
 
     A step is an epoch.  Where the spoofer decides every n-th epoch only, its actions in between are
-    not looked at: ``infos["spoofer_0"]["decides"]`` tells whether its next one is.
+    not looked at: ``infos["spoofer_0"]["decides"]`` says whether its next one is.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
         with whole_reset(self):
             self.rules.begin(seed, options)
         self.agents = list(AGENTS)
-        return self.rules.observe(), self.rules.begin_infos()
+        return self.rules.observe(), self.rules.reset_infos()
 
     def step(
         self, actions: Mapping[str, Any]

@@ -129,7 +129,7 @@ class RunningThreshold:
 
     where a is 1 if it had an alarm.  The mean of a over n clean episodes is then below
     :math:`\alpha + (1 + g - h_0) / (g n)`, whatever the detector does, and however it changes.
-    Every receiver has a threshold of its own, which begins anew with its seed.
+    Every receiver has a threshold of its own, which starts again with its seed.
 
     `false_alarm`: alpha, rate of clean episodes with an alarm, in (0, 1); `values` (B,) of every
     receiver.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._describe import describe, digest_of, outside_sources
-from .._memory import Memory
-
-FloatArray = NDArray[np.float64]
+from ..policies.contract import FloatArray, Policy, checked_action
 
 
 class PolicyContext(NamedTuple):
-    """What a policy is told once, before the first decision.
+    """What a policy is given once, before the first decision.
 
     - `observation_names` (o,) name of every element of an observation;
     - `observation_low`, `observation_high` (o,) bounds;
@@ -32,7 +30,7 @@ class PolicyContext(NamedTuple):
     action_names: tuple[str, ...]
 
 
-class DetectorPolicy(ABC):
+class DetectorPolicy(Policy[PolicyContext]):
     """Decides for the detector agents of B receivers.
 
     A subclass declares its arrays in `bind` (``self.memory.declare(name, initial)``, with a leading
@@ -43,29 +41,6 @@ class DetectorPolicy(ABC):
     memory : Memory
         What it remembers of every receiver.
     """
-
-    memory: Memory
-
-    def bind(self, context: PolicyContext) -> None:
-        """Prepare for a batch of receivers; call ``super().bind(context)`` first.
-
-        Parameters
-        ----------
-        context : PolicyContext
-            Sizes, names and bounds.
-        """
-        self.context = context
-        self.memory = Memory(context.receivers)
-
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Begin a new episode in some receivers.
-
-        Parameters
-        ----------
-        mask : ndarray, optional
-            (B,) bool, which ones; all by default.
-        """
-        self.memory.reset(mask)
 
     @abstractmethod
     def decide(self, observation: NDArray[np.float32]) -> FloatArray:
@@ -83,7 +58,7 @@ class DetectorPolicy(ABC):
         """
 
     def digest(self) -> str | None:
-        """What tells this frozen policy from any other.
+        """What distinguishes this frozen policy from any other.
 
         Returns
         -------
@@ -110,7 +85,7 @@ class FunctionPolicy(DetectorPolicy):
     function : callable
         (B, o) to (B, a), in [-1, 1].
     name : str, optional
-        What tells it from other functions, for the store of calibrations.
+        What distinguishes it from other functions, for the store of calibrations.
     """
 
     def __init__(self, function: Callable[[Any], Any], name: str | None = None) -> None:
@@ -118,24 +93,14 @@ class FunctionPolicy(DetectorPolicy):
 
     def decide(self, observation: NDArray[np.float32]) -> FloatArray:
         """Call the function, and check what it returns.  `observation` (B, o); returns (B, a)."""
-        return checked_decision(self.function(observation), self.context, repr(self.function))
+        receivers, size = self.context.receivers, len(self.context.action_names)
+        return checked_action(self.function(observation), receivers, size, repr(self.function))
 
     def digest(self) -> str | None:
         """Digest of the name, if it has one."""
         if self.name is None:
             return None
         return hashlib.sha256(self.name.encode()).hexdigest()[:16]
-
-
-def checked_decision(action: Any, context: PolicyContext, who: str) -> FloatArray:
-    """Decision of a policy, as the game takes it: (B, a) float64, cut to [-1, 1]."""
-    array = np.array(action, dtype=np.float64, order="C")
-    shape = (context.receivers, len(context.action_names))
-    if array.shape != shape:
-        raise ValueError(f"{who} must return actions of shape {shape}, got {array.shape}")
-    if np.isnan(array).any():
-        raise ValueError(f"{who} returned NaN for receiver {np.argwhere(np.isnan(array))[0][0]}")
-    return np.clip(array, -1.0, 1.0)
 
 
 def as_policy(policy: Any) -> DetectorPolicy:

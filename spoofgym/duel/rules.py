@@ -101,11 +101,11 @@ class Rules:
         check_keywords(form, settings, [*valid, "render_mode"])
         self.duel = make_duel(1, decision_delay=decision_delay, threads=1, **settings)
         core, agent = self.duel.core, self.duel.agent
-        self.observation_names = {SPOOFER: core.observation_names, DETECTOR: agent.sight.names}
+        self.observation_names = {SPOOFER: core.observation_names, DETECTOR: agent.observer.names}
         self.action_names = {SPOOFER: core.action_names, DETECTOR: agent.action_names}
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
             SPOOFER: observation_space(core),
-            DETECTOR: spaces.Box(agent.sight.low, agent.sight.high, dtype=np.float32),
+            DETECTOR: spaces.Box(agent.observer.low, agent.observer.high, dtype=np.float32),
         }
         self.action_spaces: dict[str, spaces.Space[Any]] = {
             SPOOFER: action_space(core),
@@ -137,11 +137,11 @@ class Rules:
             DETECTOR: self.duel.observe_detector()[0],
         }
 
-    def begin_infos(self) -> dict[str, dict[str, Any]]:
-        """Information at the begin of an episode; the detector is not told of nature's choice."""
-        told = {"time_s": self.duel.time_s()[0].item(), "decision_delay": self.duel.decision_delay}
-        own = {**told, "attacked": bool(self.duel.attacked[0]), **self._due()}
-        return {SPOOFER: own, DETECTOR: dict(told)}
+    def reset_infos(self) -> dict[str, dict[str, Any]]:
+        """Information of a reset; nature's choice is hidden from the detector."""
+        both = {"time_s": self.duel.time_s()[0].item(), "decision_delay": self.duel.decision_delay}
+        own = {**both, "attacked": bool(self.duel.attacked[0]), **self._due()}
+        return {SPOOFER: own, DETECTOR: dict(both)}
 
     def _due(self) -> dict[str, bool]:
         """Whether the spoofer's next action is a decision, where it acts without one, too."""

@@ -57,6 +57,25 @@ RULES = 9
 
 
 @njit
+def last_counted(first_alarm, hold, steps):
+    """Last of so many epochs whose displacement counts, by that of the first alarm, 0 for none."""
+    return min(max(first_alarm - hold - 1, 0), steps) if first_alarm > 0 else steps
+
+
+@njit
+def undetected_displacement(largest, first_alarm, hold):
+    """Undetected displacement: (R,) [m].
+
+    `largest` (K + 1, R) displacement so far, from the onset on, which may be NaN after an alarm
+    [m]; `first_alarm` (R,) epoch of it, from 1 on, 0 where there is none up to epoch K + `hold`.
+    """
+    out = np.empty(len(first_alarm))
+    for r in range(len(out)):
+        out[r] = largest[last_counted(first_alarm[r], hold, len(largest) - 1), r]
+    return out
+
+
+@njit
 def score(alarms, early, rules, step_count, detected, ended, undetected, largest, values, marks):
     """Score one epoch of every receiver; True where any has to run the time to alert.
 
@@ -86,9 +105,10 @@ def score(alarms, early, rules, step_count, detected, ended, undetected, largest
         alarm = alarm and running
         first = alarm and not detected[b]
         finished = running and (count == window or early[b])
-        kept = min(max(count - hold - 1, 0), steps)
         values[GAIN, b] = now - before if running and not alarm and not detected[b] else 0.0
-        values[RETRACTION, b] = largest[kept, b] - before if first else 0.0
+        values[RETRACTION, b] = (
+            largest[last_counted(count, hold, steps), b] - before if first else 0.0
+        )
         detected[b] = detected[b] or first
         undetected[b] += values[GAIN, b]
         undetected[b] += values[RETRACTION, b]

@@ -297,14 +297,14 @@ class SpoofCore:
         early = self.score.nobody
         if self._has_ends or self.listeners:
             early = self._judge_ends(result, verdict)
-        width = len(self.observer.names)
-        seen = np.empty(self.receivers * width, dtype=np.float32) if observed else NOTHING_SEEN
+        receivers, width = engine.receivers, len(self.observer.names)
+        seen = np.empty(receivers * width, dtype=np.float32) if observed else NOTHING_SEEN
         self._fused(simulator, verdict.alarm, early, engine.warmup_alarm, result, seen, engine.hold)
         if not self._compiled:
             self._reward(result, action)
         if not observed:
             return NOTHING_SEEN
-        observation = seen.reshape(self.receivers, width)
+        observation = seen.reshape(receivers, width)
         if self.observer.dynamic:
             self.observer.complete(self.snapshot(), observation)
         return observation

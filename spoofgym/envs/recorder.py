@@ -100,6 +100,8 @@ def as_parquet(columns: dict[str, list[Array]], head: dict[str, Any]) -> bytes:
     arrays = {}
     for name, values in columns.items():
         stacked = np.stack(values)
+        if not stacked.size:  # a receiver that takes positions has no satellites in view
+            continue
         flat = pa.array(stacked.reshape(-1))
         if stacked.ndim > 1:
             flat = pa.FixedSizeListArray.from_arrays(flat, stacked.shape[1])

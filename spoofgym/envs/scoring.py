@@ -72,9 +72,11 @@ class DisplacementScore:
         late = hold(rows)
         alarmed = late.any(axis=0)
         last = np.minimum(self.step_count[rows], self.steps)
-        # index of the last epoch that counts, with the first alarm at last + 1 + argmax
-        kept = np.maximum(last + late.argmax(axis=0) - self.hold, 0)
-        back = np.where(alarmed, self.largest[kept, rows] - self.largest[last, rows], 0.0)
+        first = last + 1 + late.argmax(axis=0)
+        counted = _kernels.undetected_displacement(
+            np.take(self.largest, rows, axis=1), first, self.hold
+        )
+        back = np.where(alarmed, counted - self.largest[last, rows], 0.0)
         values[_kernels.RETRACTION, rows] = back
         marks[_kernels.FIRST, rows] = alarmed
         marks[_kernels.ALARM, rows] |= alarmed

@@ -141,7 +141,7 @@ def spoofer_context(
     )
 
 
-def setup_of_card(card: Card) -> Setup:
+def setup_of_card(card: Card) -> TightlyCoupledSetup:
     """World, victim, attack, detector and timeline that a spoofer was made for."""
     if card.env_id != ENV_ID:
         raise ValueError(f"card of {card.name!r}: `env_id` must be {ENV_ID}, got {card.env_id!r}")

@@ -98,7 +98,7 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
 
     Records of other constellations are left out, and their number is logged.  Malformed records
     (cut short, a field that is no number or is out of range) are left out with one warning.  The
-    calendar date of a record tells its week, so that the week number field isn't needed.
+    calendar date of a record gives its week, so that the week number field isn't needed.
     A `spoofgym.io.files.FileError` says why the file can't be read.
     """
     path = Path(path)
@@ -121,8 +121,8 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
         satellites.append(satellite)
         records.append(record)
     if others:
-        told = ", ".join(f"{system} {count}" for system, count in sorted(others.items()))
-        _LOGGER.info("%s: records of other constellations ignored: %s", path, told)
+        ignored = ", ".join(f"{system} {count}" for system, count in sorted(others.items()))
+        _LOGGER.info("%s: records of other constellations ignored: %s", path, ignored)
     if not records:
         raise FileError(
             f"{path} holds no usable GPS satellite: {malformed} malformed GPS records"

@@ -1,7 +1,7 @@
 """Cleaning of recorded tracks, with a report of what was dropped and why.
 
 Nothing is smoothed over here: a fix is kept as it is or dropped, and a course or speed is used
-or not.  The rules stand in `spoofgym.io.track_rules`.
+or not.  The rules are in `spoofgym.io.track_rules`.
 """
 
 from __future__ import annotations

@@ -240,7 +240,7 @@ def _as_numbers(frame: pandas.DataFrame, name: str) -> NDArray[np.float64]:
 def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.float64]:
     """Times since 1970-01-01 UTC [s]; NaN without a column.
 
-    Numbers are told apart by their size: nanoseconds, microseconds, milliseconds or seconds.
+    Numbers are distinguished by their size: nanoseconds, microseconds, milliseconds or seconds.
     """
     import pandas
 

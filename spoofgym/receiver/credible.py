@@ -1,6 +1,6 @@
 r"""The credible Kalman filter: dead reckoning, corrected by the positions that are believed.
 
-The state is the position, driven by the increments of dead reckoning u; a position g by GNSS is its
+The state is the position, driven by the increments of dead reckoning u; a GNSS position g is its
 measurement,
 
 .. math:: x_k^- = x_{k-1} + u_k, \quad
@@ -10,8 +10,8 @@ measurement,
 with a detector's weight w on the gain: 1 is the paper's credible update, 0 its auxiliary update.
 t is the time since the last fix that was believed: a heading that is off lets dead reckoning drift
 at a constant rate, of deviation d, so that the variance grows with the square of t, and a fix that
-is believed again after an outage sets the position anew.  q is chosen such that the gain settles at
-a stated value.  With no detector in the loop this is the paper's plain EKF.
+is believed again after an outage resets the position.  q is chosen such that the gain settles at a
+stated value.  With no detector in the loop this is the paper's plain EKF.
 
 Interruption check: a fix that is missing or not finite gives a zero row of `design`, innovation 0
 and the identity in `innovation_cov`; no update takes place, and `interrupted` counts on.
@@ -24,7 +24,7 @@ Deviations from `song2021`, section 2.4:
    design, and a heading among the measurements that is not in the state.
 2. Dead reckoning is the control input.  As a measurement of equal weight that runs free from the
    begin it would contradict the paper's own EKF, which follows the attack to 98 %.
-3. No vertical channel: the court is level, and the paper tells no vertical error.
+3. No vertical channel: the court is level, and the paper gives no vertical error.
 
 Source: `song2021`; the filter is from `groves2013`, chapter 3.
 """

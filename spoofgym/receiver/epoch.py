@@ -46,7 +46,7 @@ class Epoch(NamedTuple):
     predicted_position, predicted_velocity : ndarray
         (B, 3) before the update, ECEF [m], [m/s].
     gnss_position : ndarray or None
-        (B, 3) position by GNSS alone, where a detector's `needs` names it.
+        (B, 3) GNSS position alone, where a detector's `needs` names it.
     auxiliary_position : ndarray or None
         (B, 3) position by odometry, where a detector's `needs` names it.
     cn0_dbhz : ndarray or None

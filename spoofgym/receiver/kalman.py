@@ -1,4 +1,4 @@
-"""The measurement update, on the eight sums that hold all a set of satellites can tell.
+"""The measurement update, on the eight sums that hold all the information of a set of satellites.
 
 A pseudorange sees position and clock bias through the row g = (u, 1), a range rate sees velocity
 and clock drift through the same row.  With E the choice of these eight states and D the block
@@ -319,7 +319,7 @@ def weighted_information(
     X: NDArray[np.float64],
     N: NDArray[np.float64],
 ) -> None:
-    r"""Replace V by what stands between :math:`P_c` and :math:`P_c^T` in a weighted update.
+    r"""Replace V by what is between :math:`P_c` and :math:`P_c^T` in a weighted update.
 
     `A1`, `A2` (8, 8) as `accumulate` writes them; both are overwritten; `Pc` (136,) rows `OBSERVED`
     of P; `V` (64,) as `factor` writes it; overwritten by the symmetric result; `X`, `N` (8, 8)

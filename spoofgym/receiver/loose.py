@@ -36,7 +36,7 @@ class LooselyCoupled:
     Parameters
     ----------
     horizontal_sd_m, vertical_sd_m : float
-        Assumed white noise of a position by GNSS [m]: R of the filter, or where self-tuning
+        Assumed white noise of a GNSS position [m]: R of the filter, or where self-tuning
         begins.
     gyro_noise_deg_per_rth, accel_noise_ug_per_rthz, position_noise_m_per_rth : float
         Root power spectral densities of the noise that drives attitude, velocity and position.
@@ -178,7 +178,7 @@ class LooseReceivers:
         first_estimate(self.state, position_e, velocity_e, C_eb, error)
 
     def predict(self) -> None:
-        """Run the samples through the strapdown, and compare with the position by GNSS."""
+        """Run the samples through the strapdown, and compare with the GNSS position."""
         predict(
             self.state,
             self.samples,

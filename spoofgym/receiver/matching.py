@@ -21,7 +21,7 @@ hardly anything of its position within minutes.  The first fix has the same bias
 so must not count: its position and clock offset are taken for unknown to `FIRST_FIX_SD_M`.  The
 belief is right at the end of the episode; after k < N epochs its position variance is too large by
 about N / k.  The price is in the
-innovation covariance, where R stands alone: it overstates the innovations of pseudoranges by about
+innovation covariance, where R is alone: it overstates the innovations of pseudoranges by about
 :math:`\sqrt{N}`, so that tests of them that rely on S have hardly any power.  Only states for the
 biases would do better.  Range rates have no biases, and keep their variance and their power.
 

@@ -187,7 +187,7 @@ class ReceiverBuffers:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        """Buffers without their views, which a copy makes anew of its own buffers."""
+        """Buffers without their views, which a copy makes of its own buffers."""
         views = ("state", "measured", "noise_psd")
         return {name: value for name, value in self.__dict__.items() if name not in views}
 

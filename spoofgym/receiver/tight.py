@@ -175,7 +175,7 @@ class TightlyCoupled:
 
     @property
     def noise_model(self) -> NoiseModel:
-        """Assumed GNSS noise and clock where no world says otherwise."""
+        """Assumed GNSS noise and clock where no world has others."""
         return self.noise if self.noise is not None else NoiseModel()
 
     def sensors(self, noise: NoiseModel | None = None) -> FilterGrade:

@@ -1,4 +1,4 @@
-"""Several worlds one after the other, so that a single index tells the world and the time."""
+"""Several worlds one after the other, so that a single index gives the world and the time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .world import World
 def chain_worlds(worlds: Sequence[World]) -> World:
     """World in which the epochs of some worlds follow one another.
 
-    World w of K epochs each has the epochs ``w K`` to ``(w + 1) K - 1``.  Times begin anew with
+    World w of K epochs each has the epochs ``w K`` to ``(w + 1) K - 1``.  Times start again with
     each; nothing may cross from one to the next.
     """
     first = worlds[0]

@@ -39,7 +39,7 @@ class Flight:
     Notes
     -----
     The arrays are C-contiguous float64 copies and must not be written to.  They aren't locked,
-    because a compiled kernel is compiled anew for read-only arrays.
+    because a compiled kernel is compiled again for read-only arrays.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The world of a loosely coupled receiver: a flight, inertial sensors, positions by GNSS.
+"""The world of a loosely coupled receiver: a flight, inertial sensors, GNSS positions.
 
 Its measurement is a position, so that there are no satellites; all else is as in `world`.
 """
@@ -34,7 +34,7 @@ SOURCES = 3
 class InertialErrors:
     """White noise and turn-on biases of the inertial sensors, and the errors of the alignment.
 
-    All are standard deviations of what is drawn anew for every episode, except for the noise.
+    All are standard deviations of what is drawn for every episode, except for the noise.
 
     - `gyro_bias_deg_per_h`, `accel_bias_ug`: turn-on biases of every axis;
     - `tilt_arcsec`, `heading_arcsec`: initial attitude about the two horizontal axes, and about the
@@ -44,7 +44,7 @@ class InertialErrors:
 
     Notes
     -----
-    The defaults are what the filter of `shadmehri2025` is told of its sensors (section 4.2), before
+    The defaults are what the filter of `shadmehri2025` assumes of its sensors (section 4.2), before
     the factor of 3 of its initial covariance.
     """
 
@@ -156,7 +156,7 @@ def first_errors(
     initial: FloatArray,
     error: FloatArray,
 ) -> None:
-    """Draw what an episode begins with.
+    """Draw what an episode starts with.
 
     `keys` (B, 3, 2) key of every source; `initial_sd`, `position_sd` (15,) and (3,), of the state
     and of the GNSS position; `deviates` (64,) scratch memory; `initial` (B, 15), written: errors

@@ -353,8 +353,8 @@ def car() -> Flight:
 def ke2022() -> Flight:
     """Flight of ke2022: 746 s at 200 m/s, two turns of 45 deg and two climbs of 500 m.
 
-    The paper tells the duration, the speed, the two turns and that there are climbs; when they
-    come is not told.  Here one climb lies before the attack at 350 to 550 s and one after it.
+    The paper gives the duration, the speed, the two turns and that there are climbs, but not when
+    they come.  Here one climb lies before the attack at 350 to 550 s and one after it.
     """
     return fly(
         [
@@ -380,7 +380,7 @@ def ke2022() -> Flight:
 def shadmehri2025() -> Flight:
     """Flight of shadmehri2025: an airliner for a minute, 200 m/s eastwards and 50 m/s northwards.
 
-    The paper takes a recorded flight that it does not name, and tells these two velocities and
+    The paper takes a recorded flight that it does not name, and gives these two velocities and
     the rate of the inertial sensors, 160 Hz.  Here the manoeuvres are mild: 6 deg to the right, a
     climb of 30 m, and 6 deg back, which ends after the paper's onset at 20 s.
     """

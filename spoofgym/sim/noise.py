@@ -2,7 +2,7 @@
 
 Threefry-2x64-20 (`salmon2011` in references.bib) turns a key and a counter into random bits, the
 transform of Box and Muller (`boxmuller1958`) turns these into normal deviates.  The key belongs to
-one source of one receiver in one episode, the counter tells epoch and number, so that noise
+one source of one receiver in one episode, the counter gives epoch and number, so that noise
 depends neither on the size of a batch or of a block nor on what has been drawn before.  Logarithm,
 sine and cosine are the project's own polynomials, which compilers vectorize, with relative errors
 below 1e-12.

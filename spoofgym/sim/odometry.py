@@ -1,4 +1,4 @@
-r"""What a wheeled robot measures: encoders, a heading, and positions by GNSS.
+r"""What a wheeled robot measures: encoders, a heading, and GNSS positions.
 
 Dead reckoning adds up, from sample to sample, the mean way of the two wheels in the direction of
 the heading in the middle of the sample,
@@ -11,7 +11,7 @@ inertial system whose magnetometer is deflected by iron on the robot,
 
 .. math:: \psi^I = \psi - A \sin\psi + \text{noise}
 
-and drives dead reckoning off by the same vector every lap.  A position by GNSS is the true one, a
+and drives dead reckoning off by the same vector every lap.  A GNSS position is the true one, a
 Gauss-Markov error, white noise, and what a spoofer adds.
 
 Deviations from `song2021`, sections 2.3 and 4.1:
@@ -82,7 +82,7 @@ class Odometer:
 
 @dataclass(frozen=True, kw_only=True)
 class FixErrors:
-    """Errors of a position by GNSS, alike in north and east.
+    """GNSS position errors, alike in north and east.
 
     `correlation_time_s`: its time constant, above 0; `white_sd_m`: white noise at every fix.
     """
@@ -181,7 +181,7 @@ def measure_fix(
     correlated: FloatArray,
     fix: FloatArray,
 ) -> None:
-    r"""Positions by GNSS.
+    r"""GNSS positions.
 
     .. math:: g_k = p_k + c_k + w_k + d_k, \qquad
         c_k = \beta c_{k-1} + \sqrt{1 - \beta^2} \, \sigma_c \, \epsilon_k

@@ -1,4 +1,4 @@
-"""Errors of a position by GNSS: a first-order Gauss-Markov process for each axis.
+"""GNSS position errors: a first-order Gauss-Markov process for each axis.
 
 A receiver that hands out positions smooths them, and the atmosphere and the satellites' orbits
 change over minutes, so that one error is much like the next.  How much decides what a monitor of
@@ -19,7 +19,7 @@ from .._jit import inlined
 
 @dataclass(frozen=True, kw_only=True)
 class PositionErrors:
-    r"""Gauss-Markov errors of a position by GNSS.
+    r"""Gauss-Markov GNSS position errors.
 
     .. math:: e_k = \beta e_{k-1} + \sigma \sqrt{1 - \beta^2} \, n_k, \qquad
         e_0 = \sigma n_0, \qquad n_k \sim N(0, 1)

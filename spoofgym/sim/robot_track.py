@@ -96,7 +96,7 @@ class RobotLoop:
     def track(self, samples: int, interval_s: float) -> RobotTrack:
         r"""Truth along the course.
 
-        With heading :math:`\psi` at the begin of a side or corner and distance s within it,
+        With heading :math:`\psi` at the start of a side or corner and distance s within it,
 
         .. math:: \Delta p = s (\cos\psi, \sin\psi), \qquad
             \Delta p = r (\sin\psi' - \sin\psi, \cos\psi - \cos\psi'), \quad \psi' = \psi + s / r
@@ -109,9 +109,9 @@ class RobotLoop:
         piece = np.minimum(np.searchsorted(ends, within, side="right"), 7)
         s = within - (ends - lengths)[piece]
         heading = math.radians(self.heading_deg) + np.concatenate([[0.0], np.cumsum(turns)[:-1]])
-        begins = np.zeros((8, 2))
+        starts = np.zeros((8, 2))
         for i in range(7):
-            begins[i + 1] = begins[i] + self._moved(heading[i], lengths[i], i % 2 == 1)
+            starts[i + 1] = starts[i] + self._moved(heading[i], lengths[i], i % 2 == 1)
         first = heading[piece]
         straight = self._moved(first, s, False)
         curved = self._moved(first, s, True)
@@ -120,7 +120,7 @@ class RobotLoop:
         direction = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
         return RobotTrack(
             time=time,
-            position_ne=begins[piece] + np.where(corner, curved, straight),
+            position_ne=starts[piece] + np.where(corner, curved, straight),
             velocity_ne=self.speed_mps * direction,
             yaw=yaw + 2.0 * math.pi * lap,
             distance=distance,

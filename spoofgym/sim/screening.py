@@ -64,8 +64,8 @@ def screen(ephemerides: Ephemerides) -> tuple[Ephemerides, ScreeningReport]:
     further than its validity; they are compared at the time half way between them.
 
     1. A record more than 100 m away from both neighbours is rejected, the worst one first.  Its
-       neighbours become each other's, and all are compared anew.
-    2. A record with one neighbour, at the end of a day or beside a gap, is rejected when it is
+       neighbours become each other's, and all are compared again.
+    2. A record with one neighbour, at the end of a day or next to a gap, is rejected when it is
        more than 100 m away from it while the neighbour agrees with its own next one.
     3. Everything else stays: a record without neighbours (`unchecked`), and a pair that disagrees
        with no third record to decide (`unresolved`).  Records that are wrong in the same way

@@ -138,7 +138,7 @@ class SensorBuffers:
         self.epoch = np.zeros(receivers, dtype=np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Buffers without their views, which a copy makes anew of its own buffer."""
+        """Buffers without their views, which a copy makes of its own buffer."""
         return {name: value for name, value in self.__dict__.items() if name != "state"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -3,7 +3,7 @@
 Fixes of recorded tracks are sparse and late by up to a second, so they weigh little, and the
 velocity reported with them much.  Body axes follow from the path: yaw along the velocity, pitch
 is the flight-path angle, and the bank leaves no lateral specific force.  The flight is one that
-an aircraft could have flown, near to the fixes; how near, the report says.
+an aircraft could have flown, near to the fixes; how near, is in the report.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LOAD_LIMITS = (0.3, 2.5)
 RATE_LIMIT = math.radians(20.0)
 """Largest body rate of a flight [rad/s]."""
 SLOWEST = 15.0
-"""Smallest horizontal speed [m/s]; below, the velocity doesn't tell the heading."""
+"""Smallest horizontal speed [m/s]; below, the velocity doesn't give the heading."""
 
 Floats = NDArray[np.float64]
 

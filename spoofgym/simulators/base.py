@@ -44,27 +44,16 @@ class Simulator(ABC):
 
     All that an episode changes is in memories, so that receivers can be reset and moved by rows.
 
-    Attributes
-    ----------
-    setup : Setup
-        What all simulators of this victim share.
-    receivers : int
-        B.
-    memory : Memory
-        ``first`` and ``onset`` (B,) epochs at which the episode starts, and after which the attack
-        does; ``heading`` (B,) and ``direction`` (B, 2) of the target; ``key`` (B, 2) of the
-        episode's domain; and the victim's.
-    detector : Detector
-        In the loop, bound.
-    monitors : list of Monitor
-        What looks at every epoch that is judged.
-    verdict : Verdict or None
-        Of the last epoch that was judged in these episodes.
-    weights : ndarray
-        (B, m) of the last update.
-    clean : ndarray or None
-        (B,) bool, receivers whose measurements the attack leaves alone, whatever it is commanded;
-        None for none.
+    - `setup`: what all simulators of this victim share;
+    - `receivers`: B;
+    - `memory`: ``first`` and ``onset`` (B,) epochs at which the episode starts, and after which the
+      attack does; ``heading`` (B,) and ``direction`` (B, 2) of the target; ``key`` (B, 2) of the
+      episode's domain; and the victim's;
+    - `detector`: in the loop, bound; `monitors`: what looks at every epoch that is judged;
+    - `verdict`: of the last epoch that was judged in these episodes, or None;
+    - `weights` (B, m) of the last update;
+    - `clean` (B,) bool, receivers whose measurements the attack leaves alone, whatever it is
+      commanded; None for none.
     """
 
     verdict: Verdict | None
@@ -124,6 +113,11 @@ class Simulator(ABC):
     @abstractmethod
     def epochs(self) -> NDArray[np.int64]:
         """(B,) index of each receiver's epoch in `Setup.epoch_time`."""
+
+    @property
+    @abstractmethod
+    def position(self) -> FloatArray:
+        """(B, d) estimated, in the axes of `Setup.true_position` [m]."""
 
     @abstractmethod
     def error_n(self) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from typing import TypeVar
 
@@ -22,6 +23,7 @@ from .threads import Workers
 FloatArray = NDArray[np.float64]
 T = TypeVar("T")
 RECEIVERS_PER_THREAD = 16
+NOBODY_WAITS = nullcontext()
 KEPT = 8
 """Largest size of the simulators that are kept for the time to alert of a few receivers."""
 
@@ -175,18 +177,13 @@ class Engine:
 
     def step(self, command: FloatArray | None) -> Verdict:
         """Both halves with the engine's own detector; the twins follow."""
-        if self._next is not None:
-            with self._next.kept_waiting():
-                return self._step(command)
-        return self._step(command)
-
-    def _step(self, command: FloatArray | None) -> Verdict:
         simulator = self.simulator
-        simulator.predict(command)
-        verdict = simulator.judge()
-        simulator.update(verdict.weights)
-        if self.twin is not None:
-            self.step_twin()
+        with NOBODY_WAITS if self._next is None else self._next.kept_waiting():
+            simulator.predict(command)
+            verdict = simulator.judge()
+            simulator.update(verdict.weights)
+            if self.twin is not None:
+                self.step_twin()
         return verdict
 
     def step_twin(self) -> Verdict:

@@ -103,6 +103,7 @@ class LooselyCoupledSetup(Setup):
         self.epochs_each = self.world.epochs
         self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, flight))
         self.epoch_time = np.arange(self.epochs_each, dtype=np.float64) * INTERVAL_S
+        self.true_position = self.world.position_e
         # to ECEF from local north, east, down axes
         self.C_en = np.ascontiguousarray(self.world.C_el[:, :, [1, 0, 2]] * [1.0, 1.0, -1.0])
 
@@ -163,6 +164,12 @@ class LooselyCoupledSimulator(RateSimulator):
 
     def _correct(self, weights: FloatArray | None) -> None:
         self.victims.update(weights)
+
+    @property
+    def position(self) -> FloatArray:
+        """(B, 3) estimated, ECEF [m]."""
+        position_e: FloatArray = self.memory["position_e"]
+        return position_e
 
     def error_n(self) -> FloatArray:
         """(B, 2) error of the estimate in the local axes of the epoch: north, east [m]."""

@@ -123,6 +123,9 @@ class Setup(ABC):
         Time between epochs.
     epoch_time : ndarray
         (K,) time of every epoch that an episode can come to [s].
+    true_position, C_en : ndarray
+        (K, d) where the target is at every epoch [m], and (K, d, d) to those axes from local north,
+        east (and down).
     quiet, live, steps, hold : int
         Epochs of the filter-only warm-up, the monitored warm-up, the command phase, and the
         alert-window hold; `onset` is the sum of the first two, `repeat` epochs make a decision.
@@ -164,6 +167,8 @@ class Setup(ABC):
     domain: Domain
     interval_s: float
     epoch_time: FloatArray
+    true_position: FloatArray
+    C_en: FloatArray
     bounds: Bounds
     epochs_each: int
     target_heading_deg: float | str

@@ -13,16 +13,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import build_record, check_finite
+from .._registry import build_record, check_finite, is_number
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch, frozen
-from ..receiver.snapshot import (
-    EXPECTED_CLOCK_SD_M,
-    EXPECTED_POSITION_SD_M,
-    FIXED,
-    expect,
-    fix_receivers,
-)
+from ..receiver.least_squares import FIXED, fix_receivers
+from ..receiver.snapshot_positioning import EXPECTED_CLOCK_SD_M, EXPECTED_POSITION_SD_M, expect
 from ..sim.constellation import CircularConstellation
 from ..sim.sky import chain_skies, make_sky, measure, scratch
 from .base import Written
@@ -105,8 +100,8 @@ class SnapshotSetup(Setup):
         if not isinstance(satellites, int | np.integer) or satellites < 4:
             raise ValueError(f"`satellites` must be a whole number >= 4, got {satellites!r}")
         for name, value in (("speed_mps", speed_mps), ("heading_deg", heading_deg)):
-            if not math.isfinite(value):
-                raise ValueError(f"`{name}` must be finite, got {value}")
+            if not (is_number(value) and math.isfinite(value)):
+                raise ValueError(f"`{name}` must be finite, got {value!r}")
         self.name = self.kind
         self.noise_m, self.spoofed = float(noise_m), _which(spoofed, satellites)
         self.attack = RateCommands(
@@ -128,6 +123,8 @@ class SnapshotSetup(Setup):
             for turn, time in self.domain.pairs()
         ]
         self.sky, self.epoch_time = chain_skies(skies), np.tile(skies[0].time, len(skies))
+        self.true_position = self.sky.position_e
+        self.C_en = np.broadcast_to(self.sky.C_en, (len(self.epoch_time), 3, 3))
         self.bounds = self._bounds(len(skies), 1, 1, 0, 0)
         self.weight_names = tuple(f"slot{j:02d}" for j in range(satellites))
         self.geometry_names = (
@@ -162,11 +159,13 @@ def _which(spoofed: int | Sequence[int], satellites: int) -> int | list[int]:
 
 def _rates(rate_limit_mps: float | Sequence[float]) -> tuple[float, ...]:
     """Limit of every axis."""
-    limits = np.asarray(rate_limit_mps, dtype=np.float64)
+    given = np.atleast_1d(np.asarray(rate_limit_mps, dtype=object))
+    numbers = all(map(is_number, given.flat))
+    limits = np.asarray(rate_limit_mps if numbers else np.nan, dtype=np.float64)
     if limits.shape not in ((), (4,)) or not (np.isfinite(limits) & (limits > 0.0)).all():
         raise ValueError(
             "`rate_limit_mps` must be finite and > 0, one number or one for each of "
-            f"{', '.join(AXES)}, got {rate_limit_mps}"
+            f"{', '.join(AXES)}, got {rate_limit_mps!r}"
         )
     return tuple(np.broadcast_to(limits, 4).tolist())
 
@@ -269,6 +268,12 @@ class SnapshotSimulator(RateSimulator):
         """(B,) bool, whether the last epoch had no fix."""
         missing: NDArray[np.bool_] = self.memory["status"] != FIXED
         return missing
+
+    @property
+    def position(self) -> FloatArray:
+        """(B, 3) last fix, ECEF [m]."""
+        position_e: FloatArray = self.memory["position_e"]
+        return position_e
 
     def error_n(self) -> FloatArray:
         """(B, 2) error of the fix: north, east [m]."""

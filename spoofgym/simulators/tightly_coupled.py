@@ -97,6 +97,7 @@ class TightlyCoupledSetup(Setup):
         )
         self.world = self.combinations.world
         self.epoch_time = self.world.epoch_time
+        self.true_position, self.C_en = self.world.position_e, self.world.C_en
         cases = self.combinations
         self.bounds = self._bounds(cases.worlds, cases.grades, cases.errors, first, last)
         self.epochs_each = self.world.epochs // self.bounds.worlds
@@ -229,6 +230,11 @@ class TightlyCoupledSimulator(Simulator):
     def epochs(self) -> NDArray[np.int64]:
         """(B,) the epoch of the world that each receiver is at."""
         return self.sensors.epoch
+
+    @property
+    def position(self) -> FloatArray:
+        """(B, 3) estimated antenna, ECEF [m]."""
+        return self.buffers.state.position_e
 
     @property
     def coasting(self) -> NDArray[np.bool_]:

@@ -72,8 +72,8 @@ class WheeledRobotSetup(Setup):
     ----------
     track : RobotTrack
         Truth at every sample of the encoders.
-    true_position_ne, true_velocity_ne : ndarray
-        (K, 2) truth at every epoch, north and east [m], [m/s].
+    true_velocity_ne : ndarray
+        (K, 2) truth at every epoch, north and east [m/s].
     available : ndarray
         (K,) bool, whether there is a fix, from the start of an episode on.
     """
@@ -153,7 +153,8 @@ class WheeledRobotSetup(Setup):
         samples = (self.epochs_each - 1) * self.samples
         self.track = self.loop.track(samples, self.odometer.sample_interval_s)
         self.wheels = self.track.wheels(self.odometer.wheel_base_m)
-        self.true_position_ne = np.ascontiguousarray(self.track.position_ne[:: self.samples])
+        self.true_position = np.ascontiguousarray(self.track.position_ne[:: self.samples])
+        self.C_en = np.broadcast_to(np.eye(AXES), (self.epochs_each, AXES, AXES))
         self.true_velocity_ne = np.ascontiguousarray(self.track.velocity_ne[:: self.samples])
 
     def _interrupt(self, interruptions_s: Sequence[Sequence[float]]) -> None:
@@ -210,15 +211,35 @@ class WheeledRobotSimulator(RateSimulator):
         """Measure dead reckoning and fix of the epoch."""
         memory, setup = self.memory, self.setup
         odometer, errors = setup.odometer, setup.fix_errors
-        drawn = memory["keys"], memory["epoch"], memory["first"]
-        step, used = (setup.samples, odometer.count_m), (memory["phase"], self._noise)
-        yaw = math.radians(odometer.hard_iron_deg), math.radians(odometer.yaw_noise_deg)
-        written = memory["yaw"], self.increment
-        measure_odometry(*drawn, *setup.wheels, setup.track.yaw, *step, *yaw, *used, *written)
-        truth = setup.true_position_ne, setup.available
-        sizes = errors.correlated_sd_m, errors.decay(setup.interval_s), errors.white_sd_m
-        written = memory["correlated"], memory["fix"]
-        measure_fix(*drawn, *truth, *sizes, memory["displacement"], self._noise, *written)
+        measure_odometry(
+            memory["keys"],
+            memory["epoch"],
+            memory["first"],
+            *setup.wheels,
+            setup.track.yaw,
+            setup.samples,
+            odometer.count_m,
+            math.radians(odometer.hard_iron_deg),
+            math.radians(odometer.yaw_noise_deg),
+            memory["phase"],
+            self._noise,
+            memory["yaw"],
+            self.increment,
+        )
+        measure_fix(
+            memory["keys"],
+            memory["epoch"],
+            memory["first"],
+            setup.true_position,
+            setup.available,
+            errors.correlated_sd_m,
+            errors.decay(setup.interval_s),
+            errors.white_sd_m,
+            memory["displacement"],
+            self._noise,
+            memory["correlated"],
+            memory["fix"],
+        )
 
     def _measure(self, command: FloatArray | None) -> None:
         self._move(command)
@@ -238,12 +259,15 @@ class WheeledRobotSimulator(RateSimulator):
         missing: NDArray[np.bool_] = ~self.setup.available[self.epochs - self.memory["first"]]
         return missing
 
+    @property
+    def position(self) -> FloatArray:
+        """(B, 2) estimated, north and east [m]."""
+        position: FloatArray = self.memory["position"][:, :AXES]
+        return position
+
     def error_n(self) -> FloatArray:
         """(B, 2) error of the estimate: north, east [m]."""
-        error: FloatArray = (
-            self.memory["position"][:, :AXES] - self.setup.true_position_ne[self.epochs]
-        )
-        return error
+        return self.position - self.setup.true_position[self.epochs]
 
     def observed_weights(self) -> FloatArray:
         """(B, 1) mean weight of the last fix."""
@@ -252,11 +276,11 @@ class WheeledRobotSimulator(RateSimulator):
 
     def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         """Write true position since the onset and true velocity, scaled."""
-        setup, truth = self.setup, self.setup.true_position_ne
+        setup, truth = self.setup, self.setup.true_position
         out[:, :AXES] = per_position * (truth[self.epochs] - truth[self.onset])
         out[:, AXES:] = per_velocity * setup.true_velocity_ne[self.epochs]
 
     def _ground_ne(self, epochs: slice) -> FloatArray:
-        truth = self.setup.true_position_ne
+        truth = self.setup.true_position
         ground: FloatArray = truth[epochs] - truth[self.onset[0]]
         return ground

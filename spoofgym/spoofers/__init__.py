@@ -1,4 +1,4 @@
-"""Spoofers: who decides what the attack does, one idea a file, behind the contract of `base`."""
+"""Spoofers: they decide what the attack does, one idea per file, behind the contract of `base`."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from .._registry import build, check_choice
+from ..policies.onnx_model import SUFFIX
 from .accelerating_ramp import AcceleratingRamp
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .card import Card
 from .intermittent import Intermittent
+from .learned import OnnxPolicy
 from .none import NoSpoofer
-from .onnx_policy import SUFFIX, OnnxPolicy
 from .paper_attacks import PAPER_ATTACKS, PaperAttack
 from .profile import Profile
 from .ramp import Ramp
@@ -94,7 +95,7 @@ def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
     ----------
     spec : str, dict or Spoofer
         A name in `SPOOFERS`, of a shipped spoofer, or the path of an ``.onnx`` file with its card
-        beside it; ``{"name": ..., "setting": value, ...}``; or a spoofer, which is copied.
+        in the same folder; ``{"name": ..., "setting": value, ...}``; or a spoofer, which is copied.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Constant acceleration: slow at first, when the filter is watched closest, and fast at the end."""
+"""Constant acceleration: slow at first, when the filter is most alert, and fast at the end."""
 
 from __future__ import annotations
 

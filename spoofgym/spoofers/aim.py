@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from .base import SpooferContext
 
 FloatArray = NDArray[np.float64]
-AXES = ("north", "east", "down")
-"""Axes by which the actions of a false position are named."""
+AXES = ("north", "east", "down", "clock")
+"""Axes by which the actions of a false position are named; a heading leaves the last two alone."""
 TARGET = "target"
 """Heading that follows the target direction."""
 TARGET_NAMES = ("target_direction_north", "target_direction_east")
-"""Elements of an observation that tell the target direction."""
+"""Elements of an observation that give the target direction."""
 UNIT = 1e-3
 """How much the length of an observed direction may differ from 1."""
 
@@ -41,7 +41,7 @@ def direction(action_names: tuple[str, ...], heading_deg: float) -> FloatArray:
     if not has_heading(action_names):
         return np.ones(len(axes))
     heading = math.radians(heading_deg % 360.0)
-    wanted = {"north": math.cos(heading), "east": math.sin(heading), "down": 0.0}
+    wanted = {"north": math.cos(heading), "east": math.sin(heading), "down": 0.0, "clock": 0.0}
     for name, part in wanted.items():
         if abs(part) < 1e-12:
             wanted[name] = 0.0
@@ -68,7 +68,7 @@ class Aim:
     """Unit command along a heading, or the same command for every channel.
 
     - `context`: names of actions and observations;
-    - `heading_deg`: clockwise from north, or what every observation says;
+    - `heading_deg`: clockwise from north, or that of every observation;
     - `turned_deg`: to be added to it.
     """
 
@@ -85,7 +85,7 @@ class Aim:
             self._fixed = direction(names, fixed + turned_deg)
 
     def __call__(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Tell the unit command.
+        """Unit command.
 
         `observation` (B, o); looked at for the target direction alone; returns (a,) the same for
         all receivers, or (B, a).
@@ -109,7 +109,7 @@ class Aim:
 
 
 def _columns(context: SpooferContext) -> list[int]:
-    """Where the target direction stands in an observation."""
+    """Where the target direction is in an observation."""
     seen = context.observation_names
     if not set(TARGET_NAMES) <= set(seen):
         raise ValueError(
@@ -121,7 +121,7 @@ def _columns(context: SpooferContext) -> list[int]:
 
 
 def _places(action_names: tuple[str, ...]) -> list[int]:
-    """Where north and east stand in an action."""
+    """Where north and east are in an action."""
     axes = axes_of(action_names)
     for name in AXES[:2]:
         if name not in axes:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._memory import Memory
+from ..policies.contract import Policy
 from .aim import Aim, check_heading
 
 FloatArray = NDArray[np.float64]
@@ -17,7 +17,7 @@ KNOWLEDGE = ("blind", "tracking", "oracle")
 
 
 class SpooferContext(NamedTuple):
-    """What a spoofer is told once, before the first command.
+    """What a spoofer is given once, before the first command.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class SpooferContext(NamedTuple):
     observation_names : tuple of str
         (o,) name of every element of an observation.
     observation_low, observation_high : tuple of float
-        (o,) bounds of every element; empty where they are not told.
+        (o,) bounds of every element; empty where they are not known.
     """
 
     receivers: int
@@ -51,7 +51,7 @@ class SpooferContext(NamedTuple):
     observation_high: tuple[float, ...] = ()
 
 
-class Spoofer(ABC):
+class Spoofer(Policy[SpooferContext]):
     """A spoofer with memory of B receivers.
 
     A subclass declares its arrays in `bind` (``self.memory.declare(name, initial)``, with a leading
@@ -80,28 +80,6 @@ class Spoofer(ABC):
     transmits: ClassVar[bool] = True
     label: str | None = None
     designed_on: str = "nothing"
-    memory: Memory
-
-    def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers; call ``super().bind(context)`` first.
-
-        Parameters
-        ----------
-        context : SpooferContext
-            Sizes, limits and names.
-        """
-        self.context = context
-        self.memory = Memory(context.receivers)
-
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Begin a new episode in some receivers.
-
-        Parameters
-        ----------
-        mask : ndarray, optional
-            (B,) bool, which ones; all by default.
-        """
-        self.memory.reset(mask)
 
     @abstractmethod
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
@@ -149,7 +127,7 @@ class ScriptedSpoofer(Spoofer):
     .. math:: D^+ = D + \tfrac12 (v + v^+) \tau \quad\text{by acceleration}, \qquad
         D^+ = D + v^+ \tau \quad\text{by rate}
 
-    and a subclass says which rate it wants next; limits are kept here.
+    and a subclass chooses the rate it wants next; limits are kept here.
 
     Parameters
     ----------

@@ -2,24 +2,82 @@
 
 from __future__ import annotations
 
-import json
-import os
-from pathlib import Path
-from typing import Any, Literal, NoReturn, Self
+from typing import Any, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    Field,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    field_validator,
+    model_validator,
+)
 
 from .._describe import unlike
-from .._files import write_file
+from ..policies.card import PolicyCard, PolicyFile, Record, Space, spaces_of, unlike_spaces
 from .base import SpooferContext
-from .card_parts import Conditions, Knowledge, PolicyFile, Record, Score, Space, kind_of, told
 
 NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 """What a spoofer with a card may be called."""
 
 
-class Card(Record):
-    """The card of a spoofer, on disk a JSON file beside its policy.
+class Conditions(Record):
+    """What an attack has to be like for the actions to mean what they meant.
+
+    `acceleration_limit_mps2`, `rate_limit_mps`: of the attack; with control by rate the first one
+    does not matter.
+    """
+
+    interval_s: PositiveFloat
+    steps: PositiveInt
+    control: Literal["rate", "acceleration"]
+    acceleration_limit_mps2: PositiveFloat
+    rate_limit_mps: PositiveFloat
+
+
+class Knowledge(Record):
+    """What a spoofer knows.
+
+    `run_time`: what it observes during an attack; `design_time`: what it was optimised on before:
+    detector, receiver, scenario.
+    """
+
+    run_time: Literal["blind", "tracking", "oracle"]
+    design_time: str = Field(min_length=1)
+
+
+class Score(Record):
+    """What a spoofer reached against one detector.
+
+    - `split`: which seeds: those of training, calibration or evaluation;
+    - `low`, `high`: 95 % interval of the mean [m];
+    - `alarm_rate`, `clean_alarm_rate`: parts of the runs with an alarm, under attack and without;
+    - `budget`: how much more often than without attack an alarm may come.
+    """
+
+    detector: str
+    split: str
+    entropy: NonNegativeInt
+    runs: PositiveInt
+    undetected_displacement_m: float
+    low: float
+    high: float
+    alarm_rate: float = Field(ge=0.0, le=1.0)
+    clean_alarm_rate: float = Field(ge=0.0, le=1.0)
+    budget: float = Field(ge=0.0, lt=1.0)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not self.low <= self.undetected_displacement_m <= self.high:
+            raise ValueError(
+                "`undetected_displacement_m` must be within `low` and `high`, got "
+                f"{self.undetected_displacement_m}, {self.low} and {self.high}"
+            )
+        return self
+
+
+class Card(PolicyCard):
+    """The card of a spoofer, on disk a JSON file with its policy.
 
     Attributes
     ----------
@@ -32,7 +90,7 @@ class Card(Record):
     env_id : str
         Environment that it was made in.
     env_kwargs : dict
-        What `gymnasium.make` takes beside the id.
+        What `gymnasium.make` takes besides the id.
     observation : Space or None
         What it observes; None for a profile, which looks at nothing.
     action : Space
@@ -54,6 +112,11 @@ class Card(Record):
     file : PolicyFile or None
         The policy; None for a profile.
     """
+
+    other_kinds: ClassVar = {
+        "detector-policy": "a detector policy, which is no spoofer: it belongs into the pool of a "
+        "SpooferView"
+    }
 
     format: Literal[1] = 1
     name: str = Field(pattern=rf"^{NAME}$")
@@ -89,79 +152,22 @@ class Card(Record):
             raise ValueError("`file` of a profile must be null")
         return self
 
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a card."""
-        path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8")
-            json.loads(text, parse_constant=_refuse)
-            return cls.model_validate_json(text, strict=True)
-        except OSError as error:
-            raise ValueError(f"there is no card {path} ({error.strerror})") from error
-        except ValidationError as error:
-            if kind_of(text) == "detector-policy":
-                raise ValueError(
-                    f"card {path} is that of a detector policy, which is no spoofer: it belongs "
-                    "into the pool of a SpooferView"
-                ) from error
-            raise ValueError(f"card {path}: {told(error)}") from error
-        except ValueError as error:
-            raise ValueError(f"card {path} is not JSON: {error}") from error
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the card, whole or not at all."""
-        try:
-            text = json.dumps(self.model_dump(), indent=1, allow_nan=False)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"card of {self.name!r} can't be written: {error}") from error
-        write_file(Path(path), (text + "\n").encode())
-
     def differences(self, context: SpooferContext) -> list[str]:
         """What an attack is like here, and not on the card."""
-        here = fields_of(context)
-        seen, card = here["observation"], self.model_dump()
-        found = _order("action", self.action, context.action_names)
-        if self.observation is not None:
-            found += _order("observation", self.observation, context.observation_names)
-            if not found and seen is not None:
-                found += unlike(card["observation"], seen, "observation")
-        on_card, of_attack = card["conditions"], here["conditions"]
+        on_card, of_attack = self.conditions.model_dump(), _conditions_of(context)
         if self.conditions.control == of_attack["control"] == "rate":
             del on_card["acceleration_limit_mps2"], of_attack["acceleration_limit_mps2"]
+        found = unlike_spaces(self.observation, self.action, context)
         return found + unlike(on_card, of_attack, "conditions")
 
 
 def fields_of(context: SpooferContext) -> dict[str, Any]:
-    """Fields of a card that follow from what a spoofer is told.
+    """Fields of a card that follow from the context of a spoofer.
 
     Returns ``observation`` (None without names or bounds), ``action`` and ``conditions``.
     """
-    names, size = context.observation_names, len(context.action_names)
-    observation = None
-    if names and context.observation_low and context.observation_high:
-        low, high = context.observation_low, context.observation_high
-        observation = {"names": names, "low": low, "high": high}
-    return {
-        "observation": observation,
-        "action": {"names": context.action_names, "low": (-1.0,) * size, "high": (1.0,) * size},
-        "conditions": {name: getattr(context, name) for name in Conditions.model_fields},
-    }
+    return {**spaces_of(context), "conditions": _conditions_of(context)}
 
 
-def _order(word: str, card: Space, names: tuple[str, ...]) -> list[str]:
-    """What is missing, added or moved among names."""
-    missing = [name for name in card.names if name not in names]
-    added = [name for name in names if name not in card.names]
-    lines = [
-        f"{word}: {', '.join(some[:4])}{', ...' if len(some) > 4 else ''} {where}"
-        for some, where in ((missing, "only on the card"), (added, "only here"))
-        if some
-    ]
-    if not lines and names != card.names:
-        lines = [f"{word}: the same names in another order"]
-    return lines
-
-
-def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is no number")
+def _conditions_of(context: SpooferContext) -> dict[str, Any]:
+    return {name: getattr(context, name) for name in Conditions.model_fields}

@@ -26,7 +26,7 @@ class Intermittent(ScriptedSpoofer):
     Parameters
     ----------
     shapes : tuple of {"ramp", "step"}
-        Shape of each burst; after the last one it begins again with the first one.
+        Shape of each burst; after the last one it starts again with the first one.
     sizes_m : tuple of float
         Displacement at the end of each burst, as many as shapes; negative against the heading, or
         to shorter ranges.

@@ -32,7 +32,7 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
 
     It is bound to the default scenario and commanded, and has to show that
 
-    - its label tells whether range rates follow, and its actions have names;
+    - its label says whether range rates follow, and its actions have names;
     - before any command it changes nothing, exactly; it never touches a satellite that is not
       captured;
     - offsets are the commanded motion, within the limits of rate and acceleration, and without a
@@ -44,9 +44,9 @@ def check_attack(attack: Attack | Mapping[str, Any] | str) -> None:
 
     An attack with imperfect equipment has to show all of this with perfect equipment, and the rest
     with its own, where two rules cannot hold: it changes measurements without a command, where its
-    errors, its clock or its idea of the target's position do (`idle_is_clean` tells); and its range
-    rates are the derivatives of ranges that noise moves between the epochs, which no trapezoid
-    follows.
+    errors, its clock or its idea of the target's position do (`idle_is_clean` says so); and its
+    range rates are the derivatives of ranges that noise moves between the epochs, which no
+    trapezoid follows.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def _filled(record: Record) -> dict[str, NDArray[Any]]:
 
 
 def _begin(bound: Attack, whose: NDArray[np.intp], rows: NDArray[np.intp] | None = None) -> None:
-    """Begin an episode in all rows, or in some; whose episodes they are tells their keys."""
+    """Start an episode in all rows, or in some; their keys follow from whose episodes they are."""
     where = np.arange(len(whose)) if rows is None else rows
     keys = np.stack([whose, whose + 1], axis=1).astype(np.uint64)[where]
     bound.begin(where, keys, np.full(len(where), ONSET))

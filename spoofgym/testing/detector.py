@@ -19,7 +19,7 @@ from .position_epochs import COORDINATES, position_script
 from .trial import Record, Trial, check_memory, run_trial
 
 SCOPES = ("channel", "receiver")
-WATCHED = ("satellites", "position", "any")
+MEASURED = ("satellites", "position", "any")
 
 
 def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
@@ -27,10 +27,10 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
 
     It is bound, fed with epochs of a run of the default scenario and with made-up ones (satellites
     that come and go, or none at all; unequal intervals; no innovation, and a huge one); where it
-    `watches` positions, with made-up ones of two and of three coordinates instead, and where it
-    watches any, with all of them.  It has to show that
+    `measures` positions, with made-up ones of two and of three coordinates instead, and where it
+    measures any, with all of them.  It has to show that
 
-    - it cites a paper, states its scope and what it watches, and needs only what an epoch can have;
+    - it cites a paper, states its scope and what it measures, and needs what an epoch can have;
     - verdicts have the right shapes and types, and are finite; weights lie within 0 and 1; an
       invisible channel has statistic 0, no alarm and weight 1;
     - it neither writes to an epoch nor keeps it, nor hands out arrays that it goes on using;
@@ -57,19 +57,19 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     _check_declarations(unbound)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        for script in _scripts(unbound.watches):
+        for script in _scripts(unbound.measures):
             trial = _DetectorTrial(unbound, script)
             _check_bound_again(trial)
             _check_verdicts(trial)
             run_trial(trial)
 
 
-def _scripts(watches: str) -> list[Script]:
-    """Epochs of what a detector watches."""
+def _scripts(measures: str) -> list[Script]:
+    """Epochs of what a detector measures."""
     scripts = []
-    if watches != "position":
+    if measures != "position":
         scripts += [engine_script(), trying_script()]
-    if watches != "satellites":
+    if measures != "satellites":
         scripts += [position_script(m) for m in COORDINATES]
     return scripts
 
@@ -141,8 +141,8 @@ def _check_declarations(detector: Detector) -> None:
         f"`{kind}.scope` must be 'channel' (c = n) or 'receiver' (c = 1), got {detector.scope!r}",
     )
     require(
-        detector.watches in WATCHED,
-        f"`{kind}.watches` must be 'satellites', 'position' or 'any', got {detector.watches!r}",
+        detector.measures in MEASURED,
+        f"`{kind}.measures` must be 'satellites', 'position' or 'any', got {detector.measures!r}",
     )
     require(
         isinstance(detector.oracle, bool),
@@ -157,7 +157,7 @@ def _check_declarations(detector: Detector) -> None:
 
 
 def _check_bound_again(trial: _DetectorTrial) -> None:
-    """A detector that is bound a second time begins anew, with another number of receivers."""
+    """A detector that is bound a second time starts over, with another number of receivers."""
     bound = trial.bind(np.arange(trial.receivers))
     check_memory(bound, trial.receivers, "detector")
     bound.bind(trial.script.context._replace(receivers=1))
@@ -189,7 +189,7 @@ def _check_verdicts(trial: _DetectorTrial) -> None:
     require(
         len({verdict.weights is None for verdict in verdicts}) == 1,
         "`weights` must be an array at every epoch or None at every epoch, got both; a detector "
-        "that has nothing to say returns ones",
+        "that does not weigh anything returns ones",
     )
 
 

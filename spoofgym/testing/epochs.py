@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from ..attacks import FalsePosition
 from ..detectors import DetectorContext, Never
-from ..envs.engine import Engine
-from ..envs.setup import Setup, Timeline
-from ..receiver import TightlyCoupled
 from ..receiver.epoch import Epoch
 from ..sim.scenario import Scenario
+from ..simulators import Engine, TightlyCoupledSetup, Timeline
 
 OPTIONAL = tuple(Epoch._field_defaults)
 """Fields of an epoch that a detector only gets when its `needs` names them."""
@@ -49,9 +47,10 @@ class Script(NamedTuple):
 @lru_cache(maxsize=1)
 def engine_script() -> Script:
     """Epochs of a clean, then attacked run of the default scenario."""
-    scenario = Scenario()
     timeline = Timeline(warmup_s=5.0, live_s=5.0, attack_s=ATTACK_S, time_to_alert_s=0.0)
-    setup = Setup(scenario, TightlyCoupled(), FalsePosition(), Never(), timeline)
+    setup = TightlyCoupledSetup(
+        scenario=Scenario(), attack=FalsePosition(), detector=Never(), timeline=timeline
+    )
     engine = Engine(RECEIVERS, setup, threads=1)
     engine.reset([np.random.default_rng(seed) for seed in range(RECEIVERS)])
     rng = np.random.default_rng(1)
@@ -64,8 +63,8 @@ def engine_script() -> Script:
     context = DetectorContext(
         RECEIVERS,
         setup.world.channels,
-        scenario.epoch_interval_s,
-        setup.noise_variance.copy(),
+        setup.interval_s,
+        setup.combinations.largest_variance,
         setup.world.satellite_ids,
     )
     return Script("a run of the default scenario", context, tuple(epochs))

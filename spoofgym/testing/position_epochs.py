@@ -32,7 +32,7 @@ def position_script(coordinates: int) -> Script:
     There are no channels, n = 0, and m innovations, one a coordinate.  Intervals differ; once all
     innovations are zero, once there is an outlier of a thousand standard deviations; a jump comes
     and goes, and in the end the position drifts away.  Innovations are drawn from the covariance
-    that they are said to have; they are the position by GNSS minus the predicted one.
+    that they are said to have; they are the GNSS position minus the predicted one.
     """
     rng = np.random.default_rng(2 + coordinates)
     noise = np.array([1.0, 1.5, 4.0])[:coordinates]

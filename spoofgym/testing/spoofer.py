@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..attacks import Attack
-from ..envs.attach import setup_of_card, spoofer_context
-from ..envs.engine import Engine
 from ..envs.observer import Observer
-from ..envs.presets import default_terms, make_setup
-from ..envs.setup import Setup, Timeline
-from ..envs.snapshot import Snapshot
+from ..envs.spoofer_binding import setup_of_card, spoofer_context
+from ..envs.terms.observation import default_terms
+from ..simulators import Engine, Setup, TightlyCoupledSetup, Timeline
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
 from ..spoofers.aim import TARGET
 from .contract import no_global_chance, read_only_given, require, require_fresh
@@ -38,8 +36,8 @@ def check_spoofer(
 ) -> None:
     """Check that a spoofer keeps its contract.
 
-    It commands the attack against receivers of the default scenario, or of the one that its card
-    tells, and has to show that
+    It commands the attack against receivers of the default scenario, or of the one on its
+    card, and has to show that
 
     - it states its knowledge, and its tunable setting, if any, has a range;
     - actions have the right shape and type, are finite, and lie within -1 and 1;
@@ -54,7 +52,7 @@ def check_spoofer(
     spoofer : Spoofer, str or dict
         What `make_spoofer` takes.  The object itself is left as it is.
     attack : Attack, str or mapping, optional
-        What it commands: by default what its card tells, or else a false position.
+        What it commands: by default that of its card, or else a false position.
 
     Raises
     ------
@@ -84,14 +82,14 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
     if card is None:
         attack = "false-position" if attack is None else attack
         follows = getattr(spoofer, "heading_deg", None) == TARGET
-        return make_setup(
+        return TightlyCoupledSetup(
             attack=attack,
             timeline=TIMELINE,
             detector="ewma",
             target_heading_deg="random" if follows else 90.0,
         )
     own = setup_of_card(card)
-    return make_setup(
+    return TightlyCoupledSetup(
         scenario=own.scenario,
         receiver=own.receiver,
         attack=own.attack if attack is None else attack,
@@ -142,7 +140,7 @@ def _perform(
     with no_global_chance("spoofer"):
         bound = _bind(spoofer, context)
         for k in range(min(COMMANDS, setup.steps)):
-            seen = observer.observe(Snapshot(setup, engine.batch, np.full(RECEIVERS, k)))
+            seen = observer(engine, k)
             observations.append(seen.copy())
             engine.step(_act(bound, seen, k))
     return observations

@@ -110,13 +110,13 @@ def check_memory(subject: Remembering, receivers: int, word: str) -> None:
     require(
         memory.receivers == receivers,
         f"the memory of the {word} must be of {receivers} receivers, got {memory.receivers}; make "
-        "it anew in every `bind`, by `super().bind(context)`",
+        "it again in every `bind`, by `super().bind(context)`",
     )
     for name, array in memory.items():
         if name not in memory.declared:
             raise AssertionError(
                 f"the {word} keeps {name!r} in its memory without having declared it, so that no "
-                f"reset restores it; begin with `self.memory.declare({name!r}, ...)` in `bind`"
+                f"reset restores it; start with `self.memory.declare({name!r}, ...)` in `bind`"
             )
         want = memory.declared[name]
         kept = isinstance(array, np.ndarray) and (array.shape, array.dtype) == (

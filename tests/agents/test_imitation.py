@@ -57,7 +57,7 @@ def columns(envs: SpoofVecEnv, observations: np.ndarray) -> tuple[np.ndarray, np
 def test_commands_lead_to_the_rates_of_the_profile(epochs: int) -> None:
     """Whatever a disturbed receiver has come to, its command leads back to the curve."""
     envs = make_envs(4, decision_interval_s=0.5 * epochs)
-    setup = envs.game.setup
+    setup = envs.core.setup
     assert setup.repeat == epochs
     decisions = setup.steps // epochs
     observations, commands = demonstrations(envs, PROFILE, EAST, seed=0)
@@ -66,7 +66,7 @@ def test_commands_lead_to_the_rates_of_the_profile(epochs: int) -> None:
     rate, part = columns(envs, observations)
     rows = np.round(part * decisions).astype(int)
     assert (np.bincount(rows, minlength=decisions) == 4).all()
-    most = ACCELERATION["acceleration_limit_mps2"] * setup.scenario.epoch_interval_s * epochs
+    most = ACCELERATION["acceleration_limit_mps2"] * setup.interval_s * epochs
     free = np.abs(commands[:, 0]) < 1.0
     wanted = sampled(PROFILE.rates_mps, decisions)[rows]
     assert free.mean() > 0.9
@@ -89,13 +89,13 @@ def test_the_profile_begins_anew_where_an_alarm_has_ended_an_episode() -> None:
     """Commands fit the time that a receiver observes, not that of the others."""
     detector = {"name": "snapshot-chi2", "false_alarm": 0.9}
     envs = make_envs(6, detector=detector)
-    setup = envs.game.setup
+    setup = envs.core.setup
     observations, commands = demonstrations(envs, PROFILE, EAST, seed=0)
     rate, part = columns(envs, observations)
     envs.close()
     rows = np.round(part * setup.steps).astype(int)
     assert (rows == 0).sum() > 6  # some have begun a second episode
-    most = ACCELERATION["acceleration_limit_mps2"] * setup.scenario.epoch_interval_s
+    most = ACCELERATION["acceleration_limit_mps2"] * setup.interval_s
     wanted = sampled(PROFILE.rates_mps, setup.steps)[rows]
     expected = np.clip((wanted - rate) / most, -1.0, 1.0)
     np.testing.assert_allclose(commands[:, 0], expected, atol=1e-5)
@@ -116,7 +116,7 @@ def test_the_imitating_policy_moves_the_victim_as_far(
     apart = imitate(policy, *demonstrations(envs, PROFILE, EAST, seed=0), seed=0)
     assert apart < 0.05
     assert all(map(torch.equal, value, policy.value_net.parameters()))
-    setup, tau = envs.game.setup, envs.game.setup.scenario.epoch_interval_s
+    setup, tau = envs.core.setup, envs.core.setup.interval_s
     ends = np.concatenate([[0.0], sampled(PROFILE.rates_mps, setup.steps)])
     wanted = float(((ends[1:] + ends[:-1]) / 2.0 * tau).sum())
     observation, reached, before = envs.reset(), np.zeros(4), np.zeros(4)
@@ -127,7 +127,7 @@ def test_the_imitating_policy_moves_the_victim_as_far(
         reached, before = reached + (before + after) / 2.0 * tau, after
         observation, _, _, _ = envs.step(command * EAST)
     np.testing.assert_allclose(reached, wanted, rtol=0.03)
-    assert envs.game.step_count.max() == 0  # the episodes are over, none by an alarm
+    assert envs.core.step_count.max() == 0  # the episodes are over, none by an alarm
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from spoofgym.attacks import (
     TrackingError,
 )
 from spoofgym.earth.ranging import range_and_rate
-from spoofgym.envs.presets import make_game, make_setup
+from spoofgym.envs import SpoofCore, TightlyCoupledSetup
 from spoofgym.sim.scenario import Scenario
 
 from .support import ONSET, begin, offsets
@@ -166,8 +166,8 @@ def test_only_what_is_aligned_is_captured_and_it_stays_so(world):
 
 
 def played(attack, steps=15, receivers=3, **settings):
-    """Game under random commands, and the innovations of its last epoch."""
-    setup = make_setup(
+    """Core under random commands, and the innovations of its last epoch."""
+    setup = TightlyCoupledSetup(
         scenario="realistic",
         receiver="matched",
         attack=attack,
@@ -175,10 +175,10 @@ def played(attack, steps=15, receivers=3, **settings):
         timeline=TIMELINE,
         **settings,
     )
-    game = make_game(receivers, setup, knowledge="blind", threads=1)
-    game.reset([np.random.default_rng([3, row]) for row in range(receivers)])
-    turns = [game.step(np.zeros((receivers, len(game.action_names)))) for _ in range(steps)]
-    return game, turns
+    core = SpoofCore(receivers, setup, knowledge="blind", threads=1)
+    core.reset([np.random.default_rng([3, row]) for row in range(receivers)])
+    results = [core.step(np.zeros((receivers, len(core.action_names)))) for _ in range(steps)]
+    return core, [result for result, _ in results]
 
 
 def test_zero_command_and_inherited_errors_are_the_clean_run_to_the_bit():
@@ -188,10 +188,10 @@ def test_zero_command_and_inherited_errors_are_the_clean_run_to_the_bit():
         {"name": "false-position", "capture": {"alignment_m": 1.0}, "channels": "S1*"},
         {"name": "meaconer", "antenna_m": [0.0, 0.0, 0.0]},
     ):
-        game, _ = played(attack)
+        core, _ = played(attack)
         for name in ("position_e", "covariance", "clock"):
-            mine = getattr(game.engine.batch.buffers.state, name)
-            np.testing.assert_array_equal(mine, getattr(clean.engine.batch.buffers.state, name))
+            mine = getattr(core.engine.simulator.buffers.state, name)
+            np.testing.assert_array_equal(mine, getattr(clean.engine.simulator.buffers.state, name))
 
 
 def test_counterfeit_errors_replace_the_authentic_ones():
@@ -199,14 +199,14 @@ def test_counterfeit_errors_replace_the_authentic_ones():
     errors = {"code_sd_m": 0.0, "range_rate_sd_mps": 0.0, "bias_sd_m": 0.0}
     inherited, _ = played("false-position")
     replaced, _ = played({"name": "false-position", "errors": errors, "channels": "S1*"})
-    for game in (inherited, replaced):
-        batch, world = game.engine.batch, game.setup.world
-        k, seen = int(batch.epochs[0]), world.visible[int(batch.epochs[0])]
-        sensors, measured = batch.sensors.state, batch.buffers.measured
+    for core in (inherited, replaced):
+        simulator, world = core.engine.simulator, core.setup.world
+        k, seen = int(simulator.epochs[0]), world.visible[int(simulator.epochs[0])]
+        sensors, measured = simulator.sensors.state, simulator.buffers.measured
         code = measured.pseudorange - world.satellites[k, :, 6] - sensors.clock[:, :1]
         rate = measured.range_rate - world.satellites[k, :, 7] - sensors.clock[:, 1:]
-        taken = seen & game.setup.attack.captured(world)
-        if game is replaced:
+        taken = seen & core.setup.attack.captured(world)
+        if core is replaced:
             assert 0 < taken.sum() < seen.sum()
             np.testing.assert_allclose(code[:, taken], 0.0, atol=3e-8)
             np.testing.assert_allclose(rate[:, taken], 0.0, atol=1e-10)
@@ -228,28 +228,28 @@ def test_counterfeit_errors_have_the_standard_deviations_given(world):
 
 
 def test_without_coherence_the_authentic_range_rates_keep_their_errors():
-    game, _ = played({"name": "false-position", "errors": "replaced", "coherent": False})
-    n = game.setup.world.channels
-    authentic = game.engine.batch.sensors.state.authentic
-    seen = game.setup.world.visible[game.setup.onset + 1]
+    core, _ = played({"name": "false-position", "errors": "replaced", "coherent": False})
+    n = core.setup.world.channels
+    authentic = core.engine.simulator.sensors.state.authentic
+    seen = core.setup.world.visible[core.setup.onset + 1]
     assert not authentic[:, :n][:, seen].any()
     assert (authentic[:, n:] == 1.0).all()
 
 
 def test_information_counts_the_captured_channels():
-    game, turns = played({"name": "false-position", "capture": {"delay_s": 2.0}})
-    counts = [turn.info["captured_channels"][0] for turn in turns]
-    assert counts == [0] * 3 + [game.setup.world.visible[game.setup.onset + 5].sum()] * 12
-    _, turns = played("false-position", steps=1)
-    assert "captured_channels" not in turns[0].info
+    core, results = played({"name": "false-position", "capture": {"delay_s": 2.0}})
+    counts = [result.info["captured_channels"][0] for result in results]
+    assert counts == [0] * 3 + [core.setup.world.visible[core.setup.onset + 5].sum()] * 12
+    _, results = played("false-position", steps=1)
+    assert "captured_channels" not in results[0].info
 
 
 def test_a_new_episode_has_the_authentic_errors_again():
-    game, _ = played({"name": "false-position", "errors": "replaced"})
-    assert not game.engine.batch.sensors.state.authentic.all()
-    game.reset([np.random.default_rng(1)], np.array([1]))
-    assert game.engine.batch.sensors.state.authentic[1].all()
-    assert not game.engine.batch.attack.memory["captured"][1].any()
+    core, _ = played({"name": "false-position", "errors": "replaced"})
+    assert not core.engine.simulator.sensors.state.authentic.all()
+    core.reset([np.random.default_rng(1)], np.array([1]))
+    assert core.engine.simulator.sensors.state.authentic[1].all()
+    assert not core.engine.simulator.attack.memory["captured"][1].any()
 
 
 def test_labels_tell_the_options():

@@ -8,12 +8,12 @@ import pytest
 from spoofgym.attacks import ATTACKS, THREATS, AttackContext, make_attack
 from spoofgym.bench.specs import spec_of
 from spoofgym.detectors import Never
-from spoofgym.envs import Setup, Timeline
-from spoofgym.envs.engine import Batch
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.receiver.matching import Motion, matched_sensors
 from spoofgym.receiver.nis import normalized_innovation_squared
 from spoofgym.sim.scenario import Scenario, make_scenario
+from spoofgym.simulators import TightlyCoupledSetup, Timeline
+from spoofgym.simulators.base import run_serially
 
 from ..envs.support import single
 
@@ -60,8 +60,8 @@ def test_an_unknown_threat_is_told_the_near_one():
 def test_a_threat_is_taken_where_an_attack_is():
     env = single(attack="meaconer", scenario="realistic", receiver="matched")
     assert env.action_space.shape == (1,)
-    assert env.unwrapped.game.setup.attack.label == "meaconer"
-    assert env.unwrapped.game.setup.receiver.tuning == "matched"
+    assert env.unwrapped.core.setup.attack.label == "meaconer"
+    assert env.unwrapped.core.setup.receiver.tuning == "matched"
     env.close()
     with pytest.raises(ValueError, match=r"unknown receiver 'match'; .*did you mean 'matched'"):
         single(receiver="match")
@@ -84,20 +84,26 @@ def added_nis(errors, tracking, inertial=None):
     attack = make_attack({"name": "false-position", "tracking": tracking})
     phases = Timeline(warmup_s=200.0, live_s=0.0, attack_s=150.0, time_to_alert_s=0.0)
     receiver = TightlyCoupled(tuning="matched")
-    setup = Setup(Scenario(errors=errors), receiver, attack, Never(), phases)
+    setup = TightlyCoupledSetup(
+        scenario=Scenario(errors=errors),
+        receiver=receiver,
+        attack=attack,
+        detector=Never(),
+        timeline=phases,
+    )
     if inertial is not None:
-        noise = setup.noise._replace(inertial=inertial)
-        setup.cases._cases[0] = setup.cases[0]._replace(
+        noise = setup.combinations[0].noise._replace(inertial=inertial)
+        setup.combinations._all[0] = setup.combinations[0]._replace(
             noise_psd=receiver.noise_psd(noise), covariance=receiver.initial_covariance(noise)
         )
-    clean, attacked = (Batch(setup, RUNS, lambda work, b: work(0, b)) for _ in range(2))
-    for batch in (clean, attacked):
-        batch.begin([np.random.default_rng([5, run]) for run in range(RUNS)])
-        batch.quiet_epochs(setup.onset)
+    clean, attacked = (setup.simulator(RUNS, run_serially) for _ in range(2))
+    for simulator in (clean, attacked):
+        simulator.begin([np.random.default_rng([5, run]) for run in range(RUNS)])
+        simulator.quiet_epochs(setup.onset)
     total = 0.0
     for _ in range(setup.steps):
         without = clean.advance().innovation.copy()
-        epoch = attacked.advance_attacked(None)
+        epoch = attacked.predict(None)
         change = epoch.innovation - without
         total += normalized_innovation_squared(
             change, epoch.innovation_cov, 0, change.shape[1]

@@ -12,11 +12,10 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.bench.suite import Suite, Tuning
-from spoofgym.envs.attach import spoofer_context
-from spoofgym.envs.observations import terms_of
-from spoofgym.envs.observer import Observer
-from spoofgym.envs.setup import Timeline
-from spoofgym.spoofers import SpooferContext, onnx_policy, zoo
+from spoofgym.envs import Observer, default_terms
+from spoofgym.envs.spoofer_binding import spoofer_context
+from spoofgym.simulators import Timeline
+from spoofgym.spoofers import SpooferContext, learned, zoo
 from spoofgym.spoofers.card import Card, fields_of
 
 OPSET = 18
@@ -38,7 +37,7 @@ def small_suite(**changes: Any) -> Suite:
 
 def use_zoo(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the files of a folder be the shipped ones."""
-    for module in (zoo, onnx_policy):
+    for module in (zoo, learned):
         monkeypatch.setattr(module, "ZOO_FOLDER", folder)
 
 
@@ -72,7 +71,7 @@ def write_policy(
 
 def context_of(suite: Suite, knowledge: str) -> SpooferContext:
     setup = suite.setup(suite.detector_entries[0])
-    return spoofer_context(setup, 1, Observer(terms_of(knowledge), setup))
+    return spoofer_context(setup, 1, Observer(default_terms(setup, knowledge), setup))
 
 
 def make_card(

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from spoofgym.bench.decisions import make_bound_spoofer
 from spoofgym.bench.run import (
     WarmStart,
     displacement_of,
@@ -16,10 +17,10 @@ from spoofgym.bench.run import (
     play,
     to_local,
 )
-from spoofgym.bench.suite import Suite, make_bound_spoofer
+from spoofgym.bench.suite import Suite
 from spoofgym.detectors import Ewma
-from spoofgym.envs.engine import Engine
-from spoofgym.envs.presets import make_game
+from spoofgym.envs import SpoofCore
+from spoofgym.simulators import Engine
 from spoofgym.spoofers import Spoofer
 
 from .support import small_suite
@@ -61,7 +62,7 @@ def test_a_shared_warm_up_gives_the_bits_of_one_of_its_own(suite: Suite, start: 
     for k in range(setup.steps + setup.hold):
         action = spoofer.act(observer(engine, k)) if k < setup.steps else None
         verdict = engine.step(action)
-        np.testing.assert_array_equal(runs.position_e[k], engine.batch.buffers.state.position_e)
+        np.testing.assert_array_equal(runs.position[k], engine.simulator.position)
         np.testing.assert_array_equal(runs.alarm[k], verdict.alarm.any(axis=1))
 
 
@@ -78,23 +79,21 @@ def test_an_observing_spoofer_sees_the_warm_up_it_would_have_had(
     suite: Suite, start: WarmStart
 ) -> None:
     fresh = WarmStart(start.setup, suite.generators("evaluation", RUNS), threads=1)
-    np.testing.assert_array_equal(fresh._engine.batch.weights, start.engine().batch.weights)
-    np.testing.assert_array_equal(
-        play(fresh, Mirror()).position_e, play(start, Mirror()).position_e
-    )
+    np.testing.assert_array_equal(fresh._engine.simulator.weights, start.engine().simulator.weights)
+    np.testing.assert_array_equal(play(fresh, Mirror()).position, play(start, Mirror()).position)
 
 
 def test_dropping_settled_runs_changes_no_score(start: WarmStart) -> None:
     clean = play(start, "none")
     whole, dropped = play(start, FAST), play(start, FAST, drop_alarmed=True)
     assert 0.3 < whole.alarm.any(axis=0).mean() < 1.0
-    assert np.isnan(dropped.position_e).any()
+    assert np.isnan(dropped.position).any()
     np.testing.assert_array_equal(whole.first_alarm, dropped.first_alarm)
     np.testing.assert_array_equal(
         displacement_of(start.setup, whole, clean), displacement_of(start.setup, dropped, clean)
     )
-    known = np.isfinite(dropped.position_e)
-    np.testing.assert_array_equal(whole.position_e[known], dropped.position_e[known])
+    known = np.isfinite(dropped.position)
+    np.testing.assert_array_equal(whole.position[known], dropped.position[known])
 
 
 def test_fewer_runs_are_the_first_of_all(start: WarmStart) -> None:
@@ -105,7 +104,7 @@ def test_fewer_runs_are_the_first_of_all(start: WarmStart) -> None:
 
 def test_threads_change_no_bit(suite: Suite, start: WarmStart) -> None:
     two = WarmStart(start.setup, suite.generators("evaluation", RUNS), threads=2)
-    np.testing.assert_array_equal(play(two, FAST).position_e, play(start, FAST).position_e)
+    np.testing.assert_array_equal(play(two, FAST).position, play(start, FAST).position)
 
 
 def test_no_attack_induces_nothing(start: WarmStart) -> None:
@@ -122,7 +121,7 @@ def test_no_attack_is_not_seen_by_its_tracking_error() -> None:
     clean = play(start, "none", drop_alarmed=True)
     ideal = small_suite(attack="false-position-ideal")
     other = WarmStart(ideal.setup(ideal.detector_entries[0]), ideal.generators("training", 4))
-    np.testing.assert_array_equal(clean.position_e, play(other, "none").position_e)
+    np.testing.assert_array_equal(clean.position, play(other, "none").position)
     still = play(start, {"name": "ramp", "rate_mps": 0.0})
     assert (still.peak > 2.0 * clean.peak).all()
 
@@ -150,13 +149,13 @@ def test_runs_of_a_domain_are_those_of_the_environment(between: str) -> None:
     attacked, clean = play(start, spec), play(start, "none")
     scored = displacement_of(setup, attacked, clean)
     assert len(set(attacked.onset)) > 2
-    game = make_game(6, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True)
-    game.reset(suite.generators("evaluation", 6))
+    core = SpoofCore(6, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True)
+    core.reset(suite.generators("evaluation", 6))
     spoofer, _ = make_bound_spoofer(spec, setup, 6)
     for _ in range(setup.steps // setup.repeat):
-        turn = game.step(spoofer.act(game.observe()))
+        result, _ = core.step(spoofer.act(core.observe()))
     # the distance is taken in the axes at the onset there, and at every epoch here
-    np.testing.assert_allclose(turn.info["undetected_displacement_m"], scored, rtol=1e-4)
+    np.testing.assert_allclose(result.info["undetected_displacement_m"], scored, rtol=1e-4)
     assert scored.max() > 0.5
 
 

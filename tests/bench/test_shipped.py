@@ -15,7 +15,7 @@ from spoofgym.bench.picture import draw_campaign
 from spoofgym.bench.report import markdown
 from spoofgym.bench.shipped import card_behind
 from spoofgym.bench.tables import made_for
-from spoofgym.envs.setup import Timeline
+from spoofgym.simulators import Timeline
 
 from .support import SHORT, small_suite, use_zoo, write_policy, write_zoo
 

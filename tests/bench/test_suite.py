@@ -106,11 +106,11 @@ def test_bad_searches_are_refused(changes: dict[str, Any], message: str) -> None
 def test_oracles_are_refused_unless_they_are_asked_for() -> None:
     assert not any(DETECTORS[spec["name"]].oracle for spec in DEFAULT_DETECTORS)
     oracles = ("ewma", {"name": "oracle-ramp", "rate_mps": 0.2})
-    with pytest.raises(ValueError, match=r"oracle-ramp\(rate_mps=0.2\): an oracle is told the"):
+    with pytest.raises(ValueError, match=r"oracle-ramp\(rate_mps=0.2\): an oracle knows the"):
         Suite(detectors=oracles)
     suite = Suite(detectors=oracles, allow_oracles=True)
     (note,) = suite._oracle_notes
-    assert note == "oracle-ramp(rate_mps=0.2) is an oracle: it is told the attack"
+    assert note == "oracle-ramp(rate_mps=0.2) is an oracle: it knows the attack"
     assert note in suite.config["notes"]
     assert (
         Suite(detectors=("ewma",), allow_oracles=True).digest == Suite(detectors=("ewma",)).digest

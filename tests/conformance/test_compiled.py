@@ -12,7 +12,7 @@ from . import sources
 
 PLAIN = {"_describe", "_files", "_jit", "_memory", "_pictures", "_registry", "_threads"}
 """Modules below all packages; they hold nothing that a kernel could take in but `_jit`'s own."""
-BRIDGES = {"envs/attach.py": ("spoofgym.envs", "attach")}
+BRIDGES = {"envs/spoofer_binding.py": ("spoofgym.envs", "spoofer_binding")}
 """Files of compiled layers that may know of other packages, since nothing compiled imports them."""
 
 

@@ -89,7 +89,7 @@ class Sum(Detector):
 
 
 class AnyChannel(Sum):
-    """The same, as a test of the whole receiver that only watches."""
+    """The same, as a test of the whole receiver that is passive."""
 
     scope = "receiver"
 
@@ -112,7 +112,7 @@ class FarFix(Detector):
     """Rejects a fix that is too far from where odometry says, and sums up how far it was."""
 
     paper = "page1954"
-    watches = "position"
+    measures = "position"
     needs = frozenset({"auxiliary_position", "gnss_position"})
 
     def bind(self, context):
@@ -131,7 +131,7 @@ class FarFix(Detector):
 class EveryCoordinate(FarFix):
     """Judges what is measured one by one: a position by its coordinates."""
 
-    watches = "any"
+    measures = "any"
     scope = "channel"
     needs = frozenset()
 
@@ -165,9 +165,9 @@ def test_a_made_up_fix_is_the_prediction_and_the_innovation(coordinates):
 
 
 def test_a_detector_of_satellites_refuses_a_position():
-    with pytest.raises(ValueError, match="Sum watches satellites, but the receiver measures posi"):
+    with pytest.raises(ValueError, match="Sum measures satellites, but the receiver measures posi"):
         Sum().bind(position_script(2).context)
-    with pytest.raises(ValueError, match="FarFix watches position, but the receiver measures sat"):
+    with pytest.raises(ValueError, match="FarFix measures position, but the receiver measures sat"):
         FarFix().bind(position_script(2).context._replace(channels=4))
 
 
@@ -180,7 +180,7 @@ class OddScope(Sum):
 
 
 class OddWatch(Sum):
-    watches = "positions"
+    measures = "positions"
 
 
 class OddOracle(Sum):
@@ -439,7 +439,7 @@ class ForgetsWhenCopied(Sum):
 BROKEN = {
     NoPaper: "`NoPaper.paper` must be a key in references.bib",
     OddScope: "`OddScope.scope` must be 'channel' .* got 'satellite'",
-    OddWatch: "`OddWatch.watches` must be 'satellites', 'position' or 'any', got 'positions'",
+    OddWatch: "`OddWatch.measures` must be 'satellites', 'position' or 'any', got 'positions'",
     OddOracle: "`OddOracle.oracle` must be True or False, got 1",
     OneWeight: "`weights` must have shape \\(5, 2\\) for 5 receivers with a position of 2 coor",
     UnknownNeed: "optional fields of an epoch .* got frozenset\\({'true_position'}\\)",

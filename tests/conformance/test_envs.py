@@ -1,4 +1,10 @@
-"""Contracts that every environment id keeps, also under settings that change how a game is run."""
+"""One matrix: every id, in every form that it has, keeps every contract.
+
+The forms are the single environment, the vector one in its three autoreset modes, the adapter for
+stable-baselines3, and the duel's two; the contracts are those of Gymnasium's checkers, determinism,
+pickling within an episode, that receiver i is the single environment seeded ``seed + i``, and that
+a spec goes through JSON and makes the same environment again.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +13,8 @@ import os
 import pickle
 import subprocess
 import sys
+from copy import deepcopy
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,51 +22,126 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
+from gymnasium.vector import AutoresetMode
 
-from spoofgym import duel_v0
 from spoofgym.tasks import TASKS
 
+from ..envs.players import (
+    COUNT,
+    DUELS,
+    IDS,
+    MODES,
+    SETTINGS,
+    SHORT,
+    SMALL_IDS,
+    VICTIM_IDS,
+    Player,
+    assert_same,
+    early,
+    forms_of,
+    make,
+    short,
+)
 from ..golden import trajectories
 
-IDS = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
-MAIN = "spoofgym/TightlyCoupled-v0"
-SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
-SMALL_WORLDS = {
-    "spoofgym/BenchT4-v1": {
-        "timeline": {"warmup_s": 60.0, "live_s": 20.0, "attack_s": 300.0},
-        "scenario": "realistic-tactical",
-    },
-    "spoofgym/BenchT5-v1": {
-        "domain": {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
-    },
-    "spoofgym/LooselyCoupled-v0": {
-        "timeline": {"warmup_s": 2.0, "live_s": 1.0, "attack_s": 2.4, "time_to_alert_s": 0.5},
-        "detector": {"name": "windowed-chi2", "window": 8},
-    },
-    "spoofgym/Snapshot-v0": {},
-    "spoofgym/WheeledRobot-v0": {},
-}
-"""Short flights and few worlds, so that all of them are made within seconds."""
-ELSEWHERE = {MAIN, "spoofgym/LooselyCoupled-v0", "spoofgym/Snapshot-v0", "spoofgym/WheeledRobot-v0"}
-"""Ids that the checkers of Gymnasium try in `tests/envs`, at several settings."""
-
-WORLDS = {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2}
-VARIANTS = {
+MAIN = VICTIM_IDS[0]
+WORLDS = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
+PUSHED = {"name": "at-displacement", "limit_m": 9.0}
+MAIN_VARIANTS: dict[str, dict[str, Any]] = {
     "twin": {"twin": True},
-    "watch": {"watch": ("snapshot-chi2", {"name": "cusum"}), "end_at_alarm": False},
+    "watch": {"watch": ["snapshot-chi2", {"name": "cusum"}], "end_at_alarm": False},
     "domain": {"domain": WORLDS, "target_heading_deg": "random"},
     "oracle": {"knowledge": "oracle", "detector": {"name": "ewma", "false_alarm": 0.05}},
     "worst": {"target_heading_deg": "worst", "twin": True},
     "interval": {"decision_interval_s": 1.0, "between": "linear"},
     "tracking-1m": {"attack": "tracking-1m", "receiver": "matched", "scenario": "realistic"},
     "meaconer": {"attack": "meaconer", "detector": {"name": "cusum"}},
-    "all": {"twin": True, "watch": ("snapshot-chi2",), "domain": WORLDS, "attack": "tracking-1m"},
+    "per channel": {"attack": {"name": "per-channel", "control": "rate", "coherent": False}},
+    "all": {
+        "twin": True,
+        "watch": ["snapshot-chi2"],
+        "domain": WORLDS,
+        "attack": "tracking-1m",
+        "decision_interval_s": 1.0,
+        "observation": ["own-command", "divergence-spent", "estimate-error"],
+        "reward": ["displacement-gain", "effort-penalty"],
+        "end": ["at-alarm", PUSHED, {"name": "at-steps", "steps": 7}],
+    },
 }
-"""Settings of the main id that change what is simulated, or beside what."""
+"""Settings of the main id that change what is simulated, or what with."""
+SMALL_DOMAINS = {
+    "spoofgym/LooselyCoupled-v0": {"start_s": [0.0, 5.0]},
+    "spoofgym/Snapshot-v0": {"turned_deg": [0.0, 360.0], "worlds": 3},
+    "spoofgym/WheeledRobot-v0": {"start_s": [0.0, None]},
+}
+INTERVALS = {"spoofgym/LooselyCoupled-v0": 0.1, MAIN: 0.5}
 
 
-def short(name: str, **kwargs: object) -> dict[str, object]:
-    return {**SMALL_WORLDS.get(name, {"timeline": SHORT}), **kwargs}
+def small_variants(name: str) -> dict[str, dict[str, Any]]:
+    """The like, of a small id."""
+    domain, interval = SMALL_DOMAINS[name], INTERVALS.get(name, 1.0)
+    return {
+        "twin": {"twin": True},
+        "watch": {"watch": ["never", "never"], "end_at_alarm": False},
+        "domain": {"domain": domain, "target_heading_deg": "random"},
+        "oracle": {"knowledge": "oracle"},
+        "worst": {"target_heading_deg": "worst", "twin": True},
+        "interval": {"decision_interval_s": 2.0 * interval, "between": "linear"},
+        "all": {
+            "twin": True,
+            "watch": ["never"],
+            "domain": domain,
+            "target_heading_deg": "random",
+            "decision_interval_s": 3.0 * interval,
+            "observation": ["own-command", "target-direction", "estimate-error"],
+            "action": ["along-target", "across-target"],
+            "reward": ["displacement-gain", "effort-penalty"],
+            "end": ["at-alarm", PUSHED, {"name": "at-steps", "steps": 7}],
+        },
+    }
+
+
+VARIED = [
+    *(pytest.param(MAIN, kwargs, id=word) for word, kwargs in MAIN_VARIANTS.items()),
+    *(
+        pytest.param(name, kwargs, id=f"{name[9:-3]}-{word}")
+        for name in SMALL_IDS
+        for word, kwargs in small_variants(name).items()
+    ),
+]
+every_id = pytest.mark.parametrize("name", IDS)
+every_victim = pytest.mark.parametrize("name", VICTIM_IDS)
+every_variant = pytest.mark.parametrize(("name", "kwargs"), VARIED)
+every_form = pytest.mark.parametrize(
+    ("name", "form"), [(name, form) for name in IDS for form in forms_of(name)]
+)
+every_mode = pytest.mark.parametrize("mode", MODES)
+every_duel = pytest.mark.parametrize("form", DUELS)
+some_duels = pytest.mark.parametrize(
+    "kwargs", [MAIN_VARIANTS["domain"], {"attack": "tracking-1m"}], ids=["domain", "tracking"]
+)
+
+
+def enough(env: Any) -> int:
+    """Steps that go over the end of the first episode of every receiver."""
+    steps: int = getattr(env, "unwrapped", env).core.episode_steps
+    return steps + 4
+
+
+def rewards(rows: list[list[dict[str, Any]]]) -> list[list[float]]:
+    return [[each["reward"] for each in row if "reward" in each] for row in rows]
+
+
+def went_over_an_end(rows: list[list[dict[str, Any]]]) -> bool:
+    return all(any("reward" not in each for each in row[1:]) for row in rows)
+
+
+def test_the_tasks_are_among_the_ids() -> None:
+    assert {task.env_id for task in TASKS.values()} < set(IDS)
+    assert set(SETTINGS) < set(IDS)
+
+
+# --- checkers --------------------------------------------------------------------------------
 
 
 class Squeezed(gym.Env):
@@ -66,13 +149,13 @@ class Squeezed(gym.Env):
 
     render_mode = None
 
-    def __init__(self, name, **kwargs):
+    def __init__(self, name: str, **kwargs: Any) -> None:
         self.env = gym.make_vec(name, num_envs=1, autoreset_mode="next_step", **kwargs)
         self.observation_space = self.env.single_observation_space
         self.action_space = self.env.single_action_space
 
     @staticmethod
-    def _plain(info):
+    def _plain(info: dict[str, Any]) -> dict[str, Any]:
         return {name: info[name].item() for name in info if not name.startswith("_")}
 
     def reset(self, *, seed=None, options=None):
@@ -85,128 +168,224 @@ class Squeezed(gym.Env):
         return observation[0], *(part[0].item() for part in rest), self._plain(info)
 
 
-def assert_same(one, other, where):
-    """Equal to the last bit, with dicts and arrays of arrays inside."""
-    if isinstance(one, dict):
-        assert one.keys() == other.keys(), where
-        for key, value in one.items():
-            assert_same(value, other[key], f"{where} {key}")
-    elif isinstance(one, np.ndarray) and one.dtype == object:
-        for mine, theirs in zip(one, other, strict=True):
-            assert_same(mine, theirs, where)
-    else:
-        np.testing.assert_array_equal(one, other, err_msg=where)
-
-
-def play_on(env, first, steps):
-    """All that happens in some steps, the next episode of a single environment begun at an end."""
-    happened = {}
-    for k in range(first, first + steps):
-        result = env.step(trajectories.action_at(k, env.action_space.shape))
-        happened[k] = dict(enumerate(result))
-        if isinstance(env, gym.Env) and (result[2] or result[3]):
-            happened[k]["begun"] = dict(enumerate(env.reset()))
-    return happened
-
-
-def test_the_tasks_are_among_the_ids():
-    assert {task.env_id for task in TASKS.values()} < set(IDS)
-    assert {*SMALL_WORLDS, *ELSEWHERE} < set(IDS)
-
-
-@pytest.mark.parametrize("name", sorted({*IDS} - ELSEWHERE))
-def test_gymnasium_check_env(name):
-    # a warning is an error here, so that the advice of the checker counts, too
+@every_id
+def test_gymnasium_check_env(name: str) -> None:
+    # a warning is an error here, so that the advice of the checker counts, too;
+    # pictures are checked in `tests/envs/rendering`
     env = gym.make(name, **short(name)).unwrapped
     assert env.spec is not None
     check_env(env, skip_render_check=True)
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_stable_baselines3_check_env(name):
+@every_variant
+def test_gymnasium_check_env_at(name: str, kwargs: dict[str, Any]) -> None:
+    check_env(gym.make(name, **short(name, **kwargs)).unwrapped, skip_render_check=True)
+
+
+@every_id
+def test_stable_baselines3_check_env(name: str) -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     checker.check_env(gym.make(name, **short(name)).unwrapped, warn=True)
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_the_vector_env_of_one_is_the_single_env(name):
-    kwargs = short(name)
-    env = gym.make(name, **kwargs).unwrapped
-    check_environments_match(env, Squeezed(name, **kwargs), num_steps=30, seed=7)
+@every_id
+def test_gymnasium_finds_the_vector_env_of_one_and_the_single_env_alike(name: str) -> None:
+    env = gym.make(name, **short(name)).unwrapped
+    check_environments_match(env, Squeezed(name, **short(name)), num_steps=30, seed=7)
 
 
-@pytest.mark.parametrize("kwargs", VARIANTS.values(), ids=VARIANTS)
-def test_the_vector_env_of_one_is_the_single_env_at(kwargs):
-    kwargs = {"timeline": SHORT, **kwargs}
-    env = gym.make(MAIN, **kwargs).unwrapped
-    check_environments_match(env, Squeezed(MAIN, **kwargs), num_steps=30, seed=7)
+@every_id
+@every_mode
+def test_spaces_types_and_masks_of_a_vector_env(name: str, mode: str) -> None:
+    envs = make(name, mode, **early(name))
+    assert envs.metadata["autoreset_mode"] == AutoresetMode[mode.upper()]
+    observation, info = envs.reset(seed=4)
+    rng, ended, held = np.random.default_rng(0), np.zeros(COUNT, dtype=int), []
+    for _ in range(2 * enough(envs)):
+        held.append((observation, observation.copy()))
+        assert envs.observation_space.contains(observation)
+        assert observation.dtype == np.float32
+        for key, value in info.items():
+            if not key.startswith("_") and key != "final_info":
+                assert value.shape[0] == COUNT, key
+                assert info[f"_{key}"].dtype == bool
+                assert info[f"_{key}"].shape == (COUNT,)
+        action = rng.uniform(-0.2, 0.2, envs.action_space.shape).astype(np.float32)
+        observation, reward, terminated, truncated, info = envs.step(action)
+        assert reward.shape == terminated.shape == truncated.shape == (COUNT,)
+        assert (reward.dtype, terminated.dtype, truncated.dtype) == (float, bool, bool)
+        over = terminated | truncated
+        ended += over
+        if mode == "disabled" and over.any():
+            observation, info = envs.reset(options={"reset_mask": over})
+            np.testing.assert_array_equal(info["_time_s"], over)
+    assert ended.min() >= 2
+    for given, kept in held:  # nothing that was handed out is written again
+        np.testing.assert_array_equal(given, kept)
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_the_spec_goes_through_json(name):
-    """Of the id as it is, and with settings; the single and the vector form."""
+# --- determinism and pickling ----------------------------------------------------------------
+
+
+@every_form
+def test_a_seed_tells_all_that_happens(name: str, form: str) -> None:
+    player = Player(make(name, form, **early(name)), form)
+    steps = enough(player.env)
+    first = player.begin(5).go(steps)
+    assert went_over_an_end(first)
+    assert_same(first, player.begin(5).go(steps), name)
+    assert rewards(first) != rewards(player.begin(50).go(steps))
+
+
+@every_form
+def test_an_unfinished_episode_survives_pickling(name: str, form: str) -> None:
+    pickled(name, form, **early(name))
+
+
+@every_variant
+@pytest.mark.parametrize("form", ["single", "same_step"])
+def test_an_unfinished_episode_survives_pickling_at(
+    name: str, form: str, kwargs: dict[str, Any]
+) -> None:
+    pickled(name, form, **short(name, **kwargs))
+
+
+def pickled(name: str, form: str, **settings: Any) -> None:
+    player = Player(make(name, form, **settings), form)
+    player.begin(5).go(3)
+    copies = pickle.loads(pickle.dumps(player)), deepcopy(player)
+    steps = enough(player.env)
+    mine = player.go(steps)
+    for each in copies:
+        assert_same(mine, each.go(steps), name)
+    assert went_over_an_end(mine)
+
+
+@every_duel
+@some_duels
+def test_a_duel_is_told_by_its_seed_and_survives_pickling(
+    form: str, kwargs: dict[str, Any]
+) -> None:
+    player = Player(make("", form, timeline=SHORT, **kwargs), form)
+    first = player.begin(6).go(5)
+    assert_same(first, player.begin(6).go(5), form)
+    copy = pickle.loads(pickle.dumps(player))
+    assert_same(player.go(30), copy.go(30), form)
+
+
+# --- receivers of a batch --------------------------------------------------------------------
+
+
+def singles(name: str, steps: int, **settings: Any) -> list[list[dict[str, Any]]]:
+    """What the single environments of the receivers go through."""
+    found = []
+    for i in range(COUNT):
+        player = Player(make(name, "single", **settings), "single", first=i)
+        found += player.begin(20 + i).go(steps)
+    return found
+
+
+def assert_receivers_are_single(name: str, form: str, **settings: Any) -> None:
+    """Observations, rewards, ends and information over autoresets, to the last bit."""
+    player = Player(make(name, form, **settings), form).begin(20)
+    steps = 2 * enough(player.env)
+    many, alone = player.go(steps), singles(name, steps, **settings)
+    assert went_over_an_end(alone)
+    if form == "SB3":  # its rewards are single, its first observations without information
+        for row in alone:
+            for each in row:
+                if "reward" in each:
+                    each["reward"] = np.float32(each["reward"])
+                else:
+                    each["info"] = None
+    assert_same(many, alone, f"{name} {form}")
+
+
+@pytest.mark.parametrize(
+    ("name", "form"), [(name, form) for name in IDS for form in forms_of(name) if form != "single"]
+)
+def test_every_receiver_of_a_batch_is_the_single_env(name: str, form: str) -> None:
+    assert_receivers_are_single(name, form, **early(name))
+
+
+@every_variant
+def test_every_receiver_of_a_batch_is_the_single_env_at(name: str, kwargs: dict[str, Any]) -> None:
+    assert_receivers_are_single(name, "same_step", **short(name, **kwargs))
+
+
+@pytest.mark.parametrize("kwargs", MAIN_VARIANTS.values(), ids=MAIN_VARIANTS)
+def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(kwargs: dict[str, Any]) -> None:
+    kwargs = short(MAIN, autoreset_mode="same_step", **kwargs)
+    few = gym.make_vec(MAIN, num_envs=3, threads=1, **kwargs)
+    many = gym.make_vec(MAIN, num_envs=19, threads=2, **kwargs)
+    np.testing.assert_array_equal(few.reset(seed=20)[0], many.reset(seed=4)[0][16:])
+    for k in range(25):
+        action = trajectories.action_at(k, many.action_space.shape)
+        mine, theirs = few.step(action[16:]), many.step(action)
+        for one, other in zip(mine[:4], theirs[:4], strict=True):
+            np.testing.assert_array_equal(one, other[16:])
+
+
+# --- specs -----------------------------------------------------------------------------------
+
+
+@every_id
+def test_the_spec_of_an_id_goes_through_json(name: str) -> None:
     spec = gym.spec(name)
+    assert spec.max_episode_steps is None
     assert EnvSpec.from_json(spec.to_json()) == spec
-    kwargs = json.loads(json.dumps(short(name)))
-    env = gym.make(name, **kwargs)
-    envs = gym.make_vec(name, num_envs=2, **kwargs)
-    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-    many = gym.make_vec(EnvSpec.from_json(envs.spec.to_json()))
-    seen, _ = env.reset(seed=3)
-    np.testing.assert_array_equal(again.reset(seed=3)[0], seen)
-    np.testing.assert_array_equal(many.reset(seed=3)[0], envs.reset(seed=3)[0])
-    np.testing.assert_array_equal(many.reset(seed=3)[0][0], seen)
 
 
-def played_on(name: str) -> dict[str, object]:
-    """Settings with which an alarm ends no episode; a detector that learns gives none at rest."""
-    return short(name, **({} if "DetectorView" in name else {"end_at_alarm": False}))
+def remade(env: Any) -> Any:
+    """The environment that the spec of another makes, after it has been through JSON."""
+    make_it = gym.make if isinstance(env, gym.Env) else gym.make_vec
+    return make_it(EnvSpec.from_json(env.spec.to_json()))
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_an_env_made_from_its_spec_is_the_same_to_the_last_step(name):
-    """With the length of an episode as its limit, a `TimeLimit` would truncate at the last step."""
-    env = gym.make(name, **played_on(name))
-    again = gym.make(env.spec)
-    steps = env.unwrapped.game.episode_steps
-    assert gym.spec(name).max_episode_steps is None
+@every_id
+@pytest.mark.parametrize("form", ["single", *MODES])
+def test_a_spec_makes_the_same_environment_again(name: str, form: str) -> None:
+    """To the last step: with an episode's length as its limit a `TimeLimit` would truncate it."""
+    # an alarm ends no episode, but where the detector learns
+    lasting = {} if "DetectorView" in name else {"end_at_alarm": False}
+    env = make(name, form, **json.loads(json.dumps(short(name, **lasting))))
+    again = remade(remade(env))
+    steps = env.unwrapped.core.episode_steps
     assert env.spec.max_episode_steps == again.spec.max_episode_steps == steps + 1
-    assert "TimeLimit" not in str(env)
-    assert "TimeLimit" in str(again)
-    action = np.zeros(env.action_space.shape, dtype=np.float32)
-    for _ in range(2):
-        assert_same(dict(enumerate(env.reset(seed=3))), dict(enumerate(again.reset(seed=3))), name)
-        for step in range(1, steps + 1):
-            mine, theirs = env.step(action), again.step(action)
-            assert_same(dict(enumerate(mine)), dict(enumerate(theirs)), f"{name}, step {step}")
-            assert mine[2:4] == (step == steps, False)
+    if form == "single":
+        assert "TimeLimit" not in str(env)
+        assert "TimeLimit" in str(again)
+        assert gym.make_vec(env.spec, num_envs=2).spec.max_episode_steps == steps + 1
+    else:
+        assert again.spec == env.spec
+        assert again.metadata["autoreset_mode"] == AutoresetMode[form.upper()]
+    mine, theirs = (Player(each, form, push=0.0).begin(3).go(2 * steps) for each in (env, again))
+    assert_same(mine, theirs, name)
+    for row in mine:
+        taken = [each for each in row if "reward" in each]
+        assert not any(each["truncated"] for each in taken)
+        ends = [k for k, each in enumerate(taken, 1) if each["terminated"]]
+        assert max(np.diff([0, *ends])) == steps
+        assert ends == [steps, 2 * steps] or not lasting
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_a_vector_env_made_from_its_spec_is_the_same(name):
-    kwargs = {**played_on(name), "num_envs": 2, "autoreset_mode": "same_step"}
-    envs = gym.make_vec(name, **kwargs)
-    again = gym.make_vec(gym.make_vec(envs.spec).spec)
-    steps = envs.game.episode_steps
-    assert envs.spec == again.spec
-    assert envs.spec.max_episode_steps == steps + 1
-    single = gym.make(name, **played_on(name))
-    assert gym.make_vec(single.spec, num_envs=2).spec.max_episode_steps == steps + 1
-    envs.reset(seed=3)
-    again.reset(seed=3)
-    action = np.zeros(envs.action_space.shape, dtype=np.float32)
-    for step in range(1, steps + 3):
-        mine, theirs = envs.step(action), again.step(action)
-        assert_same(dict(enumerate(mine)), dict(enumerate(theirs)), f"{name}, step {step}")
-        assert mine[2].tolist() == [step == steps] * 2
-        assert not mine[3].any()
+@every_variant
+def test_a_spec_makes_the_same_environment_again_at(name: str, kwargs: dict[str, Any]) -> None:
+    env = make(name, "single", **json.loads(json.dumps(short(name, **kwargs))))
+    mine, theirs = (Player(each, "single").begin(3).go(5) for each in (env, remade(env)))
+    assert_same(mine, theirs, name)
+
+
+@every_id
+def test_a_limit_that_would_cut_an_episode_is_refused(name: str) -> None:
+    steps = gym.make(name, **short(name)).unwrapped.core.episode_steps
     for limit in (steps, 1.5):
         with pytest.raises(ValueError, match=rf"`max_episode_steps` must be .* got {limit}"):
-            gym.make_vec(name, max_episode_steps=limit, **kwargs)
+            gym.make_vec(name, num_envs=2, max_episode_steps=limit, **short(name))
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_a_seed_may_be_one_of_numpy(name):
+@every_id
+def test_a_seed_may_be_one_of_numpy(name: str) -> None:
     env, envs = gym.make(name, **short(name)), gym.make_vec(name, num_envs=2, **short(name))
     expected = env.reset(seed=3)[0]
     np.testing.assert_array_equal(env.reset(seed=np.int64(3))[0], expected)
@@ -218,36 +397,7 @@ def test_a_seed_may_be_one_of_numpy(name):
     assert envs.np_random_seed == 3
 
 
-CASES = [(name, {}) for name in IDS] + [(MAIN, kwargs) for kwargs in VARIANTS.values()]
-
-
-@pytest.mark.parametrize("count", [None, 3])
-@pytest.mark.parametrize(("name", "kwargs"), CASES, ids=[*IDS, *VARIANTS])
-def test_an_unfinished_episode_survives_pickling(name, kwargs, count):
-    kwargs = short(name, **kwargs)
-    if count is None:
-        env = gym.make(name, **kwargs).unwrapped
-    else:
-        env = gym.make_vec(name, num_envs=count, autoreset_mode="same_step", **kwargs)
-    env.reset(seed=5)
-    play_on(env, 0, 5)
-    copy = pickle.loads(pickle.dumps(env))
-    assert_same(play_on(env, 5, 8), play_on(copy, 5, 8), name)
-    np.testing.assert_array_equal(env.reset()[0], copy.reset()[0])
-
-
-@pytest.mark.parametrize("kwargs", VARIANTS.values(), ids=VARIANTS)
-def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(kwargs):
-    kwargs = {"timeline": SHORT, "autoreset_mode": "same_step", **kwargs}
-    few = gym.make_vec(MAIN, num_envs=3, threads=1, **kwargs)
-    many = gym.make_vec(MAIN, num_envs=19, threads=2, **kwargs)
-    np.testing.assert_array_equal(few.reset(seed=20)[0], many.reset(seed=4)[0][16:])
-    for k in range(25):
-        action = trajectories.action_at(k, many.action_space.shape)
-        mine, theirs = few.step(action[16:]), many.step(action)
-        for one, other in zip(mine[:4], theirs[:4], strict=True):
-            np.testing.assert_array_equal(one, other[16:])
-
+# --- processes -------------------------------------------------------------------------------
 
 SOME = ("DetectorView-v0", "LooselyCoupled-v0", "RandomStart-v0", "Snapshot-v0", "duel_v0-aec")
 REMOTE = """
@@ -259,7 +409,7 @@ for name in sys.argv[1:]:
 """
 
 
-def test_trajectories_are_the_same_in_another_process():
+def test_trajectories_are_the_same_in_another_process() -> None:
     """In another order, with other hashes of strings."""
     table = trajectories.cases()
     here = [trajectories.digest(table[name]()) for name in SOME]
@@ -270,9 +420,9 @@ def test_trajectories_are_the_same_in_another_process():
     assert done.stdout.split() == here[::-1]
 
 
-def test_processes_of_async_vector_env_after_threads_in_the_parent():
+def test_processes_of_async_vector_env_after_threads_in_the_parent() -> None:
     """A forked child can compute, though its parent has run kernels in threads."""
-    kwargs = {"timeline": SHORT}
+    kwargs = short(MAIN)
     threaded = gym.make_vec(MAIN, num_envs=33, threads=2, **kwargs)
     expected, _ = threaded.reset(seed=8)
     action = trajectories.action_at(0, threaded.action_space.shape)
@@ -287,33 +437,3 @@ def test_processes_of_async_vector_env_after_threads_in_the_parent():
         processes.close()
     again = threaded.step(action)  # nor are the parent's threads disturbed
     assert threaded.observation_space.contains(again[0])
-
-
-def play_parallel(env, rounds):
-    for k in range(rounds):
-        actions = {a: trajectories.action_at(k, env.action_space(a).shape) for a in env.agents}
-        yield {"step": dict(enumerate(env.step(actions)))}
-        if not env.agents:
-            yield {"begun": dict(enumerate(env.reset()))}
-
-
-def play_aec(env, rounds):
-    for k in range(2 * rounds):
-        result, shape = env.last(), env.action_space(env.agent_selection).shape
-        yield {env.agent_selection: dict(enumerate(result))}
-        env.step(None if result[2] else trajectories.action_at(k, shape))
-        if not env.agents:
-            env.reset()
-
-
-@pytest.mark.parametrize("kwargs", [VARIANTS["domain"], {"attack": "tracking-1m"}])
-@pytest.mark.parametrize(
-    ("make", "play"), [(duel_v0.parallel_env, play_parallel), (duel_v0.env, play_aec)]
-)
-def test_an_unfinished_duel_survives_pickling(make, play, kwargs):
-    env = make(timeline=SHORT, **kwargs)
-    env.reset(seed=6)
-    assert list(play(env, 5))
-    copy = pickle.loads(pickle.dumps(env))
-    for mine, theirs in zip(play(env, 20), play(copy, 20), strict=True):
-        assert_same(mine, theirs, "duel")

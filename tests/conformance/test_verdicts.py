@@ -17,8 +17,7 @@ from spoofgym.bench.run import WarmStart, play
 from spoofgym.bench.suite import Suite
 from spoofgym.detectors import Detector, Verdict
 from spoofgym.envs import SpoofVectorEnv
-from spoofgym.envs.engine import Engine
-from spoofgym.envs.setup import Timeline
+from spoofgym.simulators import Engine, Timeline
 
 B = 3
 PLANTS = {
@@ -88,7 +87,7 @@ class Wrong(Detector):
     quiet: int = QUIET
 
     paper: ClassVar[str] = "barshalom2001"
-    watches: ClassVar[str] = "any"
+    measures: ClassVar[str] = "any"
 
     def bind(self, context: Any) -> None:
         super().bind(context)
@@ -182,7 +181,7 @@ SIMULATIONS: dict[str, tuple[int, Callable[[Detector], Iterator[None]]]] = {
     **{name: (B, plant(name)) for name in PLANTS},
     "plant watching": (1, plant_watching),
     "bench": (B, bench),
-    "episode": (2, episode),
+    "episode": (1, episode),
 }
 """Receivers of each, and a run that stops once at the onset."""
 
@@ -216,7 +215,7 @@ def test_a_duel_takes_no_decision_that_is_no_number() -> None:
     action = np.full((1, *view.action_space.shape), np.nan)
     # past the environment, which refuses such an action by itself
     with pytest.raises(ValueError, match=r"^DetectorAgent, epoch at .* `statistic` .* got nan for"):
-        view.game.duel.decide(action)
+        view.core.duel.decide(action)
 
 
 def test_a_frozen_policy_is_checked_as_any_detector() -> None:

@@ -144,8 +144,8 @@ def test_a_drift_is_measured_in_all_coordinates():
     assert verdict.statistic[0, 0] == pytest.approx(5.0 / JUMP)
 
 
-def test_it_watches_positions_alone():
-    with pytest.raises(ValueError, match="Acna watches position, but the receiver measures sat"):
+def test_it_measures_positions_alone():
+    with pytest.raises(ValueError, match="Acna measures position, but the receiver measures sat"):
         Acna().bind(of_satellites(2, 8))
 
 

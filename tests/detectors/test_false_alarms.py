@@ -12,8 +12,7 @@ import pytest
 import scipy.stats
 
 from spoofgym.detectors import DetectorContext, Never, make_detector
-from spoofgym.envs import Engine
-from spoofgym.envs.presets import make_setup
+from spoofgym.simulators import Engine, TightlyCoupledSetup
 
 RECEIVERS, EPOCHS, ALPHA = 1000, 100, 0.05
 PASSIVE = {
@@ -39,7 +38,7 @@ def spec(label, **more):
 @cache
 def last_alarms():
     """Alarms of the last epoch, by label; of the first satellite where every one is judged."""
-    setup = make_setup(
+    setup = TightlyCoupledSetup(
         scenario="zhong2025-white",
         receiver={"tuning": "matched"},
         detector=Never(),
@@ -60,8 +59,8 @@ def last_alarms():
     told = DetectorContext(
         RECEIVERS,
         setup.world.channels,
-        setup.scenario.epoch_interval_s,
-        setup.noise_variance.copy(),
+        setup.interval_s,
+        setup.combinations[0].noise_variance.copy(),
         setup.world.satellite_ids,
     )
     for detector in detectors.values():

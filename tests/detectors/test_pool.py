@@ -24,7 +24,7 @@ def played(detector, runs=12, rows=None):
     if rows is not None:
         rngs = [rngs[row] for row in rows]
     start = WarmStart(suite.setup(suite.detector_entries[0]), rngs, threads=1)
-    drawn = start.engine().batch.detector.memory
+    drawn = start.engine().simulator.detector.memory
     return play(start, {"name": "ramp", "rate_mps": 0.5}), drawn
 
 
@@ -77,9 +77,9 @@ def test_its_settings_are_written_down_and_make_it_again():
 
 def test_what_a_pool_has_in_common():
     pool = make_detector(POOL)
-    assert (pool.scope, pool.watches, pool.oracle) == ("receiver", "satellites", False)
+    assert (pool.scope, pool.measures, pool.oracle) == ("receiver", "satellites", False)
     assert make_detector({"name": "pool", "members": ["ewma", "cusum"]}).scope == "channel"
-    assert make_detector({"name": "pool", "members": ["rio", "never"]}).watches == "position"
+    assert make_detector({"name": "pool", "members": ["rio", "never"]}).measures == "position"
     assert make_detector({"name": "pool", "members": ["oracle-step", "ewma"]}).oracle
 
 
@@ -91,7 +91,7 @@ def test_what_a_pool_has_in_common():
         ({"members": [POOL]}, "can't be one of the detectors of a pool"),
         (
             {"members": ["ewma", "rio"]},
-            r"watch the same, got Ewma \(satellites\), Rio \(position\)",
+            r"measure the same, got Ewma \(satellites\), Rio \(position\)",
         ),
         ({"members": ["ewma"], "weights": [1.0, 2.0]}, "one number for each of the 1 opponents"),
         ({"members": ["ewma"], "weights": [0.0]}, "not all 0"),

@@ -23,7 +23,7 @@ def epoch_of(script, number, rows, needs):
 @pytest.mark.parametrize("name", DETECTORS)
 def test_a_shipped_detector_needs_no_closer_look(name, monkeypatch):
     detector = make_detector(name)
-    script = SCRIPTS["position" if detector.watches == "position" else "satellites"]()
+    script = SCRIPTS["position" if detector.measures == "position" else "satellites"]()
     detector.bind(script.context)
     rows = np.arange(script.context.receivers)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 
-from spoofgym.envs.terms import TERMS, term_table
+from spoofgym.envs.terms.registry import TERMS, term_table
 
 from .pages import blocks_of
 

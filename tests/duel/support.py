@@ -67,8 +67,8 @@ def bound(detector, duel, receivers: int = 1):
         DetectorContext(
             receivers,
             setup.world.channels,
-            setup.scenario.epoch_interval_s,
-            setup.noise_variance,
+            setup.interval_s,
+            setup.combinations[0].noise_variance,
             setup.world.satellite_ids,
         )
     )

@@ -47,7 +47,7 @@ def test_fresh_clean_episodes_keep_the_rate():
     )
     observation, _ = envs.reset(seed=500)
     alarmed = np.zeros(64, dtype=bool)
-    for _ in range(envs.game.duel.epochs):
+    for _ in range(envs.core.duel.epochs):
         observation, reward, over, _, info = envs.step(wary(observation))
         alarmed |= info["alarm"] & info["_alarm"]
         assert not reward.any()
@@ -71,7 +71,7 @@ def test_alarming_at_once_does_not_pay():
         assert not infos["detector_0"]["alarm"]
         total += rewards["detector_0"]
     assert total <= 0.0
-    assert env.rules.duel.ledger.step_count[0] == env.rules.duel.epochs
+    assert env.rules.duel.score.step_count[0] == env.rules.duel.epochs
 
 
 @pytest.mark.parametrize("habit", ["always", "never", "half", "turning"])

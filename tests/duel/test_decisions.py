@@ -183,7 +183,7 @@ def test_a_scripted_spoofer_of_the_detectors_view_knows_how_seldom_it_decides(de
     while not over:
         _, _, over, _, _ = view.step(QUIET)
         steps += 1
-    memory = view.game.duel.game.engine.batch.attack.memory
+    memory = view.core.duel.core.engine.simulator.attack.memory
     # 0.9 m/s at 0.6 m/s^2, held for the 1.5 s of the first decision
     np.testing.assert_allclose(memory["rate"][0], [0.0, 0.9], atol=1e-12)
     assert steps == EPOCHS + HOLD

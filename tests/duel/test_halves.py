@@ -49,7 +49,7 @@ def test_the_aec_form_with_an_agent_of_ewma_is_the_env_with_ewma(push):
         timeline=NO_LIVE, attack=STRONG, attack_probability=1.0, threshold=0.5, exclusion_s=None
     )
     own, last, total = played(
-        duel, lambda d: d.unwrapped.rules.duel.game.engine.batch.epoch, push, 4
+        duel, lambda d: d.unwrapped.rules.duel.core.engine.simulator.epoch, push, 4
     )
     assert info["detected"] == (push == PUSH[1])
     n = len(expected)
@@ -73,7 +73,7 @@ def test_the_parallel_form_is_the_env_with_ewma_one_epoch_late(push):
         actions = {"detector_0": decision, "spoofer_0": np.array([0.0, push])}
         *_, infos = duel.step(actions)
         # what has been decided on this epoch comes into force in the next one
-        epoch = core.game.engine.batch.epoch
+        epoch = core.core.engine.simulator.epoch
         decision = as_action(agent.judge(epoch))
         last = infos["spoofer_0"]
         displacement.append(last["displacement_m"])

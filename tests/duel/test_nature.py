@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
-from spoofgym.duel.ledger import Ledger
 from spoofgym.envs import SpoofEnv
-from spoofgym.envs.books import Books
+from spoofgym.envs.scoring import DisplacementScore, FusedStep
+from spoofgym.envs.step_result import StepResult
 
 from .support import ALARM, QUIET, SHORT, aec, parallel
 
@@ -70,7 +70,7 @@ def test_the_detector_observes_no_truth():
     env.step(PUSH)
     duel = env.unwrapped.rules.duel
     seen = duel.observe_detector()
-    agent, batch = duel.agent, duel.game.engine.batch
+    agent, batch = duel.agent, duel.core.engine.simulator
     remembered = {name: np.array(array) for name, array in agent.memory.items()}
     agent.reset()
     agent.look(batch.epoch)
@@ -106,47 +106,41 @@ def test_the_weighted_payoff_charges_false_alarms_to_the_detector_alone():
     assert trace[-1][1] == {"spoofer_0": 0.0, "detector_0": -7.0}
 
 
-def test_the_ledger_keeps_the_rules_of_the_books():
+class Still:
+    """Receivers that stay at the first epoch."""
+
+    def __init__(self, receivers):
+        zeros = np.zeros(receivers, dtype=np.int64)
+        self._arrays = zeros, zeros > 0, np.zeros((receivers, 0)), np.zeros((receivers, 0))
+
+    def step_arrays(self):
+        return self._arrays
+
+
+def test_the_time_to_alert_counts_the_same_at_once_as_epoch_by_epoch():
     steps, hold, runs = 12, 4, 200
     rng = np.random.default_rng(3)
-    books, ledger = Books(runs, steps, hold), Ledger(runs, steps, hold)
-    books.reset(np.arange(runs))
-    ledger.reset(np.arange(runs))
     displacement = rng.normal(size=(steps + hold, runs)).cumsum(axis=0)
     alarms = rng.random((steps + hold, runs)) < 0.06
-    for k in range(steps + hold):
-        ledger.count(displacement[k], alarms[k])
-        if k < steps:
-            books.score(displacement[k], alarms[k][:, None], lambda rows: alarms[steps:, rows])
-    np.testing.assert_allclose(ledger.credited, books.credited, atol=1e-12)
-    np.testing.assert_array_equal(ledger.detected, books.detected)
-    assert 0.2 < ledger.detected.mean() < 0.9
-
-
-def test_who_looks_away_has_an_allowance():
-    """An attack can't reach a filter that does not look; so it may do so for a limited time."""
-    found = {}
-    for allowance in (0.0, 5.0, None):
-        env = parallel(attack_probability=1.0, threshold=1.0, exclusion_s=allowance)
-        env.reset(seed=2)
-        left = []
-        while env.agents:
-            actions = {"spoofer_0": PUSH, "detector_0": -np.ones(13)}
-            observations, *_, infos = env.step(actions)
-            left.append(observations["detector_0"][-1])
-        assert env.rules.observation_names["detector_0"][-1] == "exclusion_left"
-        found[allowance] = infos["spoofer_0"]["undetected_displacement_m"]
-        agent = env.rules.duel.agent
-        if allowance == 5.0:
-            # the first decision is seen in the observation of the second epoch
-            np.testing.assert_allclose(left[:12], [*(1.0 - 0.1 * np.arange(11)), 0.0], atol=1e-6)
-            assert agent.memory["excluded_s"] == 5.0
-    trusting = run(parallel(attack_probability=1.0, threshold=1.0), 2)
-    assert found[0.0] == trusting[-1][2]["spoofer_0"]["undetected_displacement_m"]
-    assert found[None] < found[5.0] < found[0.0]
-
-
-@pytest.mark.parametrize("bad", [-1.0, np.inf, np.nan])
-def test_a_bad_allowance(bad):
-    with pytest.raises(ValueError, match="`exclusion_s` must be finite and >= 0"):
-        parallel(exclusion_s=bad)
+    scores = []
+    for window in (steps, steps + hold):
+        score = DisplacementScore(runs, steps, hold)
+        fused = FusedStep(score, np.zeros(1), at_alarm=True, window=window)
+        for k in range(window):
+            result = StepResult(fused.layout)
+            result.displacement[:] = displacement[k]
+            nobody, seen = score.nobody, np.empty(0, dtype=np.float32)
+            fused(
+                Still(runs),
+                alarms[k][:, None],
+                nobody,
+                nobody,
+                result,
+                seen,
+                lambda rows: alarms[steps:, rows],
+            )
+        scores.append(score)
+    at_once, by_epoch = scores
+    np.testing.assert_allclose(by_epoch.undetected, at_once.undetected, atol=1e-12)
+    np.testing.assert_array_equal(by_epoch.detected, at_once.detected)
+    assert 0.2 < by_epoch.detected.mean() < 0.9

@@ -68,8 +68,8 @@ def test_every_spoofer_commands_in_double_precision_whoever_acts_first():
     for name, pool in (("alone", [Double()]), ("pair", [Single(), Double()])):
         envs = duel_v0.DetectorVectorView(8, pool, timeline=SHORT)
         envs.reset(seed=2)
-        game = envs.game
-        commands[name] = game.pool.act(game.duel.game.snapshot(), np.arange(8))
+        game = envs.core
+        commands[name] = game.pool.act(game.duel.core.snapshot(), np.arange(8))
         opponents = np.array(envs.opponents)
     assert set(opponents) == {"Single", "Double"}
     mine = opponents == "Double"

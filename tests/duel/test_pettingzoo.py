@@ -118,7 +118,7 @@ def test_agents_end_together_and_nothing_that_is_returned_is_used_again():
 def test_the_aec_form_keeps_the_exact_order():
     env = aec()
     env.reset(seed=2)
-    batch = env.unwrapped.rules.duel.game.engine.batch
+    batch = env.unwrapped.rules.duel.core.engine.simulator
     seen = env.observe("detector_0")
     spoofer_seen, covariance = env.observe("spoofer_0"), batch.buffers.state.covariance.copy()
     env.step(np.array([0.0, 1.0]))

@@ -29,15 +29,15 @@ VECTOR = {
 def batch_of(env):
     """Receivers of an environment of any kind."""
     inner = getattr(env, "unwrapped", env)
-    duel = inner.rules.duel if hasattr(inner, "rules") else getattr(inner.game, "duel", None)
-    return (inner.game if duel is None else duel.game).engine.batch
+    duel = inner.rules.duel if hasattr(inner, "rules") else getattr(inner.core, "duel", None)
+    return (inner.core if duel is None else duel.core).engine.simulator
 
 
 def circumstances(env):
     """World, time from its begin to the onset, and heading of every receiver."""
     batch = batch_of(env)
     each = batch.setup.epochs_each
-    interval = batch.setup.scenario.epoch_interval_s
+    interval = batch.setup.interval_s
     return batch.onset // each, (batch.onset % each) * interval, np.degrees(batch.heading)
 
 

@@ -328,7 +328,7 @@ def test_unknown_arguments_are_named_with_the_valid_ones(make):
     message = rf"^{make.__name__} has no argument .attak.; valid: .*attack, .* pool, .*mean .attack"
     with pytest.raises(TypeError, match=message) as told:
         make(attak="meaconer")
-    assert "make_game" not in str(told.value)
+    assert "SpoofCore" not in str(told.value)
     hidden = "knowledge" if "Detector" in make.__name__ else "detector"
     assert f" {hidden}," not in str(told.value)
 
@@ -415,7 +415,7 @@ def test_an_episode_may_last_as_long_as_the_flight(delay):
     timeline = {"warmup_s": 200.0, "live_s": 10.0, "attack_s": 207.5, "time_to_alert_s": 10.0}
     kwargs = {"threshold": 0.5, "timeline": timeline, "decision_delay": delay}
     envs = duel_v0.DetectorVectorView(2, "ramp", **kwargs)
-    setup = envs.game.duel.setup
+    setup = envs.core.duel.setup
     spare = setup.world.epochs - 1 - (setup.onset + setup.steps + setup.hold)
     envs.reset(seed=1)
     alarm = np.tile(QUIET, (2, 1))
@@ -423,11 +423,11 @@ def test_an_episode_may_last_as_long_as_the_flight(delay):
     alarm[0] = 1.0
     assert envs.step(alarm)[2].tolist() == [True, False]
     # from here on the receivers end at different times, and one runs on while the other is reset
-    for _ in range(envs.game.duel.epochs - 2):
+    for _ in range(envs.core.duel.epochs - 2):
         observation, _, over, _, _ = envs.step(np.tile(QUIET, (2, 1)))
         assert np.isfinite(observation).all()
     assert over.tolist() == [False, True]
     envs.step(np.tile(QUIET, (2, 1)))
-    last = envs.game.duel.game.engine.batch.epochs
+    last = envs.core.duel.core.engine.simulator.epochs
     assert spare == 1
     assert last[1] == setup.onset + (1 - delay)

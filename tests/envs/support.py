@@ -8,10 +8,62 @@ import gymnasium as gym
 import numpy as np
 
 import spoofgym  # noqa: F401  (registers the ids)
+from spoofgym.detectors import Detector, DetectorContext, Verdict
 from spoofgym.envs import SpoofVectorEnv
+from spoofgym.receiver.epoch import Epoch
 
 ID = "spoofgym/TightlyCoupled-v0"
-SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 5.0}
+LIVE, STEPS, HOLD = 20, 30, 10
+"""Epochs of the monitored warm-up, the commands and the time to alert of a short episode."""
+VICTIMS = {"TightlyCoupled": 0.5, "LooselyCoupled": 0.1, "Snapshot": 1.0, "WheeledRobot": 1.0}
+"""Every victim, and the interval of its epochs [s]."""
+SMALL = tuple(kind for kind in VICTIMS if kind != "TightlyCoupled")
+
+
+def timeline_of(kind: str) -> dict[str, float]:
+    """Phases of a short episode."""
+    epochs = {"warmup_s": 2 * LIVE, "live_s": LIVE, "attack_s": STEPS, "time_to_alert_s": HOLD}
+    return {name: round(count * VICTIMS[kind], 6) for name, count in epochs.items()}
+
+
+SHORT = timeline_of("TightlyCoupled")
+
+
+def settings_of(kind: str, **settings: Any) -> dict[str, Any]:
+    """Settings of a short episode, with a detector that can alarm in it."""
+    settings.setdefault("timeline", timeline_of(kind))
+    if kind == "LooselyCoupled":
+        settings.setdefault("detector", {"name": "windowed-chi2", "window": 8})
+    return settings
+
+
+def victim(kind: str, **settings: Any) -> gym.Env:
+    return gym.make(f"spoofgym/{kind}-v0", **settings_of(kind, **settings))
+
+
+def victims(kind: str, num_envs: int, **settings: Any) -> Any:
+    made = gym.make_vec(f"spoofgym/{kind}-v0", num_envs=num_envs, **settings_of(kind, **settings))
+    return made.unwrapped
+
+
+class AlarmAt(Detector):
+    """Alarms once, a number of epochs after it was reset."""
+
+    paper = "groves2013"
+    scope = "receiver"
+    watches = "any"
+
+    def __init__(self, epoch: int) -> None:
+        self.epoch = epoch
+
+    def bind(self, context: DetectorContext) -> None:
+        super().bind(context)
+        self.memory.declare("seen", np.zeros(context.receivers))
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        self.memory["seen"] = self.memory["seen"] + 1.0
+        alarm = (self.memory["seen"] == self.epoch)[:, None]
+        return Verdict(alarm * 2.0, np.ones(alarm.shape), alarm)
 
 
 def single(**kwargs: Any) -> gym.Env:
@@ -20,32 +72,3 @@ def single(**kwargs: Any) -> gym.Env:
 
 def vector(num_envs: int, **kwargs: Any) -> SpoofVectorEnv:
     return SpoofVectorEnv(num_envs, **{"timeline": SHORT, **kwargs})
-
-
-class Squeezed(gym.Env):
-    """A vector environment of one, seen as a single one."""
-
-    def __init__(self, **kwargs: Any) -> None:
-        self.env = vector(1, autoreset_mode="next_step", **kwargs)
-        self.observation_space = self.env.single_observation_space
-        self.action_space = self.env.single_action_space
-        self.render_mode = None
-
-    @staticmethod
-    def _plain(info: dict[str, Any]) -> dict[str, Any]:
-        return {name: info[name].item() for name in info if not name.startswith("_")}
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        observation, info = self.env.reset(seed=seed)
-        return observation[0], self._plain(info)
-
-    def step(self, action):
-        observation, reward, terminated, truncated, info = self.env.step(np.asarray(action)[None])
-        return (
-            observation[0],
-            float(reward[0]),
-            bool(terminated[0]),
-            bool(truncated[0]),
-            self._plain(info),
-        )

@@ -30,7 +30,7 @@ def test_a_decision_that_is_held_is_the_same_command_at_every_epoch():
         np.testing.assert_array_equal(seen, parts[-1][0])
         assert over == parts[-1][2]
         assert info["cost"] == max(part[4]["cost"] for part in parts)
-    assert slow.game.step_count[0] == 40
+    assert slow.core.step_count[0] == 40
 
 
 def test_between_decisions_the_command_moves_along_a_line():
@@ -42,14 +42,14 @@ def test_between_decisions_the_command_moves_along_a_line():
     )
     env.reset(seed=5)
     rates = []
-    inner = env.game.engine.step
+    inner = env.core.engine.step
 
     def watched(action):
         verdict = inner(action)
-        rates.append(env.game.engine.batch.attack.memory["rate"][0, 1])
+        rates.append(env.core.engine.simulator.attack.memory["rate"][0, 1])
         return verdict
 
-    env.game.engine.step = watched
+    env.core.engine.step = watched
     for east in (0.4, -0.4):
         env.step(np.array([0.0, east]))
     np.testing.assert_allclose(rates, 5.0 * np.array([0.1, 0.2, 0.3, 0.4, 0.2, 0.0, -0.2, -0.4]))
@@ -82,7 +82,7 @@ def test_a_twin_is_the_run_without_attack_bit_for_bit(detector):
     for _ in range(25):
         _, _, over, _, _ = env.step(rng.uniform(-1.0, 1.0, 2))
         clean.step(np.zeros(2))
-        ours, theirs = env.game.engine.twin.buffers, clean.game.engine.batch.buffers
+        ours, theirs = env.core.engine.twin.buffers, clean.core.engine.simulator.buffers
         np.testing.assert_array_equal(ours.floats, theirs.floats)
         if over:
             break
@@ -98,9 +98,9 @@ def test_with_a_twin_displacement_is_what_the_attack_has_induced_and_nothing_els
     for _ in range(20):
         _, reward, _, _, info = env.step(np.array([1.0, 0.0]))
         total += reward
-    batch, twin = env.game.engine.batch, env.game.engine.twin
+    batch, twin = env.core.engine.simulator, env.core.engine.twin
     apart = batch.buffers.state.position_e - twin.buffers.state.position_e
-    north, east, _ = apart[0] @ env.game.setup.world.C_en[batch.onset[0]]
+    north, east, _ = apart[0] @ env.core.setup.world.C_en[batch.onset[0]]
     assert info["displacement_m"] == pytest.approx(np.hypot(north, east), rel=1e-9)
     assert total == pytest.approx(info["undetected_displacement_m"])
     assert total > 1.0
@@ -117,8 +117,8 @@ def test_the_next_episode_has_a_twin_of_its_own():
         _, _, over, _, _ = envs.step(rng.uniform(-1.0, 1.0, (3, 2)))
         ends += over.sum()
         for row in np.flatnonzero(over):
-            engine = envs.unwrapped.game.engine
-            ours, theirs = engine.batch.buffers.state, engine.twin.buffers.state
+            engine = envs.unwrapped.core.engine
+            ours, theirs = engine.simulator.buffers.state, engine.twin.buffers.state
             np.testing.assert_array_equal(ours.position_e[row], theirs.position_e[row])
     assert ends > 5
 
@@ -174,9 +174,9 @@ def test_an_episode_that_ends_within_a_decision_is_told_as_it_stood_at_its_end(t
         seen, info = last_step(slow, seed)
         exact, expected = last_step(quick, seed)
         for env in (slow, quick) if twin else ():  # both have run the time to alert
-            assert env.game.engine.twin.epochs[0] == env.game.engine.batch.epochs[0]
-        count = slow.game.step_count[0]
-        assert count == quick.game.step_count[0]
+            assert env.core.engine.twin.epochs[0] == env.core.engine.simulator.epochs[0]
+        count = slow.core.step_count[0]
+        assert count == quick.core.step_count[0]
         assert count % 10
         np.testing.assert_array_equal(seen, exact)
         for name in (name for name in expected if not name.startswith("reward")):
@@ -258,4 +258,4 @@ def test_a_number_of_commands_is_one_of_decisions():
     env.reset(seed=0)
     ends = [env.step(np.zeros(2))[3] for _ in range(3)]
     assert ends == [False, False, True]
-    assert env.game.step_count[0] == 30
+    assert env.core.step_count[0] == 30

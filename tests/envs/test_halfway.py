@@ -8,12 +8,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from spoofgym import duel_v0
-from spoofgym.envs.engine import Batch
-from spoofgym.envs.prefetch import NextEpisodes
-from spoofgym.envs.presets import make_game, make_setup
-from spoofgym.envs.resets import HALFWAY
-from spoofgym.envs.snapshot_plant import SnapshotPlant
+from spoofgym.envs import SpoofCore, TightlyCoupledSetup
+from spoofgym.envs.core import _DoneRows
+from spoofgym.envs.options import HALFWAY
+from spoofgym.simulators.prefetch import NextEpisodes
+from spoofgym.simulators.snapshot_positioning import SnapshotSimulator
+from spoofgym.simulators.tightly_coupled import TightlyCoupledSimulator
 
 TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
 FORMS = {
@@ -28,8 +28,8 @@ FORMS = {
         for mode in ("next_step", "same_step", "disabled")
     },
     "SB3": lambda: sb3_env(),
-    "duel": lambda: duel_v0.env(timeline=TIMELINE),
-    "parallel duel": lambda: duel_v0.parallel_env(timeline=TIMELINE),
+    "duel": lambda: duel("env", timeline=TIMELINE),
+    "parallel duel": lambda: duel("parallel_env", timeline=TIMELINE),
 }
 
 
@@ -37,6 +37,12 @@ def sb3_env():
     from spoofgym.sb3 import SpoofVecEnv
 
     return SpoofVecEnv(40, timeline=TIMELINE, threads=2)
+
+
+def duel(form, **settings):
+    from spoofgym import duel_v0
+
+    return getattr(duel_v0, form)(**settings)
 
 
 def act(env):
@@ -85,10 +91,8 @@ def test_an_interrupted_environment_refuses_to_go_on_until_reset(form, within, m
     env, fresh = FORMS[form](), FORMS[form]()
     restart(env)
     act(env)
-    plant = form == "small"
-    halves = {"step": "advance_attacked", "reset": "begin"}
-    names = {"step": "advance", "reset": "begin"} if plant else halves
-    interrupt_once(monkeypatch, SnapshotPlant if plant else Batch, names[within])
+    simulator = SnapshotSimulator if form == "small" else TightlyCoupledSimulator
+    interrupt_once(monkeypatch, simulator, {"step": "predict", "reset": "begin"}[within])
     if form == "duel" and within == "step":
         act(env)  # the detector's half; the next is the spoofer's
     go_on = act if within == "step" else restart
@@ -108,7 +112,7 @@ def test_an_interrupted_environment_refuses_to_go_on_until_reset(form, within, m
 def test_some_receivers_are_not_enough_for_the_reset_after_an_interrupt(monkeypatch):
     env = FORMS["disabled"]()
     env.reset(seed=5)
-    interrupt_once(monkeypatch, Batch, "update")
+    interrupt_once(monkeypatch, TightlyCoupledSimulator, "update")
     with pytest.raises(KeyboardInterrupt):
         act(env)
     with pytest.raises(ValueError, match="must be that of all receivers"):
@@ -127,25 +131,27 @@ def test_a_refused_reset_leaves_the_episode_as_it_was():
 
 
 @pytest.mark.parametrize("name", ["copy_rows", "_slots", "prepared"])
-def test_interrupted_books_of_the_next_episodes_are_thrown_away(name, monkeypatch):
-    setup = make_setup(timeline=TIMELINE)
+def test_next_episodes_whose_books_an_interrupt_broke_are_thrown_away(name, monkeypatch):
+    setup = TightlyCoupledSetup(timeline=TIMELINE)
 
     def rngs():
         return [np.random.default_rng(seed) for seed in range(9)]
 
-    def rewards(game):
-        return [game.step(np.full((9, 2), 0.3)).reward for _ in range(3)]
+    def rewards(core):
+        return [core.step(np.full((9, 2), 0.3))[0].reward for _ in range(3)]
 
-    ahead, plain = (make_game(9, setup, threads=1, prefetch=on) for on in (True, False))
+    ahead, plain = (SpoofCore(9, setup, threads=1, prefetch=on) for on in (True, False))
     given = rngs()
     ahead.reset(given)
-    interrupt_once(monkeypatch, Batch if name == "copy_rows" else NextEpisodes, name)
+    interrupt_once(
+        monkeypatch, TightlyCoupledSimulator if name == "copy_rows" else NextEpisodes, name
+    )
     with pytest.raises(KeyboardInterrupt):
         ahead.reset(given)
-    for game in (ahead, plain):
+    for core in (ahead, plain):
         given = rngs()
         for _ in range(4):
-            game.reset(given)
+            core.reset(given)
     assert np.array_equal(rewards(ahead), rewards(plain))
     ahead.close()
 
@@ -162,8 +168,7 @@ def test_an_interrupted_decision_of_several_epochs_leaves_nothing_behind(monkeyp
         for _ in range(2)
     )
     env.reset(seed=5)
-    kept = type(env.unwrapped.game._kept)
-    interrupt_once(monkeypatch, kept, "put_aside")
+    interrupt_once(monkeypatch, _DoneRows, "keep")
     with pytest.raises(KeyboardInterrupt):
         played(env)
     for each in (env, fresh):

@@ -14,8 +14,7 @@ from spoofgym.envs import wrappers
 from spoofgym.envs.recorder import EpochRecorder
 from spoofgym.envs.wrappers import vector as vector_wrappers
 
-from .support import ID, SHORT, single, vector
-from .test_ends import AfterEpochs
+from .support import ID, LIVE, SHORT, AlarmAt, single, vector
 
 
 def transitions(env, steps=36, seed=4):
@@ -81,8 +80,10 @@ def test_a_game_that_has_begun_is_left_alone(make, module):
 
 
 def test_other_environments_are_refused():
-    with pytest.raises(TypeError, match="needs a SpoofEnv"):
-        wrappers.WatchWrapper(gym.make("spoofgym/SpooferView-v0", timeline=SHORT), ["cusum"])
+    ids = ("spoofgym/SpooferView-v0", "spoofgym/DetectorView-v0")
+    for env in (*(gym.make(name, timeline=SHORT) for name in ids), gym.make("CartPole-v1")):
+        with pytest.raises(TypeError, match="needs an environment of spoofgym, single or vector"):
+            wrappers.WatchWrapper(env, ["cusum"])
 
 
 def test_make_vec_refuses_wrappers_where_there_is_a_vector_form():
@@ -94,7 +95,7 @@ def test_make_vec_refuses_wrappers_where_there_is_a_vector_form():
 def test_the_spec_of_a_wrapped_environment_makes_it_again():
     env = wrappers.StealthBudget(wrappers.DetectorWrapper(single(), "snapshot-chi2"), 3.0)
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    assert type(again.unwrapped.game.setup.detector).__name__ == "SnapshotChi2"
+    assert type(again.unwrapped.core.setup.detector).__name__ == "SnapshotChi2"
     assert_same(transitions(env)[0], transitions(again)[0])
 
 
@@ -119,7 +120,7 @@ def test_detectors_that_watch_change_nothing_and_see_everything(prefetch):
     loud = Nervous()
     alone = vector(3, detector=loud, prefetch=prefetch, **kwargs)
     watched = vector(3, detector=loud, watch=[loud, "ewma", "ewma"], prefetch=prefetch, **kwargs)
-    assert [name for name in watched.game.info_names if name.endswith("_ratio")] == [
+    assert [name for name in watched.core.info_names if name.endswith("_ratio")] == [
         "watch_nervous_ratio",
         "watch_ewma_ratio",
         "watch_ewma_2_ratio",
@@ -207,7 +208,7 @@ def test_what_is_written_are_the_epochs_of_the_commands_and_no_others(
 ):
     """Neither the warm-up nor the time to alert: the information tells of alarms there."""
     pytest.importorskip("pyarrow")
-    env = single(detector=AfterEpochs(at), decision_interval_s=decision_interval_s)
+    env = single(detector=AlarmAt(LIVE + at), decision_interval_s=decision_interval_s)
     env = wrappers.RecordEpochs(env, tmp_path)
     _, begun = env.reset(seed=3)
     assert begun["warmup_alarm"] == warmup_alarm

@@ -11,21 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
-from spoofgym.attacks import FalsePosition
 from spoofgym.detectors import Never
-from spoofgym.envs import Setup, Timeline
-from spoofgym.envs.recording import record_run
 from spoofgym.receiver import NavState, Recording, Solution, TightlyCoupled, replay
 from spoofgym.sim.manoeuvres import Climb, Straight, Turn, fly
 from spoofgym.sim.noise import normals, threefry
 from spoofgym.sim.scenario import Scenario
+from spoofgym.simulators import TightlyCoupledSetup, Timeline
+from spoofgym.simulators.recording import record_run
 
 FILE = Path(__file__).with_name("own_run.npz")
 GRADE = "tactical"
 SEED = 20261121
 
 
-def setup() -> Setup:
+def setup() -> TightlyCoupledSetup:
     flight = fly(
         [Straight(3.0), Turn(20.0, bank_deg=20.0, ramp_s=3.0), Climb(20.0), Straight(3.0)],
         latitude_deg=-33.9,
@@ -39,7 +38,9 @@ def setup() -> Setup:
     scenario = Scenario(flight=flight, errors="groves", imu=GRADE, epoch_interval_s=1.0)
     timeline = Timeline(warmup_s=8.0, live_s=0.0, attack_s=8.0, time_to_alert_s=1.0)
     receiver = TightlyCoupled(grade=GRADE)
-    return Setup(scenario, receiver, FalsePosition(), Never(), timeline)
+    return TightlyCoupledSetup(
+        scenario=scenario, receiver=receiver, detector=Never(), timeline=timeline
+    )
 
 
 def simulate() -> tuple[NavState, Recording, np.ndarray]:

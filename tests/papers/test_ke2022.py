@@ -17,9 +17,9 @@ from baselines.papers.ke2022 import campaign, parts
 from baselines.papers.ke2022.tables import CHANNELS, ORACLES, RAMPS, STEPS
 from spoofgym.attacks import PerChannel
 from spoofgym.detectors import DetectorContext, GlrRamp, GlrStep, InnovationRate, Never
-from spoofgym.envs import Engine, Setup, Timeline
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.sim.scenario import SCENARIOS
+from spoofgym.simulators import Engine, TightlyCoupledSetup, Timeline
 
 RUNS = 16
 ATTACKS = [("step", size) for size in STEPS] + [("ramp", size) for size in RAMPS]
@@ -149,26 +149,26 @@ def test_the_adaptive_threshold_needs_no_settling():
 def test_false_alarms_in_a_matched_world_are_as_stated():
     """Of the rate test; the scans keep to their bound."""
     receivers, alpha, epochs = 256, 0.05, 200
-    setup = Setup(
-        SCENARIOS["ke2022-white"](),
-        TightlyCoupled(tuning="matched"),
-        PerChannel(),
-        Never(),
-        Timeline(warmup_s=epochs, live_s=epochs, attack_s=1.0, time_to_alert_s=0.0),
+    setup = TightlyCoupledSetup(
+        scenario=SCENARIOS["ke2022-white"](),
+        receiver=TightlyCoupled(tuning="matched"),
+        attack=PerChannel(),
+        detector=Never(),
+        timeline=Timeline(warmup_s=epochs, live_s=epochs, attack_s=1.0, time_to_alert_s=0.0),
     )
     engine = Engine(receivers, setup, threads=1)
-    batch, world = engine.batch, setup.world
-    batch.begin([np.random.default_rng([7, run]) for run in range(receivers)])
+    simulator, world = engine.simulator, setup.world
+    simulator.begin([np.random.default_rng([7, run]) for run in range(receivers)])
     detectors = [kind(false_alarm=alpha) for kind in (InnovationRate, GlrStep, GlrRamp)]
-    variance = setup.noise_variance.copy()
+    variance = setup.combinations[0].noise_variance.copy()
     for detector in detectors:
         detector.bind(
             DetectorContext(receivers, world.channels, 1.0, variance, world.satellite_ids)
         )
     for _ in range(epochs):
-        epoch = batch.advance()
+        epoch = simulator.advance()
         alarms = [detector.judge(epoch).alarm.any(axis=1).sum() for detector in detectors]
-        batch.update(None)
+        simulator.update(None)
     low, high = scipy.stats.binom.ppf([1e-3, 1.0 - 1e-3], receivers, alpha)
     assert low <= alarms[0] <= high
     assert max(alarms[1:]) <= high

@@ -32,11 +32,12 @@ from baselines.papers.song2021.runs import (
     commands,
     generators,
     judge,
-    make_plant,
+    make_setup,
     ramp_offsets,
     record,
 )
 from spoofgym.attacks.robot_data_sets import DATA_SETS
+from spoofgym.simulators import Engine
 
 SEED, RUNS = 1, 100
 ATTACKED = ("jump", "slow", "both")
@@ -183,14 +184,14 @@ def test_sums_of_the_error_rates_do_not_reach_zero_with_a_window():
 @pytest.mark.parametrize("word", FILTERS)
 def test_a_recorded_run_is_the_environment_bit_for_bit(word):
     data_set = DATA_SETS["both"]
-    plant = make_plant(data_set, 6, FILTERS[word])
-    plant.begin(generators(SEED, 6, 0))
+    engine = Engine(6, make_setup(data_set, FILTERS[word]))
+    engine.reset(generators(SEED, 6, 0))
     judged = judge(record("both", SEED, 6), FILTERS[word])
     offsets = data_set.offsets(generators(SEED, 6, 1))
     for k, action in enumerate(commands(offsets)):
-        np.testing.assert_array_equal(plant.advance(action), judged.alarm[k])
-        np.testing.assert_array_equal(plant.error_ne(), judged.error[k])
-    np.testing.assert_allclose(plant.memory["offset"], offsets[-1], atol=1e-9)
+        np.testing.assert_array_equal(engine.step(action).alarm[:, 0], judged.alarm[k])
+        np.testing.assert_array_equal(engine.simulator.error_n(), judged.error[k])
+    np.testing.assert_allclose(engine.simulator.memory["displacement"], offsets[-1], atol=1e-9)
 
 
 def test_the_papers_sigma_is_about_the_mean():

@@ -21,9 +21,9 @@ import pytest
 from spoofgym.attacks import PerChannel
 from spoofgym.bench.intervals import spoofing_intervals
 from spoofgym.detectors import Ewma, JointChart, Shewhart
-from spoofgym.envs import Engine, Setup, Timeline
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.sim.scenario import SCENARIOS
+from spoofgym.simulators import Engine, TightlyCoupledSetup, Timeline
 
 RUNS = 50
 EPOCH = 0.5  # s
@@ -94,14 +94,14 @@ def joint(attack, weight_scale):
 
 
 def played(attack, detector, satellite="S15"):
-    setup = Setup(
-        SCENARIOS["zhong2025-white"](),
-        TightlyCoupled(tuning="paper", covariance_update="unweighted"),
-        PerChannel(
+    setup = TightlyCoupledSetup(
+        scenario=SCENARIOS["zhong2025-white"](),
+        receiver=TightlyCoupled(tuning="paper", covariance_update="unweighted"),
+        attack=PerChannel(
             control="rate", rate_limit_mps=RATE_LIMIT, coherent=False, channels=(satellite,)
         ),
-        detector,
-        Timeline(
+        detector=detector,
+        timeline=Timeline(
             warmup_s=200.0,
             live_s=199.0,
             attack_s=(SPOOFED + AFTERWARDS) * EPOCH,

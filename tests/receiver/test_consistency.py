@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spoofgym.envs.recording import record_run
 from spoofgym.receiver import NoiseModel, TightlyCoupled, replay
 from spoofgym.receiver.matching import (
     WINDOW_S,
@@ -27,6 +26,7 @@ from spoofgym.receiver.nis import normalized_innovation_squared
 from spoofgym.receiver.tight import FILTER_GRADES
 from spoofgym.sim.imu import IMU_GRADES
 from spoofgym.sim.scenario import Scenario
+from spoofgym.simulators.recording import record_run
 
 from ..clean_runs import OBSERVED, advance_to, begin, normalized_error_squared
 
@@ -60,11 +60,11 @@ def matched(grade):
 
 def mean_errors(scenario, receiver, times, *groups):
     """Mean normalized error squared by degree of freedom, (times, groups)."""
-    batch = begin(scenario, receiver, RUNS, times[-1])
+    simulator = begin(scenario, receiver, RUNS, times[-1])
     rows = []
     for time in times:
-        advance_to(batch, time)
-        rows.append([normalized_error_squared(batch, g).mean() / len(g) for g in groups])
+        advance_to(simulator, time)
+        rows.append([normalized_error_squared(simulator, g).mean() / len(g) for g in groups])
     return np.array(rows)
 
 
@@ -86,18 +86,18 @@ def test_errors_are_those_of_the_covariance_where_noise_is_white(flight, grade):
 @pytest.mark.parametrize("grade", GRADES)
 def test_innovations_are_those_of_their_covariance_where_noise_is_white(grade):
     epochs = 100
-    batch = begin(Scenario(errors="white", imu=grade), matched(grade), RUNS, 300.0)
-    advance_to(batch, 200.0)
-    n = batch.setup.world.channels
+    simulator = begin(Scenario(errors="white", imu=grade), matched(grade), RUNS, 300.0)
+    advance_to(simulator, 200.0)
+    n = simulator.setup.world.channels
     ranges, rates, satellites = 0.0, 0.0, 0
     for _ in range(epochs):
-        epoch = batch.advance()
+        epoch = simulator.advance()
         ranges += normalized_innovation_squared(epoch.innovation, epoch.innovation_cov, 0, n).sum()
         rates += normalized_innovation_squared(
             epoch.innovation, epoch.innovation_cov, n, 2 * n
         ).sum()
         satellites += int(epoch.visible.sum())
-        batch.update(None)
+        simulator.update(None)
     low, high = bounds(satellites, 2)
     assert low < ranges / satellites < high
     assert rates / satellites < high
@@ -136,17 +136,17 @@ def test_position_ends_at_the_spread_of_realistic_errors(grade):
 
 
 def test_range_rates_keep_their_power_among_correlated_errors():
-    batch = begin(Scenario(errors="realistic"), matched("aviation"), RUNS, 300.0)
-    advance_to(batch, 200.0)
-    n = batch.setup.world.channels
+    simulator = begin(Scenario(errors="realistic"), matched("aviation"), RUNS, 300.0)
+    advance_to(simulator, 200.0)
+    n = simulator.setup.world.channels
     rates, satellites = 0.0, 0
     for _ in range(40):
-        epoch = batch.advance()
+        epoch = simulator.advance()
         rates += normalized_innovation_squared(
             epoch.innovation, epoch.innovation_cov, n, 2 * n
         ).sum()
         satellites += int(epoch.visible.sum())
-        batch.update(None)
+        simulator.update(None)
     low, high = bounds(satellites, 1)
     assert low < rates / satellites < high
 
@@ -166,9 +166,9 @@ def test_taking_constant_biases_for_white_noise_is_what_the_inflation_prevents()
 
 
 def test_the_papers_receiver_overstates_its_innovations():
-    batch = begin(Scenario(errors="white"), TightlyCoupled(tuning="paper"), RUNS, 210.0)
-    advance_to(batch, 200.0)
-    epoch = batch.advance()
+    simulator = begin(Scenario(errors="white"), TightlyCoupled(tuning="paper"), RUNS, 210.0)
+    advance_to(simulator, 200.0)
+    epoch = simulator.advance()
     q = normalized_innovation_squared(
         epoch.innovation, epoch.innovation_cov, 0, epoch.innovation.shape[1]
     )
@@ -181,9 +181,11 @@ def test_noise_of_pseudoranges_is_white_variance_and_biases_times_the_epochs():
     setup = begin(Scenario(errors="groves"), matched("aviation"), 1, 100.0).setup
     n = setup.world.channels
     epochs = setup.onset + setup.steps + setup.hold + 1
-    np.testing.assert_allclose(setup.noise_variance[:n], 1.0 + epochs * setup.bias_sd**2)
-    np.testing.assert_allclose(setup.noise_variance[n:], 0.02**2)
-    assert setup.noise[2:4] == (0.0, 0.0)
+    np.testing.assert_allclose(
+        setup.combinations[0].noise_variance[:n], 1.0 + epochs * setup.combinations[0].bias_sd ** 2
+    )
+    np.testing.assert_allclose(setup.combinations[0].noise_variance[n:], 0.02**2)
+    assert setup.combinations[0].noise[2:4] == (0.0, 0.0)
 
 
 def run_of(force, rate, dt=0.01):
@@ -215,8 +217,8 @@ def test_without_manoeuvres_the_sensors_are_those_of_the_data_sheet(grade):
 def test_the_papers_tuning_is_the_books_in_any_world():
     receiver = TightlyCoupled(tuning="paper")
     setup = begin(Scenario(errors="groves"), receiver, 1, 100.0).setup
-    assert setup.noise == NoiseModel()
-    assert receiver.sensors(setup.noise) == FILTER_GRADES["aviation"]
+    assert setup.combinations[0].noise == NoiseModel()
+    assert receiver.sensors(setup.combinations[0].noise) == FILTER_GRADES["aviation"]
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan")])
@@ -230,7 +232,7 @@ def test_a_matched_run_replays_to_the_same_bits():
     receiver = matched("tactical")
     setup = begin(Scenario(errors="groves", imu="tactical"), receiver, 1, 100.0).setup
     initial, recording, position_e = record_run(setup, np.random.default_rng(3), epochs=30)
-    told = dataclasses.replace(receiver, noise=setup.noise)
-    variance = np.tile(setup.noise_variance, (30, 1))
+    told = dataclasses.replace(receiver, noise=setup.combinations[0].noise)
+    variance = np.tile(setup.combinations[0].noise_variance, (30, 1))
     solution = replay(recording, told, initial=initial, noise_variance=variance)
     np.testing.assert_array_equal(solution.position_e, position_e)

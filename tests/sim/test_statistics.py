@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spoofgym.attacks import FalsePosition
 from spoofgym.detectors import Never
 from spoofgym.earth.frames import dcm_e_from_n, ecef_to_geodetic
 from spoofgym.earth.ranging import range_and_rate
-from spoofgym.envs import Setup, Timeline
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.sim.constellation import CircularConstellation
 from spoofgym.sim.flight import flight_from_geodetic
 from spoofgym.sim.gnss import ERRORS
 from spoofgym.sim.imu import IMU_GRADES, quantize, sense
 from spoofgym.sim.scenario import Scenario
+from spoofgym.simulators import TightlyCoupledSetup, Timeline
 
 from ..golden import reference
 
@@ -114,15 +113,18 @@ def test_the_attitude_begins_with_the_references_error(run, grade):
     flight = flight_from_geodetic(
         "profile", *profile[:, 1:4].T, profile[:, 4:7], *profile[:, 7:10].T, tolerance=1e-3
     )
-    setup = Setup(
-        Scenario(flight=flight, imu=grade),
-        TightlyCoupled(grade=grade),
-        FalsePosition(),
-        Never(),
-        Timeline(warmup_s=5.0, live_s=0.0, attack_s=5.0),
+    setup = TightlyCoupledSetup(
+        scenario=Scenario(flight=flight, imu=grade),
+        receiver=TightlyCoupled(grade=grade),
+        detector=Never(),
+        timeline=Timeline(warmup_s=5.0, live_s=0.0, attack_s=5.0),
     )
     # the reference takes the local axes at its first fix, some 6 m away: 1e-6 rad
-    np.testing.assert_allclose(setup.first_C_eb, run["init_C"], atol=2e-6)
+    np.testing.assert_allclose(
+        setup.combinations.first_C_eb(np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64))[0],
+        run["init_C"],
+        atol=2e-6,
+    )
 
 
 def test_pseudorange_errors_are_distributed_as_the_references(run):

@@ -73,7 +73,7 @@ def test_a_start_may_be_anywhere_on_the_course():
     assert setup.bounds.first == 2
     assert setup.bounds.last == np.floor(2.0 + lap / 0.5)
     drawn = warm(setup, 40)
-    starts = setup.true_position_ne[drawn.memory["first"]]
+    starts = setup.true_position[drawn.memory["first"]]
     assert (np.ptp(starts, axis=0) > 5.0).all()
     assert np.linalg.norm(drawn.error_n(), axis=1).max() < 6.0
     same = warm(setup_of("robot"), 1)
@@ -87,7 +87,7 @@ def test_motion_is_that_since_the_onset():
     for _ in range(10):
         step(mine)
     mine.motion(0.1, 1.0, out)
-    moved = setup.true_position_ne[30] - setup.true_position_ne[20]
+    moved = setup.true_position[30] - setup.true_position[20]
     np.testing.assert_allclose(out[:, :2], [0.1 * moved] * 2)
     np.testing.assert_allclose(np.hypot(*out[:, 2:].T), 0.5)
 

@@ -12,10 +12,10 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from spoofgym.envs.attach import spoofer_context
-from spoofgym.envs.observations import terms_of
 from spoofgym.envs.observer import Observer
-from spoofgym.envs.presets import make_setup
+from spoofgym.envs.spoofer_binding import spoofer_context
+from spoofgym.envs.terms.observation import default_terms
+from spoofgym.simulators import TightlyCoupledSetup
 from spoofgym.spoofers import SpooferContext
 from spoofgym.spoofers.card import Card, fields_of
 
@@ -48,8 +48,8 @@ def context_of(
     receivers: int = 3, knowledge: str = "blind", env: dict[str, Any] | None = None
 ) -> SpooferContext:
     kwargs = {**ENV, **(env or {})}
-    setup = make_setup(**kwargs)
-    return spoofer_context(setup, receivers, Observer(terms_of(knowledge), setup))
+    setup = TightlyCoupledSetup(**kwargs)
+    return spoofer_context(setup, receivers, Observer(default_terms(setup, knowledge), setup))
 
 
 def network(inputs: int, outputs: int, *, batch: Any = "batch", width: int = 16) -> onnx.ModelProto:

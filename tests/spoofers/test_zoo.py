@@ -17,7 +17,7 @@ from .policies import write_policy
 def zoo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A zoo of one."""
     monkeypatch.setattr("spoofgym.spoofers.zoo.ZOO_FOLDER", tmp_path)
-    monkeypatch.setattr("spoofgym.spoofers.onnx_policy.ZOO_FOLDER", tmp_path)
+    monkeypatch.setattr("spoofgym.spoofers.learned.ZOO_FOLDER", tmp_path)
     return write_policy(tmp_path, "ewma-tiny")
 
 

@@ -26,9 +26,9 @@ from spoofgym.detectors import (
     OracleStep,
     SnapshotChi2,
 )
-from spoofgym.envs import Engine, Setup, Timeline
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.sim.scenario import SCENARIOS
+from spoofgym.simulators import Engine, TightlyCoupledSetup, Timeline
 
 FIRST, LAST = 350, 550
 """First and last spoofed epoch [s]."""
@@ -167,23 +167,23 @@ def fly(
     """
     count = LAST - FIRST + 1
     begun = FIRST - 1
-    setup = Setup(
-        SCENARIOS[scenario](),
-        TightlyCoupled(tuning="paper", covariance_update=update),
-        PerChannel(
+    setup = TightlyCoupledSetup(
+        scenario=SCENARIOS[scenario](),
+        receiver=TightlyCoupled(tuning="paper", covariance_update=update),
+        attack=PerChannel(
             control="rate",
             rate_limit_mps=RATE_LIMIT,
             coherent=False,
             channels=tuple(satellites),
         ),
-        in_loop,
-        Timeline(warmup_s=begun, live_s=begun, attack_s=count, time_to_alert_s=0.0),
+        detector=in_loop,
+        timeline=Timeline(warmup_s=begun, live_s=begun, attack_s=count, time_to_alert_s=0.0),
     )
     world = setup.world
     engine = Engine(runs, setup, threads=1)
-    batch = engine.batch
+    simulator = engine.simulator
     context = DetectorContext(
-        runs, world.channels, 1.0, setup.noise_variance.copy(), world.satellite_ids
+        runs, world.channels, 1.0, setup.combinations.largest_variance, world.satellite_ids
     )
     others = {key: copy.deepcopy(watcher) for key, watcher in watchers.items()}
     for other in others.values():
@@ -192,21 +192,21 @@ def fly(
     records = {key: Recorder(epochs, runs, world.channels) for key in (name, *others) if key}
     error = np.zeros((epochs, runs, 3))
     rates = commands(kind, size, count) / RATE_LIMIT
-    batch.begin([np.random.default_rng([seed, run]) for run in range(runs)])
+    simulator.begin([np.random.default_rng([seed, run]) for run in range(runs)])
     for k in range(epochs):
         if k < begun:
-            epoch = batch.advance()
+            epoch = simulator.advance()
         else:
             action = np.full((runs, len(satellites)), rates[k - begun])
-            epoch = batch.advance_attacked(action)
-        verdict = batch.judge()
+            epoch = simulator.predict(action)
+        verdict = simulator.judge()
         if name:
             records[name].take(k, verdict.statistic, verdict.alarm)
         for key, other in others.items():
             said = other.judge(epoch)
             records[key].take(k, said.statistic, said.alarm)
-        batch.update(verdict.weights)
-        off = batch.buffers.state.position_e - world.position_e[k + 1]
+        simulator.update(verdict.weights)
+        off = simulator.position - world.position_e[k + 1]
         error[k] = off @ world.local_frame(k + 1)
     engine.close()
     slots = [world.satellite_ids.index(satellite) for satellite in satellites]

@@ -3,7 +3,7 @@
 TITLE = "Ke et al. (2022)"
 
 CLAIMS = """\
-A tightly coupled receiver watches the rate of every satellite's normalized innovation, found by
+A tightly coupled receiver monitors the rate of each satellite's normalized innovation, found by
 a small Kalman filter (M1).  The same rate weighs the satellite in the navigation filter by
 IGG-III (M2), which keeps the spoofing out of the position and of the other channels'
 innovations.  Two further methods, M3 for small steps and M4 for slow ramps, put the spoofing
@@ -22,15 +22,15 @@ FOUND = """\
   channel 4 alarms in most runs with either errors.  The paper's 1 to 3 % is met only for the
   step, and only without biases; and only there is the error below a quarter of the plain
   filter's, with biases it is 0.3 to the north and 0.6 to the east.
-- **M3 and M4 are no detectors.**  They are told the channel, the size and the onset, and count
+- **M3 and M4 are no detectors.**  They are given the channel, the size and the onset, and count
   the offset twice: M3 at 10 m is M2 at 20 m, and so on, in the paper's numbers and in ours.
-  Told an attack where nothing is spoofed they alarm in all runs without biases; with biases in
-  all, told 10 m or 0.1 m/s, in 96 %, told 0.05 m/s, and in 74 %, told 5 m.  Told the wrong
+  Given an attack where nothing is spoofed they alarm in all runs without biases; with biases in
+  all, given 10 m or 0.1 m/s, in 96 %, given 0.05 m/s, and in 74 %, given 5 m.  Given the wrong
   channel they accuse it.
 - **The misses of tables 6 and 8 hang on the satellite.**  5 m is missed in no run without
   biases, in 38 % on channel 3 with biases, and in 66 % on S11, whose redundancy is low; 0.05
   m/s in 0, 4 and 72 %.  The 74 % is a little more than ours at its most, the 42 % lies between.
-- **What is not told does better than what is.**  A likelihood-ratio scan over all onsets with
+- **What does not know the attack does better.**  A likelihood-ratio scan over all onsets with
   an unknown baseline, or a CUSUM against the innovation's own past, finds 10 m in 3 to 5 s,
   where M3 takes 8 s, and 5 m in 14 to 19 s, where it takes 19 s, and misses no run; ramps of
   0.1 m/s in 53 to 62 s and of 0.05 m/s in 93 to 108 s, sooner than M2, if later than M4 with
@@ -52,13 +52,13 @@ READINGS = """\
 - The matrix of the rate filter is that of a differential equation, integrated over the
   interval; as a matrix from epoch to epoch it has no gain.  R is 1 and all four first variances
   are 1.
-- The rate filter starts at 20 s, alarms and weights at 200 s; neither is told.  20 s was chosen
-  because it comes closest (a prototype tried about 32 settings).
+- The rate filter starts at 20 s, alarms and weights at 200 s; neither is stated.  20 s was chosen
+  because it comes closest (of about 32 settings that were tried).
 - The test is two-sided.  Range rates keep weight 1.  The covariance is updated with the
   unweighted gain; the two other forms change no median by more than a second.
 - The paper's methods have no guard against lock-out; `M2 adaptive` has it, and the adaptive
   threshold, and starts at once.
-- A step is there at 350 s; a ramp begins then.  Misses have no alarm until 550 s, and count as
+- A step is there at 350 s; a ramp starts then.  Misses have no alarm until 550 s, and count as
   longer than all others in a median.
 - Table 6 is read as 5 m and table 8 as 0.05 m/s; the paper does not say.
 """

@@ -1,6 +1,6 @@
 """Monte Carlo runs of shadmehri2025: statistics of every epoch, and what is told of them.
 
-A detector that only watches does not act on the run, so that one run serves every threshold and
+A passive detector does not act on the run, so that one run serves every threshold and
 every length of the window: the normalized innovation squared of each epoch is kept, and judged
 afterwards.
 """
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from spoofgym.detectors.windowed_chi2 import estimated_covariance_thresholds
-from spoofgym.envs.loose_plant import INTERVAL_S, LoosePlant
+from spoofgym.simulators import Engine, LooselyCoupledSetup
+from spoofgym.simulators.loosely_coupled import INTERVAL_S
 
 FloatArray = NDArray[np.float64]
 
@@ -126,8 +127,7 @@ def play(
     Play
         From the onset on.
     """
-    plant = LoosePlant(
-        runs,
+    setup = LooselyCoupledSetup(
         detector=WATCHER,
         errors=errors,
         receiver=receiver,
@@ -140,18 +140,20 @@ def play(
         rate_limit_mps=max(ramp_mps, 1.0),
     )
     rngs = [np.random.default_rng([seed, i]) for i in range(runs)]
-    before = plant.begin(rngs)
-    action = np.full((runs, 2), ramp_mps / plant.rate_limit_mps)
+    engine = Engine(runs, setup)
+    engine.reset(rngs)
+    before, simulator = engine.warmup_alarm, engine.simulator
+    action = np.full((runs, 2), ramp_mps / setup.attack.rate_limit_mps)
     seen: dict[str, list[FloatArray]] = {name: [] for name in Play._fields if name != "before"}
-    memory = plant.memory
-    for k in range(plant.steps + plant.hold):
+    memory = simulator.memory
+    for k in range(setup.steps + setup.hold):
         R = memory["measurement_cov"].copy()
-        plant.advance(action if k < plant.steps else np.zeros_like(action))
+        verdict = engine.step(action if k < setup.steps else np.zeros_like(action))
         now, z = memory["measurement_cov"], memory["innovation"]
         S = memory["innovation_cov"] - R + now
         seen["masked"].append(np.einsum("bi,bi->b", z, np.linalg.solve(S, z[:, :, None])[:, :, 0]))
-        seen["statistic"].append(memory["statistic"].copy())
-        seen["error"].append(plant.error_ne())
+        seen["statistic"].append(verdict.statistic.max(axis=1))
+        seen["error"].append(simulator.error_n())
         seen["scale"].append(memory["process_scale"].copy())
         seen["noise_sd"].append(np.sqrt(now[:, 0, 0]))
     return Play(before=before, **{name: np.array(values) for name, values in seen.items()})
@@ -355,33 +357,33 @@ def sample(seed: int) -> dict[str, Any]:
     dict
         ``time`` [s], the ``offset`` of the spoofer [m], ``track`` east, north, up of the flight
         [m], and for ``conventional`` and ``tuned`` the errors of the solution north and east [m],
-        of the position by GNSS, and the statistic by ramp.
+        of the GNSS position, and the statistic by ramp.
     """
     out: dict[str, Any] = {}
     for name, receiver in (("conventional", scaled(0.26)), ("tuned", tuned(100))):
         out[name] = {"statistic": {}}
         for ramp in RAMPS:
-            plant = LoosePlant(
-                1,
+            setup = LooselyCoupledSetup(
                 detector=WATCHER,
                 errors=MARKOV,
                 receiver=receiver,
                 timeline={"warmup_s": 0.0, "live_s": 0.0, "attack_s": 25.0},
             )
-            plant.begin([np.random.default_rng([seed, 0])])
-            memory, log = plant.memory, []
+            engine = Engine(1, setup)
+            engine.reset([np.random.default_rng([seed, 0])])
+            memory, log = engine.simulator.memory, []
             for k in range(300):
-                rate = ramp / plant.rate_limit_mps if 200 <= k < 250 else 0.0
-                plant.advance(np.full((1, 2), rate))
-                fix = memory["position_error"][0] + memory["displacement"][0]
-                north, east = plant.error_ne()[0]
-                log.append([memory["statistic"][0], north, east, fix[1], fix[0]])
+                rate = ramp / setup.attack.rate_limit_mps if 200 <= k < 250 else 0.0
+                statistic = engine.step(np.full((1, 2), rate)).statistic.max()
+                gnss_ne = memory["position_error"][0, [1, 0]] + memory["displacement"][0]
+                log.append([statistic, *engine.simulator.error_n()[0], *gnss_ne])
             columns = np.array(log).T
             out[name]["statistic"][f"{ramp:g}"] = columns[0].tolist()
             if ramp == RAMPS[0]:
                 out[name]["solution"] = columns[1:3].tolist()
                 out[name]["gnss"] = columns[3:5].tolist()
-    moved = (plant.world.position_e[:301] - plant.world.position_e[0]) @ plant.world.C_el[0]
+    world = setup.world
+    moved = (world.position_e[:301] - world.position_e[0]) @ world.C_el[0]
     out["track"] = moved.T.tolist()
     out["time"] = (np.arange(1, 301) * INTERVAL_S).tolist()
     return out

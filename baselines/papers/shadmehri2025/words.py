@@ -27,7 +27,7 @@ stated R.
 seen, after 4.2 s. R times 0.24 to 0.28, which we fitted, gives the paper's latencies of 3 and 5
 m/s and nothing at 2 m/s.
 
-**The gain is a smaller R, not tuning.** A common filter that is simply told 0.37 m instead of 3.7
+**The gain is a smaller R, not tuning.** A common filter that simply assumes 0.37 m instead of 3.7
 m detects all ramps, after 0.9, 0.55 and 0.33 s, without a false alarm in the first 15 s, and is
 above the threshold in 60 to 90 % of the epochs from 25 to 30 s, in which the offset stays. The
 alarm of the self-tuning filter passes: after a second or two the window takes the attack for
@@ -56,7 +56,7 @@ READINGS = """
 - **GNSS errors**: first-order Gauss-Markov, 1.6 m horizontal, 3 m vertical, decay 0.999 at 10 Hz
   ("correlated" below). The paper names a toolbox and no settings. "White" is noise of the stated
   R.
-- **Inertial errors**: white noise and biases of just the size that the filter is told; initial
+- **Inertial errors**: white noise and biases of just the size that the filter assumes; initial
   errors of the stated size before the factor 3 of the initial covariance.
 - **Flight**: recorded and not named; ours has its speed (200 m/s east, 50 m/s north), 160 Hz, a
   climb and two gentle turns.
@@ -69,11 +69,11 @@ READINGS = """
   the stated R stays.
 - **N = 1**: 25.9 is chi-square of 3 degrees. The paper's mean over N epochs has neither 3 nor its
   stated 3 (N + 1) degrees.
-- **Q** fixed in all rows, unless told otherwise.
+- **Q** fixed in all rows, unless stated otherwise.
 - **Latency** from 20 s to the first epoch with an alarm, up to 5 s. Epochs are 0.1 s apart; the
   paper's 0.35, 0.22 and 0.11 s are not on that grid. Medians over the runs that detect.
 - **After 25 s** the offset stays at its last value.
-- **Bands** are the means and standard deviations of a throw-away prototype of the same equations
-  by another hand, of 60 to 150 runs a case; bands of shares are three standard deviations of a
+- **Bands** are the means and standard deviations of a second implementation of the same equations
+  by another author, of 60 to 150 runs a case; bands of shares are three standard deviations of a
   difference of two samples.
 """

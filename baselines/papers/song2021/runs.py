@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from spoofgym._memory import Memory
 from spoofgym.attacks.robot_data_sets import DATA_SETS, RobotDataSet
 from spoofgym.detectors import DetectorContext, make_detector
-from spoofgym.envs.robot_plant import RobotPlant
 from spoofgym.receiver.credible import CredibleBatch, CredibleFilter
+from spoofgym.simulators import Engine, WheeledRobotSetup
 
 FloatArray = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class Recording(NamedTuple):
     first_fix : ndarray
         (B, 2) north, east [m].
     increment, fix : ndarray
-        (K, B, 2) dead reckoning and positions by GNSS [m].
+        (K, B, 2) dead reckoning and GNSS positions [m].
     truth : ndarray
         (K, 2) [m].
     """
@@ -47,7 +47,7 @@ class Recording(NamedTuple):
 
     @property
     def fix_error(self) -> FloatArray:
-        """(K, B, 2) error of the positions by GNSS, attacks included [m]."""
+        """(K, B, 2) error of the GNSS positions, attacks included [m]."""
         return self.fix - self.truth[:, None, :]
 
 
@@ -85,27 +85,24 @@ def generators(seed: int, runs: int, stream: int) -> list[np.random.Generator]:
     ]
 
 
-def make_plant(data_set: RobotDataSet, runs: int, detector: Any, **settings: Any) -> RobotPlant:
-    """Plant that plays a data set from its first second on.
+def make_setup(data_set: RobotDataSet, detector: Any, **settings: Any) -> WheeledRobotSetup:
+    """Robots that drive a data set from its first second on.
 
     Parameters
     ----------
     data_set : RobotDataSet
         Its speed and duration are taken.
-    runs : int
-        B.
     detector : str or mapping
         As `make_detector` takes it.
     **settings : dict
-        More settings of `RobotPlant`.
+        More settings of `WheeledRobotSetup`.
 
     Returns
     -------
-    RobotPlant
-        Not begun yet.
+    WheeledRobotSetup
+        For any number of robots.
     """
-    return RobotPlant(
-        runs,
+    return WheeledRobotSetup(
         detector=detector,
         timeline={
             "warmup_s": 0.0,
@@ -155,7 +152,7 @@ def record(
     offsets : ndarray, optional
         (K, B, 2) another attack than the data set's [m].
     **settings : dict
-        More settings of `RobotPlant`.
+        More settings of `WheeledRobotSetup`.
 
     Returns
     -------
@@ -163,16 +160,18 @@ def record(
         Of K fixes.
     """
     data_set = DATA_SETS[name] if isinstance(name, str) else name
-    plant = make_plant(data_set, runs, "never", **settings)
-    plant.begin(generators(seed, runs, 0))
-    first = plant.memory["fix"].copy()
+    setup = make_setup(data_set, "never", **settings)
+    engine = Engine(runs, setup)
+    engine.reset(generators(seed, runs, 0))
+    simulator: Any = engine.simulator
+    first = simulator.memory["fix"].copy()
     if offsets is None:
         offsets = data_set.offsets(generators(seed, runs, 1), INTERVAL_S)
     increment, fix = np.empty(offsets.shape), np.empty(offsets.shape)
     for k, action in enumerate(commands(offsets)):
-        plant.advance(action)
-        increment[k], fix[k] = plant.increment, plant.memory["fix"]
-    return Recording(first, increment, fix, plant.true_position_ne[1 : len(fix) + 1])
+        engine.step(action)
+        increment[k], fix[k] = simulator.increment, simulator.memory["fix"]
+    return Recording(first, increment, fix, setup.true_position[1 : len(fix) + 1])
 
 
 def judge(recording: Recording, detector: Any, settings: CredibleFilter | None = None) -> Judged:

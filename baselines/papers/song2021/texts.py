@@ -25,7 +25,7 @@ FOUND = """\
 - The jump is found at the first fix, not at the second: a single drift of 28 m lifts the mean of
   five above 1.28 m. The rule of two fixes then protects from nothing. `production` caps what a
   drift adds to the mean, and takes the two fixes.
-- 100 % accuracy contradicts any latency. It is met only if an alarm is told of its whole window
+- 100 % accuracy contradicts any latency. It is met only if an alarm counts for its whole window
   afterwards, and pending fixes are not used.
 - The paper's false-alarm rate is the rate of missed alarms, and the other way round. Ours are by
   their proper names.
@@ -47,7 +47,7 @@ READINGS = """\
   the only source of drift; the paper names none. The corners have a radius of 0.3 m.
 - Filter: the position alone, driven by dead reckoning, with a gain that settles at 0.16, chosen for
   the 3.9 m by which the paper's filter lags.
-- Drift of GNSS: from the prediction of the filter. If dead reckoning ran free from the begin, most
+- Drift of GNSS: from the prediction of the filter. If dead reckoning ran free from the start, most
   clean fixes would alarm.
 - RIO: more than 16.5 m from free dead reckoning (chosen for the 26 s), latched until a fix comes
   within 5 m of the estimate. This gives the equal rows of the paper's sets 3 and 4.

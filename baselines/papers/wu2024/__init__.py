@@ -15,7 +15,7 @@ from .tables import partition_rows, separation_rows
 TITLE = "Wu et al. (2024)"
 
 CLAIMS = """
-Twelve satellites are in view, and any number of them is spoofed, all telling the same position and
+Twelve satellites are in view, and any number of them is spoofed, all implying the same position and
 clock.  Their residual vectors and those of the authentic satellites are separated by a plane in
 80 % of the cases, while plain residuals are separated in 43 %.  SRV-RAIM, which searches 40
 directions for five satellites that agree, tells the groups apart in 86.6 % of the cases with 23
@@ -49,7 +49,7 @@ READINGS = """
 - Numbers of hybrids along the clock's axis are the smaller of both signs.
 - The geometry is linear, in ECEF axes; search vectors belong to axes, and local ones move the rates
   by up to a point.
-- Traversal RAIM begins with nothing left out; both groups count as fixes where both are tested.
+- Traversal RAIM starts with nothing left out; both groups count as fixes where both are tested.
 - The sky is ours: circular orbits at several places, and random ones.
 """
 

@@ -9,8 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.receiver import srv_raim, traversal_raim
-from spoofgym.receiver.raim import fit_thresholds
+from spoofgym.detectors.raim import residual_vectors, traversal
+from spoofgym.detectors.raim.consistency import (
+    SearchData,
+    fit_thresholds,
+    search_data,
+    tabulate_cases,
+)
 
 from .draws import displacements, offsets, subsets
 from .geometry import SATELLITES, sky
@@ -22,17 +27,18 @@ CONFIDENCE = 0.95
 METHODS = ("srv", "traversal")
 
 
-def _srv(lines: FloatArray, y: FloatArray, *out: NDArray[Any]) -> None:
-    limit = fit_thresholds(NOISE_M, 1.0 - CONFIDENCE, SATELLITES)
-    srv_raim.search_cases(lines, y, limit, srv_raim.search_vectors(), *out)
+LIMIT = fit_thresholds(NOISE_M, 1.0 - CONFIDENCE, SATELLITES)
 
 
-def _traversal(lines: FloatArray, y: FloatArray, *out: NDArray[Any]) -> None:
-    limit = fit_thresholds(NOISE_M, 1.0 - CONFIDENCE, SATELLITES)
-    traversal_raim.search_cases(lines, y, limit, traversal_raim.LARGEST_GROUP, *out)
+def _srv(data: SearchData) -> None:
+    residual_vectors.search_all(data, LIMIT, residual_vectors.SEARCH_VECTORS)
 
 
-SEARCHES: dict[str, Callable[..., None]] = {"srv": _srv, "traversal": _traversal}
+def _traversal(data: SearchData) -> None:
+    traversal.search_all(data, LIMIT, traversal.LARGEST_GROUP)
+
+
+SEARCHES: dict[str, Callable[[SearchData], None]] = {"srv": _srv, "traversal": _traversal}
 
 
 def score(
@@ -61,11 +67,12 @@ def score(
         Mean time of a call, of the processor [us].
     """
     cases, n = y.shape
-    found = np.empty(cases, dtype=np.bool_)
-    mask, fits = np.empty(cases, dtype=np.int64), np.empty(cases, dtype=np.int64)
+    data = search_data(cases, n)
     begin = time.thread_time()
-    SEARCHES[method](lines, y.copy(), found, mask, fits)
+    tabulate_cases(lines, y, data)
+    SEARCHES[method](data)
     taken = time.thread_time() - begin
+    found, mask, fits = data.found, data.mask, data.positionings
     right = spoofed @ (1 << np.arange(n))
     success = found & ((mask == right) | (mask == (1 << n) - 1 - right))
     return (

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spoofgym._jit import inlined, njit
-from spoofgym.receiver.srv_raim import SEED, search_vectors
+from spoofgym.detectors.raim.residual_vectors import SEED, search_vectors
 
 from .draws import displacements, offsets, subsets
 from .geometry import SATELLITES, sky

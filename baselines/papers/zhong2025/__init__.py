@@ -33,7 +33,7 @@ Not met:
 - That no other satellite alarms. With the printed m = 0.1 satellites are locked out by their own
   noise, and some per cent of those not spoofed alarm at least once; with m = 0.3, the default here,
   none did, at nearly the same delays.
-- M1's figures depend on which satellite is spoofed, which the paper does not tell. Over the eight
+- M1's figures depend on which satellite is spoofed, which the paper does not state. Over the eight
   in view its onset at 0.2 m/s varies from 74 to 133 s, and it loses the step of 15 m from 15 to
   143 s before the end; the printed values lie between. Its 26 s at 0.7 m/s is beyond all of them.
 - That M1 ends at once after ramps of 0.5 and 0.7 m/s: that holds for its upper limit. The filter
@@ -53,9 +53,9 @@ READINGS = """\
 - Accelerometer errors in micro-g, a clock PSD of 1, epochs of 0.5 s; the weights apply to the
   pseudoranges alone, and the covariance is updated with the unweighted gain.
 - An attack ends where the newest of three ratios, all since the onset, falls by more than 0.6 below
-  both others and below 0.4; the printed rule would end every alarm as soon as it begins. The ratio
+  both others and below 0.4; the printed rule would end every alarm as soon as it starts. The ratio
   is formed where the chart is beyond its limit; chart and time index are set back at the end.
-- The spoofed satellite is S15, nearest to the notes' in redundancy.
+- The spoofed satellite is S15, chosen for its redundancy.
 - Delays count from the first spoofed epoch, 0.01 s longer, as printed. M1's end is that of its
   alarm on the side of the attack.
 """

@@ -13,7 +13,7 @@ from spoofgym.detectors.thresholds import two_sided_quantile
 from spoofgym.earth.frames import ecef_to_geodetic
 
 from .bands import LABELS, NOISES, ONSET_S
-from .runs import EPOCH_S, FIRST_S, INTERMITTENT, METHODS, TABLED, Beside, setup_of
+from .runs import EPOCH_S, FIRST_S, INTERMITTENT, METHODS, TABLED, Several, setup_of
 
 Data = Mapping[str, Mapping[str, Any]]
 RAMP, STEP = TABLED[3], TABLED[0]
@@ -107,7 +107,7 @@ def flight_figure(folder: Path) -> Path:
     Path
         PNG file.
     """
-    world = setup_of(STEP, Beside([METHODS["M2"]])).world
+    world = setup_of(STEP, Several([METHODS["M2"]])).world
     latitude, longitude, height = np.array([ecef_to_geodetic(p) for p in world.position_e]).T
     figure, (left, right) = _panels(2, "Figure 7: flight")
     left.plot(np.degrees(longitude), np.degrees(latitude))

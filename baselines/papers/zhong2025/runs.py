@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spoofgym.detectors import Detector, DetectorContext, Verdict, make_detector
-from spoofgym.envs import Engine, Setup
-from spoofgym.envs.attach import spoofer_context
-from spoofgym.envs.presets import make_setup
+from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.receiver.epoch import Epoch
 from spoofgym.receiver.tight import NoiseModel
 from spoofgym.sim.gnss import ERRORS
+from spoofgym.simulators import Engine, TightlyCoupledSetup
 from spoofgym.spoofers import PAPER_ATTACKS, make_spoofer
 
 FloatArray = NDArray[np.float64]
@@ -63,8 +62,8 @@ INTERMITTENT = "zhong2025-intermittent"
 """Attack of experiment 8."""
 
 
-class Beside(Detector):
-    """Several detectors on the same epochs; the first one is in the loop, the others watch.
+class Several(Detector):
+    """Several detectors on the same epochs; the first one is in the loop, the others are passive.
 
     Parameters
     ----------
@@ -125,7 +124,7 @@ def setup_of(
     pseudorange_sd_m: float = 2.5,
     satellite: str = SATELLITE,
     true_sd_m: float = 1.0,
-) -> Setup:
+) -> TightlyCoupledSetup:
     """The paper's receiver under one of its attacks.
 
     Parameters
@@ -143,13 +142,13 @@ def setup_of(
 
     Returns
     -------
-    Setup
+    TightlyCoupledSetup
         For an engine.
     """
     found = PAPER_ATTACKS[attack]
     noise = NoiseModel(pseudorange_sd=pseudorange_sd_m)
     errors = replace(ERRORS["white"], code_sd_m=true_sd_m)
-    return make_setup(
+    return TightlyCoupledSetup(
         scenario={"name": "zhong2025-white", "errors": errors},
         receiver=TightlyCoupled(tuning="paper", covariance_update="unweighted", noise=noise),
         attack=found.attack((satellite,)),
@@ -172,7 +171,7 @@ def fly(
     satellite: str = SATELLITE,
     true_sd_m: float = 1.0,
 ) -> Flown:
-    """Run an attack against a detector in the loop, with others watching.
+    """Run an attack against a detector in the loop, with others passive.
 
     Parameters
     ----------
@@ -192,29 +191,29 @@ def fly(
     Flown
         From the onset to `AFTER_S` after the end.
     """
-    setup = setup_of(attack, Beside(specs), pseudorange_sd_m, satellite, true_sd_m)
+    setup = setup_of(attack, Several(specs), pseudorange_sd_m, satellite, true_sd_m)
     engine = Engine(runs, setup, threads=1)
     engine.reset([np.random.default_rng([seed, run]) for run in range(runs)])
     spoofer = make_spoofer(dict(PAPER_ATTACKS[attack].spoofer))
     spoofer.bind(spoofer_context(setup, runs))
     slot = setup.world.satellite_ids.index(satellite)
-    beside = engine.batch.detector
-    assert isinstance(beside, Beside)
+    several = engine.simulator.detector
+    assert isinstance(several, Several)
     alarm = np.zeros((len(specs), setup.steps, runs), dtype=np.bool_)
     others = np.zeros((len(specs), runs, setup.world.channels), dtype=np.bool_)
     series = np.zeros((4, setup.steps, runs))
     for k in range(setup.steps):
         epoch = engine.predict(spoofer.act(np.zeros((runs, 0), dtype=np.float32)))
         verdict = engine.judge()
-        for d, seen in enumerate(beside.verdicts):
+        for d, seen in enumerate(several.verdicts):
             columns = seen.alarm.shape[1]
             alarm[d, k] = seen.alarm[:, slot if columns > 1 else 0]
             if columns > 1:
                 others[d] |= seen.alarm
         series[0, k] = epoch.innovation[:, slot]
         series[1, k] = np.sqrt(epoch.innovation_cov[:, slot, slot])
-        if "average" in beside.detectors[0].memory:
-            series[2, k] = beside.detectors[0].memory["average"][:, slot]
+        if "average" in several.detectors[0].memory:
+            series[2, k] = several.detectors[0].memory["average"][:, slot]
         series[3, k] = verdict.threshold[:, slot]
         engine.update(verdict)
     others[:, :, slot] = False

@@ -1,4 +1,4 @@
-"""The innovation-rate test of `ke2022`, and its two variants that are told the truth."""
+"""The innovation-rate test of `ke2022`, and its two variants that are given the truth."""
 
 from __future__ import annotations
 

@@ -30,14 +30,14 @@ Deviations from `ke2022`:
 1. The threshold follows the filter's own variance.  The printed constant 0.0029517 is this
    threshold for 8 satellites and 4e-6 after about 330 samples; `threshold` takes it.
 2. The test is two-sided, as the quantile in its eq. 25 is.
-3. `start_s` and `settled_s` are not told by the paper, which only says that nothing can be detected
-   before convergence; with the constant threshold 20 s and 200 s come closest.
+3. `start_s` and `settled_s` are not given by the paper, by which nothing can be detected before
+   convergence; with the constant threshold 20 s and 200 s come closest.
 4. A satellite whose weight has been zero for `max_exclusion_s` is let in again and its filter
-   begins anew, and the `min_satellites` least suspicious ones always have a weight; otherwise
+   starts again, and the `min_satellites` least suspicious ones always have a weight; otherwise
    errors that persist would lock satellites out for good.  The paper has no such guard; with
    ``max_exclusion_s=None, min_satellites=0`` there is none.
 5. The range rates keep weight 1.
-6. A satellite that sets and rises begins anew.
+6. A satellite that sets and rises starts again.
 
 Source: `ke2022`, eqs. 14 and 24 to 29; the filter is from `bhatti2012`, the weights from
 `yang1999`.
@@ -80,7 +80,7 @@ def judge_rates(
     innovation: FloatArray,
     innovation_cov: FloatArray,
     visible: NDArray[np.bool_],
-    told: FloatArray,
+    added: FloatArray,
     quantiles: FloatArray,
     fixed_threshold: float,
     correlation: float,
@@ -98,7 +98,7 @@ def judge_rates(
 ) -> None:
     """Advance all filters by one epoch.
 
-    `told` (B, n) what is added to the pseudorange innovations [m]; `quantiles` (n+1,) z by the
+    `added` (B, n) what is added to the pseudorange innovations [m]; `quantiles` (n+1,) z by the
     number of visible satellites; `state`, `covariance` (B, n, 3), (B, n, 6) memory, overwritten;
     `size`, `threshold` (B, n), written: statistic and threshold [1/s]; `weights` (B, 2n), written:
     IGG-III for pseudoranges, 1 for range rates; `alarm` (B, n), written.
@@ -114,7 +114,7 @@ def judge_rates(
             if not visible[b, j]:
                 restart(x, P)
             elif time[b] >= start_s:
-                sample = (innovation[b, j] + told[b, j]) / math.sqrt(innovation_cov[b, j, j])
+                sample = (innovation[b, j] + added[b, j]) / math.sqrt(innovation_cov[b, j, j])
                 advance(x, P, sample, interval[b], correlation, noise, growth)
             size[b, j] = abs(x[1])
             limit = fixed_threshold if fixed_threshold > 0.0 else quantiles[seen] * math.sqrt(P[3])
@@ -175,7 +175,7 @@ class InnovationRate(Detector):
         Constant threshold [1/s], 0.0029517 in the paper; None for that of the filter's variance.
     weight_scale : float or None
         m, in (0, 1]: the weight thresholds are m T and m T / 2, 1 in the paper's M2.  None for a
-        test that only watches, M1.
+        passive test, M1.
     correlation_per_s : float
         Alpha [1/s], above 0; the paper has 0.5 to 0.9, which makes no difference.
     noise : float
@@ -183,7 +183,7 @@ class InnovationRate(Detector):
     memory_s : float or None
         Time in which the filter forgets the past [s]; None to forget nothing.
     start_s, settled_s : float
-        Time of the run at which the filter begins, and from which on it alarms and weighs [s].
+        Time of the run at which the filter starts, and from which on it alarms and weighs [s].
     max_exclusion_s : float or None
         Longest time that a satellite has no weight [s]; None for no limit.
     min_satellites : int
@@ -233,7 +233,7 @@ class InnovationRate(Detector):
         self._quantiles = channel_quantiles(self.false_alarm, context.channels)
         self._nothing = np.zeros(shape)
 
-    def told(self, epoch: Epoch) -> FloatArray:
+    def added(self, epoch: Epoch) -> FloatArray:
         """What is added to the innovations: nothing, but in the oracles.  Returns (B, n) [m]."""
         return self._nothing
 
@@ -253,7 +253,7 @@ class InnovationRate(Detector):
             epoch.innovation,
             epoch.innovation_cov,
             epoch.visible,
-            self.told(epoch),
+            self.added(epoch),
             self._quantiles,
             self.threshold or 0.0,
             self.correlation_per_s,

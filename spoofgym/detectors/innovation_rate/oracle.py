@@ -1,4 +1,4 @@
-r"""The paper's methods M3 and M4: the innovation-rate test that is told the attack.
+r"""The paper's methods M3 and M4: the innovation-rate test that is given the attack.
 
 The true offset of the true channel is added a second time to its innovation, from the true onset
 on, before the rate filter sees it,
@@ -7,9 +7,9 @@ on, before the rate filter sees it,
     \omega^{SG} = \frac{r + a (t - t_{Lock})}{\sqrt{S_{jj}}},
 
 so that a step of B is found as fast as one of 2 B would be.  No receiver knows B, a, the channel or
-the onset; told these without an attack, it alarms all the same, and told them of the wrong channel,
-too.  They are here to reproduce the paper's figures and stand outside all comparisons; `glr` holds
-the detectors that find channel, size and onset for themselves.
+the onset; given these without an attack, it alarms all the same, and given those of another
+channel, too.  They are here to reproduce the paper's figures and are part of no comparison; `glr`
+holds the detectors that find channel, size and onset for themselves.
 
 Symbols: r innovation of pseudorange j [m], S innovation covariance, B step [m], a slope [m/s],
 :math:`t_{Lock}` onset [s].
@@ -64,12 +64,12 @@ class _Oracle(InnovationRate):
             )
         self._mask = np.array([self.channels is None or name in self.channels for name in ids])
 
-    def told(self, epoch: Epoch) -> FloatArray:
+    def added(self, epoch: Epoch) -> FloatArray:
         """What is added to the innovations: (B, n) [m]."""
         since = epoch.time - self.onset_s
         offset = np.where(since >= 0.0, self.offset_m(np.maximum(since, 0.0)), 0.0)
-        added: FloatArray = offset[:, None] * self._mask
-        return added
+        masked: FloatArray = offset[:, None] * self._mask
+        return masked
 
     @abstractmethod
     def offset_m(self, since_s: FloatArray) -> FloatArray:
@@ -89,7 +89,7 @@ class OracleStep(_Oracle):
     channels : tuple of str or None
         Satellites that are attacked; None for all.
     onset_s : float
-        Time of the run at which the attack begins [s].
+        Time of the run at which the attack starts [s].
     size_m : float
         B [m].
     """
@@ -120,7 +120,7 @@ class OracleRamp(_Oracle):
     channels : tuple of str or None
         Satellites that are attacked; None for all.
     onset_s : float
-        Time of the run at which the attack begins [s].
+        Time of the run at which the attack starts [s].
     rate_mps : float
         a [m/s].
     """

@@ -25,10 +25,7 @@ class ActionTerm(Protocol):
         """Name of every element, k names; a ValueError where the attack can't be commanded so."""
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
-        """(B, a, k) matrix whose product with the k elements is the command.
-
-        `heading_rad` (B,) is the direction in which displacement counts, clockwise from north.
-        """
+        """(B, a, k): the command is its product with the k elements; (B,) headings in radians."""
 
 
 def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:

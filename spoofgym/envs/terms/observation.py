@@ -309,6 +309,18 @@ def default_terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
     """Terms that a level of knowledge allows, with the scales of the victim.
 
     The target direction is among them where it differs from episode to episode.
+
+    Parameters
+    ----------
+    setup : Setup
+        Of any victim.
+    knowledge : {"blind", "tracking", "oracle"}
+        The level.
+
+    Returns
+    -------
+    tuple of ObservationTerm
+        In the order of the observation.
     """
     check_choice("knowledge", knowledge, KNOWLEDGE)
     scales = setup.scales

@@ -14,8 +14,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import spoofgym
-
-from ..toy_plant import ToyEnv
+from spoofgym.envs.env import CoreEnv
 
 pytest.importorskip("matplotlib")
 
@@ -128,9 +127,10 @@ def test_an_episode_goes_on_in_a_copy():
 def test_wrong_uses_are_told():
     with pytest.raises(ValueError, match=r"unknown render mode 'rgb'.*valid: human, rgb_array"):
         spoofgym.envs.SpoofEnv(render_mode="rgb", timeline=SHORT)
+    bare = CoreEnv(make().unwrapped.core)
+    assert bare.metadata["render_modes"] == []
     with pytest.raises(ValueError, match="nothing to render; got 'rgb_array'"):
-        ToyEnv(render_mode="rgb_array")
-    assert ToyEnv().metadata["render_modes"] == []
+        CoreEnv(bare.core, render_mode="rgb_array")
     with pytest.raises(ValueError, match=r"seeded with seed \+ i shows receiver i"):
         spoofgym.envs.SpoofVectorEnv(2, render_mode="rgb_array", timeline=SHORT)
     env = make().unwrapped

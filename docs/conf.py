@@ -1,0 +1,124 @@
+"""The site of `make docs`: README, CONTRIBUTING, CHANGELOG, the pages of docs/ and the API.
+
+The folder of sources is the root of the repository, so that links between pages are the same here
+and in a checkout.  A warning is an error; nothing is downloaded.
+"""
+
+from __future__ import annotations
+
+import pkgutil
+from pathlib import Path
+
+from sphinx.addnodes import desc_annotation
+
+import spoofgym
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = {"README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs"}
+CONTENTS = """
+```{toctree}
+:hidden:
+:caption: Start
+docs/README
+docs/train_your_own
+docs/rl_libraries
+```
+```{toctree}
+:hidden:
+:caption: Environments
+docs/terms
+docs/own_observation_term
+docs/learning
+docs/duel
+docs/tasks
+docs/threats
+docs/rendering
+docs/learned_spoofers
+```
+```{toctree}
+:hidden:
+:caption: Papers
+:glob:
+docs/papers/*
+```
+```{toctree}
+:hidden:
+:caption: The library
+docs/architecture
+docs/api/README
+CONTRIBUTING
+CHANGELOG
+```
+"""
+
+project, author, version = "spoofgym", "The spoofgym developers", spoofgym.__version__
+extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
+root_doc = "README"
+exclude_patterns = [each.name for each in ROOT.iterdir() if each.name not in PAGES]
+html_theme = "furo"
+html_title = f"spoofgym {version}"
+html_copy_source = False
+html_show_copyright = False
+html_css_files = ["site.css"]
+html_static_path = ["static"]
+
+myst_heading_anchors = 3
+
+default_role = "py:obj"
+nitpicky = True
+python_use_unqualified_type_names = True
+toc_object_entries_show_parents = "hide"
+autodoc_mock_imports = ["stable_baselines3", "torch"]
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints_format = "short"
+numpydoc_show_class_members = False
+
+
+def add_contents(app, docname, source):
+    """Let the first page list all others, which on GitHub it does in its text."""
+    if docname == root_doc:
+        source[0] += CONTENTS
+
+
+def silence(app, env, node, contnode):
+    """Show a name that is not on the site as it is, unless it names what spoofgym does not have."""
+    target = node.get("reftarget", "")
+    if node.get("refdomain") != "py" or (target.startswith("spoofgym.") and not exists(target)):
+        return None
+    return contnode
+
+
+def first_paragraph(app, what, name, obj, options, lines):
+    """Of a module's docstring: the rest, a map or a form, is for readers of the source."""
+    if what == "module" and "" in lines:
+        del lines[lines.index("") :]
+
+
+def written_defaults(app, what, name, obj, options, signature, returns):
+    """Write a default that is made as what parses."""
+    return (signature.replace("<factory>", "..."), returns) if signature else None
+
+
+def shorten(app, domain, objtype, content):
+    """Leave out long values, such as those of registries."""
+    for note in list(content.parent.findall(desc_annotation)):
+        if objtype == "data" and note.astext().startswith(" = ") and len(note.astext()) > 60:
+            note.parent.remove(note)
+
+
+def exists(name):
+    """Whether a dotted name is a module, or something in one."""
+    try:
+        pkgutil.resolve_name(name)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+def setup(app):
+    """Called by Sphinx."""
+    app.connect("source-read", add_contents)
+    app.connect("autodoc-process-docstring", first_paragraph)
+    app.connect("autodoc-process-signature", written_defaults)
+    app.connect("missing-reference", silence)
+    app.connect("object-description-transform", shorten)

@@ -1,0 +1,101 @@
+"""Draw `house.svg`, the packages of spoofgym by layers, from the layers in pyproject.toml.
+
+    python docs/house.py
+
+tests/docs/test_architecture.py fails where the picture is not what this draws.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from html import escape
+from pathlib import Path
+
+DOCS = Path(__file__).resolve().parent
+ROOMS = {
+    "cli": "the command line",
+    "sb3": "stable-baselines3",
+    "export": "torch to ONNX",
+    "testing": "check_detector, check_attack, check_spoofer",
+    "duel_v0": "the duel, for PettingZoo",
+    "bench": "detectors x spoofers x paired seeds, scored",
+    "duel": "spoofer against detector, views of one side",
+    "envs": "what Gymnasium sees: one step path, terms, score, wrappers, pictures",
+    "spoofers": "who decides what the attack does",
+    "limits": "what no detector and no spoofer can beat (empty so far)",
+    "simulators": "B receivers in step: predict, judge, update; warm-up, twins, threads",
+    "detectors": "one algorithm per file: an Epoch in, a Verdict out",
+    "policies": "a learned policy: contract, ONNX model, card",
+    "io": "recorded tracks and navigation files",
+    "attacks": "what a spoofer can do to measurements",
+    "receiver": "the victim's filters and fixes",
+    "sim": "the authentic world: flights, sensors, clocks, satellites, noise",
+    "earth": "ellipsoid, gravity, frames, ranges",
+    "tasks": "settings of the tasks and of the papers",
+}
+"""Every room, and what it is for in a few words."""
+WIDTH, LEFT, FLOOR, GAP, ROOF = 860, 40, 34, 4, 74
+PRIVATE = "shared tools: "
+
+
+def floors() -> list[list[str]]:
+    """Modules from the top layer to the lowest; the private ones are one floor."""
+    with (DOCS.parent / "pyproject.toml").open("rb") as file:
+        contracts = tomllib.load(file)["tool"]["importlinter"]["contracts"]
+    (layers,) = (contract["layers"] for contract in contracts if contract["type"] == "layers")
+    rows = [[name.strip(" ()") for name in layer.split("|")] for layer in layers]
+    private = [name for row in rows for name in row if name.startswith("_") and name[1] != "_"]
+    public = [[name for name in row if not name.startswith("_")] for row in rows]
+    return [*filter(None, public), private]
+
+
+def text(x: float, y: float, words: str, style: str) -> str:
+    """One line, centred."""
+    return f'<text x="{x:g}" y="{y:g}" text-anchor="middle" class="{style}">{escape(words)}</text>'
+
+
+def draw() -> str:
+    """The picture as SVG."""
+    rows = floors()
+    height, middle = ROOF + len(rows) * (FLOOR + GAP) + 10, LEFT + (WIDTH - LEFT - 10) / 2
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" '
+        'font-family="sans-serif">',
+        "<style>.name{font-weight:bold;font-size:14px}.what{font-size:12.5px}"
+        "text{fill:#1b2733}</style>",
+        f'<rect width="{WIDTH}" height="{height}" rx="6" fill="#ffffff"/>',
+        f'<path d="M{LEFT} {ROOF - GAP} L{middle:g} 6 L{WIDTH - 10} {ROOF - GAP} Z" '
+        'fill="#f3ddc4" stroke="#8a6a45"/>',
+        text(middle, 42, "agents  baselines  train", "name"),
+        text(middle, 60, "the laboratory, run from a checkout", "what"),
+        f'<path d="M18 {ROOF + 4} V{height - 14} m-6 -10 l6 10 l6 -10" '
+        'fill="none" stroke="#8a6a45" stroke-width="2"/>',
+        f'<text transform="translate(34 {(ROOF + height) / 2:g}) rotate(-90)" '
+        'text-anchor="middle" class="what">imports from below only</text>',
+    ]
+    for level, row in enumerate(rows):
+        y = ROOF + level * (FLOOR + GAP)
+        rooms = [PRIVATE + "  ".join(row)] if row[0].startswith("_") else row
+        width = (WIDTH - LEFT - 10 - GAP * (len(rooms) - 1)) / len(rooms)
+        for place, name in enumerate(rooms):
+            x = LEFT + place * (width + GAP)
+            fill = "#e8ebee" if name.startswith(PRIVATE) else "#dcebf5"
+            parts.append(
+                f'<rect x="{x:g}" y="{y}" width="{width:g}" height="{FLOOR}" rx="3" '
+                f'fill="{fill}" stroke="#5d7f99"/>'
+            )
+            if name.startswith(PRIVATE):
+                parts.append(text(x + width / 2, y + 22, name, "what"))
+                continue
+            if name not in ROOMS:
+                raise SystemExit(f"{name} has no entry in ROOMS of {Path(__file__).name}: add one")
+            line = f'<tspan class="name">{name}</tspan>&#160;&#160;{escape(ROOMS[name])}'
+            parts.append(
+                f'<text x="{x + width / 2:g}" y="{y + 22}" text-anchor="middle" '
+                f'class="what">{line}</text>'
+            )
+    return "\n".join([*parts, "</svg>", ""])
+
+
+if __name__ == "__main__":
+    (DOCS / "house.svg").write_text(draw())

@@ -1,0 +1,78 @@
+"""A spoofer in front of an engine: what it decides, and what is commanded from epoch to epoch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..envs.observer import Observer
+from ..envs.spoofer_binding import spoofer_context
+from ..envs.terms.observation import default_terms
+from ..simulators.engine import Engine
+from ..simulators.setup import Setup
+from ..spoofers import Spoofer
+from .entries import build_spoofer
+
+FloatArray = NDArray[np.float64]
+
+
+def make_bound_spoofer(spec: Any, setup: Setup, receivers: int) -> tuple[Spoofer, Observer]:
+    """Spoofer that is ready for a batch, and what it observes."""
+    spoofer = build_spoofer(spec)
+    observer = Observer(default_terms(setup, spoofer.knowledge), setup)
+    spoofer.bind(spoofer_context(setup, receivers, observer))
+    spoofer.reset()
+    return spoofer, observer
+
+
+class Attacker:
+    """Spoofer that commands all receivers of an engine, which are at their onset.
+
+    - `engine`: its simulator leaves all measurements alone where the spoofer transmits nothing;
+    - `spoofer`: bound.
+    """
+
+    def __init__(self, spec: Any, engine: Engine) -> None:
+        self._spec, self.engine, self.setup = spec, engine, engine.setup
+        self.spoofer, self._observer = make_bound_spoofer(spec, engine.setup, engine.receivers)
+        if not self.spoofer.transmits:
+            engine.simulator.clean = np.ones(engine.receivers, dtype=np.bool_)
+        self._before = self._decided = np.zeros((engine.receivers, len(self.setup.action_names)))
+
+    def command(self, epoch: int) -> FloatArray | None:
+        """Command (B, a) of an epoch, counted from the onset on; None after the last one.
+
+        Asks the spoofer where a decision is due.
+        """
+        setup = self.setup
+        if epoch >= setup.steps:
+            return None
+        since = epoch % setup.repeat
+        if since == 0:
+            self._before, self._decided = self._decided, self.decide(epoch)
+        return setup.command(self._before, self._decided, since)
+
+    def decide(self, epoch: int) -> FloatArray:
+        """Action of the spoofer, checked: (B, a) float64, C-contiguous."""
+        receivers, word = self.engine.receivers, type(self.spoofer).__name__
+        seen = self._observer(self.engine, epoch)
+        action = np.ascontiguousarray(self.spoofer.act(seen), dtype=np.float64)
+        names = self.spoofer.context.action_names
+        if action.shape != (receivers, len(names)):
+            raise ValueError(
+                f"{word} must return actions of shape {(receivers, len(names))} "
+                f"({', '.join(names)}), got {action.shape}"
+            )
+        if not (np.abs(action) <= 1.0).all():
+            worst = action.flat[int(np.argmin(np.abs(action) <= 1.0))]
+            raise ValueError(f"{word} must return actions within [-1, 1], got {worst}")
+        return action
+
+    def go_on_with(self, engine: Engine, rows: NDArray[np.intp]) -> None:
+        """Command an engine of some of the receivers from now on."""
+        spoofer, _ = make_bound_spoofer(self._spec, self.setup, len(rows))
+        spoofer.memory.copy_rows(np.arange(len(rows)), self.spoofer.memory, rows)
+        self.engine, self.spoofer = engine, spoofer
+        self._before, self._decided = self._before[rows], self._decided[rows]

@@ -1,0 +1,174 @@
+"""The card of a policy: a JSON file with the ONNX file, that states what the policy fits."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn, Protocol, Self
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
+
+from .._describe import unlike
+from .._files import write_file
+
+
+class Record(BaseModel):
+    """A frozen record that knows its fields."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Space(Record):
+    """Elements of an observation or of an action."""
+
+    names: tuple[str, ...] = Field(min_length=1)
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if len(set(self.names)) < len(self.names):
+            raise ValueError("`names` must differ from each other")
+        if not len(self.names) == len(self.low) == len(self.high):
+            raise ValueError(
+                f"`names`, `low` and `high` must be of the same length, got {len(self.names)}, "
+                f"{len(self.low)} and {len(self.high)}"
+            )
+        for name, low, high in zip(self.names, self.low, self.high, strict=True):
+            if not low < high:
+                raise ValueError(f"`low` of {name} must be below `high`, got {low} and {high}")
+        return self
+
+
+class PolicyFile(Record):
+    """The ONNX file of a policy.
+
+    - `name`: file name, without a folder;
+    - `sha256`: digest of its content, 64 hexadecimal digits;
+    - `opset`: version of the ONNX operators.
+    """
+
+    name: str = Field(pattern=r"^[^/\\]+\.onnx$")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    bytes: PositiveInt
+    opset: PositiveInt
+
+
+class PolicyCard(Record):
+    """Base of the cards of both sides; a subclass has the fields."""
+
+    other_kinds: ClassVar[Mapping[str, str]] = {}
+    """What else a card can be of, by its field ``kind``, and where that belongs."""
+
+    name: str
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a card."""
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+            json.loads(text, parse_constant=_refuse)
+            return cls.model_validate_json(text, strict=True)
+        except OSError as error:
+            raise ValueError(f"there is no card {path} ({error.strerror})") from error
+        except ValidationError as error:
+            other = cls.other_kinds.get(_kind_of(text))
+            if other is not None:
+                raise ValueError(f"card {path} is that of {other}") from error
+            raise ValueError(f"card {path}: {_text_of(error)}") from error
+        except ValueError as error:
+            raise ValueError(f"card {path} is not JSON: {error}") from error
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the card, whole or not at all."""
+        try:
+            text = json.dumps(self.model_dump(), indent=1, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"card of {self.name!r} can't be written: {error}") from error
+        write_file(Path(path), (text + "\n").encode())
+
+
+class Spaces(Protocol):
+    """Names and bounds that a policy is given; no bounds where they are not known."""
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """(a,) of the elements of an action."""
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """(o,) of the elements of an observation."""
+
+    @property
+    def observation_low(self) -> tuple[float, ...]:
+        """(o,) or empty."""
+
+    @property
+    def observation_high(self) -> tuple[float, ...]:
+        """(o,) or empty."""
+
+
+def spaces_of(given: Spaces) -> dict[str, Any]:
+    """Fields ``observation`` (None without names or bounds) and ``action`` of a card."""
+    names, size = given.observation_names, len(given.action_names)
+    observation = None
+    if names and given.observation_low and given.observation_high:
+        low, high = given.observation_low, given.observation_high
+        observation = {"names": names, "low": low, "high": high}
+    action = {"names": given.action_names, "low": (-1.0,) * size, "high": (1.0,) * size}
+    return {"observation": observation, "action": action}
+
+
+def unlike_spaces(observation: Space | None, action: Space, given: Spaces) -> list[str]:
+    """Where the spaces of a card differ from those that are given."""
+    seen = spaces_of(given)["observation"]
+    found = _order("action", action, given.action_names)
+    if observation is not None:
+        found += _order("observation", observation, given.observation_names)
+        if not found and seen is not None:
+            found += unlike(observation.model_dump(), seen, "observation")
+    return found
+
+
+def _order(word: str, card: Space, names: tuple[str, ...]) -> list[str]:
+    """What is missing, added or moved among names."""
+    missing = [name for name in card.names if name not in names]
+    added = [name for name in names if name not in card.names]
+    lines = [
+        f"{word}: {', '.join(some[:4])}{', ...' if len(some) > 4 else ''} {where}"
+        for some, where in ((missing, "only on the card"), (added, "only here"))
+        if some
+    ]
+    if not lines and names != card.names:
+        lines = [f"{word}: the same names in another order"]
+    return lines
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is no number")
+
+
+def _kind_of(text: str) -> str:
+    """Kind of a card that may be damaged; empty where it has none."""
+    try:
+        card = json.loads(text)
+    except ValueError:
+        return ""
+    kind = card.get("kind") if isinstance(card, dict) else None
+    return kind if isinstance(kind, str) else ""
+
+
+def _text_of(error: ValidationError) -> str:
+    """What is wrong with which fields, in one line."""
+    parts = []
+    for item in error.errors():
+        where = ".".join(map(str, item["loc"]))
+        message = item["msg"].removeprefix("Value error, ")
+        got = item["input"]
+        small = got is None or isinstance(got, str | int | float)
+        value = f", got {got!r}" if small and item["type"] != "missing" else ""
+        parts.append(f"`{where}`: {message}{value}" if where else message)
+    return "; ".join(parts)

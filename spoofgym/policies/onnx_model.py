@@ -1,0 +1,213 @@
+"""A network in an ONNX file, run by onnxruntime: self-contained, standard, of any batch.
+
+The file is parsed before it is run, nothing is unpickled, and nothing outside of it is read.  The
+same observation gives the same action, bit for bit, in any batch.  ``onnx`` takes a third
+of a second to import, hence inside of functions.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .card import PolicyFile, Space
+from .contract import FloatArray, checked_action
+
+if TYPE_CHECKING:
+    from onnx import ModelProto, ValueInfoProto
+
+SUFFIX = ".onnx"
+DOMAINS = ("", "ai.onnx", "ai.onnx.ml")
+"""Domains of the standard operators; the first two are the same."""
+CHANCE = (
+    "Bernoulli",
+    "Multinomial",
+    "RandomNormal",
+    "RandomNormalLike",
+    "RandomUniform",
+    "RandomUniformLike",
+)
+"""Operators that a policy must not have: the same observation gives the same action."""
+
+
+def read_model(content: bytes, where: str) -> ModelProto:
+    """Parse an ONNX file, and refuse what is not self-contained."""
+    import onnx
+    from google.protobuf.message import DecodeError
+
+    try:
+        model = onnx.load_model_from_string(content)
+    except DecodeError as error:
+        raise ValueError(f"{where} is no ONNX file, or cut off: {error}") from error
+    if not model.graph.node or not model.opset_import:
+        raise ValueError(f"{where} is no ONNX file: it has no graph of operators")
+    _check_parts(model, where)
+    try:
+        onnx.checker.check_model(model)
+    except (onnx.checker.ValidationError, ValueError) as error:
+        raise ValueError(f"{where} is no valid ONNX model: {error}") from error
+    return model
+
+
+def _check_parts(model: ModelProto, where: str) -> None:
+    """Look at every tensor, operator and function, in subgraphs and functions too."""
+    from onnx import FunctionProto, NodeProto, TensorProto
+
+    for part in _messages(model):
+        if isinstance(part, TensorProto):
+            if part.data_location == TensorProto.EXTERNAL or part.external_data:
+                raise ValueError(
+                    f"{where} keeps its tensor {part.name!r} in external data, outside of the "
+                    "file; export it into a single file"
+                )
+        elif isinstance(part, NodeProto):
+            if part.domain not in DOMAINS:
+                raise ValueError(
+                    f"{where} needs the custom operator {part.domain}::{part.op_type}; only those "
+                    "of ai.onnx and ai.onnx.ml are run"
+                )
+            if part.op_type in CHANCE:
+                raise ValueError(f"{where} draws random numbers by {part.op_type}")
+        elif isinstance(part, FunctionProto) and part.domain not in DOMAINS:
+            raise ValueError(
+                f"{where} defines the custom operator {part.domain}::{part.name}; inline it"
+            )
+
+
+def _messages(message: Any) -> Iterator[Any]:
+    """All parts of a protocol buffer, itself first."""
+    open_ = [message]
+    while open_:
+        part = open_.pop()
+        yield part
+        for descriptor, value in part.ListFields():
+            if descriptor.message_type is not None:
+                open_.extend([value] if hasattr(value, "ListFields") else value)
+
+
+def file_of(name: str, content: bytes) -> PolicyFile:
+    """Field ``file`` of the card of an ONNX file."""
+    model = read_model(content, name)
+    digest = hashlib.sha256(content).hexdigest()
+    return PolicyFile(name=name, sha256=digest, bytes=len(content), opset=_opset_of(model))
+
+
+def _opset_of(model: ModelProto) -> int:
+    """Version of the standard operators."""
+    return max(
+        (item.version for item in model.opset_import if item.domain in DOMAINS[:2]), default=0
+    )
+
+
+def check_signature(model: ModelProto, observation: int, action: int, where: str) -> None:
+    """Check input and output."""
+    constant = {tensor.name for tensor in model.graph.initializer}
+    inputs = [value for value in model.graph.input if value.name not in constant]
+    for word, values, size in (
+        ("input", inputs, observation),
+        ("output", list(model.graph.output), action),
+    ):
+        wanted = f"the card has one {word} of float32 (batch, {size})"
+        if len(values) != 1:
+            names = ", ".join(value.name for value in values) or "none"
+            raise ValueError(f"{where} has {len(values)} {word}s ({names}); {wanted}")
+        found = _form(values[0])
+        batch, *rest = found[1] or [0]
+        if found[0] != "float32" or rest != [size] or len(found[1]) != 2:
+            shape = ", ".join(map(str, found[1]))
+            raise ValueError(
+                f"{where} has the {word} {values[0].name} of {found[0]} ({shape}); {wanted}"
+            )
+        if isinstance(batch, int):
+            raise ValueError(
+                f"{where} has the {word} {values[0].name} with a fixed batch of {batch}; {wanted}, "
+                "of any size: export it with a dynamic first dimension"
+            )
+
+
+def _form(value: ValueInfoProto) -> tuple[str, list[int | str]]:
+    """Type and dimensions of an input or output; a dimension of any size by its name."""
+    from onnx import helper
+
+    tensor = value.type.tensor_type
+    if not tensor.elem_type:
+        return "no tensor", []
+    kind = str(helper.tensor_dtype_to_np_dtype(tensor.elem_type))
+    return kind, [
+        dim.dim_value if dim.HasField("dim_value") else dim.dim_param or "?"
+        for dim in tensor.shape.dim
+    ]
+
+
+class OnnxModel:
+    """The network of one file; it pickles and copies, without the session of onnxruntime.
+
+    `file`: what the card has of it; `observation`, `action`: the spaces of the card; `sha256`: a
+    digest that the file must have, besides that of the card.  A ValueError says what does not fit.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        file: PolicyFile,
+        observation: Space,
+        action: Space,
+        sha256: str | None = None,
+    ) -> None:
+        self.path = os.fspath(path)
+        self.content = path.read_bytes()
+        self._session: Any = None
+        self._process = 0
+        if len(self.content) != file.bytes:
+            raise ValueError(f"{path} has {len(self.content)} bytes, and {file.bytes} on its card")
+        self.sha256 = hashlib.sha256(self.content).hexdigest()
+        for word, wanted in (("its card has", file.sha256), ("`sha256` must be", sha256)):
+            if wanted is not None and self.sha256 != wanted:
+                raise ValueError(f"{path} has the SHA-256 {self.sha256}; {word} {wanted}")
+        model = read_model(self.content, self.path)
+        if _opset_of(model) != file.opset:
+            raise ValueError(f"{path} is of opset {_opset_of(model)}, and {file.opset} on its card")
+        self.size = len(action.names)
+        check_signature(model, len(observation.names), self.size, self.path)
+
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Action of every receiver.  `observation` (B, o); returns (B, a) in [-1, 1]."""
+        if self._session is None or self._process != os.getpid():  # or in a forked child
+            self._session, self._process = make_session(self.content), os.getpid()
+        given = np.ascontiguousarray(observation, dtype=np.float32)
+        name = self._session.get_inputs()[0].name
+        try:
+            action = self._session.run(None, {name: given})[0]
+        except _failures() as error:
+            raise ValueError(f"{self.path} can't be run: {error}") from error
+        return checked_action(action, len(given), self.size, self.path)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the session, which neither pickles nor copies."""
+        return {**self.__dict__, "_session": None}
+
+
+def make_session(content: bytes) -> Any:
+    """Session of onnxruntime on one thread of the processor."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.use_deterministic_compute = True
+    options.log_severity_level = 4  # errors are raised, and need not be printed as well
+    return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+
+
+def _failures() -> tuple[type[Exception], ...]:
+    """What onnxruntime raises: classes of its own, that share only `Exception`."""
+    from onnxruntime.capi import onnxruntime_pybind11_state as state
+
+    kinds = (getattr(state, name) for name in dir(state))
+    return tuple(k for k in kinds if isinstance(k, type) and issubclass(k, Exception))

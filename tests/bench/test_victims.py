@@ -1,0 +1,207 @@
+"""The benchmark of the small victims: scores, detectors that fit, settings, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spoofgym.bench import ResultsFolder, Suite, Tuning, run_campaign, summarize
+from spoofgym.bench.campaign import knowledge_of
+from spoofgym.bench.decisions import make_bound_spoofer
+from spoofgym.bench.episode import TWIN, draw_episode, play_episode
+from spoofgym.bench.picture import draw_campaign
+from spoofgym.bench.report import markdown
+from spoofgym.bench.run import WarmStart, displacement_of, induced_error, play
+from spoofgym.bench.victims import VICTIMS
+from spoofgym.envs import SpoofCore
+
+LOOSE, SNAPSHOT, ROBOT = (
+    "spoofgym/LooselyCoupled-v0",
+    "spoofgym/Snapshot-v0",
+    "spoofgym/WheeledRobot-v0",
+)
+SMALL = (LOOSE, SNAPSHOT, ROBOT)
+PUSH = {"name": "ramp", "rate_mps": 0.5}
+QUICK = Tuning(runs=4, sift_runs=2, values=3, refined=2, budget=0.3, margin=0.0)
+
+
+def suite_of(env: str, **changes: Any) -> Suite:
+    settings: dict[str, Any] = {
+        "env": env,
+        "timeline": {"warmup_s": 12.0, "live_s": 4.0, "attack_s": 12.0, "time_to_alert_s": 3.0},
+        "spoofers": (PUSH,),
+        "runs": 6,
+        "tuning": QUICK,
+        **changes,
+    }
+    return Suite(**settings)
+
+
+@pytest.mark.parametrize("env", SMALL)
+def test_a_campaign_is_scored_tabled_and_drawn(env: str, tmp_path: Path) -> None:
+    tuned = {"name": "ramp", "rate_mps": "tuned"}
+    suite = suite_of(env, spoofers=("step", tuned))
+    suite.check_fit()
+    folder = ResultsFolder(tmp_path)
+    folder.open(suite)
+    run_campaign(suite, folder, threads=1)
+    summary = summarize(folder)
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+    judges = [entry.label for entry in suite.detector_entries]
+    assert [row["detector"] for row in summary["detectors"]] == judges
+    for judge in judges:
+        none, step, ramp = (
+            folder.cell(judge, name).records["undetected_displacement_m"]
+            for name in ("none", "step", "ramp(tuned)")
+        )
+        assert not none.any()
+        assert (step >= 0.0).all()
+        assert ramp.mean() > 0.0
+    text = markdown(folder.config(), summary)
+    assert f"- Environment: {env}, " in text
+    assert "nan" not in text
+    assert draw_campaign(folder, summary).stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("env", SMALL)
+@pytest.mark.parametrize("between", ["hold", "linear"])
+def test_a_cell_scores_what_the_environment_pays(env: str, between: str) -> None:
+    suite = suite_of(
+        env, target_heading_deg="worst", decision_interval_s=2.0, between=between, runs=5
+    )
+    setup = suite.setup(suite.detector_entries[-1])
+    start = WarmStart(setup, suite.generators("evaluation", 5), threads=1)
+    attacked, clean = play(start, PUSH), play(start, "none")
+    core = SpoofCore(5, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True)
+    core.reset(suite.generators("evaluation", 5))
+    spoofer, _ = make_bound_spoofer(PUSH, setup, 5)
+    for _ in range(core.episode_steps):
+        result, _ = core.step(spoofer.act(core.observe()))
+    scored = displacement_of(setup, attacked, clean)
+    assert scored.max() > 0.1
+    np.testing.assert_allclose(
+        result.info["undetected_displacement_m"], scored, rtol=1e-4, atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("env", SMALL)
+def test_a_run_looked_at_closely_is_that_of_the_campaign(env: str, tmp_path: Path) -> None:
+    suite = suite_of(env)
+    judge, player = suite.detector_entries[-1], suite.spoofer_entries[-1]
+    episode = play_episode(suite, judge, player, run=2)
+    setup = suite.setup(judge)
+    start = WarmStart(setup, suite.generators("evaluation", 4), threads=1)
+    attacked, clean = play(start, PUSH), play(start, "none")
+    np.testing.assert_array_equal(episode.alarm[episode.onset :, 0], attacked.alarm[:, 2])
+    np.testing.assert_array_equal(episode.alarm[episode.onset :, TWIN], clean.alarm[:, 2])
+    np.testing.assert_allclose(
+        episode.induced, induced_error(setup, attacked, clean)[:, 2], atol=1e-6
+    )
+    assert episode.summary()["scenario"] == setup.name
+    assert draw_episode(episode, tmp_path / "run").stat().st_size > 10_000
+
+
+def test_a_heading_of_a_snapshot_leaves_down_and_clock_alone() -> None:
+    suite = suite_of(SNAPSHOT)
+    setup = suite.setup(suite.detector_entries[0])
+    spoofer, _ = make_bound_spoofer(PUSH, setup, 1)
+    action = spoofer.act(np.zeros((1, 0), dtype=np.float32))
+    np.testing.assert_allclose(action, [[0.0, 0.1, 0.0, 0.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("env", VICTIMS)
+def test_the_detectors_of_a_victim_fit_it(env: str) -> None:
+    suite = Suite(env=env, spoofers=())
+    suite.check_fit()
+    assert len(suite.detector_entries) == len(VICTIMS[env].detectors)
+
+
+def test_runs_are_those_of_the_settings() -> None:
+    suites = [
+        suite_of(SNAPSHOT, **changes)
+        for changes in (
+            {},
+            {"settings": {"satellites": 10}},
+            {"settings": {"noise_m": 1.0}},
+            {"target_heading_deg": 0.0},
+            {"timeline": {"attack_s": 12.0}},
+            {"detectors": ("never",)},
+        )
+    ]
+    assert len({suite.digest for suite in suites}) == len(suites)
+    # a default that is written out changes nothing
+    assert suite_of(SNAPSHOT, settings={"satellites": 12}).digest == suites[0].digest
+    judge = suites[1].detector_entries[0]
+    assert len(suites[1].setup(judge).weight_names) == 10
+
+
+def test_no_spoofer_of_another_environment_plays_unasked() -> None:
+    suite = suite_of(ROBOT, spoofers=None)
+    labels = [entry.label for entry in suite.spoofer_entries]
+    assert labels == ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)"]
+    assert suite.left_out == ()
+    asked = suite_of(ROBOT, spoofers=("ewma-profile",))
+    judge = asked.detector_entries[0]
+    told = knowledge_of(asked.spoofer_entries[1], asked.setup(judge), judge)
+    assert told["transfer"] == ["environment"]
+
+
+@pytest.mark.parametrize(
+    ("env", "detector", "message"),
+    [
+        (LOOSE, "ewma", "Ewma watches satellites, but the receiver measures position"),
+        (LOOSE, "rio", "Rio needs auxiliary_position, which a loosely coupled receiver does not"),
+        (SNAPSHOT, "acna", "Acna needs gnss_position, which a snapshot receiver does not have"),
+        (ROBOT, "srv-raim", "SrvRaim watches satellites, but the receiver measures position"),
+        (
+            ROBOT,
+            {"name": "windowed-chi2", "window": 500},
+            "WindowedChi2 can't alarm in its first 499 epochs, and an episode has 19",
+        ),
+        (
+            "spoofgym/TightlyCoupled-v0",
+            "rio",
+            "Rio needs auxiliary_position, gnss_position, which a tightly coupled receiver",
+        ),
+    ],
+)
+def test_detectors_that_do_not_fit_are_refused(env: str, detector: Any, message: str) -> None:
+    suite = suite_of(env, detectors=(detector,))
+    (entry,), whose = suite.detector_entries, VICTIMS[env].setup.whose
+    text = f"detector {entry.label} does not fit {whose} ({env}): {message}"
+    with pytest.raises(ValueError, match=f"^{re.escape(text)}"):
+        suite.check_fit()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"env": "Snapshot"}, "unknown environment of the benchmark 'Snapshot'; valid: .*Loosely"),
+        ({"settings": {"sats": 8}}, "Snapshot-v0 has no setting 'sats', got 8; valid: t"),
+        ({"scenario": "groves"}, "Snapshot-v0 has no setting 'scenario', got 'groves'; valid:"),
+        ({"receiver": "matched"}, "Snapshot-v0 has no setting 'receiver', got 'matched'"),
+        ({"settings": {"timeline": {}}}, "`settings` has 'timeline', which is given by name, too"),
+        ({"settings": {"detector": "never"}}, "has no setting 'detector', got 'never'"),
+        ({"settings": {"satellites": 3}}, "`satellites` must be a whole number >= 4, got 3"),
+        ({"settings": {"noise_m": "much"}}, "`noise_m` must be finite and > 0, got 'much'"),
+        ({"settings": {"rate_limit_mps": "5"}}, "`rate_limit_mps` must be finite and > 0, .*'5'"),
+        (
+            {"settings": {"speed_mps": None, "heading_deg": "n"}},
+            "`heading_deg` must be a finite number, got 'n'",
+        ),
+    ],
+)
+def test_wrong_settings_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        suite_of(**{"env": SNAPSHOT, **changes}).check_fit()
+
+
+def test_spoofers_need_one_limit_of_the_rate() -> None:
+    suite = suite_of(SNAPSHOT, settings={"rate_limit_mps": [1.0, 1.0, 1.0, 9.0]})
+    with pytest.raises(ValueError, match=r"one limit of the rate .* got \(1.0, 1.0, 1.0, 9.0\)"):
+        suite.check_fit()

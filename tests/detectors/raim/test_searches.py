@@ -1,0 +1,221 @@
+"""Searches of consistent satellites, against plain ones, and their invariants."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from spoofgym.detectors.raim.consistency import checked_rows, fit_thresholds, frame_axes
+from spoofgym.detectors.raim.residual_vectors import search_vectors, srv_raim
+from spoofgym.detectors.raim.traversal import traversal_raim
+
+SIGMA = 4.0
+LIMIT = fit_thresholds(SIGMA, 0.05, 12)
+SEARCHES = [srv_raim, traversal_raim]
+
+
+def sky(rng, n):
+    up, azimuth = rng.uniform(0.17, 1.0, n), rng.uniform(0.0, 2.0 * np.pi, n)
+    level = np.sqrt(1.0 - up**2)
+    return np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), up])
+
+
+def geometry(u):
+    return np.column_stack([-u, np.ones(len(u))])
+
+
+def case(seed, n=12, spoofed=3, clean=False):
+    """Lines of sight, offsets and who is spoofed."""
+    rng = np.random.default_rng(seed)
+    u = sky(rng, n)
+    slots = rng.permutation(n)[:spoofed]
+    y = (0.0 if clean else SIGMA) * rng.standard_normal(n) + 1e5
+    y[slots] += geometry(u)[slots] @ (400.0 * rng.standard_normal(4))
+    return u, y, np.isin(np.arange(n), slots)
+
+
+def squared(G, y, rows):
+    rows = list(rows)
+    return np.sum((y[rows] - G[rows] @ np.linalg.lstsq(G[rows], y[rows], rcond=None)[0]) ** 2)
+
+
+def plain_traversal(u, y):
+    G, n, fits = geometry(u), len(y), 0
+    for size in range(min(6, n // 2, n - 5) + 1):
+        for left in combinations(range(n), size):
+            if 2 * size == n and 0 not in left:
+                continue
+            kept = [i for i in range(n) if i not in left]
+            fits += 1 + (size >= 5)
+            if squared(G, y, kept) < LIMIT[len(kept)] and (
+                size < 5 or squared(G, y, left) < LIMIT[size]
+            ):
+                return True, set(kept), fits
+    return False, set(), fits
+
+
+def plain_srv(u, y):
+    G = geometry(u)
+    residual, fits = y - G @ np.linalg.lstsq(G, y, rcond=None)[0], 1
+    for v in search_vectors():
+        order = list(np.argsort(-residual * (G @ v), kind="stable"))
+        for side in (order[:5], order[-5:]):
+            first, grown = list(side), True
+            fits += 1
+            if not squared(G, y, first) < LIMIT[5]:
+                continue
+            while grown:
+                grown = False
+                for j in [j for j in order if j not in first]:
+                    fits += 1
+                    if squared(G, y, [*first, j]) < LIMIT[len(first) + 1]:
+                        first.append(j)
+                        grown = True
+            second = [j for j in order if j not in first]
+            fits += len(second) >= 5
+            if len(second) < 5 or squared(G, y, second) < LIMIT[len(second)]:
+                return True, set(first), fits
+    return False, set(), fits
+
+
+@pytest.mark.parametrize("spoofed", range(7))
+def test_srv_search_is_the_plain_one(spoofed):
+    for seed in range(5):
+        u, y, _ = case(seed, spoofed=spoofed)
+        got = srv_raim(u, y, SIGMA)
+        assert (got.found, set(np.flatnonzero(got.group == 1)), got.positionings) == plain_srv(u, y)
+
+
+@pytest.mark.parametrize(("n", "spoofed"), [(12, 0), (12, 2), (12, 5), (9, 3), (6, 1), (10, 5)])
+def test_traversal_is_the_plain_one(n, spoofed):
+    u, y, _ = case(n + spoofed, n=n, spoofed=spoofed)
+    got = traversal_raim(u, y, SIGMA)
+    plain = plain_traversal(u, y)
+    assert (got.found, set(np.flatnonzero(got.group == 1)), got.positionings) == plain
+
+
+def test_thresholds_are_those_of_the_notes():
+    table = [7.840, 6.923, 6.456, 6.160, 5.952, 5.795, 5.670, 5.569]
+    np.testing.assert_allclose(np.sqrt(LIMIT[5:] / np.arange(1, 9)), table, atol=6e-4)
+    assert (LIMIT[:5] == 0.0).all()
+
+
+def test_search_vectors_are_half_of_a_lattice_in_three_sets():
+    vectors = search_vectors()
+    lattice = {tuple(v) for v in (*vectors, *-vectors)}
+    assert len(lattice) == 80 == 3**4 - 1
+    weight = np.abs(vectors).sum(axis=1)
+    assert set(weight[:12]) == {1.0, 4.0}
+    assert set(weight[12:24]) == {2.0}
+    assert set(weight[24:]) == {3.0}
+    # some columns of B and C as printed
+    np.testing.assert_array_equal(vectors[20], [0, 1, 0, 1])
+    np.testing.assert_array_equal(vectors[25], [1, -1, 1, 0])
+    np.testing.assert_array_equal(vectors[34], [1, 0, 1, -1])
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize("seed", range(8))
+def test_what_is_common_to_all_changes_nothing(search, seed):
+    u, y, _ = case(seed, spoofed=4)
+    moved = y + geometry(u) @ [3e3, -2e3, 1e3, 5e4]
+    one, other = search(u, y, SIGMA), search(u, moved, SIGMA)
+    np.testing.assert_array_equal(one.group, other.group)
+    assert one.positionings == other.positionings
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+def test_swapping_authentic_and_spoofed_gives_the_same_partition(search):
+    u, _, spoofed = case(3, spoofed=4)
+    shift = geometry(u) @ [300.0, -900.0, 500.0, 200.0]
+    noise = SIGMA * np.random.default_rng(0).standard_normal(12)
+    one = search(u, noise + np.where(spoofed, shift, 0.0), SIGMA)
+    other = search(u, noise - np.where(spoofed, 0.0, shift), SIGMA)
+    assert one.found
+    np.testing.assert_array_equal(one.group, other.group)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_traversal_does_not_depend_on_axes(seed):
+    u, y, _ = case(seed, spoofed=3)
+    turn, _ = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))
+    one, other = traversal_raim(u, y, SIGMA), traversal_raim(u @ turn.T, y, SIGMA)
+    np.testing.assert_array_equal(one.group, other.group)
+    assert one.positionings == other.positionings
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize("wild", [1e5, 1e7, 1e12])
+def test_one_wild_pseudorange_is_told(search, wild):
+    u, y, _ = case(5, spoofed=0)
+    y[4] += wild
+    got = search(u, 0.2 * (y - 1e5), SIGMA)
+    assert got.found
+    np.testing.assert_array_equal(got.group == 2, np.arange(12) == 4)
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+@pytest.mark.parametrize("wild", [np.nan, np.inf])
+def test_what_is_no_number_is_left_out(search, wild):
+    u, y, _ = case(6, n=13, spoofed=2)
+    keep = np.arange(13) != 8
+    without = search(u[keep], y[keep], SIGMA)
+    got = search(u, np.where(keep, y, wild), SIGMA)
+    assert got.group[8] == 0
+    np.testing.assert_array_equal(got.group[keep], without.group)
+    assert got.positionings == without.positionings
+
+
+def test_more_than_32_satellites_have_their_bits():
+    u, y, spoofed = case(7, n=40, spoofed=10, clean=True)
+    got = srv_raim(u, y, SIGMA)
+    assert got.found
+    assert {len(set(got.group[spoofed])), len(set(got.group[~spoofed]))} == {1}
+
+
+@pytest.mark.parametrize("search", SEARCHES)
+def test_bad_input_is_refused(search):
+    u, y, _ = case(8)
+    with pytest.raises(ValueError, match="needs 5 to 63 satellites, got 4"):
+        search(u[:4], y[:4], SIGMA)
+    with pytest.raises(ValueError, match="needs 5 to 63 satellites, got 4"):
+        search(u, np.where(np.arange(12) < 4, y, np.nan), SIGMA)
+    with pytest.raises(ValueError, match="geometry of the satellites is singular"):
+        search(np.tile(u[:1], (12, 1)), y, SIGMA)
+    cone = sky(np.random.default_rng(0), 12)
+    cone[:, :2] *= np.sqrt(0.75) / np.hypot(cone[:, 0], cone[:, 1])[:, None]
+    cone[:, 2] = 0.5
+    with pytest.raises(ValueError, match="geometry of the satellites is singular"):
+        search(cone, y, SIGMA)
+    with pytest.raises(ValueError, match=r"must be \(n, 3\) and `offset` \(n,\), got \(11, 3\)"):
+        search(u[1:], y, SIGMA)
+    with pytest.raises(ValueError, match="must hold unit vectors"):
+        search(2.0 * u, y, SIGMA)
+    with pytest.raises(ValueError, match="`sigma_m` must be finite and > 0, got -1"):
+        search(u, y, -1.0)
+    with pytest.raises(ValueError, match=r"`confidence` must lie between 0 and 1.* got 0"):
+        search(u, y, SIGMA, 0.0)
+
+
+def test_inputs_are_left_alone():
+    u, y, _ = case(9)
+    kept = u.copy(), y.copy()
+    srv_raim(u, y, SIGMA)
+    traversal_raim(u, y, SIGMA)
+    np.testing.assert_array_equal(u, kept[0])
+    np.testing.assert_array_equal(y, kept[1])
+
+
+def test_residual_vectors_add_up_to_nothing():
+    u, y, _ = case(10, clean=True)
+    _, s2 = checked_rows(u, y)
+    G = geometry(u)
+    residual = y - G @ np.linalg.lstsq(G, y, rcond=None)[0]
+    assert s2 == pytest.approx(residual @ residual, rel=1e-9)
+    np.testing.assert_allclose((residual[:, None] * G).sum(axis=0), 0.0, atol=1e-7)
+    np.testing.assert_array_equal((residual[:, None] * G)[:, 3], residual)
+
+
+def test_axes_of_the_local_frame():
+    axes = frame_axes(np.array([[6_378_137.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(axes[0] @ [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], atol=1e-12)

@@ -1,0 +1,361 @@
+"""Episodes that are warmed up ahead have the bits of those that are not."""
+
+import copy
+import gc
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from spoofgym.envs import SpoofCore, SpoofVectorEnv, TightlyCoupledSetup
+from spoofgym.simulators.prefetch import copy_of, take_episode
+
+PATIENCE_S = 900.0
+"""After which a thread or a process counts as hanging, however busy the machine."""
+TIMELINE = {"warmup_s": 8.0, "live_s": 3.0, "attack_s": 6.0, "time_to_alert_s": 1.0}
+
+
+@pytest.fixture(scope="module")
+def setup():
+    return TightlyCoupledSetup(detector={"name": "ewma", "false_alarm": 0.3}, timeline=TIMELINE)
+
+
+def core_of(setup, prefetch, receivers=9):
+    return SpoofCore(receivers, setup, knowledge="oracle", threads=1, prefetch=prefetch)
+
+
+def generators(receivers=9, seed=0):
+    return [np.random.default_rng(seed + i) for i in range(receivers)]
+
+
+def course(core, rngs, steps, chance):
+    """Rewards, observations, warm-up alarms of some steps with autoresets."""
+    seen = []
+    for _ in range(steps):
+        result, observation = core.step(
+            np.clip(chance.normal(0.3, 0.5, (core.receivers, 2)), -1, 1)
+        )
+        over = np.flatnonzero(result.terminated)
+        if len(over):
+            core.reset([rngs[row] for row in over], over)
+        observation = core.observe() if len(over) else observation
+        seen.append((result.reward, observation, core.engine.warmup_alarm.copy()))
+    return [np.array(column) for column in zip(*seen, strict=True)]
+
+
+def assert_same(one, other):
+    for x, y in zip(one, other, strict=True):
+        assert np.array_equal(x, y)
+
+
+def played(setup, prefetch, steps=40, seed=0):
+    core, rngs = core_of(setup, prefetch), generators(seed=seed)
+    core.reset(rngs)
+    return course(core, rngs, steps, np.random.default_rng(1))
+
+
+def test_same_bits_over_autoresets(setup):
+    plain = played(setup, prefetch=False)
+    assert plain[2].any()  # some warm-ups alarm
+    assert_same(plain, played(setup, prefetch=True))
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_a_copy_goes_on_with_the_same_bits(setup, copied):
+    core, rngs = core_of(setup, True), generators()
+    core.reset(rngs)
+    chance = np.random.default_rng(1)
+    first = course(core, rngs, 15, chance)
+    core, rngs = copied((core, rngs))
+    second = course(core, rngs, 25, chance)
+    whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
+    assert_same(played(setup, prefetch=False), whole)
+
+
+def test_other_generators_begin_anew(setup):
+    core = core_of(setup, True)
+    core.reset(generators(seed=5))
+    rngs = generators(seed=0)
+    core.reset(rngs)
+    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+
+
+def test_the_same_generators_go_on_to_their_next_episodes(setup):
+    courses = []
+    for prefetch in (False, True):
+        core, rngs = core_of(setup, prefetch), generators()
+        core.reset(rngs)
+        core.reset(rngs)
+        courses.append(course(core, rngs, 5, np.random.default_rng(1)))
+    assert_same(*courses)
+
+
+def test_some_receivers_seeded_anew_leave_the_others_as_they_are():
+    seen = []
+    for prefetch in (False, True):
+        envs = SpoofVectorEnv(
+            3, knowledge="oracle", timeline=TIMELINE, threads=1, prefetch=prefetch
+        )
+        columns = [envs.reset(seed=5)[0]]
+        for seed in ([7, None, None], [None, 8, None], None):
+            columns.append(envs.reset(seed=seed)[0])
+        envs.close()
+        seen.append(columns)
+    assert_same(*seen)
+    plain = seen[0]
+    assert not np.array_equal(plain[0][1], plain[1][1])  # the others are in their next episodes
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
+def test_a_forked_child_goes_on_with_the_same_bits(setup):
+    core, rngs = core_of(setup, True), generators()
+    core.reset(rngs)
+    chance = np.random.default_rng(1)
+    first = course(core, rngs, 15, chance)
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:  # pragma: no cover
+        status = 1
+        try:
+            second = course(core, rngs, 25, chance)
+            with os.fdopen(write, "wb") as pipe:
+                pickle.dump(second, pipe)
+            status = 0
+        finally:
+            os._exit(status)
+    os.close(write)
+    with os.fdopen(read, "rb") as pipe:
+        second = pickle.load(pipe)
+    assert os.waitpid(child, 0)[1] == 0
+    whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
+    assert_same(played(setup, prefetch=False), whole)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
+@pytest.mark.parametrize("steps", [0, 1])
+def test_a_fork_while_locks_are_held(setup, steps):
+    core, rngs = core_of(setup, True), generators()
+    core.reset(rngs)
+    link, held, forked = core.engine._next._link, threading.Event(), threading.Event()
+
+    def hold():
+        with link.change, link.free._cond:
+            held.set()
+            forked.wait()
+
+    holder = threading.Thread(target=hold)
+    holder.start()
+    held.wait()
+    child = os.fork()
+    if child == 0:  # pragma: no cover
+        signal.alarm(int(PATIENCE_S))  # ends a child that hangs
+        status = 1
+        try:
+            for _ in range(steps):
+                core.step(np.zeros((core.receivers, 2)))
+            core.reset(rngs)
+            core.close()
+            status = 0
+        finally:
+            os._exit(status)
+    forked.set()
+    holder.join()
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def fail_once(monkeypatch, owner, name):
+    """Let a method raise in the first call; returns all calls."""
+    method, calls = getattr(owner, name), []
+
+    def failing(*args):
+        calls.append(args)
+        if len(calls) == 1:
+            raise MemoryError("for once")
+        return method(*args)
+
+    monkeypatch.setattr(owner, name, failing)
+    return calls
+
+
+@pytest.mark.parametrize("where", ["warm_up", "writing"])
+def test_what_goes_wrong_in_the_background_is_raised_once(setup, monkeypatch, where):
+    core, rngs = core_of(setup, True), generators()
+    episodes = core.engine._next
+    owner, name = {
+        "warm_up": (episodes, "_warm_up"),
+        "writing": (episodes._waiting, "copy_rows"),
+    }[where]
+    calls = fail_once(monkeypatch, owner, name)
+    core.reset(rngs)
+    with pytest.raises(MemoryError, match="for once"):
+        core.reset(rngs)
+    core.reset(rngs)
+    assert len(calls) > 1
+    plain, other = core_of(setup, False), generators()
+    plain.reset(other)
+    plain.reset(other)
+    assert np.array_equal(core.observe(), plain.observe())
+
+
+def test_nothing_is_begun_before_a_failure_has_been_told(setup, monkeypatch):
+    """A second call for work may be waiting already, and would have covered it up."""
+    core, rngs = core_of(setup, True), generators()
+    episodes = core.engine._next
+    calls = fail_once(monkeypatch, episodes, "_warm_up")
+    core.reset(rngs)
+    link = episodes._link
+    with link.change:
+        assert link.change.wait_for(lambda: link.failure is not None, timeout=PATIENCE_S)
+    episodes.serve(link)
+    assert len(calls) == 1
+    with pytest.raises(MemoryError, match="for once"):
+        core.reset(rngs)
+    core.reset(rngs)
+
+
+def test_an_interrupted_wait_leaves_no_urgency(setup, monkeypatch):
+    monkeypatch.setattr("spoofgym.simulators.link.JOIN_S", 0.01)
+    core, rngs = core_of(setup, True), generators()
+    go_on = threading.Event()
+    episodes = core.engine._next
+    warm_up = episodes._warm_up
+
+    def slow(*args):
+        go_on.wait()
+        return warm_up(*args)
+
+    def interrupted(until):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(episodes, "_warm_up", slow)
+    core.reset(rngs)
+    with monkeypatch.context() as patch:
+        patch.setattr(episodes._link.change, "wait_for", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            core.reset(rngs)
+    assert not episodes._link.urgent
+    go_on.set()
+    core.reset(rngs)
+
+
+def running():
+    return {thread for thread in threading.enumerate() if thread.name == "spoofgym-next"}
+
+
+def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
+    monkeypatch.setattr("spoofgym.simulators.link.JOIN_S", PATIENCE_S)
+    before = running()
+    core, rngs = core_of(setup, True), generators()
+    begun = threading.Event()
+
+    def endless(rngs, between):
+        begun.set()
+        while True:
+            between()
+            time.sleep(1e-3)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(core.engine._next, "_warm_up", endless)
+        core.reset(rngs)
+        assert begun.wait(PATIENCE_S)
+        (thread,) = running() - before
+        core.close()
+        assert not thread.is_alive()
+    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+
+
+def test_a_thread_that_ends_late_writes_nothing(setup, monkeypatch):
+    monkeypatch.setattr("spoofgym.simulators.link.JOIN_S", 0.01)
+    before = running()
+    core, rngs = core_of(setup, True), generators()
+    episodes = core.engine._next
+    begun, go_on = threading.Event(), threading.Event()
+
+    def held_up(rngs, between):
+        begun.set()
+        go_on.wait()
+        return episodes._waiting, np.ones(len(rngs), dtype=np.bool_)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(episodes, "_warm_up", held_up)
+        core.reset(rngs)
+        assert begun.wait(PATIENCE_S)
+        (thread,) = running() - before
+        core.close()
+    assert thread.is_alive()
+    go_on.set()
+    thread.join(timeout=PATIENCE_S)
+    assert not thread.is_alive()
+    assert not episodes._ready.any()
+    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+
+
+def test_a_thread_may_close_its_owner(setup):
+    core, rngs = core_of(setup, True), generators()
+    before = running()
+    closed = threading.Event()
+
+    def closing(rngs, between):
+        core.close()
+        closed.set()
+        between()
+
+    core.engine._next._warm_up = closing
+    core.reset(rngs)
+    assert closed.wait(PATIENCE_S)
+    for thread in running() - before:
+        thread.join(timeout=PATIENCE_S)
+        assert not thread.is_alive()
+
+
+def test_an_environment_that_is_not_closed_lets_the_interpreter_end():
+    code = f"""
+from spoofgym import _jit
+from spoofgym.envs import SpoofVectorEnv
+_jit.NOTICE_S = float("inf")
+envs = SpoofVectorEnv(40, threads=1, timeline={TIMELINE})
+envs.reset(seed=1)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=PATIENCE_S)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_threads_end_with_the_game(setup):
+    gc.collect()
+    before = running()
+    core = core_of(setup, True)
+    core.reset(generators())
+    core.reset(generators())
+    (thread,) = running() - before
+    del core
+    gc.collect()
+    thread.join(timeout=PATIENCE_S)
+    assert not thread.is_alive()
+
+
+def test_a_closed_game_can_be_played_on(setup):
+    core, rngs = core_of(setup, True), generators()
+    core.reset(rngs)
+    chance = np.random.default_rng(1)
+    first = course(core, rngs, 15, chance)
+    core.close()
+    second = course(core, rngs, 25, chance)
+    whole = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
+    assert_same(played(setup, prefetch=False), whole)
+
+
+def test_an_episode_is_taken_from_a_generator():
+    rng = np.random.default_rng(3)
+    expected = [child.generate_state(2) for child in np.random.SeedSequence(3).spawn(3)]
+    taken = [take_episode(rng) for _ in range(2)]
+    for source, state in zip([*taken, copy_of(rng)], expected, strict=True):
+        child = source.bit_generator.seed_seq.spawn(1)[0]
+        assert np.array_equal(child.generate_state(2), state)

@@ -1,0 +1,418 @@
+"""A policy in a file: run as it is, bit for bit in any batch, and refused where it does not fit."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import multiprocessing
+import os
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from spoofgym.spoofers import OnnxPolicy, make_spoofer
+from spoofgym.spoofers.card import Card
+from spoofgym.testing import check_spoofer
+
+from .policies import BLIND, network, write_policy
+
+Edit = Callable[[onnx.ModelProto], onnx.ModelProto | None]
+
+
+def observations(count: int, size: int = 6) -> np.ndarray:
+    return np.random.default_rng(3).uniform(-2.0, 2.0, (count, size)).astype(np.float32)
+
+
+def bound(path: Path, receivers: int = 3) -> OnnxPolicy:
+    policy = OnnxPolicy(str(path))
+    policy.bind(BLIND._replace(receivers=receivers))
+    policy.reset()
+    return policy
+
+
+def expected(path: Path, seen: np.ndarray) -> np.ndarray:
+    """What the network says, in NumPy and twice the precision."""
+    tensors = onnx.load(path).graph.initializer
+    weights = {item.name: numpy_helper.to_array(item).astype(np.float64) for item in tensors}
+    h = seen.astype(np.float64)
+    for k in range(2):
+        h = np.tanh(h @ weights[f"w{k}"].T + weights[f"b{k}"])
+    return np.clip(h @ weights["w2"].T + weights["b2"], -1.0, 1.0)
+
+
+def test_it_does_what_the_network_says(tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    seen = observations(500)
+    action = bound(path, 500).act(seen)
+    assert action.dtype == np.float64
+    assert action.flags.c_contiguous
+    assert np.abs(action).max() == 1.0  # some are clipped
+    np.testing.assert_allclose(action, expected(path, seen), atol=1e-6)
+
+
+def test_it_is_what_its_card_says(tmp_path: Path) -> None:
+    policy = OnnxPolicy(str(write_policy(tmp_path, knowledge="tracking")))
+    assert (policy.knowledge, policy.label, policy.designed_on) == (
+        "tracking",
+        "tiny",
+        "ewma, zhong2025",
+    )
+    assert policy.sha256 == hashlib.sha256((tmp_path / "tiny.onnx").read_bytes()).hexdigest()
+    assert policy == OnnxPolicy(str(tmp_path / "tiny.onnx"), policy.sha256)
+
+
+@pytest.mark.parametrize(("inputs", "width"), [(6, 16), (6, 64), (60, 64), (61, 33)])
+def test_the_bits_do_not_depend_on_the_batch(inputs: int, width: int, tmp_path: Path) -> None:
+    names = tuple(f"element_{k}" for k in range(inputs))
+    told = BLIND._replace(observation_names=names, observation_low=(), observation_high=())
+
+    def card(fields: dict[str, Any]) -> None:
+        fields["observation"] = {"names": names, "low": [-10.0] * inputs, "high": [10.0] * inputs}
+
+    path = write_policy(tmp_path, model=lambda _: network(inputs, 2, width=width), card=card)
+    policy = OnnxPolicy(str(path))
+    seen = observations(1024, inputs)
+    policy.bind(told._replace(receivers=1024))
+    whole = policy.act(seen)
+    for size in (1, 2, 3, 5, 7, 8, 15, 16, 33, 64, 100, 255, 256, 511, 1023):
+        policy.bind(told._replace(receivers=size))
+        begins = range(0, 1024 - size + 1, max(size, 41))
+        for begin in begins:
+            part = policy.act(seen[begin : begin + size])
+            assert part.tobytes() == whole[begin : begin + size].tobytes(), (size, begin)
+
+
+@pytest.mark.parametrize("knowledge", ["blind", "tracking", "oracle"])
+def test_it_keeps_the_contract_of_spoofers(knowledge: str, tmp_path: Path) -> None:
+    check_spoofer(str(write_policy(tmp_path, knowledge=knowledge)))
+
+
+def test_it_keeps_the_contract_with_another_attack(tmp_path: Path) -> None:
+    attack = {"name": "per-channel", "control": "rate"}
+    path = write_policy(tmp_path, env={"attack": attack})
+    check_spoofer(str(path))
+    with pytest.raises(ValueError, match=r"does not fit this attack: action: .*only on the card"):
+        check_spoofer(str(path), attack="false-position")
+
+
+@pytest.mark.parametrize("used", [False, True])
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_it_copies_and_pickles_at_any_time(
+    used: bool, copied: Callable[[OnnxPolicy], OnnxPolicy], tmp_path: Path
+) -> None:
+    path, seen = write_policy(tmp_path), observations(3)
+    policy = bound(path)
+    if used:
+        policy.act(seen)
+    other = copied(policy)
+    path.unlink()  # its content is kept in memory
+    assert other.act(seen).tobytes() == policy.act(seen).tobytes()
+    assert other == policy
+
+
+def _in_child(policy: OnnxPolicy, seen: np.ndarray, queue: Any) -> None:
+    before = policy.model._session
+    queue.put((policy.act(seen).tobytes(), policy.model._session is before))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
+def test_a_forked_child_makes_its_own_session(tmp_path: Path) -> None:
+    policy, seen = bound(write_policy(tmp_path)), observations(3)
+    mine = policy.act(seen).tobytes()
+    session = policy.model._session
+    context = multiprocessing.get_context("fork")
+    queue = context.SimpleQueue()
+    child = context.Process(target=_in_child, args=(policy, seen, queue))
+    child.start()
+    assert queue.get() == (mine, False)
+    child.join()
+    assert child.exitcode == 0
+    assert policy.act(seen).tobytes() == mine
+    assert policy.model._session is session
+
+
+def test_a_read_only_observation_of_another_layout_is_taken(tmp_path: Path) -> None:
+    policy, seen = bound(write_policy(tmp_path)), observations(3)
+    action = policy.act(seen)
+    turned = np.asfortranarray(seen)
+    turned.flags.writeable = False
+    assert policy.act(turned).tobytes() == action.tobytes()
+
+
+# --- files that are refused ---
+
+
+def replaced(op_type: str, **changes: Any) -> Edit:
+    """Replace the last operator by one of a kind."""
+
+    def edit(model: onnx.ModelProto) -> None:
+        node = model.graph.node[-1]
+        node.op_type = op_type
+        for name, value in changes.items():
+            setattr(node, name, value)
+
+    return edit
+
+
+def external(model: onnx.ModelProto) -> None:
+    tensor = model.graph.initializer[0]
+    tensor.ClearField("raw_data")
+    tensor.data_location = TensorProto.EXTERNAL
+    tensor.external_data.add(key="location", value="/etc/passwd")
+
+
+def subgraph(model: onnx.ModelProto, node: onnx.NodeProto, *tensors: TensorProto) -> None:
+    """Hide an operator in a branch of an If."""
+    value = helper.make_tensor_value_info("inner", TensorProto.FLOAT, None)
+    branch = helper.make_graph([node], "branch", [], [value], list(tensors))
+    model.graph.node[-1].CopyFrom(
+        helper.make_node("If", ["yes"], ["action"], then_branch=branch, else_branch=branch)
+    )
+    model.graph.initializer.append(numpy_helper.from_array(np.array(True), "yes"))
+
+
+def external_in_subgraph(model: onnx.ModelProto) -> None:
+    tensor = TensorProto(name="c", data_type=TensorProto.FLOAT, dims=[1])
+    tensor.data_location = TensorProto.EXTERNAL
+    tensor.external_data.add(key="location", value="weights.bin")
+    subgraph(model, helper.make_node("Add", ["z2", "c"], ["inner"]), tensor)
+
+
+def external_in_attribute(model: onnx.ModelProto) -> None:
+    tensor = TensorProto(name="inside", data_type=TensorProto.FLOAT, dims=[1])
+    tensor.external_data.add(key="location", value="weights.bin")
+    model.graph.node.insert(0, helper.make_node("Constant", [], ["c"], value=tensor))
+
+
+def custom_in_subgraph(model: onnx.ModelProto) -> None:
+    subgraph(model, helper.make_node("Gelu", ["z2"], ["inner"], domain="com.microsoft"))
+
+
+def custom_function(model: onnx.ModelProto) -> None:
+    body = [helper.make_node("Identity", ["x"], ["y"])]
+    opset = [helper.make_opsetid("", 18)]
+    model.functions.append(helper.make_function("mine", "Copy", ["x"], ["y"], body, opset))
+    model.opset_import.append(helper.make_opsetid("mine", 1))
+
+
+def custom_in_function(model: onnx.ModelProto) -> None:
+    body = [helper.make_node("Spy", ["x"], ["y"], domain="evil")]
+    opset = [helper.make_opsetid("", 18), helper.make_opsetid("evil", 1)]
+    model.functions.append(helper.make_function("ai.onnx", "Copy", ["x"], ["y"], body, opset))
+
+
+def second_input(model: onnx.ModelProto) -> None:
+    model.graph.input.append(helper.make_tensor_value_info("more", TensorProto.FLOAT, ["batch", 1]))
+
+
+def second_output(model: onnx.ModelProto) -> None:
+    model.graph.output.append(helper.make_tensor_value_info("z2", TensorProto.FLOAT, ["batch", 2]))
+
+
+def doubles(model: onnx.ModelProto) -> None:
+    model.graph.input[0].type.tensor_type.elem_type = TensorProto.DOUBLE
+    model.graph.node.insert(
+        0, helper.make_node("Cast", ["observation"], ["single"], to=TensorProto.FLOAT)
+    )
+    model.graph.node[1].input[0] = "single"
+
+
+def three_axes(model: onnx.ModelProto) -> None:
+    model.graph.output[0].type.tensor_type.shape.dim.add(dim_value=2)
+
+
+REFUSED: dict[str, tuple[Edit, str]] = {
+    "external": (external, r"keeps its tensor 'w0' in external data"),
+    "external in a subgraph": (external_in_subgraph, r"keeps its tensor 'c' in external data"),
+    "external in an attribute": (external_in_attribute, r"tensor 'inside' in external data"),
+    "custom": (replaced("Spy", domain="evil"), r"needs the custom operator evil::Spy"),
+    "microsoft's": (
+        replaced("Gelu", domain="com.microsoft"),
+        r"needs the custom operator com\.microsoft::Gelu",
+    ),
+    "custom in a subgraph": (custom_in_subgraph, r"custom operator com\.microsoft::Gelu"),
+    "custom function": (custom_function, r"defines the custom operator mine::Copy"),
+    "custom in a function": (custom_in_function, r"needs the custom operator evil::Spy"),
+    "unknown": (replaced("Spy"), r"no valid ONNX model: .*Spy"),
+    "chance": (replaced("RandomNormalLike"), r"draws random numbers by RandomNormalLike"),
+    "two inputs": (second_input, r"has 2 inputs \(observation, more\); the card has one input"),
+    "two outputs": (second_output, r"has 2 outputs \(action, z2\); the card has one output"),
+    "double input": (
+        doubles,
+        r"input observation of float64 \(batch, 6\); the card has .*float32",
+    ),
+    "three axes": (three_axes, r"output action of float32 \(batch, 2, 2\); the card has"),
+    "other input": (
+        lambda _: network(5, 2),
+        r"of float32 \(batch, 5\); the card has .*\(batch, 6",
+    ),
+    "other output": (
+        lambda _: network(6, 3),
+        r"of float32 \(batch, 3\); the card has .*\(batch, 2",
+    ),
+    "fixed batch": (
+        lambda _: network(6, 2, batch=4),
+        r"observation with a fixed batch of 4; .*any",
+    ),
+    "no graph": (lambda _: onnx.ModelProto(ir_version=8), r"has no graph of operators"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_file_that_is_none_of_ours_is_refused(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_session(*_: Any, **__: Any) -> None:
+        raise AssertionError("it must be refused before it is loaded")
+
+    monkeypatch.setattr("spoofgym.policies.onnx_model.make_session", no_session)
+    edit, message = REFUSED[case]
+    path = write_policy(tmp_path, model=edit)
+    with pytest.raises(ValueError, match=message) as caught:
+        OnnxPolicy(str(path))
+    assert str(path) in str(caught.value)
+
+
+def _relabelled(path: Path) -> None:
+    """Make the card fit what the file has become."""
+    card = json.loads(path.with_suffix(".json").read_text())
+    content = path.read_bytes()
+    card["file"] |= {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    path.with_suffix(".json").write_text(json.dumps(card))
+
+
+@pytest.mark.parametrize(
+    "content", [b"no network at all", b"\x80\x04\x95pickled", b"\x08\x08\x3a\xff\xff\x00"]
+)
+def test_what_is_no_onnx_is_refused(content: bytes, tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    path.write_bytes(content)
+    _relabelled(path)
+    with pytest.raises(ValueError, match=r"tiny\.onnx is no ONNX file"):
+        OnnxPolicy(str(path))
+
+
+def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    size = path.stat().st_size
+    path.write_bytes(path.read_bytes()[: size // 2])
+    with pytest.raises(ValueError, match=rf"has {size // 2} bytes, and {size} on its card"):
+        OnnxPolicy(str(path))
+    _relabelled(path)
+    with pytest.raises(ValueError, match=r"tiny\.onnx is no ONNX file, or cut off"):
+        OnnxPolicy(str(path))
+
+
+def test_a_changed_byte_is_seen(tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"has the SHA-256 [0-9a-f]{64}; its card has"):
+        OnnxPolicy(str(path))
+
+
+def test_the_digest_that_was_asked_for_is_checked(tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    with pytest.raises(ValueError, match=r"has the SHA-256 \w+; `sha256` must be 0000"):
+        make_spoofer({"name": "onnx-policy", "file": str(path), "sha256": "0" * 64})
+
+
+def test_other_things_on_the_card(tmp_path: Path) -> None:
+    path = write_policy(tmp_path, card=lambda card: card["file"].update(opset=17))
+    with pytest.raises(ValueError, match="is of opset 18, and 17 on its card"):
+        OnnxPolicy(str(path))
+    change = {"kind": "profile", "file": None, "observation": None}
+    path = write_policy(tmp_path, card=lambda card: card.update(change))
+    with pytest.raises(ValueError, match="has the card of a profile, not of an onnx-policy"):
+        OnnxPolicy(str(path))
+    card = json.loads(path.with_suffix(".json").read_text())
+    path.with_suffix(".json").write_text(json.dumps({**card, "colour": "red"}))
+    with pytest.raises(ValueError, match=r"card .*tiny\.json: `colour`: Extra inputs"):
+        OnnxPolicy(str(path))
+
+
+def test_without_a_file_there_is_no_policy() -> None:
+    with pytest.raises(ValueError, match="spoofer 'onnx-policy' needs the setting 'file'"):
+        make_spoofer("onnx-policy")
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    path.with_suffix(".json").unlink()
+    with pytest.raises(ValueError, match=r"tiny\.onnx has no card: there is no .*tiny\.json"):
+        OnnxPolicy(str(path))
+    path.unlink()
+    with pytest.raises(ValueError, match=r"there is no ONNX file .*tiny\.onnx"):
+        OnnxPolicy(str(path))
+    with pytest.raises(ValueError, match=r"`file` must be the path of an \.onnx file or the name"):
+        OnnxPolicy("tiny.zip")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"interval_s": 1.0, "steps": 15}, r"interval_s: 0\.5 on .* 1\.0 here; .*steps: 30 on"),
+        ({"rate_limit_mps": 2.0}, r"conditions\.rate_limit_mps: 5\.0 on the card, 2\.0 here"),
+        ({"acceleration_limit_mps2": 0.1}, r"acceleration_limit_mps2: 0\.05 on the card, 0\.1"),
+        ({"control": "rate"}, r"control: 'acceleration' on the card, 'rate' here"),
+        ({"observation_low": (-1.0,) * 6}, r"observation\.low: \[-10\.0, .* \[-1\.0, .* here"),
+        (
+            {"observation_names": ("own_displacement_up", *BLIND.observation_names[1:])},
+            r"own_displacement_north only on the card; observation: own_displacement_up only here",
+        ),
+        (
+            {"action_names": ("G01_acceleration",)},
+            r"action: .*only on .*action: G01_accel.* only here",
+        ),
+    ],
+)
+def test_another_attack_is_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    policy = OnnxPolicy(str(write_policy(tmp_path)))
+    with pytest.raises(ValueError, match=rf"tiny\.onnx does not fit this attack: .*{message}"):
+        policy.bind(BLIND._replace(**changes))
+    policy.bind(BLIND)
+
+
+def not_a_number(model: onnx.ModelProto) -> None:
+    """The logarithm of what is negative for some receivers."""
+    model.graph.node[-1].op_type = "Log"
+
+
+def flat(model: onnx.ModelProto) -> None:
+    """Another shape than is declared, which the checker can't see."""
+    model.graph.initializer.append(numpy_helper.from_array(np.array([1, -1]), "shape"))
+    model.graph.node[-1].CopyFrom(helper.make_node("Reshape", ["z2", "shape"], ["action"]))
+
+
+def hidden_batch(model: onnx.ModelProto) -> None:
+    """A batch that is declared free, and fixed inside."""
+    model.graph.initializer.append(numpy_helper.from_array(np.array([7, 2]), "shape"))
+    model.graph.node[-1].CopyFrom(helper.make_node("Reshape", ["z2", "shape"], ["action"]))
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (not_a_number, r"tiny\.onnx returned NaN for receiver \d"),
+        (flat, r"tiny\.onnx returned actions of shape \(1, 6\), not \(3, 2\)"),
+        (hidden_batch, r"tiny\.onnx can't be run: .*"),
+    ],
+)
+def test_what_fails_when_it_is_run_is_told(edit: Edit, message: str, tmp_path: Path) -> None:
+    policy = bound(write_policy(tmp_path, model=edit))
+    with pytest.raises(ValueError, match=message):
+        policy.act(observations(3))
+
+
+def test_the_card_is_there_for_who_holds_the_policy(tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    assert make_spoofer(str(path)).card == Card.load(path.with_suffix(".json"))  # type: ignore[attr-defined]
