@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import special
+from scipy import special, stats
 
 from ..envs import _kernels
 
@@ -71,18 +71,14 @@ def wilson(events: int, trials: int, confidence: float = CONFIDENCE) -> Estimate
     """
     if trials == 0:
         return NOTHING
-    z = -float(special.ndtri(0.5 * (1.0 - confidence)))
-    p = events / trials
-    centre = p + z * z / (2.0 * trials)
-    spread = z * math.sqrt(p * (1.0 - p) / trials + z * z / (4.0 * trials * trials))
-    scale = 1.0 + z * z / trials
-    low = 0.0 if events == 0 else (centre - spread) / scale
-    high = 1.0 if events == trials else (centre + spread) / scale
-    return Estimate(p, low, high)
+    interval = stats.binomtest(events, trials).proportion_ci(confidence, method="wilson")
+    return Estimate(events / trials, float(interval.low), float(interval.high))
 
 
 def clopper_pearson(events: float, trials: float, confidence: float = CONFIDENCE) -> Estimate:
     r"""Proportion with the exact interval, by quantiles of the beta distribution.
+
+    SciPy's own takes whole numbers alone, and `clustered_proportion` counts parts of runs.
 
     .. math:: B_{\alpha/2}(k, n - k + 1), \quad B_{1 - \alpha/2}(k + 1, n - k)
     """

@@ -1,4 +1,4 @@
-"""Compiled loops of the game."""
+"""Compiled loops of the environments."""
 
 from __future__ import annotations
 
@@ -9,11 +9,7 @@ from .._jit import njit
 
 @njit
 def time_fractions(epochs, onset, steps, out):
-    """Parts of the command phase that are over, and left.
-
-    `epochs`, `onset` (B,) epoch that each receiver is at, and that of its onset; `out` (B, 2),
-    written.
-    """
+    """Parts of the command phase that are over, and left, at (B,) epochs: `out` (B, 2), written."""
     for b in range(out.shape[0]):
         since = (epochs[b] - onset[b]) / steps
         out[b, 0] = since
@@ -31,11 +27,7 @@ def within(values, limit):
 
 @njit
 def own_command(displacement, rate, per_displacement, per_rate, out):
-    """Commanded displacement and rate, scaled.
-
-    `displacement`, `rate` (B, a) [m], [m/s]; `per_rate` (a,); `out` (B, o), of which the first
-    2 a columns are written.
-    """
+    """Commanded displacement and rate (B, a), scaled, into the first 2 a columns of `out`."""
     axes = displacement.shape[1]
     for b in range(displacement.shape[0]):
         for i in range(axes):

@@ -97,6 +97,7 @@ def compose(
 def composable(env: Any) -> Any:
     """Environment of the spoofer's side inside all wrappers, with a detector that can be set."""
     inner = getattr(env, "unwrapped", env)
+    # a view of the duel has a core of the spoofer's side, and a pool of its own to choose from
     if not hasattr(inner, "given_detector"):
         raise TypeError(
             "this wrapper needs an environment of spoofgym, single or vector, wrapped or not, got "

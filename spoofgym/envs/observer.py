@@ -108,9 +108,6 @@ class Observer:
         clip_columns(out, self.low, self.high, *self._clipped)
 
     def __call__(self, engine: Engine, step: int) -> NDArray[np.float32]:
-        """Observe receivers that are all at the same step.
-
-        `step`: commands given since the attack started; returns (B, o) float32.
-        """
+        """(B, o) of receivers that have all had `step` commands since the attack started."""
         steps = np.full(engine.receivers, step, dtype=np.int64)
         return self.observe(Snapshot(self.setup, engine.simulator, steps))

@@ -114,11 +114,7 @@ def action_space(core: Core) -> spaces.Space[Any]:
 
 
 def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) -> NDArray[Any]:
-    """Action as the engine takes it.
-
-    `shape`: that it must have: (B, a), or (a,) of a single environment; returns that shape,
-    float64, C-contiguous, a copy.
-    """
+    """Action as the engine takes it: of a shape (B, a) or (a,), float64, C-contiguous, a copy."""
     array = np.array(action, dtype=np.float64, order="C")
     if array.shape != shape:
         raise ValueError(

@@ -66,11 +66,7 @@ class DisplacementScore:
         self.ended[rows] = False
 
     def score_hold(self, result: StepResult, hold: Hold) -> None:
-        """Score the alarms in the time to alert after the last command.
-
-        `hold` is called with the receivers that have given it without an alarm; their retraction
-        and alarms in `result` are written.
-        """
+        """Score the alarms in the time to alert, of those that come to it without one."""
         values, marks = result.values, result.marks
         rows = np.flatnonzero(marks[_kernels.FINISHED] & ~self.detected)
         late = hold(rows)

@@ -81,7 +81,7 @@ def attach(
     if card is not None:
         found = _wrapped(env, core, card) + card.differences(context)
         if not transfer:
-            found += _other_settings(card, core)
+            found += unlike(_settings(setup_of_card(card)), _settings(core.setup))
         if found:
             hint = "" if transfer else " (`transfer=True` allows for other settings alone)"
             raise ValueError(
@@ -116,10 +116,7 @@ def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
 def spoofer_context(
     setup: Setup, receivers: int = 1, observer: Observer | None = None
 ) -> SpooferContext:
-    """What a spoofer knows of an attack.
-
-    `observer`: what it observes; by default it does not know.
-    """
+    """What a spoofer knows of an attack, and of what it observes by an `observer`."""
     attack = setup.attack
     if not isinstance(attack.rate_limit_mps, Real):
         raise ValueError(
@@ -180,11 +177,6 @@ def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:
         if outer != inner:
             found.append(f"{word}: a wrapper changes the space from {inner} to {outer}")
     return found
-
-
-def _other_settings(card: Card, core: SpoofCore) -> list[str]:
-    """Where the environment is another one than that of a card."""
-    return unlike(_settings(setup_of_card(card)), _settings(core.setup))
 
 
 def _settings(setup: Setup) -> dict[str, Any]:

@@ -146,10 +146,7 @@ class StepResult:
         )
 
     def add(self, earlier: StepResult, over: Mask) -> None:
-        """Count the earlier epochs of the same decision.
-
-        `over` (B,) bool, whose episode was over before this epoch, so that `earlier` is all of it.
-        """
+        """Count the earlier epochs of the same decision; all there is of (B,) episodes `over`."""
         parts = slice(len(VALUE_NAMES), self._layout.numbers)
         for row in (_kernels.GAIN, _kernels.RETRACTION, _kernels.COST, parts):
             self.values[row] = earlier.values[row] + self.values[row]

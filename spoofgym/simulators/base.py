@@ -64,8 +64,8 @@ class Simulator(ABC):
             raise ValueError(f"`receivers` must be at least 1, got {receivers}")
         self.setup, self.receivers, self._run = setup, receivers, run
         self.memory = Memory(receivers)
-        for name in ("first", "onset"):
-            self.memory.declare(name, np.zeros(receivers, dtype=np.int64))
+        self.memory.declare("first", np.zeros(receivers, dtype=np.int64))
+        self.memory.declare("onset", np.zeros(receivers, dtype=np.int64))
         self.memory.declare("heading", np.zeros(receivers))
         self.memory.declare("key", np.zeros((receivers, 2), dtype=np.uint64))
         self.memory.declare("direction", np.zeros((receivers, 2)))

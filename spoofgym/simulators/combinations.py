@@ -96,10 +96,12 @@ class Combinations:
         errors = [ERRORS[name] for name in domain.errors] or [scenario.gnss_errors]
         self._grades = [IMU_GRADES[name] for name in self.names["imu"]]
         self.grades, self.errors = len(self._grades), len(errors)
+        grades = self.names["imu"]
+        victims = [(g, replace(receiver, grade=g) if domain.imu else receiver) for g in grades]
         self._all = [
-            _combination(world, grade, error, _victim(receiver, grade, domain), epochs, flown)
+            _combination(world, grade, error, victim, epochs, flown)
             for world in worlds
-            for grade in self.names["imu"]
+            for grade, victim in victims
             for error in errors
         ]
         self._first_C_eb = [_first_attitudes(self.world, grade) for grade in self._grades]
@@ -124,10 +126,6 @@ class Combinations:
         """(b, 3, 3) attitudes, to ECEF from body axes, with which receivers start at `epochs`."""
         pairs = zip(grade.tolist(), epochs.tolist(), strict=True)
         return np.array([self._first_C_eb[g][k] for g, k in pairs])
-
-
-def _victim(receiver: TightlyCoupled, grade: str, domain: Domain) -> TightlyCoupled:
-    return replace(receiver, grade=grade) if domain.imu else receiver
 
 
 def _combination(

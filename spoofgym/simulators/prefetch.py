@@ -190,10 +190,10 @@ class NextEpisodes:
         return rows + self._receivers * ((self._taken[rows] + ahead) % STOCK)
 
     def prepare(self, rows: NDArray[np.intp], rngs: Rngs) -> None:
-        """Ask for the next episodes of some receivers.
+        """Ask for the next episodes of some receivers, each from its generator.
 
-        `rngs`: one per row; the coming episodes of each are taken from it at once.  One is asked
-        for where it is new, and what waited there is thrown away; else as many as are missing.
+        One is asked for where that is new, and what waited there is thrown away; else as many as
+        are missing.
         """
         background = self._started()
         with background.change:
@@ -218,10 +218,7 @@ class NextEpisodes:
         return same & (self._stock[rows] >= least)
 
     def take(self, rows: NDArray[np.intp], into: Simulator) -> NDArray[np.bool_]:
-        """Let some receivers begin the episodes that wait for them.
-
-        Returns (b,) bool, alarms of the warm-ups.
-        """
+        """Let some receivers start the episodes that wait for them; (b,) alarms of warm-ups."""
         background = self._started()
         slots = self._slots(rows, 0)
         with background.change:
@@ -236,7 +233,7 @@ class NextEpisodes:
             return self._alarm[slots]
 
     def instead(self, rows: NDArray[np.intp], rngs: Rngs) -> list[np.random.Generator]:
-        """Give up the next episodes of some receivers, to be begun otherwise."""
+        """Give up the next episodes of some receivers, which are to start otherwise."""
         background = self._started()
         with background.change:
             known = self.prepared(rows, rngs)

@@ -280,10 +280,7 @@ class Setup(ABC):
     def command(
         self, before: FloatArray, action: FloatArray, epoch: int | NDArray[np.int64]
     ) -> FloatArray:
-        """Command (B, a) of an epoch of a decision, from 0 on, (B, 1) where receivers differ.
-
-        `before` and `action` are the decision before and this one, (B, a).
-        """
+        """Command (B, a) of an epoch of a decision, from 0 on, after the one `before`, (B, a)."""
         if self.between == "hold":
             return action
         count = np.asarray(epoch) + 1

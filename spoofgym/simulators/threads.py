@@ -20,9 +20,7 @@ class Workers:
 
     Simpler and quicker than a pool of the standard library, whose futures cost as much as the work
     on some dozens of receivers.  Threads are started when first needed, and again in a forked or
-    unpickled copy.
-
-    `count`: threads besides the caller's own.
+    unpickled copy; `count` are those besides the caller's own.
     """
 
     def __init__(self, count: int) -> None:
@@ -32,10 +30,9 @@ class Workers:
         self._jobs: list[SimpleQueue[Job | None]] = []
 
     def run(self, work: Work, bounds: Sequence[int]) -> None:
-        """Call ``work(lo, hi)`` for all neighbouring bounds, the first in this thread.
+        """Call ``work(lo, hi)`` for all neighbouring bounds, at most as many pairs as threads.
 
-        `bounds`: one more than slices; at most as many slices as threads.  What the work raised, or
-        an interrupt, is raised after all slices have ended.
+        What the work raised, or an interrupt, is raised after all slices have ended.
         """
         if self._threads is not _threads.generation():
             self._start()
@@ -100,7 +97,7 @@ class Workers:
         return {"count": self.count}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Begin without threads."""
+        """Start without threads."""
         self.__init__(state["count"])  # type: ignore[misc]
 
 

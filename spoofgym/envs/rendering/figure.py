@@ -33,9 +33,8 @@ NUMBERS = (
 CHARACTERS = "0123456789.-+einfa "
 SIZE_PT = 10.0
 LEFT, BELOW_TOP = 0.015, 0.912
-"""Where the numbers start, as parts of the picture."""
 WIDTH = 8
-"""Characters that are left free for a number."""
+"""Where the numbers start, as parts of the picture, and how many characters each may have."""
 
 
 class Tiles:

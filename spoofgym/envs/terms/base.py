@@ -37,9 +37,5 @@ def holds_for_call(term: object, name: str) -> bool:
 
     A subclass with another `__call__` inherits the attribute, which is not true of it any more.
     """
-    return hasattr(term, name) and _owner(term, name) is _owner(term, "__call__")
-
-
-def _owner(term: object, name: str) -> type | None:
-    """Class that defines what a term has."""
-    return next((cls for cls in type(term).__mro__ if name in vars(cls)), None)
+    first = next((cls for cls in type(term).__mro__ if {name, "__call__"} & vars(cls).keys()), None)
+    return first is not None and {name, "__call__"} <= vars(first).keys()
