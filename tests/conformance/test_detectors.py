@@ -445,7 +445,7 @@ BROKEN = {
     UnknownNeed: "optional fields of an epoch .* got frozenset\\({'true_position'}\\)",
     NoBase: "must have a `memory` made by the base class, got None",
     NoBaseButDeclares: "`bind` finds no memory .* call `super\\(\\).bind",
-    BoundOnce: "must be of 1 receivers, got 5; make it anew in every `bind`",
+    BoundOnce: "must be of 1 receivers, got 5; make it again in every `bind`",
     Undeclared: "keeps 'last' in its memory without having declared it",
     Shrunk: "memory 'sum' .* declared as float64 of shape \\(5, 12\\) and has become .* \\(5,\\)",
     PlainTuple: "must return a `Verdict`, got tuple",
