@@ -94,15 +94,22 @@ def compose(
         inner.given_detector = detector
 
 
-def composable(env: Any) -> Any:
-    """Environment of the spoofer's side inside all wrappers; a TypeError where there is none."""
+def composable(env: Any, *, unset: bool = True) -> Any:
+    """Environment of the spoofer's side inside all wrappers; a TypeError where there is none.
+
+    `unset`: only one whose detector can be set: not a view of the duel, which has a pool of them,
+    nor the adapter for stable-baselines3.
+    """
     inner = getattr(env, "unwrapped", env)
-    # a view of the duel has a core of the spoofer's side, and a pool of its own to choose from
-    if not isinstance(getattr(inner, "core", None), SpoofCore) or not hasattr(
-        inner, "given_detector"
-    ):
+    is_ours = isinstance(getattr(inner, "core", None), SpoofCore)
+    if not is_ours or (unset and not hasattr(inner, "given_detector")):
+        forms = (
+            "a SpoofEnv or a SpoofVectorEnv"
+            if unset
+            else ("a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv")
+        )
         raise TypeError(
-            "`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv, wrapped or not, got "
-            f"{env!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
+            f"`env` must be {forms}, wrapped or not, got {env!r}; `gymnasium.make_vec` makes one "
+            "by its default vectorization mode"
         )
     return inner

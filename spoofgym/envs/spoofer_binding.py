@@ -74,7 +74,7 @@ def attach(
     >>> envs.close()
     """
     made = make_spoofer(dict(spoofer) if isinstance(spoofer, Mapping) else spoofer)
-    core: SpoofCore = composable(env).core
+    core: SpoofCore = composable(env, unset=False).core
     context = spoofer_context(core.setup, core.receivers, core.observer)
     context = context._replace(action_names=core.action_names)
     card = card_behind(spoofer, made)
