@@ -94,24 +94,22 @@ def compose(
         inner.given_detector = detector
 
 
-def composable(env: Any) -> Any:
-    """Environment of the spoofer's side inside all wrappers, with a detector that can be set."""
+def composable(env: Any, *, unset: bool = True) -> Any:
+    """Environment of the spoofer's side inside all wrappers; a TypeError where there is none.
+
+    `unset`: only one whose detector can be set: not a view of the duel, which has a pool of them,
+    nor the adapter for stable-baselines3.
+    """
     inner = getattr(env, "unwrapped", env)
-    # a view of the duel has a core of the spoofer's side, and a pool of its own to choose from
-    if not hasattr(inner, "given_detector"):
+    is_ours = isinstance(getattr(inner, "core", None), SpoofCore)
+    if not is_ours or (unset and not hasattr(inner, "given_detector")):
+        forms = (
+            "a SpoofEnv or a SpoofVectorEnv"
+            if unset
+            else ("a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv")
+        )
         raise TypeError(
-            "this wrapper needs an environment of spoofgym, single or vector, wrapped or not, got "
-            f"{inner!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
+            f"`env` must be {forms}, wrapped or not, got {env!r}; `gymnasium.make_vec` makes one "
+            "by its default vectorization mode"
         )
     return inner
-
-
-def core_of(env: Any) -> SpoofCore:
-    """Core behind an environment."""
-    core = getattr(getattr(env, "unwrapped", env), "core", None)
-    if not isinstance(core, SpoofCore):
-        raise TypeError(
-            "`env` must be a SpoofEnv, a SpoofVectorEnv or a SpoofVecEnv, wrapped or not, got "
-            f"{env!r}; `gymnasium.make_vec` makes one by its default vectorization mode"
-        )
-    return core

@@ -23,7 +23,7 @@ from ..spoofers import (
 )
 from ..spoofers.aim import TARGET, has_heading
 from .core import SpoofCore
-from .factory import core_of, make_setup, settings_of
+from .factory import composable, make_setup, settings_of
 from .observer import Observer
 from .options import action_space, observation_space
 
@@ -74,7 +74,7 @@ def attach(
     >>> envs.close()
     """
     made = make_spoofer(dict(spoofer) if isinstance(spoofer, Mapping) else spoofer)
-    core = core_of(env)
+    core: SpoofCore = composable(env, unset=False).core
     context = spoofer_context(core.setup, core.receivers, core.observer)
     context = context._replace(action_names=core.action_names)
     card = card_behind(spoofer, made)

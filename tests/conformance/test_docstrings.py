@@ -62,9 +62,10 @@ def lent_to(subject):
     lenders = [kind for kind in EXPORTED if kind.__name__ in said and inspect.isclass(kind)]
     functions = [kind for kind in EXPORTED if kind.__name__ in said and inspect.isfunction(kind)]
     docs = [*map(ClassDoc, lenders), *map(FunctionDoc, functions)]
-    settings = inspect.getdoc(subject).partition("**settings")[2].partition("\nReturns")[0]
-    named = set(re.findall(r"``(\w+)``", settings))
-    return named | {name for doc in docs for name in documented(doc, "Parameters")}
+    own = ClassDoc(subject) if inspect.isclass(subject) else FunctionDoc(subject)
+    listed = [line for part in own["Parameters"] if part.name == "**settings" for line in part.desc]
+    named = re.findall(r"``(\w+)``", "\n".join(listed))
+    return {*named, *(name for doc in docs for name in documented(doc, "Parameters"))}
 
 
 def check_arguments(subject, told, arguments):

@@ -82,7 +82,9 @@ def test_a_game_that_has_begun_is_left_alone(make, module):
 def test_other_environments_are_refused():
     ids = ("spoofgym/SpooferView-v0", "spoofgym/DetectorView-v0")
     for env in (*(gym.make(name, timeline=SHORT) for name in ids), gym.make("CartPole-v1")):
-        with pytest.raises(TypeError, match="needs an environment of spoofgym, single or vector"):
+        with pytest.raises(
+            TypeError, match="`env` must be a SpoofEnv or a SpoofVectorEnv, wrapped"
+        ):
             wrappers.WatchWrapper(env, ["cusum"])
 
 
