@@ -83,7 +83,6 @@ class RenderHistory:
 
 
 FIRST = np.zeros(1, dtype=np.intp)
-"""The receiver that is shown."""
 
 
 class CoreRecorder:
@@ -91,6 +90,11 @@ class CoreRecorder:
 
     The twin is a copy taken at the onset that goes on without an attack, with the same noise and
     the same detector in the loop.
+
+    Parameters
+    ----------
+    core : SpoofCore
+        Of any victim.
     """
 
     def __init__(self, core: SpoofCore) -> None:
