@@ -10,9 +10,11 @@ sim        the authentic world: flights, inertial sensors, clocks, satellites, e
 attacks    what a spoofer can physically do to measurements
 receiver   the victim: strapdown, tightly and loosely coupled filters, least squares, replay
 io         readers of recorded tracks and of navigation files
+policies   what a learned policy is: contract, ONNX model, card
 detectors  one algorithm a file, behind one contract
-spoofers   who decides what the attack does
-envs       the engine that runs B receivers in step, and its views for Gymnasium
+simulators B receivers of one kind of victim in step, without Gymnasium
+spoofers   scripted and learned ones, which decide what the attack does
+envs       what Gymnasium sees: one step path over any victim, terms, wrappers
 duel       the game of a spoofer and a detector, its two forms and the views of one side
 duel_v0    what is public of the duel, for PettingZoo and Gymnasium
 tasks      the tasks of `spoofgym-bench-v1`, and the papers' scenarios
@@ -50,7 +52,7 @@ the sensors.  Prefixes say whose value it is: `true_`, `estimated_`, `counterfei
 **Environments**
 
 Importing the package registers, for `gymnasium.make` and `gymnasium.make_vec`,
-``spoofgym/TightlyCoupled-v0``, ``spoofgym/RandomStart-v0``, the same with attacks that begin at a
+``spoofgym/TightlyCoupled-v0``, ``spoofgym/RandomStart-v0``, the same with attacks that start at a
 random time in a random direction, and the small environments ``spoofgym/LooselyCoupled-v0``,
 ``spoofgym/Snapshot-v0`` and ``spoofgym/WheeledRobot-v0``.  The duel of a spoofer and a detector is
 `spoofgym.duel_v0`, for PettingZoo; one side of it against frozen opponents is

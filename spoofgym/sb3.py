@@ -72,7 +72,7 @@ class SpoofVecEnv(VecEnv):
     prefetch : bool
         Whether one more thread warms up the next episodes while the policy learns, also with
         ``threads=1``.  The bits are the same, unless those of the detector depend on the size of
-        the batch: such a one cannot be reproduced with it; see `Engine`.
+        the batch: runs with such a one are then not reproducible; see `Engine`.
     torch_threads : int or None
         Threads of torch, for the whole process; None leaves them as they are.  Two of them fought
         with other threads over two processors at a seventieth of the speed of one.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import signal
 import subprocess
@@ -13,12 +14,14 @@ from typing import Any
 
 import gymnasium as gym
 import pytest
+import typer
 from typer.testing import CliRunner, Result
 
 from spoofgym import __version__
 from spoofgym.bench import perf
 from spoofgym.bench.store import ResultsFolder
 from spoofgym.cli import app
+from spoofgym.cli.options import ENV, World, with_world
 from spoofgym.detectors import DETECTORS
 from spoofgym.spoofers import SPOOFERS, shipped
 
@@ -60,6 +63,35 @@ def test_help_of_every_command() -> None:
             assert "--env" in page.output
             assert "--set" in page.output
     assert call("--version").output.strip() == __version__
+
+
+def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> None:
+    """And the world that a command gets holds what is on its command line."""
+    worlds: list[World] = []
+
+    @with_world
+    def play(*, first: int = 1, world: World, last: int = 2) -> None:
+        worlds.append(world)
+        assert (first, last) == (1, 3)
+
+    small = typer.Typer()
+    small.command()(play)
+    line = ["--imu", "tactical", "--from", "3", "--set", "a=1", "--set", "b=2", "--last", "3"]
+    assert CliRunner().invoke(small, line).exit_code == 0
+    (world,) = worlds
+    assert (world.imu, world.from_s, world.settings) == ("tactical", 3.0, ["a=1", "b=2"])
+    assert (world.env, world.attack_s, world.track) == (ENV, 150.0, None)
+    assert world.given(("from_s", "imu", "errors", "last")) == {
+        "imu": "--imu",
+        "from_s": "--from",
+        "last": "--last",
+    }
+    group = typer.main.get_group(app)
+    names = [field.name for field in dataclasses.fields(World) if field.name != "context"]
+    for command in ("run", "render", "tune", "bench"):
+        options = [option.name for option in group.commands[command].params]
+        start = options.index("env")
+        assert options[start : start + len(names)] == names
 
 
 def test_it_starts_quickly_and_as_a_module() -> None:

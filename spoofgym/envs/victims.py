@@ -197,7 +197,7 @@ class SpoofVectorEnv(VictimVectorEnv):
     prefetch : bool
         Whether one more thread warms up every receiver's next episode while the present one runs,
         also with ``threads=1``.  The bits are the same, unless those of the detector depend on the
-        size of the batch: such a one cannot be reproduced with it; see `Engine`.
+        size of the batch: runs with such a one are then not reproducible; see `Engine`.
     render_mode : None
         There is nothing to render.
     max_episode_steps : int, optional
@@ -219,7 +219,7 @@ class SpoofVectorEnv(VictimVectorEnv):
 
 
 class LooselyCoupledEnv(VictimEnv):
-    """A spoofer against a loosely coupled GNSS/INS receiver, which takes GNSS for a position.
+    """A spoofer against a loosely coupled GNSS/INS receiver, corrected by finished GNSS positions.
 
     **Description.** An airliner flies with a 15-state filter that is updated by positions of GNSS,
     ten a second, and whose noise tunes itself to the innovations.  The spoofer shifts those

@@ -25,7 +25,7 @@ CHOICES = ("world", "start_s", "imu", "errors", "target_heading_deg")
 
 @dataclass(frozen=True, kw_only=True)
 class Domain:
-    """From what every episode draws the circumstances that it is played in.
+    """Ranges and lists from which every episode draws its circumstances.
 
     Every receiver draws for itself, from its own stream, uniformly.  By default nothing differs.
 

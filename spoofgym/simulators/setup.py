@@ -128,8 +128,8 @@ class Setup(ABC):
         (K, d) where the target is at every epoch [m], and (K, d, d) to those axes from local north,
         east (and down).
     quiet, live, steps, hold : int
-        Epochs of the filter-only warm-up, the monitored warm-up, the command phase, and the
-        alert-window hold; `onset` is the sum of the first two, `repeat` epochs make a decision.
+        Epochs of the filter-only warm-up, the monitored warm-up, the command phase, and
+        the time to alert; `onset` is the sum of the first two, `repeat` epochs make a decision.
     bounds : Bounds
         What an episode chooses from.
     motion_names, error_names, weight_names, geometry_names : tuple of str

@@ -6,7 +6,6 @@ the true ones; satellites that a detector excludes are left out of the fix.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -99,9 +98,8 @@ class SnapshotSetup(Setup):
         check_finite("noise_m", noise_m, "> 0")
         if not isinstance(satellites, int | np.integer) or satellites < 4:
             raise ValueError(f"`satellites` must be a whole number >= 4, got {satellites!r}")
-        for name, value in (("speed_mps", speed_mps), ("heading_deg", heading_deg)):
-            if not (is_number(value) and math.isfinite(value)):
-                raise ValueError(f"`{name}` must be finite, got {value!r}")
+        check_finite("speed_mps", speed_mps)
+        check_finite("heading_deg", heading_deg)
         self.name = self.kind
         self.noise_m, self.spoofed = float(noise_m), _which(spoofed, satellites)
         self.attack = RateCommands(

@@ -55,14 +55,16 @@ def documented(doc, *sections):
 
 
 def lent_to(subject):
-    """Arguments that are documented where a docstring says that they are, "as in `SpoofEnv`"."""
+    """Arguments that are documented where a docstring says, "as in `SpoofEnv`", or as settings."""
     said = re.findall(
         r"(?:as in|those of|world of) `(?:\w+\.)*(\w+)`", inspect.getdoc(subject), re.I
     )
     lenders = [kind for kind in EXPORTED if kind.__name__ in said and inspect.isclass(kind)]
     functions = [kind for kind in EXPORTED if kind.__name__ in said and inspect.isfunction(kind)]
     docs = [*map(ClassDoc, lenders), *map(FunctionDoc, functions)]
-    return {name for doc in docs for name in documented(doc, "Parameters")}
+    settings = inspect.getdoc(subject).partition("**settings")[2].partition("\nReturns")[0]
+    named = set(re.findall(r"``(\w+)``", settings))
+    return named | {name for doc in docs for name in documented(doc, "Parameters")}
 
 
 def check_arguments(subject, told, arguments):

@@ -128,7 +128,7 @@ def test_false_alarms_come_as_promised():
         ({"interval_s": -1.0}, "`interval_s` must be finite and > 0, got -1.0"),
         ({"rate_limit_mps": [1.0, 2.0]}, "one for each of north, east, down, clock, got"),
         ({"rate_limit_mps": 0.0}, "`rate_limit_mps` must be finite and > 0"),
-        ({"speed_mps": np.nan}, "`speed_mps` must be finite, got nan"),
+        ({"speed_mps": np.nan}, "`speed_mps` must be a finite number, got nan"),
     ],
 )
 def test_bad_settings_are_refused(settings, message):

@@ -255,7 +255,7 @@ def test_texts_and_comments_cost_no_run_but_code_does(tmp_path, monkeypatch):
 def test_the_library_counts_but_not_its_command_line(tmp_path, monkeypatch):
     monkeypatch.setattr(sources, "ROOT", tmp_path)
     library = tmp_path / "spoofgym"
-    library.mkdir()
+    library.joinpath("cli").mkdir(parents=True)
 
     def digest(name, text):
         library.joinpath(name).write_text(text)
@@ -263,6 +263,6 @@ def test_the_library_counts_but_not_its_command_line(tmp_path, monkeypatch):
         return sources.library_digest()
 
     first = digest("filter.py", "GAIN = 1\n")
-    assert digest("cli.py", "GAIN = 1\n") == first
+    assert digest("cli/run.py", "GAIN = 1\n") == first
     assert digest("filter.py", "GAIN = 2\n") != first
     sources.library_digest.cache_clear()

@@ -1,0 +1,18 @@
+"""The command line: ``spoofgym list | card | run | render | tune | bench | tasks | report | perf``.
+
+Nothing that is slow to load is imported before a command needs it.
+"""
+
+from .app import INTERRUPTED as INTERRUPTED
+from .app import app as app
+from .app import clear_errors as clear_errors
+from .app import main as main
+from .bench import bench, report, tune
+from .listing import card, list_, tasks
+from .perf import perf
+from .run import render, run
+
+# in the order of the help page
+app.command("list")(clear_errors(list_))
+for _command in (card, run, render, tune, bench, tasks, report, perf):
+    app.command()(clear_errors(_command))

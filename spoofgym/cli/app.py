@@ -1,0 +1,78 @@
+"""The program: its errors, its interrupts and its ends."""
+
+from __future__ import annotations
+
+import functools
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import Annotated, Any, ParamSpec, TypeVar
+
+import typer
+
+signals: list[int] = []
+"""What has asked the program to end."""
+P = ParamSpec("P")
+R = TypeVar("R")
+TRACEBACK_VARIABLE = "SPOOFGYM_TRACEBACK"
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
+app = typer.Typer(
+    name="spoofgym",
+    help="GNSS spoofing and its detection as a game: a benchmark, for defence research.",
+    epilog=f"With {TRACEBACK_VARIABLE}=1 in the environment an error shows where it came from.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
+    """Print what users did wrong in one line, and leave with exit code 2."""
+
+    @functools.wraps(function)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except (ValueError, TypeError, ImportError, OSError) as error:
+            if os.environ.get(TRACEBACK_VARIABLE) or isinstance(error, BrokenPipeError):
+                raise
+            text = " ".join(str(error).split())
+            if isinstance(error, OSError) and error.filename and error.strerror:
+                text = f"{error.filename}: {error.strerror}"
+            typer.echo(f"spoofgym: error: {text}", err=True)
+            raise typer.Exit(2) from error
+
+    return wrapped
+
+
+@app.callback(invoke_without_command=True)
+def _main(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """GNSS spoofing and its detection as a game: a benchmark, for defence research."""
+    if version:
+        from .. import __version__
+
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+def _interrupt(number: int, _: Any) -> None:
+    signals.append(number)
+    raise KeyboardInterrupt
+
+
+def main() -> None:
+    """Run the command line; Ctrl-C and SIGTERM end it in order, with 130 and 143."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as in the background of a shell
+            signal.signal(number, _interrupt)
+    try:
+        app()
+    finally:
+        if signals:
+            sys.exit(128 + signals[0])

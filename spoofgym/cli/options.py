@@ -1,0 +1,155 @@
+"""Options of several commands, each written once."""
+
+# ruff: noqa: RUF009 - the defaults of `World` are for typer, which fills in every field
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Container
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer import Option
+
+ENV = "spoofgym/TightlyCoupled-v0"
+LARGEST_RUNS = 1_000_000
+"""More are a slip of the keyboard."""
+SPEC_HELP = (
+    "A name (see `spoofgym list`), with settings as name:key=value,key=value or as JSON "
+    '{"name": ..., "key": value}; or module:Class of your own, looked for in this folder too.'
+)
+Json = Annotated[bool, Option("--json", help="Print JSON, and nothing else.")]
+Detector = Annotated[
+    str | None,
+    Option(help=f"Detector. Default: ewma, or one that suits the victim. {SPEC_HELP}"),
+]
+Spoofer = Annotated[str, Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")]
+Run = Annotated[
+    int,
+    Option("--run", min=0, max=LARGEST_RUNS - 1, help="Which of the benchmark's evaluation runs."),
+]
+Seed = Annotated[int, Option(help="Seed of the random number generators.")]
+Threads = Annotated[
+    int | None, Option(min=1, help="Threads of the engine. Default: all useful cores.")
+]
+Budget = Annotated[
+    float,
+    Option(
+        help="Alarm budget of tuned spoofers: how much more often than without attack an "
+        "alarm may come, as a part of the runs."
+    ),
+]
+Training = Annotated[
+    int,
+    Option(
+        min=2,
+        max=LARGEST_RUNS,
+        help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
+    ),
+]
+Oracles = Annotated[
+    bool,
+    Option(
+        "--allow-oracles",
+        help="Let detectors play that know the attack by their settings; the results say so.",
+    ),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """Options of the victim and of what it meets, and the command line that they are on."""
+
+    context: typer.Context
+    env: str = Option(
+        ENV,
+        help="Environment whose victim is attacked: spoofgym/TightlyCoupled-v0, "
+        "spoofgym/LooselyCoupled-v0, spoofgym/Snapshot-v0 or spoofgym/WheeledRobot-v0.",
+    )
+    settings: list[str] | None = Option(
+        None,
+        "--set",
+        help="Setting of the victim that has no option of its own, may be repeated: name=value, "
+        "the value as JSON, as in satellites=10 or domain='{\"start_s\": [0, 60]}'.",
+    )
+    scenario: str = Option("zhong2025", help="Scenario: a name, with settings as for a detector.")
+    errors: str | None = Option(
+        None, help="GNSS errors instead of the scenario's own: groves, zhong2025 ..."
+    )
+    imu: str | None = Option(
+        None, help="Grade of the inertial sensors instead: aviation, tactical, consumer."
+    )
+    tuning: str = Option(
+        "paper",
+        help="Noise that the receiver assumes: as the papers print it, or as the world has it "
+        "(matched).",
+    )
+    attack: str = Option("false-position", help=f"What the spoofer can do. {SPEC_HELP}")
+    track: Path | None = Option(
+        None,
+        help="Recorded flight (.csv, .json, .parquet; .gz too) to fly instead of the scenario's. "
+        "Needs --ephemeris.",
+    )
+    ephemeris: Path | None = Option(
+        None, help="RINEX 2 or 3 navigation file with the GPS satellites."
+    )
+    from_s: float | None = Option(
+        None,
+        "--from",
+        help="Start, in seconds after the first row of the track. Default: that of the longest "
+        "airborne stretch without a gap.",
+    )
+    duration: float | None = Option(
+        None, help="Duration of the flight in seconds. Default: ten minutes."
+    )
+    day: str | None = Option(
+        None, "--date", help="Day of the flight, YYYY-MM-DD. Default: the day of the ephemerides."
+    )
+    warmup_s: float = Option(
+        200.0,
+        help="Clean run before the attack, in seconds. The defaults of the times are those of "
+        "spoofgym/TightlyCoupled-v0; the others have their own.",
+    )
+    live_s: float = Option(60.0, help="Its last part, with the detectors live, in seconds.")
+    attack_s: float = Option(150.0, help="Command phase of the attack, in seconds.")
+    time_to_alert_s: float = Option(
+        10.0,
+        help="Time to alert, in seconds: what was induced this short before an alarm does not "
+        "count.",
+    )
+
+    def given(self, names: Container[str | None]) -> dict[str, str]:
+        """Which of some options are on the command line, as they are written there."""
+        found = {}
+        for option in self.context.command.params:
+            source = self.context.get_parameter_source(str(option.name))
+            if option.name in names and source is not None and source.name == "COMMANDLINE":
+                found[str(option.name)] = option.opts[0]
+        return found
+
+
+TIMES = ("warmup_s", "live_s", "attack_s", "time_to_alert_s")
+SCENARIO_OPTIONS = World.__dataclass_fields__.keys() - {"context", "env", "settings", *TIMES}
+"""Options of the tightly coupled receiver alone."""
+TASK_OPTIONS = {*World.__dataclass_fields__, "detector"}
+"""Options that a task decides."""
+
+
+def with_world(command: Callable[..., None]) -> Callable[..., None]:
+    """Write the options of `World` into a command's signature, in place of its argument `world`."""
+    signature = inspect.signature(command, eval_str=True)
+    options = inspect.signature(World, eval_str=True).parameters
+    parameters: list[inspect.Parameter] = []
+    for parameter in signature.parameters.values():
+        parameters += options.values() if parameter.name == "world" else [parameter]
+
+    @functools.wraps(command)
+    def expanded(**arguments: Any) -> None:
+        command(world=World(**{name: arguments.pop(name) for name in options}), **arguments)
+
+    expanded.__annotations__ = {each.name: each.annotation for each in parameters}
+    vars(expanded)["__signature__"] = signature.replace(parameters=parameters)
+    return expanded
