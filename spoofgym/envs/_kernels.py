@@ -106,9 +106,8 @@ def score(alarms, early, rules, step_count, detected, ended, undetected, largest
         first = alarm and not detected[b]
         finished = running and (count == window or early[b])
         values[GAIN, b] = now - before if running and not alarm and not detected[b] else 0.0
-        values[RETRACTION, b] = (
-            largest[last_counted(count, hold, steps), b] - before if first else 0.0
-        )
+        counted = largest[last_counted(count, hold, steps), b]
+        values[RETRACTION, b] = counted - before if first else 0.0
         detected[b] = detected[b] or first
         undetected[b] += values[GAIN, b]
         undetected[b] += values[RETRACTION, b]

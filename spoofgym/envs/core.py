@@ -297,7 +297,7 @@ class SpoofCore:
         early = self.score.nobody
         if self._has_ends or self.listeners:
             early = self._judge_ends(result, verdict)
-        receivers, width = engine.receivers, len(self.observer.names)
+        receivers, width = self.receivers, len(self.observer.names)
         seen = np.empty(receivers * width, dtype=np.float32) if observed else NOTHING_SEEN
         self._fused(simulator, verdict.alarm, early, engine.warmup_alarm, result, seen, engine.hold)
         if not self._compiled:
@@ -343,15 +343,9 @@ class SpoofCore:
     def _reward(self, result: StepResult, action: FloatArray) -> None:
         """Reward by the terms themselves."""
         values, marks = result.values, result.marks
-        outcome = Outcome(
-            values[GAIN],
-            values[RETRACTION],
-            marks[FIRST],
-            marks[ALARM],
-            action,
-            self.score.undetected,
-            result.terminated | result.truncated,
-        )
+        moved, alarms = (values[GAIN], values[RETRACTION]), (marks[FIRST], marks[ALARM])
+        over = result.terminated | result.truncated
+        outcome = Outcome(*moved, *alarms, action, self.score.undetected, over)
         values[REWARD] = reward_of(self._reward_parts, outcome, result.extra)
 
     def _judge_ends(self, result: StepResult, verdict: Verdict) -> Mask:

@@ -36,7 +36,7 @@ def signature_of(setup_type: type[Setup], own: inspect.Signature) -> inspect.Sig
 
 
 def make_setup(setup_type: type[S], settings: Mapping[str, Any]) -> S:
-    """Setup from those settings that are the victim's; None stands for its default."""
+    """Setup from those settings that are the victim's; None means its default."""
     own = inspect.signature(setup_type).parameters
     chosen = {name: settings[name] for name in own if settings.get(name) is not None}
     return setup_type(**chosen)

@@ -135,7 +135,7 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         self._over[rows] = False
 
     def _masked(self, info: dict[str, Array], mask: NDArray[np.bool_]) -> dict[str, Any]:
-        """Arrays that are asked for, with the masks that tell which receivers have them."""
+        """Arrays that are asked for, with the masks that say which receivers have them."""
         return masked(chosen(info, self._keys), mask)
 
     def _reported(

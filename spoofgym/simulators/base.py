@@ -147,9 +147,9 @@ class Simulator(ABC):
         """Epochs, coasting, commanded displacement and rate, for kernels."""
         return self.epochs, self.coasting, self.commanded_displacement, self.commanded_rate
 
-    @abstractmethod
     def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         """Write the target's true motion since the onset, along `Setup.motion_names`, scaled."""
+        self.setup.local_motion(self.epochs, self.onset, per_position, per_velocity, out)
 
     def geometry(self, out: NDArray[np.float32]) -> None:
         """Write `Setup.geometry_names`; victims without satellites have none."""
@@ -163,16 +163,18 @@ class Simulator(ABC):
         """(B, w) weights of the last update along `Setup.weight_names`."""
         return self.weights[:, : len(self.setup.weight_names)]
 
-    @abstractmethod
     def _ground_ne(self, epochs: slice) -> FloatArray:
         """(K, 2) true position at epochs, north and east of the first receiver's onset [m]."""
+        setup, onset = self.setup, int(self.onset[0])
+        ground_e = setup.true_position[epochs] - setup.true_position[onset]
+        return np.asarray(ground_e @ setup.C_en[onset])[:, :2]
 
     def _sky(self) -> SkyData | None:
         """Satellites over the first receiver."""
         return None
 
     def recorded(self) -> dict[str, NDArray[Any]]:
-        """What a recording of epochs holds beside the epoch itself."""
+        """What a recording of epochs holds besides the epoch itself."""
         return {"commanded_displacement_m": self.commanded_displacement}
 
     # --- the same for all victims --------------------------------------------------------------

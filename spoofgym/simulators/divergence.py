@@ -49,16 +49,7 @@ class Divergence(Monitor):
         victims = tightly_coupled(simulator, "the divergence of an attack")
         epoch, verdict, sensors = victims.epoch, victims.verdict, victims.sensors.state
         weights = victims.ones if verdict is None or verdict.weights is None else verdict.weights
-        shift_response(
-            epoch.transition,
-            epoch.design,
-            epoch.predicted_cov,
-            epoch.innovation_cov,
-            epoch.visible,
-            weights,
-            victims.setup.receiver.min_satellites,
-            sensors.range_offset,
-            sensors.rate_offset,
-            self.memory["shift"],
-            self.memory["divergence"],
-        )
+        model = epoch.transition, epoch.design, epoch.predicted_cov, epoch.innovation_cov
+        used = epoch.visible, weights, victims.setup.receiver.min_satellites
+        offsets = sensors.range_offset, sensors.rate_offset
+        shift_response(*model, *used, *offsets, self.memory["shift"], self.memory["divergence"])

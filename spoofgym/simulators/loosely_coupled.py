@@ -15,8 +15,6 @@ from ..receiver.loose import LooselyCoupled, LooseReceivers
 from ..sim.loose_world import SOURCES, InertialErrors, first_errors, flown_world, measure
 from ..sim.noise import padded
 from ..sim.position_error import PositionErrors
-from ._kernels import local_motion
-from .base import Written
 from .domain import Choice, Domain
 from .rates import RateSimulator
 from .setup import RateCommands, Run, Setup, Timeline
@@ -168,8 +166,7 @@ class LooselyCoupledSimulator(RateSimulator):
     @property
     def position(self) -> FloatArray:
         """(B, 3) estimated, ECEF [m]."""
-        position_e: FloatArray = self.memory["position_e"]
-        return position_e
+        return self.memory["position_e"]
 
     def error_n(self) -> FloatArray:
         """(B, 2) error of the estimate in the local axes of the epoch: north, east [m]."""
@@ -177,15 +174,3 @@ class LooselyCoupledSimulator(RateSimulator):
         apart = self.memory["position_e"] - self.setup.world.position_e[epochs]
         error: FloatArray = (apart[:, :, None] * self.setup.C_en[epochs, :, :2]).sum(axis=1)
         return error
-
-    def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
-        """Write true position since the onset and true velocity in local axes there, scaled."""
-        world, axes, where = self.setup.world, self.setup.C_en, (self.epochs, self.onset)
-        local_motion(
-            world.position_e, world.velocity_e, axes, *where, per_position, per_velocity, out
-        )
-
-    def _ground_ne(self, epochs: slice) -> FloatArray:
-        position_e, onset = self.setup.world.position_e, int(self.onset[0])
-        ground: FloatArray = (position_e[epochs] - position_e[onset]) @ self.setup.C_en[onset]
-        return ground[:, :2]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .._registry import build_record, check_choice, check_finite, is_number
 from ..detectors import Detector, make_detector
+from ._kernels import local_motion
 from .domain import Bounds, Domain
 from .monitors import Monitor
 
@@ -268,6 +269,10 @@ class Setup(ABC):
     def motion_table(self, per_position: float, per_velocity: float) -> NDArray[np.float32] | None:
         """(K, len(motion_names)) motion at every epoch, scaled; None where there is no table."""
         return None
+
+    def local_motion(self, *epochs_to_out: Any) -> None:
+        """`_kernels.local_motion` of this target."""
+        local_motion(self.true_position, self.world.velocity_e, self.C_en, *epochs_to_out)
 
     def geometry_table(self) -> FloatArray | None:
         """(K, len(geometry_names)) geometry at every epoch; None where there is no table."""

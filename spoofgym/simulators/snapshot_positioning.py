@@ -270,8 +270,7 @@ class SnapshotSimulator(RateSimulator):
     @property
     def position(self) -> FloatArray:
         """(B, 3) last fix, ECEF [m]."""
-        position_e: FloatArray = self.memory["position_e"]
-        return position_e
+        return self.memory["position_e"]
 
     def error_n(self) -> FloatArray:
         """(B, 2) error of the fix: north, east [m]."""
@@ -297,11 +296,6 @@ class SnapshotSimulator(RateSimulator):
         n = len(self.setup.weight_names)
         out[:, : 3 * n] = self.lines_of_sight_n().reshape(self.receivers, -1)
         out[:, 3 * n :] = self.memory["spoofed"]
-
-    def _ground_ne(self, epochs: slice) -> FloatArray:
-        sky = self.setup.sky
-        ground: FloatArray = (sky.position_e[epochs] - sky.position_e[self.onset[0]]) @ sky.C_en
-        return ground[:, :2]
 
     def _sky(self) -> SkyData:
         toward, n = self.lines_of_sight_n()[0], len(self.setup.weight_names)

@@ -21,8 +21,8 @@ from ..sim.noise import padded
 from ..sim.scenario import Scenario, make_scenario
 from ..sim.sensors import SOURCES, SensorBuffers
 from ..sim.world import World
-from ._kernels import displace, local_motion
-from .base import Rngs, Rows, Simulator, Written
+from ._kernels import displace
+from .base import Rngs, Rows, Simulator
 from .combinations import Combinations, worlds_of
 from .domain import Choice, Domain
 from .frame import SkyData
@@ -136,11 +136,6 @@ class TightlyCoupledSetup(Setup):
         epochs = np.arange(self.world.epochs)
         self.local_motion(epochs, self.onsets, per_position, per_velocity, table)
         return table
-
-    def local_motion(self, *epochs_to_out: Any) -> None:
-        """`_kernels.local_motion` in this world."""
-        world = self.world
-        local_motion(world.position_e, world.velocity_e, world.C_en, *epochs_to_out)
 
     def geometry_table(self) -> FloatArray:
         """(K, 4n) unit vectors to the satellites in local axes, then 1 or 0 for visible or not."""
@@ -357,22 +352,12 @@ class TightlyCoupledSimulator(Simulator):
 
     def displacement(self, origin: FloatArray, twin: Self | None, out: FloatArray) -> None:
         """Write the displacement that counts, in one kernel."""
-        world, epochs = self.setup.world, self.sensors.epoch
-        displace(
-            self.buffers.state.position_e,
-            world.position_e if twin is None else twin.buffers.state.position_e,
-            epochs if twin is None else self._everyone,
-            world.C_en,
-            self.memory["onset"],
-            self.memory["heading"],
-            self.setup.target_heading_deg == "worst",
-            origin,
-            out,
-        )
-
-    def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
-        """Write true position since the onset and true velocity in local axes there, scaled."""
-        self.setup.local_motion(self.epochs, self.onset, per_position, per_velocity, out)
+        setup, memory = self.setup, self.memory
+        reference = (setup.true_position, self.sensors.epoch)
+        if twin is not None:
+            reference = (twin.buffers.state.position_e, self._everyone)
+        aim = memory["onset"], memory["heading"], setup.target_heading_deg == "worst"
+        displace(self.buffers.state.position_e, *reference, setup.C_en, *aim, origin, out)
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         """Take over receivers of another simulator, with all that they remember."""
@@ -395,11 +380,6 @@ class TightlyCoupledSimulator(Simulator):
         """(B,) channels that follow the counterfeit signals."""
         captured: NDArray[np.int64] = self.attack.memory["captured"].sum(axis=1)
         return captured
-
-    def _ground_ne(self, epochs: slice) -> FloatArray:
-        onset, position_e = int(self.onset[0]), self.setup.world.position_e
-        ground: FloatArray = (position_e[epochs] - position_e[onset]) @ self.setup.world.C_en[onset]
-        return ground[:, :2]
 
     def _sky(self) -> SkyData:
         world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors.state

@@ -211,35 +211,15 @@ class WheeledRobotSimulator(RateSimulator):
         """Measure dead reckoning and fix of the epoch."""
         memory, setup = self.memory, self.setup
         odometer, errors = setup.odometer, setup.fix_errors
-        measure_odometry(
-            memory["keys"],
-            memory["epoch"],
-            memory["first"],
-            *setup.wheels,
-            setup.track.yaw,
-            setup.samples,
-            odometer.count_m,
-            math.radians(odometer.hard_iron_deg),
-            math.radians(odometer.yaw_noise_deg),
-            memory["phase"],
-            self._noise,
-            memory["yaw"],
-            self.increment,
-        )
-        measure_fix(
-            memory["keys"],
-            memory["epoch"],
-            memory["first"],
-            setup.true_position,
-            setup.available,
-            errors.correlated_sd_m,
-            errors.decay(setup.interval_s),
-            errors.white_sd_m,
-            memory["displacement"],
-            self._noise,
-            memory["correlated"],
-            memory["fix"],
-        )
+        drawn = memory["keys"], memory["epoch"], memory["first"]
+        step, used = (setup.samples, odometer.count_m), (memory["phase"], self._noise)
+        yaw = math.radians(odometer.hard_iron_deg), math.radians(odometer.yaw_noise_deg)
+        written = memory["yaw"], self.increment
+        measure_odometry(*drawn, *setup.wheels, setup.track.yaw, *step, *yaw, *used, *written)
+        truth = setup.true_position, setup.available
+        sizes = errors.correlated_sd_m, errors.decay(setup.interval_s), errors.white_sd_m
+        written = memory["correlated"], memory["fix"]
+        measure_fix(*drawn, *truth, *sizes, memory["displacement"], self._noise, *written)
 
     def _measure(self, command: FloatArray | None) -> None:
         self._move(command)
@@ -262,8 +242,7 @@ class WheeledRobotSimulator(RateSimulator):
     @property
     def position(self) -> FloatArray:
         """(B, 2) estimated, north and east [m]."""
-        position: FloatArray = self.memory["position"][:, :AXES]
-        return position
+        return self.memory["position"][:, :AXES]
 
     def error_n(self) -> FloatArray:
         """(B, 2) error of the estimate: north, east [m]."""
@@ -279,8 +258,3 @@ class WheeledRobotSimulator(RateSimulator):
         setup, truth = self.setup, self.setup.true_position
         out[:, :AXES] = per_position * (truth[self.epochs] - truth[self.onset])
         out[:, AXES:] = per_velocity * setup.true_velocity_ne[self.epochs]
-
-    def _ground_ne(self, epochs: slice) -> FloatArray:
-        truth = self.setup.true_position
-        ground: FloatArray = truth[epochs] - truth[self.onset[0]]
-        return ground

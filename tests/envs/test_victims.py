@@ -155,7 +155,7 @@ def test_a_finished_episode_must_be_reset():
         ({"alarm_penalty_m": -1.0}, ValueError, "`penalty_m` must be finite"),
         ({"reward": ["retraction"] * 2}, ValueError, "two reward terms have the same name"),
         ({"between": "spline"}, ValueError, "unknown between 'spline'; valid: hold, linear"),
-        ({"timeline": {"attack_s": 0.0}}, ValueError, "`attack_s` must be > 0"),
+        ({"timeline": {"attack_s": 0.0}}, ValueError, "`attack_s` must be finite and > 0"),
     ],
 )
 def test_a_wrong_setting_of_any_victim_says_what_is_valid(kind, settings, error, message):
@@ -185,5 +185,7 @@ def test_what_a_reset_does_not_take_is_told_by_its_name():
                 made.reset(seed=seed)
     with pytest.raises(ValueError, match=r"must be a whole number of at least 0, got 0\.5"):
         envs.reset(seed=[1, 0.5])
-    with pytest.raises(ValueError, match=r"`num_envs` must be a whole number, got 1\.5"):
+    with pytest.raises(
+        ValueError, match=r"`num_envs` must be a whole number of at least 1, got 1\.5"
+    ):
         vector(1.5)

@@ -144,7 +144,7 @@ def test_a_forked_child_goes_on_with_the_same_bits(setup):
 def test_a_fork_while_locks_are_held(setup, steps):
     core, rngs = core_of(setup, True), generators()
     core.reset(rngs)
-    link, held, forked = core.engine._next._link, threading.Event(), threading.Event()
+    link, held, forked = core.engine._next._background, threading.Event(), threading.Event()
 
     def hold():
         with link.change, link.free._cond:
@@ -211,7 +211,7 @@ def test_nothing_is_begun_before_a_failure_has_been_told(setup, monkeypatch):
     episodes = core.engine._next
     calls = fail_once(monkeypatch, episodes, "_warm_up")
     core.reset(rngs)
-    link = episodes._link
+    link = episodes._background
     with link.change:
         assert link.change.wait_for(lambda: link.failure is not None, timeout=PATIENCE_S)
     episodes.serve(link)
@@ -222,7 +222,7 @@ def test_nothing_is_begun_before_a_failure_has_been_told(setup, monkeypatch):
 
 
 def test_an_interrupted_wait_leaves_no_urgency(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulators.link.JOIN_S", 0.01)
+    monkeypatch.setattr("spoofgym.simulators.prefetch.JOIN_S", 0.01)
     core, rngs = core_of(setup, True), generators()
     go_on = threading.Event()
     episodes = core.engine._next
@@ -238,10 +238,10 @@ def test_an_interrupted_wait_leaves_no_urgency(setup, monkeypatch):
     monkeypatch.setattr(episodes, "_warm_up", slow)
     core.reset(rngs)
     with monkeypatch.context() as patch:
-        patch.setattr(episodes._link.change, "wait_for", interrupted)
+        patch.setattr(episodes._background.change, "wait_for", interrupted)
         with pytest.raises(KeyboardInterrupt):
             core.reset(rngs)
-    assert not episodes._link.urgent
+    assert not episodes._background.urgent
     go_on.set()
     core.reset(rngs)
 
@@ -251,7 +251,7 @@ def running():
 
 
 def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulators.link.JOIN_S", PATIENCE_S)
+    monkeypatch.setattr("spoofgym.simulators.prefetch.JOIN_S", PATIENCE_S)
     before = running()
     core, rngs = core_of(setup, True), generators()
     begun = threading.Event()
@@ -273,7 +273,7 @@ def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
 
 
 def test_a_thread_that_ends_late_writes_nothing(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulators.link.JOIN_S", 0.01)
+    monkeypatch.setattr("spoofgym.simulators.prefetch.JOIN_S", 0.01)
     before = running()
     core, rngs = core_of(setup, True), generators()
     episodes = core.engine._next

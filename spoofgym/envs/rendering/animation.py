@@ -26,7 +26,7 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
     frames : iterable of ndarray
         (H, W, 3) uint8, at least one, all of one shape; a GIF takes 256 colours for each.
     path : Path or str
-        File; its ending tells the format, ``.gif`` or ``.mp4``.
+        File; its ending says the format, ``.gif`` or ``.mp4``.
     fps : float
         Frames a second; a GIF has 100 over a whole number, the nearest is taken.
 

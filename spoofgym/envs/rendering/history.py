@@ -83,7 +83,6 @@ class RenderHistory:
 
 
 FIRST = np.zeros(1, dtype=np.intp)
-"""The receiver that is shown."""
 
 
 class CoreRecorder:

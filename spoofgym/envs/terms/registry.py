@@ -35,7 +35,7 @@ ActionSpec = _Name | PurePath | ActionTerm | Sequence[_Name | ActionTerm]
 RewardSpec = _Name | PurePath | RewardTerm | Sequence[_Name | RewardTerm]
 EndSpec = _Name | PurePath | EndTerm | Sequence[_Name | EndTerm]
 SUFFIXES = (".json", ".toml")
-WRITTEN = "`spoofgym.envs.terms.written` tells the settings of an object with its name"
+WRITTEN = "`spoofgym.envs.terms.written` gives the settings of an object with its name"
 
 
 class _Nothing:

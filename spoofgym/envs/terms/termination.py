@@ -1,4 +1,4 @@
-"""When an episode ends: a list of small terms, beside the last command, which always ends it.
+"""When an episode ends: a list of small terms, and the last command, which always ends it.
 
 An end that belongs to the game is `terminated`: the offsets then hold their rate for the time to
 alert, in which an alarm still counts, as after the last command.  A limit from outside the game is
@@ -43,7 +43,7 @@ class EndTerm(Protocol):
     Attributes
     ----------
     name : str
-        ``info["end_<name>"]`` tells where it holds.
+        ``info["end_<name>"]`` says where it holds.
     truncates : bool
         Whether it is a limit from outside the game.
     """
