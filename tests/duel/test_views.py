@@ -297,7 +297,7 @@ def test_after_a_change_of_the_pool_all_receivers_begin_anew(make):
         (duel_v0.SpooferView, {"pool": ["ewma"], "weights": [-1.0]}, "finite, >= 0, and not all"),
         (duel_v0.SpooferView, {"pool": ["ewma"], "weights": ["x"]}, "`weights` must be numbers"),
         (duel_v0.SpooferView, {"pool": 3}, "`pool` must be an opponent or a list"),
-        (duel_v0.SpooferView, {"pool": "gone.onnx"}, "there is no gone.onnx"),
+        (duel_v0.SpooferView, {"pool": "gone.onnx"}, "there is no ONNX file gone.onnx"),
         (duel_v0.DetectorView, {"pool": "ramq"}, "did you mean 'ramp'"),
         (duel_v0.DetectorView, {"decision_delay": 2}, "`decision_delay` must be 0 or 1, got 2"),
         (duel_v0.DetectorView, {"pool": "ewma-blind"}, "spoofer 'ewma-blind' does not fit this"),
