@@ -47,7 +47,9 @@ def test_the_index_of_the_docs_and_the_readme_name_every_paper(key):
 def test_every_other_link_of_the_index_leads_somewhere():
     targets = re.findall(r"\]\(([^)#:]+)\)", (DOCS.parent / "README.md").read_text())
     pages = {path.relative_to(DOCS.parent).as_posix() for path in DOCS.parent.rglob("*.md")}
-    assert sorted(targets) == sorted(pages - {"README.md"})
+    # the API has an index of its own
+    listed = {page for page in pages if page == "api/README.md" or not page.startswith("api/")}
+    assert sorted(targets) == sorted(listed - {"README.md"})
 
 
 @pytest.fixture
