@@ -36,10 +36,10 @@ def test_every_run_is_judged_by_the_detector_that_was_drawn():
         alone, _ = played(member)
         own = opponent == k
         np.testing.assert_array_equal(pooled.alarm[:, own], alone.alarm[:, own])
-        np.testing.assert_array_equal(pooled.position_e[:, own], alone.position_e[:, own])
+        np.testing.assert_array_equal(pooled.position[:, own], alone.position[:, own])
     some, few = played(POOL, rows=[7, 2])
     np.testing.assert_array_equal(few["opponent"], opponent[[7, 2]])
-    np.testing.assert_array_equal(some.position_e, pooled.position_e[:, [7, 2]])
+    np.testing.assert_array_equal(some.position, pooled.position[:, [7, 2]])
 
 
 def test_weights_decide_how_often():

@@ -133,7 +133,7 @@ def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):
 @pytest.mark.parametrize(
     ("policy", "message"),
     [
-        (lambda o: np.zeros((len(o), 2)), r"must return actions of shape \(30, 13\)"),
+        (lambda o: np.zeros((len(o), 2)), r"returned actions of shape \(30, 2\), not \(30, 13\)"),
         (lambda o: np.full((len(o), 13), np.nan), "NaN for receiver 0"),
         ("ewma", "a detector policy is an instance of"),
     ],
