@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from .base import SpooferContext
+from .context import SpooferContext
 
 FloatArray = NDArray[np.float64]
 AXES = ("north", "east", "down", "clock")

@@ -4,51 +4,17 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..policies.contract import Policy
 from .aim import Aim, check_heading
+from .context import SpooferContext as SpooferContext
 
 FloatArray = NDArray[np.float64]
 KNOWLEDGE = ("blind", "tracking", "oracle")
-
-
-class SpooferContext(NamedTuple):
-    """What a spoofer is given once, before the first command.
-
-    Attributes
-    ----------
-    receivers : int
-        B.
-    interval_s : float
-        Time between commands.
-    steps : int
-        Commands of an episode.
-    control : {"rate", "acceleration"}
-        What an action of 1 commands: the limit of the rate, or of the acceleration.
-    acceleration_limit_mps2, rate_limit_mps : float
-        Of the attack; with control by rate the first one does not bind.
-    action_names : tuple of str
-        (a,) name of every element of an action, as the attack gives them.
-    observation_names : tuple of str
-        (o,) name of every element of an observation.
-    observation_low, observation_high : tuple of float
-        (o,) bounds of every element; empty where they are not known.
-    """
-
-    receivers: int
-    interval_s: float
-    steps: int
-    control: str
-    acceleration_limit_mps2: float
-    rate_limit_mps: float
-    action_names: tuple[str, ...]
-    observation_names: tuple[str, ...] = ()
-    observation_low: tuple[float, ...] = ()
-    observation_high: tuple[float, ...] = ()
 
 
 class Spoofer(Policy[SpooferContext]):
