@@ -18,7 +18,7 @@ import inspect
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +90,8 @@ class SpoofVecEnv(VecEnv):
     observation_names, action_names : tuple of str
         Name of every element.
     """
+
+    __signature__: ClassVar[inspect.Signature]
 
     def __init__(
         self,
@@ -327,7 +329,7 @@ class SpoofVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-SpoofVecEnv.__signature__ = signature_of(  # type: ignore[attr-defined]
+SpoofVecEnv.__signature__ = signature_of(
     TightlyCoupledSetup, inspect.signature(SpoofVecEnv.__init__)
 )
 
