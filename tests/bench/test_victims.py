@@ -154,7 +154,7 @@ def test_no_spoofer_of_another_environment_plays_unasked() -> None:
 @pytest.mark.parametrize(
     ("env", "detector", "message"),
     [
-        (LOOSE, "ewma", "Ewma watches satellites, but the receiver measures position"),
+        (LOOSE, "ewma", "Ewma measures satellites, but the receiver measures position"),
         (LOOSE, "rio", "Rio needs auxiliary_position, which a loosely coupled receiver does not"),
         (SNAPSHOT, "acna", "Acna needs gnss_position, which a snapshot receiver does not have"),
         (ROBOT, "srv-raim", "SrvRaim watches satellites, but the receiver measures position"),

@@ -49,7 +49,7 @@ class Sooner(Detector):
     """Alarms when the first measurement has been large for a time that differs by receiver."""
 
     paper = "groves2013"
-    watches = "any"
+    measures = "any"
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)

@@ -51,7 +51,7 @@ class AlarmAt(Detector):
 
     paper = "groves2013"
     scope = "receiver"
-    watches = "any"
+    measures = "any"
 
     def __init__(self, epoch: int) -> None:
         self.epoch = epoch

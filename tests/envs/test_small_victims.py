@@ -136,8 +136,12 @@ def test_some_axes_of_a_snapshot_receiver():
             {"action": {"name": "channels", "ids": ["clock"]}},
             "no channel 'clock' to command; valid: north, east",
         ),
-        ("WheeledRobot", {"watch": "ewma"}, "Ewma watches satellites, but the receiver measures"),
-        ("WheeledRobot", {"detector": "ewma"}, "Ewma watches satellites, but the receiver measure"),
+        ("WheeledRobot", {"watch": "ewma"}, "Ewma measures satellites, but the receiver measures"),
+        (
+            "WheeledRobot",
+            {"detector": "ewma"},
+            "Ewma measures satellites, but the receiver measure",
+        ),
         ("Snapshot", {"watch": ["never", "rio"]}, "Rio needs .*, which a snapshot receiver does"),
         ("LooselyCoupled", {"watch": {"name": "windowed-chi2", "window": 900}}, "shorten its"),
         (

@@ -75,7 +75,7 @@ class Weigher(Detector):
     """Weights that fall with the innovation, an alarm where it is large."""
 
     paper = "shadmehri2025"
-    watches = "position"
+    measures = "position"
 
     def bind(self, context):
         super().bind(context)

@@ -107,7 +107,7 @@ class Compass(Weigher):
         ({"receiver": {"window": 1}}, "`receiver` has no setting 'window'"),
         ({"timeline": {"attack_s": 50.0}}, "an episode takes 75.1 s .* 'shadmehri2025' lasts"),
         ({"flight": "shadmehri"}, "unknown flight 'shadmehri'.*did you mean 'shadmehri2025'"),
-        ({"detector": "ewma"}, "Ewma watches satellites, but the receiver measures position"),
+        ({"detector": "ewma"}, "Ewma measures satellites, but the receiver measures position"),
         ({"detector": Compass()}, "Compass needs auxiliary_position, which a loosely"),
     ],
 )

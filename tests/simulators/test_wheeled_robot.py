@@ -109,7 +109,7 @@ class Antenna(Acna):
         ({"timeline": {"attack_s": -1.0}}, "`attack_s` must be finite and > 0, got -1"),
         ({"interruptions_s": [[5.0, 4.0]]}, "must be pairs .* got \\[\\[5.0, 4.0\\]\\]"),
         ({"interruptions_s": [5.0]}, "must be pairs .* got \\[5.0\\]"),
-        ({"detector": "ewma"}, "Ewma watches satellites, but the receiver measures position"),
+        ({"detector": "ewma"}, "Ewma measures satellites, but the receiver measures position"),
         ({"detector": Antenna()}, "Antenna needs cn0_dbhz, which a wheeled robot does not have"),
     ],
 )

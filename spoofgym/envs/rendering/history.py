@@ -91,6 +91,11 @@ class CoreRecorder:
 
     The twin is a copy taken at the onset that goes on without an attack, with the same noise and
     the same detector in the loop.
+
+    Parameters
+    ----------
+    core : SpoofCore
+        Not closed.
     """
 
     def __init__(self, core: SpoofCore) -> None:

@@ -53,14 +53,13 @@ def test_the_twin_is_a_run_without_attack(make):
 
 @pytest.mark.parametrize("make", MAKES)
 def test_time_and_way_begin_at_the_onset(make):
-    history = play(make(), 0.3)
+    core = make()
+    history, interval_s = play(core, 0.3), core.setup.interval_s
     layout = history.layout
-    np.testing.assert_allclose(
-        history.number("time_s"), np.arange(9) * layout.interval_s, atol=1e-9
-    )
+    np.testing.assert_allclose(history.number("time_s"), np.arange(9) * interval_s, atol=1e-9)
     np.testing.assert_array_equal(history.pair("position_ne")[0], 0.0)
     np.testing.assert_allclose(history.pair("position_ne"), layout.track_ne[:9], atol=1e-9)
-    assert len(layout.track_ne) == round((layout.attack_s + layout.hold_s) / layout.interval_s) + 1
+    assert len(layout.track_ne) == round((layout.attack_s + layout.hold_s) / interval_s) + 1
 
 
 def test_the_twin_follows_through_the_time_to_alert():
