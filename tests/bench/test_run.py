@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from spoofgym.bench.cells import make_cell
 from spoofgym.bench.decisions import make_bound_spoofer
 from spoofgym.bench.run import (
     WarmStart,
@@ -94,6 +95,14 @@ def test_dropping_settled_runs_changes_no_score(start: WarmStart) -> None:
     )
     known = np.isfinite(dropped.position)
     np.testing.assert_array_equal(whole.position[known], dropped.position[known])
+
+
+def test_the_course_of_alarms_counts_the_runs_that_have_alarmed_so_far(start: WarmStart) -> None:
+    attacked, clean = play(start, FAST), play(start, "none")
+    cell = make_cell(start.setup, {}, start.warmup_alarm, attacked, clean)
+    so_far = np.logical_or.accumulate(attacked.alarm, axis=0)
+    np.testing.assert_allclose(cell.series["alarmed"], so_far.mean(axis=1), atol=1e-6)
+    assert 0.0 < cell.series["alarmed"][0] < cell.series["alarmed"][-1] < 1.0
 
 
 def test_fewer_runs_are_the_first_of_all(start: WarmStart) -> None:

@@ -138,6 +138,17 @@ def test_a_part_of_the_receivers_can_be_seeded():
     assert info["_time_s"].tolist() == [False, True, False]
 
 
+def test_a_seed_for_some_leaves_the_streams_of_the_others_alone():
+    plain, seeded = (make("spoofgym/Snapshot-v0", "disabled") for _ in range(2))
+    for envs, seed in ((plain, None), (seeded, 100)):
+        envs.reset(seed=5)
+        envs.reset(seed=seed, options={"reset_mask": np.array([False, True, False])})
+        envs.reset()
+    expected, found = (envs.core.engine.simulator.position for envs in (plain, seeded))
+    np.testing.assert_array_equal(found[[0, 2]], expected[[0, 2]])
+    assert not np.array_equal(found[1], expected[1])
+
+
 def test_unknown_options_are_warned_of(name):
     envs, env = make(name), gym.make(name, **early(name, knowledge="blind"))
     with pytest.warns(UserWarning, match=r"no option 'speed'; valid: domain, reset_mask"):

@@ -201,6 +201,24 @@ def test_every_epoch_of_every_episode_is_written(tmp_path, mode):
     assert not list(tmp_path.glob("*.part"))
 
 
+def test_a_reset_of_some_goes_on_with_the_files_of_the_others(tmp_path):
+    pytest.importorskip("pyarrow")
+    envs = vector(2, autoreset_mode="disabled", detector="never")
+    envs = vector_wrappers.RecordEpochs(envs, tmp_path)
+    envs.reset(seed=3)
+    for steps in (2, 3):
+        for _ in range(steps):
+            envs.step(np.zeros((2, 2)))
+        envs.reset(options={"reset_mask": np.array([True, False])})
+    envs.close()
+    counts = {path.stem: read(path)[0].num_rows for path in tmp_path.iterdir()}
+    assert counts == {
+        "receiver-000-episode-000000": 2,
+        "receiver-000-episode-000001": 3,
+        "receiver-001-episode-000000": 5,
+    }
+
+
 @pytest.mark.parametrize("decision_interval_s", [None, 2.5])
 @pytest.mark.parametrize(("at", "warmup_alarm", "alarm"), [(-5, True, False), (33, False, True)])
 def test_what_is_written_are_the_epochs_of_the_commands_and_no_others(
