@@ -117,6 +117,16 @@ def test_a_running_threshold_follows_the_clean_episodes_that_are_played():
     assert infos["detector_0"]["threshold"] == 0.5
 
 
+def test_a_running_threshold_learns_nothing_from_attacked_episodes():
+    env = parallel(attack_probability=1.0)
+    for k in range(3):
+        env.reset(seed=7 if k == 0 else None)
+        while env.agents:
+            *_, infos = env.step({"spoofer_0": np.zeros(2), "detector_0": ALARM})
+            assert infos["detector_0"]["threshold"] == 0.5
+        assert infos["detector_0"]["alarm"]
+
+
 def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):
     policy = duel_v0.FunctionPolicy(wary, name="wary-1")
     first = duel_v0.calibrate(policy, **SETTINGS, store=tmp_path)
