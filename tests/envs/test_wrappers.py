@@ -63,6 +63,16 @@ def test_a_wrapper_is_the_same_as_its_argument(make, module):
 
 
 @pytest.mark.parametrize(("make", "module"), MAKERS)
+@pytest.mark.parametrize(("end_at_alarm", "over"), [(True, True), (False, False)])
+def test_an_end_that_is_added_leaves_that_by_an_alarm_as_it_was(make, module, end_at_alarm, over):
+    env = make(detector=AlarmAt(LIVE + 3), end_at_alarm=end_at_alarm)
+    env = module.StealthBudget(env, 1e9)
+    env.reset(seed=1)
+    ends = [env.step(np.zeros(env.action_space.shape))[2] for _ in range(3)]
+    assert [np.all(end) for end in ends] == [False, False, over]
+
+
+@pytest.mark.parametrize(("make", "module"), MAKERS)
 def test_two_detectors_are_refused_with_both_names(make, module):
     with pytest.raises(ValueError, match="'ewma' and 'cusum'"):
         module.DetectorWrapper(make(detector="ewma"), "cusum")
