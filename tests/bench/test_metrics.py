@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from spoofgym.bench.cells import Cell
 from spoofgym.bench.metrics import (
     bootstrap_mean,
     clopper_pearson,
@@ -19,6 +20,7 @@ from spoofgym.bench.metrics import (
     undetected_displacement,
     wilson,
 )
+from spoofgym.bench.summary import score_cell
 
 pytestmark = pytest.mark.nojit
 
@@ -167,3 +169,15 @@ def test_exceedance_counts_what_lies_above() -> None:
     found = exceedance([0.0, 10.0, 20.0, 30.0], [10.0, 40.0])
     assert [estimate.value for estimate in found] == [0.5, 0.0]
     assert found[0] == wilson(2, 4)
+
+
+def test_a_run_with_an_alarm_in_the_warm_up_counts_for_no_bound_of_the_delay() -> None:
+    head = {"detector": "ewma", "spoofer": "step", "interval_s": 1.0, "steps": 80, "hold": 20}
+    head |= dict.fromkeys(("spoofer_settings", "tuned_within_budget", "knowledge", "attack"))
+    first, warm = np.array([10, 10, 10, 90, 90]), np.array([False, False, False, True, True])
+    records = {"first_alarm": first, "warmup_alarm": warm}
+    records |= dict.fromkeys(("undetected_displacement_m", "largest_error_m"), np.zeros(5))
+    samples = resamples(5, np.random.default_rng(1), 200)
+    score = score_cell(Cell(head, records, {}), samples, counts_of(samples))
+    assert score["delay_s"] == {"value": 10.0, "low": 10.0, "high": 10.0}
+    assert (score["delay_runs"], score["delay_excluded"]) == (3, 2)

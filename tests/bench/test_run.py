@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from spoofgym.bench.decisions import make_bound_spoofer
+from spoofgym.bench.cells import make_cell
+from spoofgym.bench.decisions import Attacker, make_bound_spoofer
 from spoofgym.bench.run import (
     WarmStart,
     displacement_of,
@@ -94,6 +95,32 @@ def test_dropping_settled_runs_changes_no_score(start: WarmStart) -> None:
     )
     known = np.isfinite(dropped.position)
     np.testing.assert_array_equal(whole.position[known], dropped.position[known])
+
+
+def test_the_course_of_alarms_counts_the_runs_that_have_alarmed_so_far(start: WarmStart) -> None:
+    attacked, clean = play(start, FAST), play(start, "none")
+    cell = make_cell(start.setup, {}, start.warmup_alarm, attacked, clean)
+    so_far = np.logical_or.accumulate(attacked.alarm, axis=0)
+    np.testing.assert_allclose(cell.series["alarmed"], so_far.mean(axis=1), atol=1e-6)
+    assert 0.0 < cell.series["alarmed"][0] < cell.series["alarmed"][-1] < 1.0
+
+
+def test_a_cell_and_a_search_score_the_same_runs_alike(start: WarmStart) -> None:
+    attacked, clean = play(start, {"name": "ramp", "rate_mps": 0.3}), play(start, "none")
+    cell = make_cell(start.setup, {}, start.warmup_alarm, attacked, clean)
+    assert 0.0 < cell.alarmed.mean() < 1.0
+    scored = displacement_of(start.setup, attacked, clean)
+    np.testing.assert_allclose(scored, cell.records["undetected_displacement_m"], atol=1e-6)
+
+
+@pytest.mark.parametrize("interval_s", [None, 2.0])
+def test_a_spoofer_decides_nothing_after_the_attack_window(interval_s: float | None) -> None:
+    suite = small_suite(decision_interval_s=interval_s)
+    setup = suite.setup(suite.detector_entries[0])
+    start = WarmStart(setup, suite.generators("evaluation", 2), threads=1)
+    attacker = Attacker(FAST, start.engine())
+    given = [attacker.command(k) is not None for k in range(setup.steps + setup.hold)]
+    assert given == [True] * setup.steps + [False] * setup.hold
 
 
 def test_fewer_runs_are_the_first_of_all(start: WarmStart) -> None:

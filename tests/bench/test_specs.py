@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from spoofgym._describe import differences
 from spoofgym.bench.specs import describe, digest_of, load_class, make, parse_spec, slug, spec_of
 from spoofgym.bench.suite import detector_entry, spoofer_entry
 from spoofgym.detectors import DETECTORS, Detector, Ewma
@@ -90,6 +91,17 @@ def test_arrays_are_described_by_what_is_in_them() -> None:
         describe(float("nan"))
     with pytest.raises(TypeError, match="can't be written down"):
         describe({1, 2})
+
+
+def test_a_setting_that_only_one_has_is_a_difference() -> None:
+    one, other = {"a": 1, "own": {"b": 2}}, {"own": {"b": 2, "c": 3}, "more": [4]}
+    expected = [("a", 1, None), ("own.c", None, 3), ("more", None, [4])]
+    assert differences(one, other) == expected
+    assert differences(other, one) == [
+        ("own.c", 3, None),
+        ("more", [4], None),
+        ("a", None, 1),
+    ]
 
 
 class Plain(Detector):

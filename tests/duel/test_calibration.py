@@ -23,6 +23,15 @@ def test_a_new_run_exceeds_the_quantile_with_the_stated_probability():
     assert covered / trials > 0.9 - 3.0 * np.sqrt(0.09 / trials)
 
 
+@pytest.mark.parametrize("alpha", [0.05, 0.1, 0.3])
+def test_the_quantile_has_the_lowest_rank_that_keeps_the_rate(alpha):
+    for n in range(fewest_runs(alpha), 100):
+        rank = round(quantile_of(np.arange(1, n + 1) / n, alpha, 0.9)[0] * n)
+        # a new one among n others that are like it exceeds the k-th of them so often
+        exceeded = 1.0 - np.array([rank, rank - 1]) / (n + 1)
+        assert exceeded[0] <= alpha + 1e-9 < exceeded[1], n
+
+
 def test_too_few_runs_tell_no_quantile():
     assert (fewest_runs(0.05), fewest_runs(0.3)) == (19, 3)
     assert quantile_of(np.arange(19) / 19, 0.05, 0.95)[::2] == (18 / 19, 1.0)
@@ -106,6 +115,16 @@ def test_a_running_threshold_follows_the_clean_episodes_that_are_played():
     env.reset(seed=7)  # a seed begins anew
     *_, infos = env.step({"spoofer_0": np.zeros(2), "detector_0": ALARM})
     assert infos["detector_0"]["threshold"] == 0.5
+
+
+def test_a_running_threshold_learns_nothing_from_attacked_episodes():
+    env = parallel(attack_probability=1.0)
+    for k in range(3):
+        env.reset(seed=7 if k == 0 else None)
+        while env.agents:
+            *_, infos = env.step({"spoofer_0": np.zeros(2), "detector_0": ALARM})
+            assert infos["detector_0"]["threshold"] == 0.5
+        assert infos["detector_0"]["alarm"]
 
 
 def test_calibrations_are_stored_by_the_frozen_detector(tmp_path):

@@ -189,6 +189,30 @@ def test_a_scripted_spoofer_of_the_detectors_view_knows_how_seldom_it_decides(de
     assert steps == EPOCHS + HOLD
 
 
+def test_after_the_last_command_the_rate_is_held():
+    attack = {"name": "false-position", "control": "rate"}
+    env = parallel(attack=attack, attack_probability=1.0, threshold=1.0)
+    env.reset(seed=2)
+    memory, rates = env.rules.duel.core.engine.simulator.commands, []
+    while env.agents:
+        push = np.array([0.3, 0.5]) if len(rates) < EPOCHS else np.zeros(2)
+        env.step({"spoofer_0": push, "detector_0": QUIET})
+        rates.append(memory["rate"][0].copy())
+    assert len(rates) == EPOCHS + HOLD
+    assert rates[-1].all()
+    np.testing.assert_array_equal(rates, np.tile(rates[0], (EPOCHS + HOLD, 1)))
+
+
+def test_an_exclusion_that_is_refused_uses_up_nothing():
+    agent = parallel(exclusion_s=0.9).rules.duel.agent
+    visible, interval = np.ones((1, 12), dtype=bool), np.array([0.5])
+    for wanted, given, used in ((0.0, 0.0, 0.5), (0.0, 1.0, 0.5), (0.5, 0.5, 0.75)):
+        action = np.r_[-1.0, np.full(12, 2.0 * wanted - 1.0)][None]
+        weights = agent.verdict(action, np.ones(1), visible, interval).weights
+        np.testing.assert_array_equal(weights, np.full((1, 24), given))
+        assert agent.memory["excluded_s"][0] == used
+
+
 def test_a_duel_that_is_pickled_between_two_decisions_goes_on_identically():
     duel = aec(**SLOW, between="linear").unwrapped
     duel.reset(seed=6)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from spoofgym import duel_v0
 from spoofgym.detectors.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
 from spoofgym.envs import SpoofEnv
 from spoofgym.envs.scoring import DisplacementScore, FusedStep
@@ -61,6 +62,19 @@ def test_the_detector_is_not_told():
         np.testing.assert_array_equal(mine["detector_0"], other["detector_0"])
         assert told["detector_0"] == also["detector_0"]
         assert "attacked" not in told["detector_0"]
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_the_detector_that_learns_is_told_of_the_attack_at_the_end(delay):
+    view = duel_v0.DetectorView(
+        "none", timeline=SHORT, attack_probability=1.0, decision_delay=delay, threshold=1.0
+    )
+    _, info = view.reset(seed=3)
+    over = False
+    while not over:
+        assert not info.get("attacked")
+        *_, over, _, info = view.step(QUIET)
+    assert info["attacked"]
 
 
 def test_the_detector_observes_no_truth():

@@ -63,6 +63,17 @@ def one_epoch(envs):
     envs.step(np.tile(QUIET, (3, 1)))
 
 
+def test_a_spoofer_starts_again_only_where_an_episode_does():
+    envs = duel_v0.DetectorVectorView(3, "ramp", timeline=SHORT, autoreset_mode="disabled")
+    envs.reset(seed=1)
+    memory = envs.core.pool._spoofers[0].memory
+    for _ in range(2):
+        envs.step(np.tile(QUIET, (3, 1)))
+    assert memory["step"].tolist() == [3.0, 3.0, 3.0]  # the coming epoch has been commanded, too
+    envs.reset(options={"reset_mask": np.array([False, True, False])})
+    assert memory["step"].tolist() == [3.0, 1.0, 3.0]
+
+
 def test_every_spoofer_commands_in_double_precision_whoever_acts_first():
     commands = {}
     for name, pool in (("alone", [Double()]), ("pair", [Single(), Double()])):

@@ -193,6 +193,18 @@ def test_an_alarm_within_a_decision_is_told_at_its_own_time():
         np.testing.assert_array_equal(seen, exact)
 
 
+def test_the_first_alarm_costs_at_whichever_epoch_of_a_decision_it_comes():
+    settings = {"end_at_alarm": False, **COARSE}
+    slow, quick = make(decision_interval_s=5.0, **settings), make(**settings)
+    slow.reset(seed=3)
+    quick.reset(seed=3)
+    costs = np.array([quick.step(np.ones(2))[4]["cost"] for _ in range(40)])
+    assert costs.argmax() % 10 != 9  # not at the last epoch of a decision
+    assert costs.sum() == 1.0
+    told = [slow.step(np.ones(2))[4]["cost"] for _ in range(4)]
+    np.testing.assert_array_equal(told, costs.reshape(4, 10).max(axis=1))
+
+
 def test_in_a_batch_those_that_end_wait_for_the_others():
     settings = {"decision_interval_s": 5.0, "watch": "snapshot-chi2", "twin": True, **EARLY}
     envs = gym.make_vec(

@@ -221,6 +221,23 @@ def test_motion_and_time_are_tabled_to_the_bit() -> None:
             np.testing.assert_array_equal(seen[:, first : first + len(names)], out)
 
 
+def test_tables_are_those_of_the_start_that_all_episodes_have() -> None:
+    domain = {"start_s": (10.0, 10.0), "turned_deg": (0.0, 360.0), "worlds": 2}
+    setup = TightlyCoupledSetup(timeline=SHORT, detector="never", domain=domain)
+    seen = [Time(), TargetMotion()]
+    core = SpoofCore(3, setup, observation=seen, reward=[], end_at_alarm=False)
+    core.reset(np.random.default_rng(0).spawn(3), given={"world": [0, 1, 1]})
+    assert setup.onsets is not None
+    for _ in range(3):
+        _, observed = core.step(np.zeros((3, 2)))
+        for term in seen:
+            names = term.names(setup)
+            first = core.observation_names.index(names[0])
+            out = np.zeros((3, len(names)), dtype=np.float32)
+            term(core.snapshot(), out)
+            np.testing.assert_array_equal(observed[:, first : first + len(names)], out)
+
+
 def test_nothing_is_tabled_where_the_start_is_drawn() -> None:
     setup = TightlyCoupledSetup(timeline=SHORT, detector="never", domain={"start_s": (0.0, 10.0)})
     assert setup.onsets is None

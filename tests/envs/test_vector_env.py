@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from spoofgym.detectors import Never
 
 from .players import COUNT, MODES, VICTIM_IDS, early
-from .support import STEPS, vector
+from .support import LIVE, STEPS, AlarmAt, vector
 
 
 def make(name, mode="next_step", **kwargs):
@@ -136,6 +136,41 @@ def test_a_part_of_the_receivers_can_be_seeded():
     np.testing.assert_array_equal(mixed[[0, 2]], first[[0, 2]])
     np.testing.assert_array_equal(mixed[1], envs.reset(seed=100)[0][1])
     assert info["_time_s"].tolist() == [False, True, False]
+
+
+def test_a_seed_for_some_leaves_the_streams_of_the_others_alone():
+    plain, seeded = (make("spoofgym/Snapshot-v0", "disabled") for _ in range(2))
+    for envs, seed in ((plain, None), (seeded, 100)):
+        envs.reset(seed=5)
+        envs.reset(seed=seed, options={"reset_mask": np.array([False, True, False])})
+        envs.reset()
+    expected, found = (envs.core.engine.simulator.position for envs in (plain, seeded))
+    np.testing.assert_array_equal(found[[0, 2]], expected[[0, 2]])
+    assert not np.array_equal(found[1], expected[1])
+
+
+def test_some_receivers_have_the_circumstances_that_are_given_for_them():
+    domain = {"start_s": [0.0, 20.0]}
+    envs = gym.make_vec(
+        "spoofgym/LooselyCoupled-v0", 3, autoreset_mode="disabled", domain=domain
+    ).unwrapped
+    begun = envs.reset(seed=5, options={"domain": {"start_s": [1.0, 2.0, 3.0]}})[1]["time_s"]
+    options = {"domain": {"start_s": [7.0, 8.0, 9.0]}}
+    options["reset_mask"] = np.array([False, True, True])
+    again = envs.reset(options=options)[1]["time_s"]
+    np.testing.assert_allclose(again - begun, [0.0, 6.0, 6.0])
+
+
+def test_the_information_of_a_reset_is_the_users_own():
+    changed, plain = (vector(2, detector=AlarmAt(LIVE)) for _ in range(2))
+    begun = changed.reset(seed=1)[1]
+    assert begun["warmup_alarm"].all()
+    plain.reset(seed=1)
+    for array in begun.values():
+        array[...] = 0
+    mine, expected = (envs.step(np.zeros((2, 2)))[4] for envs in (changed, plain))
+    for key, array in expected.items():
+        np.testing.assert_array_equal(mine[key], array, err_msg=key)
 
 
 def test_unknown_options_are_warned_of(name):

@@ -63,6 +63,16 @@ def test_a_wrapper_is_the_same_as_its_argument(make, module):
 
 
 @pytest.mark.parametrize(("make", "module"), MAKERS)
+@pytest.mark.parametrize(("end_at_alarm", "over"), [(True, True), (False, False)])
+def test_an_end_that_is_added_leaves_that_by_an_alarm_as_it_was(make, module, end_at_alarm, over):
+    env = make(detector=AlarmAt(LIVE + 3), end_at_alarm=end_at_alarm)
+    env = module.StealthBudget(env, 1e9)
+    env.reset(seed=1)
+    ends = [env.step(np.zeros(env.action_space.shape))[2] for _ in range(3)]
+    assert [np.all(end) for end in ends] == [False, False, over]
+
+
+@pytest.mark.parametrize(("make", "module"), MAKERS)
 def test_two_detectors_are_refused_with_both_names(make, module):
     with pytest.raises(ValueError, match="'ewma' and 'cusum'"):
         module.DetectorWrapper(make(detector="ewma"), "cusum")
@@ -201,6 +211,24 @@ def test_every_epoch_of_every_episode_is_written(tmp_path, mode):
     assert {"time_s", "innovation", "innovation_variance", "statistic", "alarm"} <= names
     assert np.array(table["innovation"].to_pylist()).shape == (table.num_rows, 24)
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_reset_of_some_goes_on_with_the_files_of_the_others(tmp_path):
+    pytest.importorskip("pyarrow")
+    envs = vector(2, autoreset_mode="disabled", detector="never")
+    envs = vector_wrappers.RecordEpochs(envs, tmp_path)
+    envs.reset(seed=3)
+    for steps in (2, 3):
+        for _ in range(steps):
+            envs.step(np.zeros((2, 2)))
+        envs.reset(options={"reset_mask": np.array([True, False])})
+    envs.close()
+    counts = {path.stem: read(path)[0].num_rows for path in tmp_path.iterdir()}
+    assert counts == {
+        "receiver-000-episode-000000": 2,
+        "receiver-000-episode-000001": 3,
+        "receiver-001-episode-000000": 5,
+    }
 
 
 @pytest.mark.parametrize("decision_interval_s", [None, 2.5])

@@ -247,6 +247,32 @@ def test_time_and_onset(kind):
 
 
 @every_victim
+def test_the_onset_is_the_end_of_the_warm_up_wherever_an_episode_starts(kind):
+    setup = setup_of(kind, domain=DOMAINS[kind])
+    mine, motion = warm(setup, 6), np.full((6, len(setup.motion_names)), np.nan)
+    assert len({*mine.memory["first"]}) > 1
+    np.testing.assert_array_equal(mine.onset, mine.epochs)
+    mine.motion(1.0, 1.0, motion)
+    np.testing.assert_allclose(motion[:, :2], 0.0, atol=1e-6)  # since the onset
+    layout = mine.layout()
+    assert layout.onset_s == mine.time_s()[0] == setup.epoch_time[mine.epochs[0]]
+
+
+@every_victim
+def test_the_worst_direction_counts_from_the_error_at_the_onset(kind):
+    mine, out = warm(setup_of(kind, target_heading_deg="worst"), 3), np.full(3, np.nan)
+    origin = mine.origin_ne().copy()
+    assert origin.any(axis=1).all()
+    mine.displacement(origin, None, out)
+    np.testing.assert_allclose(out, 0.0, atol=1e-6)
+    for action in commands(mine.setup, 3):
+        step(mine, action)
+    mine.displacement(origin, None, out)
+    apart = mine.error_n()[:, :2] - origin
+    np.testing.assert_allclose(out, np.hypot(*apart.T), rtol=1e-6, atol=1e-6)
+
+
+@every_victim
 def test_what_is_observed_has_names_and_scales(kind):
     setup = setup_of(kind)
     mine = warm(setup, 3)
@@ -354,6 +380,23 @@ def test_a_detector_with_needs_is_refused(kind):
     setup = setup_of(kind, detector=Wheel())
     with pytest.raises(ValueError, match=f"Wheel needs cn0_dbhz, which {setup.whose} does not"):
         warm(setup, 1)
+
+
+class Late(Never):
+    """Can't alarm in its first epochs."""
+
+    def __init__(self, silent_epochs):
+        self.silent_epochs = silent_epochs
+
+
+@every_victim
+def test_a_detector_must_have_an_epoch_in_which_it_can_alarm(kind):
+    setup = setup_of(kind)
+    epochs = setup.live + setup.steps + setup.hold
+    warm(setup_of(kind, detector=Late(epochs - 1)), 1)
+    message = f"Late can't alarm in its first {epochs} epochs, and an episode has {epochs} in"
+    with pytest.raises(ValueError, match=message):
+        warm(setup_of(kind, detector=Late(epochs)), 1)
 
 
 @every_victim
