@@ -65,7 +65,7 @@ def test_the_detector_is_not_told():
 
 
 @pytest.mark.parametrize("delay", [0, 1])
-def test_the_detector_that_learns_is_told_of_the_attack_at_the_end(delay):
+def test_a_learning_detector_sees_only_at_the_end_that_it_was_attacked(delay):
     view = duel_v0.DetectorView(
         "none", timeline=SHORT, attack_probability=1.0, decision_delay=delay, threshold=1.0
     )

@@ -201,8 +201,8 @@ def test_the_first_alarm_costs_at_whichever_epoch_of_a_decision_it_comes():
     costs = np.array([quick.step(np.ones(2))[4]["cost"] for _ in range(40)])
     assert costs.argmax() % 10 != 9  # not at the last epoch of a decision
     assert costs.sum() == 1.0
-    told = [slow.step(np.ones(2))[4]["cost"] for _ in range(4)]
-    np.testing.assert_array_equal(told, costs.reshape(4, 10).max(axis=1))
+    found = [slow.step(np.ones(2))[4]["cost"] for _ in range(4)]
+    np.testing.assert_array_equal(found, costs.reshape(4, 10).max(axis=1))
 
 
 def test_in_a_batch_those_that_end_wait_for_the_others():
