@@ -69,6 +69,14 @@ def test_the_twin_follows_through_the_time_to_alert():
     assert np.isfinite(history.number("induced_m")).all()
 
 
+def test_the_twin_follows_over_decisions_of_several_epochs():
+    core = tight(detector="never", decision_interval_s=5.0)
+    attacked, clean = play(core, 1.0, steps=2), play(core, 0.0, steps=2)
+    np.testing.assert_array_equal(attacked.pair("twin_error_ne"), clean.pair("error_ne"))
+    np.testing.assert_array_equal(clean.number("induced_m"), 0.0)
+    assert attacked.number("induced_m")[-1] > 1.0
+
+
 def test_displacement_error_and_verdict_are_those_of_the_game():
     core = tight()
     history = play(core, 1.0)
