@@ -39,9 +39,6 @@ COMPILED_LAYERS = ("earth", "sim", "attacks", "receiver", "detectors", "simulato
 """Packages with compiled code, each of which calls only those before it (import-linter's order)."""
 KEPT_DIGESTS = 16
 CHECKSUM_SIZE = 16
-FASTMATH = {"arcp", "nsz"}
-"""Relaxed rules of floating point; not ``contract``, not ``reassoc``: see the notes of `njit`."""
-
 NOTICE_S = 2.0
 NOTICE = "spoofgym: compiling for this machine, once; takes about a minute"
 
@@ -231,7 +228,6 @@ def _compile(function: F, forceinline: bool) -> F:
     try:
         compiled: Any = numba.njit(
             nogil=True,
-            fastmath=FASTMATH,
             error_model="numpy",
             boundscheck=False,
             forceinline=forceinline,
@@ -258,14 +254,13 @@ def njit(function: F) -> F:
 
     Notes
     -----
-    The relaxed floating-point rules leave NaN and infinity alone, since inputs are screened for
-    them.  Two rules are left out, so that a receiver has the same bits in any batch, thread and
-    process of one machine.  With ``contract``, a multiplication and an addition may become one
-    operation with one rounding: LLVM chooses them in the body of a vectorized loop otherwise than
-    in its remainder, and how many receivers the body holds depends on the processor.  With
-    ``reassoc``, sums may be regrouped: LLVM optimizes a function once by itself and once more
-    within each caller, and would group otherwise each time.  Which of these copies runs depends on
-    what the process has loaded first.  There is no ``parallel``: after a parallel region of GNU
+    No rule of floating point is relaxed, so that a receiver has the same bits in any batch, thread
+    and process, and on any kind of processor, as far as the code calls no C library.  With
+    ``contract``, a multiplication and an addition may become one operation with one rounding: LLVM
+    chooses them in the body of a vectorized loop otherwise than in its remainder.  With
+    ``reassoc``, sums may be regrouped, and with ``arcp`` divisions become products, otherwise in
+    one copy of a function than in another; which copy runs depends on what has been loaded first.
+    There is no ``parallel``: after a parallel region of GNU
     OpenMP a forked child dies, and Gymnasium's ``AsyncVectorEnv`` with it.
     """
     return _compile(function, forceinline=False)

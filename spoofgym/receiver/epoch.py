@@ -56,6 +56,7 @@ class Epoch(NamedTuple):
     time: FloatArray
     interval: FloatArray
     innovation: FloatArray
+    innovation_variance: FloatArray
     innovation_cov: FloatArray
     predicted_cov: FloatArray
     design: FloatArray
@@ -75,23 +76,13 @@ class Epoch(NamedTuple):
 
 def epoch_view(buffers: ReceiverBuffers) -> Epoch:
     """Read-only view of a batch's current epoch."""
-    m, s = buffers.measured, buffers.state
     arrays = {
-        "time": m.time,
-        "interval": m.interval,
-        "innovation": m.innovation,
-        "innovation_cov": m.innovation_cov,
-        "predicted_cov": s.covariance,
-        "design": m.design,
-        "transition": m.transition,
-        "imu_delta": m.imu_delta,
-        "pseudorange": m.pseudorange,
-        "range_rate": m.range_rate,
-        "satellite_position": m.satellite_position,
-        "satellite_velocity": m.satellite_velocity,
-        "visible": m.visible,
-        "predicted_position": s.position_e,
-        "predicted_velocity": s.velocity_e,
+        "time": buffers.time,
+        "interval": buffers.interval,
+        "visible": buffers.visible,
+        "predicted_position": buffers.position_e,
+        "predicted_velocity": buffers.velocity_e,
+        **buffers.seen,
     }
     return Epoch(**{name: _sealed(array) for name, array in arrays.items()})
 

@@ -47,7 +47,7 @@ class Divergence(Monitor):
     def update(self, simulator: Monitored) -> None:
         """Add the part of an epoch."""
         victims = tightly_coupled(simulator, "the divergence of an attack")
-        epoch, verdict, sensors = victims.epoch, victims.verdict, victims.sensors.state
+        epoch, verdict, sensors = victims.epoch, victims.verdict, victims.sensors
         weights = victims.ones if verdict is None or verdict.weights is None else verdict.weights
         model = epoch.transition, epoch.design, epoch.predicted_cov, epoch.innovation_cov
         used = epoch.visible, weights, victims.setup.receiver.min_satellites

@@ -11,9 +11,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .._simd import LANES
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
-from ..receiver.state import LANES
 from .base import Given, Rngs, Rows, Simulator, run_serially
 from .domain import draw, given_choice
 from .prefetch import STOCK, NextEpisodes

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from .._registry import build_record, check_choice
+from .._simd import LANES
 from ..attacks import Attack, AttackContext, make_attack
 from ..detectors import Detector, DetectorContext
 from ..receiver import TightlyCoupled, _kernels
 from ..receiver.epoch import Epoch, epoch_view
-from ..receiver.state import LANES, ReceiverBuffers
+from ..receiver.state import SEEN, ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.scenario import Scenario, make_scenario
-from ..sim.sensors import SOURCES, SensorBuffers
+from ..sim.sensors import SensorBuffers
 from ..sim.world import World
 from ._kernels import displace
 from .base import Rngs, Rows, Simulator
@@ -187,24 +188,43 @@ class TightlyCoupledSimulator(Simulator):
 
     def _allocate(self) -> None:
         world, receivers = self.setup.world, self.receivers
-        self.buffers = ReceiverBuffers(receivers, world.channels, world.most_samples)
+        self.buffers = ReceiverBuffers(receivers, world.channels, SEEN)
         self.sensors = SensorBuffers(receivers, world.channels)
-        self._imu_noise = padded(6 * world.most_samples)
-        self._gnss_noise = padded(2 * world.channels)
         self.epoch = epoch_view(self.buffers)
         self._command: FloatArray | None = None
         self._everyone = np.arange(receivers)
         self._serial = receivers <= LANES
-        buffers, sensors, receiver = self.buffers, self.sensors, self.setup.receiver
-        self._before = (buffers.floats, buffers.flags, buffers.block, buffers.samples)
-        self._errors = (sensors.floats, sensors.keys, sensors.epoch)
-        self._truth = (world.run, world.epoch_time, world.epoch_end, world.satellites)
-        self._sizes = (receivers, world.channels, self._imu_noise, self._gnss_noise)
-        rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize)
-        self._after = (*self._errors, *self._truth, *self._sizes, *rules)
+        self._hold_arguments()
         self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
         self.attack = copy.deepcopy(self.setup.attack)
         self.attack.bind(AttackContext(receivers, world))
+
+    def _hold_arguments(self) -> None:
+        """Collect what the kernel takes, before and after the weights."""
+        world, receiver = self.setup.world, self.setup.receiver
+        buffers, sensors = self.buffers, self.sensors
+        sizes = padded(6 * world.most_samples), padded(2 * world.channels)
+        rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
+        self._before = (
+            buffers.fields.data,
+            buffers.seen_floats,
+            buffers.places,
+            buffers.visible,
+            buffers.coasting,
+        )
+        self._after = (
+            sensors.fields.data,
+            sensors.words.data,
+            sensors.epoch,
+            sensors.range_offset,
+            sensors.rate_offset,
+            sensors.authentic,
+            world.run,
+            world.epoch_time,
+            world.epoch_end,
+            world.satellites,
+            np.array(rules, dtype=np.int64),
+        )
 
     def _context(self) -> DetectorContext:
         setup = self.setup
@@ -213,13 +233,15 @@ class TightlyCoupledSimulator(Simulator):
         return DetectorContext(*sizes, setup.interval_s, variance, world.satellite_ids)
 
     def __getstate__(self) -> dict[str, Any]:
-        """State without the view of the epoch, which a copy makes of its own buffers."""
-        return {name: value for name, value in self.__dict__.items() if name != "epoch"}
+        """State without views of the buffers, which a copy makes of its own."""
+        views = ("epoch", "_before", "_after")
+        return {name: value for name, value in self.__dict__.items() if name not in views}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the state, and view the epoch."""
         self.__dict__.update(state)
         self.epoch = epoch_view(self.buffers)
+        self._hold_arguments()
 
     @property
     def epochs(self) -> NDArray[np.int64]:
@@ -229,12 +251,12 @@ class TightlyCoupledSimulator(Simulator):
     @property
     def position(self) -> FloatArray:
         """(B, 3) estimated antenna, ECEF [m]."""
-        return self.buffers.state.position_e
+        return self.buffers.position_e
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
         """(B,) bool, whether the last epoch had too few satellites for an update."""
-        return self.buffers.measured.coasting
+        return self.buffers.coasting
 
     @property
     def commands(self) -> Memory:
@@ -245,12 +267,12 @@ class TightlyCoupledSimulator(Simulator):
     def step_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray]:
         """Epochs, coasting, commanded displacement and rate, for kernels."""
         memory = self.attack.memory
-        coasting = self.buffers.measured.coasting
+        coasting = self.buffers.coasting
         return self.sensors.epoch, coasting, memory["displacement"], memory["rate"]
 
     def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         self.sensors.draw_keys(self._everyone, rngs)
-        keys: NDArray[np.uint64] = self.sensors.keys[SOURCES.index("domain")]
+        keys: NDArray[np.uint64] = self.sensors.words["domain"]
         return keys
 
     def _start(self, choice: Choice) -> None:
@@ -260,28 +282,28 @@ class TightlyCoupledSimulator(Simulator):
         self.sensors.epoch[:] = first
         self.memory["combination"][:] = combinations.index(choice.world, choice.grade, choice.error)
         self.attack.memory.reset()
-        spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
-        self.attack.begin(self._everyone, spoofer_keys, self.onset)
+        self.attack.begin(self._everyone, self.sensors.words["spoofer"], self.onset)
         self._start_combinations()
-        _kernels.measure(*self._errors, *self._before, *self._truth, *self._sizes, 0, 0, b)
-        channels, position_e = setup.world.channels, setup.world.position_e[first]
-        buffers = self.buffers
-        _kernels.first_fix(buffers.floats, buffers.flags, position_e, b, channels, 0, b)
-        state = buffers.state
-        state.C_eb[:] = combinations.first_C_eb(choice.grade, first)
-        state.accel_bias_b[:] = 0.0
-        state.gyro_bias_b[:] = 0.0
+        self._epochs(_kernels.MEASURE, 1, 0, b)
+        world, fields = setup.world, self.buffers.fields
+        position_e, velocity_e, clock = np.empty((b, 3)), np.empty((b, 3)), np.empty((b, 2))
+        guess_e, now = world.position_e[first], (fields["measured"], world.satellites, first)
+        _kernels.first_fix(*now, guess_e, position_e, velocity_e, clock)
+        fields["position_e"], fields["velocity_e"], fields["clock"] = position_e, velocity_e, clock
+        fields["C_eb"] = combinations.first_C_eb(choice.grade, first)
+        fields["accel_bias_b"] = fields["gyro_bias_b"] = 0.0
+        self.buffers.position_e[:], self.buffers.velocity_e[:] = position_e, velocity_e
 
     def _start_combinations(self) -> None:
         """Draw the errors, and give the victims what they assume."""
         indices = self.memory["combination"]
-        state, measured = self.buffers.state, self.buffers.measured
+        fields = self.buffers.fields
         for index in np.unique(indices).tolist():
             its, rows = self.setup.combinations[index], np.flatnonzero(indices == index)
             self.sensors.begin(rows, its.grade, its.errors, its.bias_sd)
-            measured.noise_variance[rows] = its.noise_variance
-            self.buffers.noise_psd[rows] = its.noise_psd
-            state.covariance[rows] = its.covariance
+            fields.put("noise_variance", rows, its.noise_variance)
+            fields.put("noise_psd", rows, its.noise_psd)
+            self.buffers.put_covariance(rows, its.covariance)
 
     def _epochs(self, what: int, count: int, lo: int, hi: int) -> None:
         _kernels.run_epochs(*self._before, self.weights, *self._after, what, count, lo, hi)
@@ -293,9 +315,9 @@ class TightlyCoupledSimulator(Simulator):
         self._epochs(_kernels.UPDATE, 1, lo, hi)
 
     def _attack_and_advance(self, lo: int, hi: int) -> None:
-        sensors = self.sensors.state
+        sensors = self.sensors
         self.attack.command(
-            self._command, self.sensors.epoch, sensors.range_offset, sensors.rate_offset, lo, hi
+            self._command, sensors.epoch, sensors.range_offset, sensors.rate_offset, lo, hi
         )
         if self.attack.replaces_errors:
             sensors.authentic[lo:hi] = self.attack.memory["authentic"][lo:hi]
@@ -303,7 +325,7 @@ class TightlyCoupledSimulator(Simulator):
             spared = lo + np.flatnonzero(self.clean[lo:hi])
             sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
             sensors.authentic[spared] = 1.0
-        _kernels.run_epochs(*self._before, self.weights, *self._after, ADVANCE, 1, lo, hi)
+        self._epochs(ADVANCE, 1, lo, hi)
 
     def _measure(self, command: FloatArray | None) -> None:
         self.predict(command)
@@ -313,8 +335,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def _correct(self, weights: FloatArray | None) -> None:
         if self._serial:
-            b = self.receivers
-            _kernels.run_epochs(*self._before, self.weights, *self._after, _kernels.UPDATE, 1, 0, b)
+            self._epochs(_kernels.UPDATE, 1, 0, self.receivers)
         else:
             self._run(self._update, self.receivers)
 
@@ -345,7 +366,7 @@ class TightlyCoupledSimulator(Simulator):
     def error_n(self) -> FloatArray:
         """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""
         world = self.setup.world
-        error_e = self.buffers.state.position_e - world.position_e[self.epochs]
+        error_e = self.buffers.position_e - world.position_e[self.epochs]
         # a sum of products, since the bits of a matrix product depend on the size of the batch
         result: FloatArray = (error_e[:, :, None] * world.C_en[self.onset]).sum(axis=1)
         return result
@@ -355,24 +376,14 @@ class TightlyCoupledSimulator(Simulator):
         setup, memory = self.setup, self.memory
         reference = (setup.true_position, self.sensors.epoch)
         if twin is not None:
-            reference = (twin.buffers.state.position_e, self._everyone)
+            reference = (twin.buffers.position_e, self._everyone)
         aim = memory["onset"], memory["heading"], setup.target_heading_deg == "worst"
-        displace(self.buffers.state.position_e, *reference, setup.C_en, *aim, origin, out)
+        displace(self.buffers.position_e, *reference, setup.C_en, *aim, origin, out)
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         """Take over receivers of another simulator, with all that they remember."""
-        pairs: list[tuple[Any, Any]] = [
-            (self.buffers.state, other.buffers.state),
-            (self.buffers.measured, other.buffers.measured),
-            (self.sensors.state, other.sensors.state),
-        ]
-        for mine, theirs in pairs:
-            for target, source in zip(mine, theirs, strict=True):
-                target[to] = source[rows]
-        self.buffers.noise_psd[to] = other.buffers.noise_psd[rows]
-        self.buffers.block[:, to] = other.buffers.block[:, rows]
-        self.sensors.keys[:, to] = other.sensors.keys[:, rows]
-        self.sensors.epoch[to] = other.sensors.epoch[rows]
+        self.buffers.copy_rows(to, other.buffers, rows)
+        self.sensors.copy_rows(to, other.sensors, rows)
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
         super().copy_rows(to, other, rows)
 
@@ -382,7 +393,7 @@ class TightlyCoupledSimulator(Simulator):
         return captured
 
     def _sky(self) -> SkyData:
-        world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors.state
+        world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors
         return SkyData(
             names=world.satellite_ids,
             azimuth=world.azimuth[epoch],
@@ -394,7 +405,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def recorded(self) -> dict[str, NDArray[Any]]:
         """What the attack adds to the measurements."""
-        offsets = self.sensors.state
+        offsets = self.sensors
         return {"range_offset_m": offsets.range_offset, "rate_offset_mps": offsets.rate_offset}
 
 
