@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._jit import inlined, njit
-from .._simd import any_lane, load, scratch, select, splat, sqrt, store
+from .._simd import any_lane, load, select, splat, sqrt, store
 from .error_model import INDEX
 
 OBSERVED = np.array([6, 7, 8, 15, 3, 4, 5, 16])
@@ -29,10 +29,10 @@ PLAIN, UNWEIGHTED, GENERAL = 0, 1, 2
 COVARIANCE_UPDATES = {"plain": PLAIN, "unweighted": UNWEIGHTED, "general": GENERAL}
 NO_INFORMATION = 1e-12
 """A pivot that has lost all but this part of its size to rounding has no information."""
-WORK = 8 * 8 * 5 + 2 * 8 * 17 + 96
+Y, L, X, F, M, Q, V, A1, A2, REST = 0, 8, 28, 60, 124, 188, 324, 388, 408, 428
+"""Rows of scratch memory: y, L, the correction and V Pe y, F and C, F L, Q, V, A1, A2."""
+WORK = REST + 6 * 64 + 8 * 17
 """Rows of scratch memory that `update` needs."""
-Y, L, X, F, M, Q, V, A1, A2, PE = 0, 8, 28, 60, 124, 188, 324, 388, 408, 428
-"""Rows within: y, L, solutions, F and C, I + F L, Q, V, sums of weighted information, Pe."""
 
 
 @inlined
@@ -313,8 +313,9 @@ def _multiply(a, b, c, transposed):
 @njit
 def _weighted(P, first, covariance_update, work):
     """P -= Pc X Pc', where X is what the two weighted updates have there."""
-    T, first_sum, second_sum = scratch(P, 64), scratch(P, 64), scratch(P, 64)
-    N, Pe, product = scratch(P, 64), scratch(P, 64), scratch(P, 64)
+    rest = work[REST:]
+    T, first_sum, second_sum = rest[:64], rest[64:128], rest[128:192]
+    N, Pe, product, columns = rest[192:256], rest[256:320], rest[320:384], rest[384:520]
     zero = splat(0.0, P)
     for i in range(8):  # V = C^-1 L', by columns of L'
         for j in range(8):
@@ -358,7 +359,6 @@ def _weighted(P, first, covariance_update, work):
             for k in range(8):
                 total += load(N, 8 * i + k) * load(P, first + INDEX[OBSERVED[k], j])
             store(work, Q + 17 * i + j, total)
-    columns = scratch(P, 136)
     for k in range(8):
         for j in range(17):
             store(columns, 17 * k + j, load(P, first + INDEX[OBSERVED[k], j]))

@@ -188,7 +188,9 @@ class TightlyCoupledSimulator(Simulator):
 
     def _allocate(self) -> None:
         world, receivers = self.setup.world, self.receivers
-        self.buffers = ReceiverBuffers(receivers, world.channels, SEEN)
+        self.buffers = ReceiverBuffers(
+            receivers, world.channels, () if __import__("os").environ.get("LAZY") else SEEN
+        )
         self.sensors = SensorBuffers(receivers, world.channels)
         self.epoch = epoch_view(self.buffers)
         self._command: FloatArray | None = None
@@ -205,6 +207,8 @@ class TightlyCoupledSimulator(Simulator):
         buffers, sensors = self.buffers, self.sensors
         sizes = padded(6 * world.most_samples), padded(2 * world.channels)
         rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
+        self._work_rows = _kernels.work_rows(world.channels, *sizes)
+        self._spare: list[FloatArray] = []
         self._before = (
             buffers.fields.data,
             buffers.seen_floats,
@@ -234,7 +238,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def __getstate__(self) -> dict[str, Any]:
         """State without views of the buffers, which a copy makes of its own."""
-        views = ("epoch", "_before", "_after")
+        views = ("epoch", "_before", "_after", "_spare")
         return {name: value for name, value in self.__dict__.items() if name not in views}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -306,7 +310,12 @@ class TightlyCoupledSimulator(Simulator):
             self.buffers.put_covariance(rows, its.covariance)
 
     def _epochs(self, what: int, count: int, lo: int, hi: int) -> None:
-        _kernels.run_epochs(*self._before, self.weights, *self._after, what, count, lo, hi)
+        try:
+            work = self._spare.pop()
+        except IndexError:
+            work = self.buffers.fields.scratch(self._work_rows)
+        _kernels.run_epochs(*self._before, self.weights, *self._after, work, what, count, lo, hi)
+        self._spare.append(work)
 
     def _advance(self, lo: int, hi: int) -> None:
         self._epochs(ADVANCE, 1, lo, hi)
