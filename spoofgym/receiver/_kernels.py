@@ -214,14 +214,8 @@ def correct(x, base, n, weights, rules, work, precision):
         store(precision, s, select(used, 1.0 / load(x, c + VARIANCE * n + s), 0.0))
     u, z = c + SIGHT * n, c + INNOVATION * n
     for half in range(2):
-        kalman.information(x, u, x, z, precision, weights, half, n, 0, work, kalman.L + 10 * half)
-        if rules[0] != kalman.UNWEIGHTED:
-            kalman.information(
-                x, u, x, z, precision, weights, half, n, 1, work, kalman.A1 + 10 * half
-            )
-            kalman.information(
-                x, u, x, z, precision, weights, half, n, 2, work, kalman.A2 + 10 * half
-            )
+        for power in range(1 if rules[0] == kalman.UNWEIGHTED else 3):
+            kalman.information(x, u, z, precision, weights, half, n, power, work)
     kalman.update(x, base + COVARIANCE, rules[0], work)
     dx = kalman.X
     x0, x1, x2 = load(work, dx), load(work, dx + 1), load(work, dx + 2)
@@ -458,7 +452,8 @@ def run_epochs(
                     set_lane(tau, 0, each, epoch_time[k] - epoch_time[k - moves])
                     first[each] = epoch_end[k - moves]
                     counts[each] = epoch_end[k] - epoch_end[k - moves]
-                epochs[b : b + some] = now[:some]
+                for each in range(some):
+                    epochs[b + each] = now[each]
                 gather_sky(satellites, now, sky)
             if what & MEASURE:
                 for each in range(lanes):

@@ -51,25 +51,23 @@ def _store_triangle(out, first, a):
 
 
 @njit
-def information(u, first_u, z, first_z, precision, weights, half, n, power, out, first):
-    r"""Sum a half of :math:`D^T R^{-1} W^p D`, as a lower triangle; y with the power 0.
+def information(x, u, z, precision, weights, half, n, power, work):
+    r"""Sum a half of :math:`D^T R^{-1} W^p D`, as a lower triangle; with the power p = 0 also y.
 
-    `u`, `z`: lane arrays of lines of sight (3 n rows) and innovations (2 n); `precision`: 2 n rows,
-    1 / R where a satellite takes part, else 0; `weights`: 2 n rows; `half`: 0 for pseudoranges, 1
-    for range rates; `out`: the ten sums from `first` on; with power 0 also y, four rows from
-    `Y` + 4 `half` on.
+    `x`: lane array; `u`, `z`: first rows in it of lines of sight (3 n) and innovations (2 n);
+    `precision`: 2 n rows, 1 / R where a satellite takes part, else 0; `weights`: 2 n rows; `half`:
+    0 for pseudoranges, 1 for range rates; `work`: of `update`, where A, or A1 or A2, is written.
     """
-    zero = splat(0.0, u)
+    zero = splat(0.0, x)
     a00, a10, a20, a30, a11 = zero, zero, zero, zero, zero
     a21, a31, a22, a32, a33 = zero, zero, zero, zero, zero
     y0, y1, y2, y3 = zero, zero, zero, zero
     for s in range(n):
         k = s + half * n
         p, w = load(precision, k), load(weights, k)
-        gx, gy = load(u, first_u + 3 * s), load(u, first_u + 3 * s + 1)
-        gz = load(u, first_u + 3 * s + 2)
+        gx, gy, gz = load(x, u + 3 * s), load(x, u + 3 * s + 1), load(x, u + 3 * s + 2)
         if power == 0:
-            t = p * w * load(z, first_z + k)
+            t = p * w * load(x, z + k)
             y0 += gx * t
             y1 += gy * t
             y2 += gz * t
@@ -91,11 +89,12 @@ def information(u, first_u, z, first_z, precision, weights, half, n, power, out,
         a33 += p
     if power == 0:
         o = Y + 4 * half
-        store(out, o, y0)
-        store(out, o + 1, y1)
-        store(out, o + 2, y2)
-        store(out, o + 3, y3)
-    _store_triangle(out, first, (a00, a10, a20, a30, a11, a21, a31, a22, a32, a33))
+        store(work, o, y0)
+        store(work, o + 1, y1)
+        store(work, o + 2, y2)
+        store(work, o + 3, y3)
+    first = (L if power == 0 else (A1 if power == 1 else A2)) + 10 * half
+    _store_triangle(work, first, (a00, a10, a20, a30, a11, a21, a31, a22, a32, a33))
 
 
 @inlined
@@ -216,8 +215,8 @@ def update(P, first, covariance_update, work):
     from `L` on; for the other two updates also those of A1 and A2.  The correction is in its first
     17 rows from `X` on.
     """
-    factor_block(work, L)
-    factor_block(work, L + 10)
+    for half in range(2):
+        factor_block(work, L + 10 * half)
     _factor(P, first, work)
     for half in range(2):  # Q = C^-1 L' Pc'
         o = 4 * half
