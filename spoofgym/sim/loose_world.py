@@ -16,6 +16,7 @@ from .._jit import njit
 from .._registry import check_choice
 from ..earth.frames import dcm_e_from_n
 from ..earth.wgs84 import STANDARD_GRAVITY
+from .flight import decimated, decimation_of
 from .manoeuvres import FLIGHTS
 from .noise import normals
 from .position_error import gauss_markov_step
@@ -141,10 +142,13 @@ def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
 
 
 @lru_cache(maxsize=4)
-def flown_world(flight: str, interval_s: float) -> LooseWorld:
-    """World of a ready-made flight."""
+def flown_world(flight: str, interval_s: float, imu_rate_hz: float | None = None) -> LooseWorld:
+    """World of a ready-made flight; `imu_rate_hz` as in `Scenario`."""
     check_choice("flight", flight, FLIGHTS)
-    return loose_world(inverse_kinematics(FLIGHTS[flight]()), interval_s)
+    flown = FLIGHTS[flight]()
+    if imu_rate_hz is not None:
+        flown = decimated(flown, decimation_of(flown.step, imu_rate_hz, interval_s))
+    return loose_world(inverse_kinematics(flown), interval_s)
 
 
 @njit

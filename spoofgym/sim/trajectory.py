@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ._kinematics import invert_samples
 from .flight import Flight
 
-LARGEST_ROTATION = math.radians(90.0)
-"""Largest rotation over one sample [rad]; beyond, its direction becomes uncertain."""
+LARGEST_ROTATION = 1.0
+"""Largest rotation over one sample [rad], up to which the receiver's series are exact."""
 
 
 @dataclass(frozen=True, eq=False)
