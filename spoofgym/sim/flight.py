@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._registry import is_number
 from ..earth.attitude import dcm_to_euler, euler_to_dcm
 from ..earth.frames import dcm_e_from_n, ecef_to_geodetic, geodetic_to_ecef
 
@@ -155,37 +154,6 @@ def turned(flight: Flight, angle: float) -> Flight:
         integrate_velocity(flight.position_e[0], velocity_e, flight.step),
         velocity_e,
         turn @ flight.C_eb,
-    )
-
-
-def decimation_of(step: float, rate_hz: float, epoch_interval_s: float) -> int:
-    """Samples of `step` [s] in one of `rate_hz`; a ValueError unless epochs fall on samples."""
-    per_epoch = round(epoch_interval_s / step)
-    valid = {count: 1.0 / (count * step) for count in range(1, per_epoch + 1)}
-    valid = {count: rate for count, rate in valid.items() if per_epoch % count == 0}
-    for count, rate in valid.items():
-        if is_number(rate_hz) and abs(rate_hz - rate) <= 1e-6 * rate:
-            return count
-    raise ValueError(
-        f"`imu_rate_hz` must divide the flight's {1.0 / step:g} Hz into whole samples between "
-        f"epochs of {epoch_interval_s:g} s: {', '.join(f'{rate:g}' for rate in valid.values())}; "
-        f"got {rate_hz!r}"
-    )
-
-
-def decimated(flight: Flight, count: int) -> Flight:
-    """Flight of which every `count`-th sample is left; its position is integrated again.
-
-    Velocity and attitude are those of the flight; the position is the integral of that velocity
-    over the longer samples, as for any flight, and so differs by millimetres.
-    """
-    step, velocity_e = count * flight.step, flight.velocity_e[::count]
-    return Flight(
-        flight.name,
-        np.arange(len(velocity_e)) * step,
-        integrate_velocity(flight.position_e[0], velocity_e, step),
-        velocity_e,
-        flight.C_eb[::count],
     )
 
 

@@ -16,11 +16,10 @@ from .._jit import njit
 from .._registry import check_choice
 from ..earth.frames import dcm_e_from_n
 from ..earth.wgs84 import STANDARD_GRAVITY
-from .flight import decimated, decimation_of
 from .manoeuvres import FLIGHTS
 from .noise import normals
 from .position_error import gauss_markov_step
-from .trajectory import Trajectory, inverse_kinematics
+from .trajectory import Trajectory, trajectory_at
 
 FloatArray = NDArray[np.float64]
 _DEG = math.pi / 180.0
@@ -145,10 +144,7 @@ def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
 def flown_world(flight: str, interval_s: float, imu_rate_hz: float | None = None) -> LooseWorld:
     """World of a ready-made flight; `imu_rate_hz` as in `Scenario`."""
     check_choice("flight", flight, FLIGHTS)
-    flown = FLIGHTS[flight]()
-    if imu_rate_hz is not None:
-        flown = decimated(flown, decimation_of(flown.step, imu_rate_hz, interval_s))
-    return loose_world(inverse_kinematics(flown), interval_s)
+    return loose_world(trajectory_at(FLIGHTS[flight](), imu_rate_hz, interval_s), interval_s)
 
 
 @njit

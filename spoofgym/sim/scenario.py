@@ -16,11 +16,11 @@ from .constellation import (
     CombinedConstellation,
     Constellation,
 )
-from .flight import Flight, decimated, decimation_of, turned
+from .flight import Flight, turned
 from .gnss import ERRORS, GnssErrors
 from .imu import IMU_GRADES, ImuGrade
 from .manoeuvres import FLIGHTS
-from .trajectory import inverse_kinematics
+from .trajectory import trajectory_at
 from .world import CHANNELS, MASK_DEG, World, build_world
 
 
@@ -131,17 +131,12 @@ def _world(
 ) -> World:
     if turned_deg != 0.0:
         flight = turned(flight, math.radians(turned_deg))
-    decimation = 1
-    if imu_rate_hz is not None:
-        decimation = decimation_of(flight.step, imu_rate_hz, epoch_interval_s)
-        flight = decimated(flight, decimation)
     return build_world(
-        inverse_kinematics(flight),
+        trajectory_at(flight, imu_rate_hz, epoch_interval_s),
         constellation,
         epoch_interval_s=epoch_interval_s,
         channels=channels,
         mask_deg=mask_deg,
-        decimation=decimation,
     )
 
 

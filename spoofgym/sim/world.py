@@ -38,7 +38,7 @@ class World:
     - `position_e`, `velocity_e` (K, 3) true antenna, ECEF [m], [m/s];
     - `C_eb` (K, 3, 3) true attitude;
     - `C_en` (K, 3, 3) to ECEF from the north-east-down axes at the true position;
-    - `decimation`: samples of the inertial sensors that are summed up in each one here.
+    - `decimation`: as in `Trajectory`.
     """
 
     name: str
@@ -95,12 +95,11 @@ def build_world(
     epoch_interval_s: float = 0.5,
     channels: int = CHANNELS,
     mask_deg: float = MASK_DEG,
-    decimation: int = 1,
 ) -> World:
     """Compute the truth of a run.
 
     `constellation`: satellites; where more rise above the mask than there are channels, those that
-    stay longest are taken; `decimation`: as in `World`, done already.
+    stay longest are taken.
     """
     time = trajectory.time
     step = time[1] - time[0]
@@ -161,7 +160,7 @@ def build_world(
         velocity_e=velocity_e.copy(),
         C_eb=trajectory.C_eb[epoch_end].copy(),
         C_en=np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2])),
-        decimation=decimation,
+        decimation=trajectory.decimation,
     )
 
 
