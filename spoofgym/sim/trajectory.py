@@ -64,7 +64,7 @@ def trajectory_at(flight: Flight, imu_rate_hz: float | None, epoch_interval_s: f
 
 def decimation_of(step: float, rate_hz: float, epoch_interval_s: float) -> int:
     """Samples of `step` [s] in one of `rate_hz`; a ValueError unless epochs fall on samples."""
-    per_epoch = round(epoch_interval_s / step)
+    per_epoch = max(round(epoch_interval_s / step), 1)
     valid = {count: 1.0 / (count * step) for count in range(1, per_epoch + 1)}
     valid = {count: rate for count, rate in valid.items() if per_epoch % count == 0}
     for count, rate in valid.items():
