@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Self
 
@@ -81,9 +82,12 @@ class TightlyCoupledSetup(Setup):
         target_heading_deg: float | str = 90.0,
         decision_interval_s: float | None = None,
         between: str = "hold",
+        imu_rate_hz: float | None = None,
     ) -> None:
         self.scenario = make_scenario(scenario)
-        self.name = self.scenario.name
+        if imu_rate_hz is not None:
+            self.scenario = replace(self.scenario, imu_rate_hz=imu_rate_hz)
+        self.imu_rate_hz, self.name = self.scenario.imu_rate_hz, self.scenario.label
         self._aim(target_heading_deg, domain)
         self.receiver = _victim(receiver, self.scenario, self.domain)
         self.attack = make_attack(attack)
