@@ -9,13 +9,20 @@ from ..earth.ranging import range_and_rate
 from ..sim._kernels import gnss_epoch, imu_block
 from ..sim.sensors import unpack_sensors
 from .error_model import fill_transition, propagate_covariance
-from .kalman import accumulate, gain_solution, innovation_covariance, solve_in_place
+from .kalman import (
+    accumulate,
+    gain_solution,
+    innovation_covariance,
+    innovation_variance,
+    solve_in_place,
+)
 from .state import unpack
 from .strapdown import strapdown_step
 
 L = 8  # state.LANES, as a constant that the compiler sees
 _X = 31 * L
-MEASURE, PREDICT, UPDATE = 1, 2, 4
+MEASURE, PREDICT, UPDATE, MODEL = 1, 2, 4, 8
+"""What `run_epochs` does; with `MODEL`, the prediction writes design and innovation covariance."""
 
 
 @njit
@@ -102,13 +109,11 @@ def strapdown_lanes(x, m, lanes):
 
 
 @njit
-def predict(
-    floats, flags, block, samples, imu_interval, receivers, channels, lo, hi, for_detector=True
-):
-    """Mechanize one block of samples, propagate, and form innovation and covariance.
+def predict(floats, flags, block, samples, imu_interval, receivers, channels, lo, hi, model=True):
+    """Mechanize one block of samples, propagate, and form innovation and variance.
 
-    `imu_interval` (N,) length of every sample of the run [s]; `for_detector`: whether to write the
-    design and the innovation covariance, which only a detector looks at.
+    `imu_interval` (N,) length of every sample of the run [s]; `model`: whether to write the design
+    and the innovation covariance, which only some detectors look at.
     """
     state, measured, noise_psd = unpack(floats, flags, receivers, channels)
     covariance_work, row_work = np.empty(289), np.empty(17)
@@ -148,22 +153,17 @@ def predict(
                 z[s], z[n + s] = 0.0, 0.0
                 u[s, 0], u[s, 1], u[s, 2] = 0.0, 0.0, 0.0
                 one = 0.0
-            if not for_detector:
+            if not model:
                 continue
             for i in range(3):
                 H[s, 6 + i] = u[s, i]
                 H[n + s, 3 + i] = u[s, i]
             H[s, 15] = one
             H[n + s, 16] = one
-        if for_detector:
-            innovation_covariance(
-                P,
-                u,
-                measured.noise_variance[b],
-                measured.visible[b],
-                row_work,
-                measured.innovation_cov[b],
-            )
+        R, seen = measured.noise_variance[b], measured.visible[b]
+        innovation_variance(P, u, R, seen, measured.innovation_variance[b])
+        if model:
+            innovation_covariance(P, u, R, seen, row_work, measured.innovation_cov[b])
 
 
 @njit
@@ -420,8 +420,8 @@ def run_epochs(
                 hi,
             )
         if what & PREDICT:
-            seen = what & UPDATE == 0
-            predict(floats, flags, block, samples, run[6], receivers, channels, lo, hi, seen)
+            model = what & MODEL != 0
+            predict(floats, flags, block, samples, run[6], receivers, channels, lo, hi, model)
         if what & UPDATE:
             update(
                 floats,

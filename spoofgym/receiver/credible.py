@@ -226,6 +226,7 @@ class CredibleBatch:
         arrays: dict[str, NDArray[Any]] = {
             "time": time,
             "innovation": self.innovation,
+            "innovation_variance": np.einsum("bii->bi", self.innovation_cov),
             "innovation_cov": self.innovation_cov,
             "predicted_cov": memory["covariance"],
             "design": self.design,

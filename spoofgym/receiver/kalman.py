@@ -174,6 +174,36 @@ def innovation_covariance(
 
 
 @njit
+def innovation_variance(
+    P: NDArray[np.float64],
+    u: NDArray[np.float64],
+    R: NDArray[np.float64],
+    visible: NDArray[np.bool_],
+    variance: NDArray[np.float64],
+) -> None:
+    """Write the diagonal of `innovation_covariance` alone, (2n,), with the same bits."""
+    n = u.shape[0]
+    for k in range(2 * n):
+        s = k % n
+        variance[k] = 1.0
+        if visible[s]:
+            x, clock = (3, 16) if k >= n else (6, 15)
+            value = u[s, 0] * _row_of_hp(P, u[s], x, clock, x)
+            value += u[s, 1] * _row_of_hp(P, u[s], x, clock, x + 1)
+            last = u[s, 2] * _row_of_hp(P, u[s], x, clock, x + 2)
+            variance[k] = value + (last + _row_of_hp(P, u[s], x, clock, clock)) + R[k]
+
+
+@njit
+def _row_of_hp(P: NDArray[np.float64], u: NDArray[np.float64], x: int, clock: int, j: int) -> float:
+    """Element j of the row of H P: of a line of sight at the states from x on, and of a clock."""
+    value: float = (u[0] * P[17 * x + j] + u[1] * P[17 * (x + 1) + j]) + (
+        u[2] * P[17 * (x + 2) + j] + P[17 * clock + j]
+    )
+    return value
+
+
+@njit
 def factor(
     P: NDArray[np.float64],
     A: NDArray[np.float64],

@@ -206,6 +206,7 @@ class LooseReceivers:
         return Epoch(
             time=frozen(time),
             innovation=frozen(state.innovation),
+            innovation_variance=frozen(np.einsum("bii->bi", state.innovation_cov)),
             innovation_cov=frozen(state.innovation_cov),
             predicted_cov=frozen(state.covariance),
             predicted_position=frozen(state.position_e),

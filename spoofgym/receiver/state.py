@@ -46,8 +46,8 @@ class Measurements(NamedTuple):
     - `visible` (B, n) bool;
     - `noise_variance` (B, 2n) R, pseudoranges first;
     - `innovation` (B, 2n), 0 where invisible;
-    - `innovation_cov` (B, 2n, 2n);
-    - `design` (B, 2n, 17) H;
+    - `innovation_variance` (B, 2n) the diagonal of S, 1 where invisible;
+    - `innovation_cov` (B, 2n, 2n) S, and `design` (B, 2n, 17) H: only where asked for;
     - `line_of_sight` (B, n, 3) unit vectors to the satellites, ECEF;
     - `transition` (B, 17, 17) Phi;
     - `imu_delta` (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body
@@ -64,6 +64,7 @@ class Measurements(NamedTuple):
     visible: NDArray[np.bool_]
     noise_variance: FloatArray
     innovation: FloatArray
+    innovation_variance: FloatArray
     innovation_cov: FloatArray
     design: FloatArray
     line_of_sight: FloatArray
@@ -77,7 +78,7 @@ def buffer_size(receivers: int, channels: int) -> int:
     """Number of floating-point values of a batch."""
     n = channels
     state = 3 + 3 + 9 + 3 + 3 + 2 + 289
-    epoch = 2 + 2 * n + 6 * n + 2 * n + 2 * n + 4 * n * n + 34 * n + 3 * n + 289 + 6
+    epoch = 2 + 2 * n + 6 * n + 2 * n + 4 * n + 4 * n * n + 34 * n + 3 * n + 289 + 6
     return receivers * (state + epoch + 17)
 
 
@@ -122,6 +123,8 @@ def unpack(
     o += m * b
     innovation = floats[o : o + m * b].reshape((b, m))
     o += m * b
+    innovation_variance = floats[o : o + m * b].reshape((b, m))
+    o += m * b
     innovation_cov = floats[o : o + m * m * b].reshape((b, m, m))
     o += m * m * b
     design = floats[o : o + 17 * m * b].reshape((b, m, 17))
@@ -148,6 +151,7 @@ def unpack(
         visible,
         noise_variance,
         innovation,
+        innovation_variance,
         innovation_cov,
         design,
         line_of_sight,

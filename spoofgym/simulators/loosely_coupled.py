@@ -60,7 +60,7 @@ class LooselyCoupledSetup(Setup):
 
     kind: ClassVar[str] = "loose"
     whose: ClassVar[str] = "a loosely coupled receiver"
-    has: ClassVar[frozenset[str]] = frozenset({"gnss_position"})
+    has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
     motion_names = tuple(
         f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")

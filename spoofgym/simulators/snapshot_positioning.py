@@ -244,6 +244,7 @@ class SnapshotSimulator(RateSimulator):
         arrays = {
             "time": self.time_s(),
             "innovation": self._innovation,
+            "innovation_variance": np.einsum("bii->bi", self._cov),
             "innovation_cov": self._cov,
             "design": self._design,
             "pseudorange": self._pseudorange,

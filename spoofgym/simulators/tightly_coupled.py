@@ -191,7 +191,10 @@ class TightlyCoupledSimulator(Simulator):
         self.sensors = SensorBuffers(receivers, world.channels)
         self._imu_noise = padded(6 * world.most_samples)
         self._gnss_noise = padded(2 * world.channels)
-        self.epoch = epoch_view(self.buffers)
+        self.epoch = epoch_view(self.buffers).only(self.fields)
+        self._advanced = ADVANCE
+        if not self.fields.isdisjoint(("innovation_cov", "design")):
+            self._advanced += _kernels.MODEL
         self._command: FloatArray | None = None
         self._everyone = np.arange(receivers)
         self._serial = receivers <= LANES
@@ -219,7 +222,7 @@ class TightlyCoupledSimulator(Simulator):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the state, and view the epoch."""
         self.__dict__.update(state)
-        self.epoch = epoch_view(self.buffers)
+        self.epoch = epoch_view(self.buffers).only(self.fields)
 
     @property
     def epochs(self) -> NDArray[np.int64]:
@@ -287,7 +290,7 @@ class TightlyCoupledSimulator(Simulator):
         _kernels.run_epochs(*self._before, self.weights, *self._after, what, count, lo, hi)
 
     def _advance(self, lo: int, hi: int) -> None:
-        self._epochs(ADVANCE, 1, lo, hi)
+        self._epochs(self._advanced, 1, lo, hi)
 
     def _update(self, lo: int, hi: int) -> None:
         self._epochs(_kernels.UPDATE, 1, lo, hi)
@@ -303,7 +306,7 @@ class TightlyCoupledSimulator(Simulator):
             spared = lo + np.flatnonzero(self.clean[lo:hi])
             sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
             sensors.authentic[spared] = 1.0
-        _kernels.run_epochs(*self._before, self.weights, *self._after, ADVANCE, 1, lo, hi)
+        _kernels.run_epochs(*self._before, self.weights, *self._after, self._advanced, 1, lo, hi)
 
     def _measure(self, command: FloatArray | None) -> None:
         self.predict(command)

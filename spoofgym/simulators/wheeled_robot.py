@@ -80,7 +80,7 @@ class WheeledRobotSetup(Setup):
 
     kind: ClassVar[str] = "robot"
     whose: ClassVar[str] = "a wheeled robot"
-    has: ClassVar[frozenset[str]] = frozenset({"gnss_position", "auxiliary_position"})
+    has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position", "auxiliary_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
     motion_names = ("position_north", "position_east", "velocity_north", "velocity_east")
     weight_names = ("fix",)
