@@ -59,14 +59,14 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     _check_declarations(unbound)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        for script in _scripts(unbound.measures):
+        for script in scripts_of(unbound.measures):
             trial = _DetectorTrial(unbound, script)
             _check_bound_again(trial)
             _check_verdicts(trial)
             run_trial(trial)
 
 
-def _scripts(measures: str) -> list[Script]:
+def scripts_of(measures: str) -> list[Script]:
     """Epochs of what a detector measures."""
     scripts = []
     if measures != "position":
