@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -81,14 +81,11 @@ class Epoch(NamedTuple):
     auxiliary_position: FloatArray | None = None
     cn0_dbhz: FloatArray | None = None
 
-    def only(self, fields: Collection[str]) -> Epoch:
-        """The same, without the optional fields that are not among these."""
-        absent: dict[str, Any] = dict.fromkeys(set(OPTIONAL).difference(fields))
-        return self._replace(**absent)
-
 
 OPTIONAL = tuple(Epoch._field_defaults)
 """Fields of an epoch that are None unless somebody's `needs` names them."""
+ALWAYS = frozenset(Epoch._fields).difference(OPTIONAL)
+"""The others."""
 
 
 class TracedEpoch(Epoch):
@@ -113,11 +110,12 @@ class TracedEpoch(Epoch):
         return other
 
 
-def epoch_view(buffers: ReceiverBuffers) -> Epoch:
-    """Read-only view of a batch's current epoch, with all fields that a batch has.
+def epoch_view(buffers: ReceiverBuffers, fields: Collection[str] = OPTIONAL) -> Epoch:
+    """Read-only view of a batch's current epoch, with those of the optional fields that it has.
 
     `innovation_cov` and `design` are those of the last prediction that wrote them.
     """
+    names = ALWAYS.union(fields)
     m, s = buffers.measured, buffers.state
     arrays = {
         "time": m.time,
@@ -137,7 +135,7 @@ def epoch_view(buffers: ReceiverBuffers) -> Epoch:
         "predicted_position": s.position_e,
         "predicted_velocity": s.velocity_e,
     }
-    return Epoch(**{name: _sealed(array) for name, array in arrays.items()})
+    return Epoch(**{name: _sealed(array) for name, array in arrays.items() if name in names})
 
 
 class _Seal:
@@ -168,3 +166,10 @@ def _sealed(array: NDArray[Any]) -> NDArray[Any]:
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """C-contiguous copy in bytes that can't be changed, which costs hardly more than a view."""
     return np.ndarray(array.shape, array.dtype, array.tobytes())
+
+
+def frozen_fields(
+    arrays: Mapping[str, NDArray[Any]], names: Collection[str]
+) -> dict[str, NDArray[Any]]:
+    """`frozen` copies of the arrays with these names."""
+    return {name: frozen(array) for name, array in arrays.items() if name in names}

@@ -109,7 +109,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def _form_epoch(self) -> Epoch:
-        """What a detector may see of the epoch; what is not in `fields` is taken out."""
+        """What a detector may see of the epoch: of the optional fields those in `fields`."""
 
     @abstractmethod
     def _correct(self, weights: FloatArray | None) -> None:
@@ -264,7 +264,7 @@ class Simulator(ABC):
     def predict(self, command: FloatArray | None) -> Epoch:
         """First half of an epoch under attack; `command` (B, a), None holds the present rate."""
         self._measure(command)
-        self.epoch = self._form_epoch().only(self.fields)
+        self.epoch = self._form_epoch()
         return self.epoch
 
     def advance(self) -> Epoch:

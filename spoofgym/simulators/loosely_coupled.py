@@ -119,7 +119,7 @@ class LooselyCoupledSimulator(RateSimulator):
         super()._allocate()
         b, memory, world = self.receivers, self.memory, self.setup.world
         self.victims = LooseReceivers(
-            self.setup.receiver, memory, world.samples, world.imu_interval_s
+            self.setup.receiver, memory, world.samples, world.imu_interval_s, self.fields
         )
         memory.declare("keys", np.zeros((b, SOURCES, 2), dtype=np.uint64))
         memory.declare("first_error", np.zeros((b, 15)))

@@ -191,7 +191,7 @@ class TightlyCoupledSimulator(Simulator):
         self.sensors = SensorBuffers(receivers, world.channels)
         self._imu_noise = padded(6 * world.most_samples)
         self._gnss_noise = padded(2 * world.channels)
-        self.epoch = epoch_view(self.buffers).only(self.fields)
+        self.epoch = epoch_view(self.buffers, self.fields)
         self._advanced = ADVANCE
         if not self.fields.isdisjoint(("innovation_cov", "design")):
             self._advanced += _kernels.MODEL
@@ -222,7 +222,7 @@ class TightlyCoupledSimulator(Simulator):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the state, and view the epoch."""
         self.__dict__.update(state)
-        self.epoch = epoch_view(self.buffers).only(self.fields)
+        self.epoch = epoch_view(self.buffers, self.fields)
 
     @property
     def epochs(self) -> NDArray[np.int64]:

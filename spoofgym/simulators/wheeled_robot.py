@@ -191,7 +191,7 @@ class WheeledRobotSimulator(RateSimulator):
         memory.declare("yaw", np.zeros(b))
         memory.declare("correlated", np.zeros((b, AXES)))
         memory.declare("fix", np.zeros((b, AXES)))
-        self.filters = CredibleBatch(setup.receiver, memory, setup.interval_s)
+        self.filters = CredibleBatch(setup.receiver, memory, setup.interval_s, self.fields)
         self.increment = np.zeros((b, AXES))
         self._noise = np.empty(BLOCK)
 
