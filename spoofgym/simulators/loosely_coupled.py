@@ -64,7 +64,7 @@ class LooselyCoupledSetup(Setup):
 
     kind: ClassVar[str] = "loose"
     whose: ClassVar[str] = "a loosely coupled receiver"
-    has: ClassVar[frozenset[str]] = frozenset({"gnss_position"})
+    has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
     motion_names = tuple(
         f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")
@@ -124,7 +124,7 @@ class LooselyCoupledSimulator(RateSimulator):
         super()._allocate()
         b, memory, world = self.receivers, self.memory, self.setup.world
         self.victims = LooseReceivers(
-            self.setup.receiver, memory, world.samples, world.imu_interval_s
+            self.setup.receiver, memory, world.samples, world.imu_interval_s, self.fields
         )
         memory.declare("keys", np.zeros((b, SOURCES, 2), dtype=np.uint64))
         memory.declare("first_error", np.zeros((b, 15)))

@@ -18,7 +18,7 @@ from ..attacks import Attack, AttackContext, make_attack
 from ..detectors import Detector, DetectorContext
 from ..receiver import TightlyCoupled, _kernels
 from ..receiver.epoch import Epoch, epoch_view
-from ..receiver.state import SEEN, ReceiverBuffers
+from ..receiver.state import ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.scenario import Scenario, make_scenario
 from ..sim.sensors import SensorBuffers
@@ -192,9 +192,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def _allocate(self) -> None:
         world, receivers = self.setup.world, self.receivers
-        self.buffers = ReceiverBuffers(
-            receivers, world.channels, () if __import__("os").environ.get("LAZY") else SEEN
-        )
+        self.buffers = ReceiverBuffers(receivers, world.channels, self.fields)
         self.sensors = SensorBuffers(receivers, world.channels)
         self.epoch = epoch_view(self.buffers)
         self._command: FloatArray | None = None
