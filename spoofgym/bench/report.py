@@ -20,7 +20,8 @@ from .tables import (
 from .tuning_table import tuning_head, tuning_rows
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return lines + ["| " + " | ".join(map(_cell, row)) + " |" for row in rows]
 
@@ -35,11 +36,11 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
     lines = [f"# Campaign: {summary['scenario']}", "", *_setting(config, summary), ""]
     if summary["missing"]:
         lines += [f"**Not finished**: {', '.join(summary['missing'])}.", ""]
-    lines += ["## Attacks", "", *_table(attacks_head(summary), attack_rows(summary)), ""]
+    lines += ["## Attacks", "", *markdown_table(attacks_head(summary), attack_rows(summary)), ""]
     lines += [*_reading(config, summary), ""]
     if summary["rivals"]:
         lines += ["## Spoofers compared, run by run", "", *_rivals(summary), ""]
-    lines += ["## Without attack", "", *_table(CLEAN_HEAD, clean_rows(summary)), ""]
+    lines += ["## Without attack", "", *markdown_table(CLEAN_HEAD, clean_rows(summary)), ""]
     lines += [
         "False alarms are counted in the window of the attack, by the same runs without attack. "
         "Intervals are exact (Clopper-Pearson); those per epoch are for as many independent epochs "
@@ -57,9 +58,14 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
             )
             for row in summary["differences"]
         ]
-        lines += _table(("spoofer", "detectors", "undetected displacement [m]"), rows)
+        lines += markdown_table(("spoofer", "detectors", "undetected displacement [m]"), rows)
         lines += ["", "A tuned spoofer is set for every detector by itself.", ""]
-    lines += ["## What the spoofers know", "", *_table(KNOWLEDGE_HEAD, knowledge_rows(summary)), ""]
+    lines += [
+        "## What the spoofers know",
+        "",
+        *markdown_table(KNOWLEDGE_HEAD, knowledge_rows(summary)),
+        "",
+    ]
     if summary["tuning"]:
         lines += ["## Tuning", "", *_tunings(summary["tuning"])]
     return "\n".join(lines).rstrip() + "\n"
@@ -129,7 +135,7 @@ def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
 def _rivals(summary: dict[str, Any]) -> list[str]:
     """Spoofers against the best ramp and the best profile, and how these were chosen."""
     return [
-        *_table(RIVALS_HEAD, rival_rows(summary)),
+        *markdown_table(RIVALS_HEAD, rival_rows(summary)),
         "",
         *(f"- {line}" for line in reference_lines(summary)),
         "",
@@ -161,7 +167,7 @@ def _tunings(searches: list[dict[str, Any]]) -> list[str]:
             f"margin of {search['margin']:g} of its standard errors; fewer runs only sift, without "
             "a margin.",
             "",
-            *_table(tuning_head(search), tuning_rows(search)),
+            *markdown_table(tuning_head(search), tuning_rows(search)),
             "",
         ]
     return lines
