@@ -11,16 +11,16 @@ import copy
 import os
 import platform
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from itertools import pairwise
 from importlib.metadata import version
+from itertools import pairwise
 from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import binding
+from numba import config
 
 from .. import __version__
 from .._lanes import LaneFields
@@ -37,12 +37,15 @@ SETTINGS: dict[str, Any] = {
     "detector": "ewma",
     "end_at_alarm": False,
 }
+COMMAND = 0.5
+"""Along every axis, throughout: an attack without a command has nothing to compute."""
 RECEIVERS, THREADS = (1, 16, 64, 256, 1024), (1, 2)
 ROUNDS, QUICK_ROUNDS = 7, 2
 PIECE_S = 0.005
 """Shortest time of one measurement of a part."""
 EPISODES = 2
 """Episodes of one measurement with warm-ups; one more comes before."""
+FLOOR, ATTACK, JUDGE, COVARIANCE_S = "floor", "attack", "detector", "all of S, where it is wanted"
 KERNELS = {
     "noise of the inertial sensors": kernels.NOISE,
     "sensing and quantization": kernels.SENSE,
@@ -50,15 +53,14 @@ KERNELS = {
     "transition and covariance": kernels.PROPAGATE,
     "GNSS noise and measurement": kernels.MEASURE,
     "innovation and its variance": kernels.INNOVATE,
-    "innovation covariance S, where wanted": kernels.COVARIANCE_S,
     "update": kernels.UPDATE,
-    "floor": kernels.FLOOR,
+    COVARIANCE_S: kernels.COVARIANCE_S,
+    FLOOR: kernels.FLOOR,
 }
-NOT_IN_STEP = {"innovation covariance S, where wanted", "floor"}
-FLOOR, ATTACK, JUDGE = "floor", "attack", "detector"
+PARTS = (*KERNELS, ATTACK, JUDGE)
 ENGINE, STEP, EPISODE = "engine step", "env step", "env step with warm-ups"
-ROWS = {
-    "sum_us": "all parts of an engine step",
+DERIVED = {
+    "parts_us": "parts of an engine step, together",
     "step_over_floor": "engine step / floor",
     "env_steps_per_s": "env steps per second, with warm-ups",
 }
@@ -73,30 +75,30 @@ class Rig:
         self.receivers, self.threads = receivers, threads
         self.clock = time.thread_time if threads == 1 else time.perf_counter
         self.env = _make(receivers, threads, False)
+        # what warms up behind, where it may, would disturb the other measurements
         self.whole = self.env if threads == 1 else _make(receivers, threads, True)
         self.core, self.engine = self.env.core, self.env.core.engine
-        self.steps = self.core.setup.steps
-        self.action = np.zeros(self.env.action_space.shape, dtype=np.float32)
-        self.command = np.zeros((receivers, len(self.env.action_names)))
+        self.steps: int = self.core.setup.steps
+        self.action = np.full(self.env.action_space.shape, COMMAND, dtype=np.float32)
+        self.command = np.full((receivers, len(self.env.action_names)), COMMAND)
         groups = -(-receivers // LANES)
         self.ends = list(pairwise(groups * k // threads for k in range(threads + 1)))
         self._pool = ThreadPoolExecutor(threads)
-        self.repeats = dict.fromkeys((*KERNELS, ATTACK, JUDGE), 1)
+        self._counts = dict.fromkeys(PARTS, 1)
         self.env.reset(seed=0)
-        self._times(self.steps // 2, self.env.step, self.action)
+        _repeat(self.steps // 2, self.env.step, self.action)
         simulator, setup = self.engine.simulator, self.core.setup
         world, victim = setup.world, setup.receiver
         sizes = padded(6 * world.most_samples), padded(2 * world.channels)
         rules = victim.covariance_code, victim.min_satellites, victim.orthonormalize, *sizes
-        kept = simulator.buffers.fields, simulator.sensors.fields
-        # copies, since parts leave the receivers as they like
-        self._kept, (receiver, sensors) = copy.deepcopy(kept), copy.deepcopy(kept)
-        self._changed = receiver, sensors
+        # parts leave the receivers as they like, and so have copies
+        self._kept = simulator.buffers.fields, simulator.sensors.fields, simulator.sensors.words
+        self._fields, self._kept = copy.deepcopy(self._kept), copy.deepcopy(self._kept)
         rows = kernels.work_rows(world.channels, *sizes)
-        self._works = [receiver.scratch(rows) for _ in range(threads)]
-        self._lanes = receiver.data, sensors.data, simulator.sensors.words.data
-        self._truth = world.run, world.epoch_time, world.epoch_end, world.satellites
-        self._rules, self._epoch = np.array(rules, dtype=np.int64), int(simulator.epochs[0])
+        self._works = [self._fields[0].scratch(rows) for _ in range(threads)]
+        truth = world.run, world.epoch_time, world.epoch_end, world.satellites
+        lanes = tuple(each.data for each in self._fields)
+        self._given = int(simulator.epochs[0]), lanes, truth, np.array(rules, dtype=np.int64)
 
     def close(self) -> None:
         """End all threads."""
@@ -113,24 +115,23 @@ class Rig:
         for job in jobs:
             job.result()
 
-    def run_part(self, part: int, rounds: int) -> None:
+    def run_part(self, name: str, rounds: int) -> None:
         """Do a part of an epoch so often, in all receivers."""
-        given = part, rounds, self._epoch, *self._lanes, *self._truth, self._rules
-        self._share(lambda k, lo, hi: kernels.repeat(*given, self._works[k], lo, hi))
-
-    def _attack(self, rounds: int) -> None:
-        attack, sensors = self.engine.simulator.attack, self.engine.simulator.sensors
-        given = self.command, sensors.epoch, sensors.range_offset, sensors.rate_offset
+        simulator, last = self.engine.simulator, self.receivers
+        attack, sensors = simulator.attack, simulator.sensors
+        offsets = sensors.epoch, sensors.range_offset, sensors.rate_offset
 
         def command(_: int, lo: int, hi: int) -> None:
-            for _ in range(rounds):
-                attack.command(*given, LANES * lo, min(LANES * hi, self.receivers))
+            ends = LANES * lo, min(LANES * hi, last)
+            _repeat(rounds, attack.command, self.command, *offsets, *ends)
 
-        self._share(command)
+        def kernel(k: int, lo: int, hi: int) -> None:
+            kernels.repeat(KERNELS[name], rounds, *self._given, self._works[k], lo, hi)
 
-    def _times(self, count: int, work: Callable[..., object], *given: object) -> None:
-        for _ in range(count):
-            work(*given)
+        if name == JUDGE:
+            _repeat(rounds, self.engine.judge)
+        else:
+            self._share(command if name == ATTACK else kernel)
 
     def _seconds(self, work: Callable[..., object], *given: object) -> float:
         began = self.clock()
@@ -139,25 +140,22 @@ class Rig:
 
     def part_seconds(self, name: str) -> float:
         """Of a part of an epoch, repeated until it can be measured."""
-        work: Callable[[int], object] = {
-            ATTACK: self._attack,
-            JUDGE: lambda rounds: self._times(rounds, self.engine.judge),
-        }.get(name) or partial(self.run_part, KERNELS[name])
         while True:
-            for mine, kept in zip(self._changed, self._kept, strict=True):
+            for mine, kept in zip(self._fields, self._kept, strict=True):
                 mine.data[...] = kept.data
-            if (passed := self._seconds(work, self.repeats[name])) >= PIECE_S:
-                return passed / self.repeats[name]
-            self.repeats[name] *= 2
+            passed = self._seconds(self.run_part, name, self._counts[name])
+            if passed >= PIECE_S:
+                return passed / self._counts[name]
+            self._counts[name] *= 2
 
     def step_seconds(self, step: Callable[[Any], object], command: Any) -> float:
         """Of a step; the last one of an episode, with its time to alert, does not count."""
         self.env.reset(seed=0)
-        return self._seconds(self._times, self.steps - 1, step, command) / (self.steps - 1)
+        return self._seconds(_repeat, self.steps - 1, step, command) / (self.steps - 1)
 
     def _episodes(self, count: int) -> None:
         for _ in range(count):
-            self._times(self.steps, self.whole.step, self.action)
+            _repeat(self.steps, self.whole.step, self.action)
             # one more step starts the next episodes of a vector environment
             self.whole.reset() if self.receivers == 1 else self.whole.step(self.action)
 
@@ -171,13 +169,17 @@ class Rig:
 
     def measurements(self) -> dict[str, Callable[[], float]]:
         """What a round measures, by name [s]."""
-        parts = {name: partial(self.part_seconds, name) for name in self.repeats}
         return {
-            **parts,
+            **{name: partial(self.part_seconds, name) for name in PARTS},
             ENGINE: partial(self.step_seconds, self.engine.step, self.command),
             STEP: partial(self.step_seconds, self.env.step, self.action),
             EPISODE: self.episode_seconds,
         }
+
+
+def _repeat(count: int, work: Callable[..., object], *given: object) -> None:
+    for _ in range(count):
+        work(*given)
 
 
 def _make(receivers: int, threads: int, prefetch: bool) -> Any:
@@ -185,8 +187,8 @@ def _make(receivers: int, threads: int, prefetch: bool) -> Any:
 
     if receivers == 1:
         return gym.make(ENV, **SETTINGS).unwrapped
-    sizes = {"num_envs": receivers, "threads": threads, "prefetch": prefetch}
-    return gym.make_vec(ENV, **sizes, **SETTINGS).unwrapped
+    settings = {**SETTINGS, "threads": threads, "prefetch": prefetch}
+    return gym.make_vec(ENV, num_envs=receivers, **settings).unwrapped
 
 
 def measure(
@@ -196,55 +198,44 @@ def measure(
     rounds: int = ROUNDS,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Cost by part of so many receivers on so many threads, where these have a group each.
+    """Microseconds per receiver-epoch by part, and bytes per receiver; `progress` runs to 1.
 
-    Microseconds per receiver-epoch, the least of all rounds, and bytes per receiver.
+    So many receivers are measured on so many threads where each of these has a group of them.
     """
     shown = progress or Silent()
-    chosen = [(b, t) for t in threads for b in receivers if _useful(b, t)]
+    chosen = [(b, t) for t in threads for b in receivers if -(-b // LANES) >= t]
+    if not chosen:
+        raise ValueError(f"no batch of {receivers} receivers has a group of {LANES} per thread")
     rigs: list[Rig] = []
-    least: list[dict[str, float]] = [{} for _ in chosen]
     try:
-        for b, t in chosen:
-            rigs.append(Rig(b, t))
+        rigs.extend(Rig(b, t) for b, t in chosen)
+        found: list[dict[str, float]] = [{} for _ in rigs]
+        work = rounds * sum(b for b, _ in chosen)
         for _ in range(rounds):
-            for rig, found in zip(rigs, least, strict=True):
-                for name, seconds in rig.measurements().items():
+            for rig, least in zip(rigs, found, strict=True):
+                measurements = rig.measurements()
+                for name, seconds in measurements.items():
                     us = 1e6 * seconds() / rig.receivers
-                    found[name] = min(us, found.get(name, us))
-                    shown.advance(work_of(rig.receivers), f"{name}, {rig.receivers}")
+                    least[name] = min(us, least.get(name, us))
+                    shown.advance(rig.receivers / work / len(measurements), name)
         memory = {str(rig.receivers): bytes_by_owner(rig.core) for rig in rigs}
     finally:
         for rig in rigs:
             rig.close()
-    runs = [
-        {
-            "receivers": b,
-            "threads": t,
-            "us": {name: round(us, 4) for name, us in found.items()},
-            "sum_us": round(sum(found[k] for k in rigs[0].repeats if k not in NOT_IN_STEP), 4),
-            "step_over_floor": round(found[ENGINE] / found[FLOOR], 3),
-            "env_steps_per_s": round(1e6 / found[EPISODE]),
-        }
-        for (b, t), found in zip(chosen, least, strict=True)
-    ]
+    runs = [_run(b, t, us) for (b, t), us in zip(chosen, found, strict=True)]
     return {"machine": machine(), "rounds": rounds, "runs": runs, "bytes_per_receiver": memory}
 
 
-def work_of(receivers: int) -> float:
-    """Work of one measurement, roughly, for a progress bar."""
-    return receivers + 32.0
-
-
-def expected_work(receivers: Iterable[int], threads: Iterable[int], rounds: int) -> float:
-    """Work of all measurements, roughly."""
-    each = rounds * (len(KERNELS) + len({ATTACK, JUDGE, ENGINE, STEP, EPISODE}))
-    return sum(each * work_of(b) for t in threads for b in receivers if _useful(b, t))
-
-
-def _useful(receivers: int, threads: int) -> bool:
-    """Whether every thread has a group."""
-    return -(-receivers // LANES) >= threads
+def _run(receivers: int, threads: int, us: Mapping[str, float]) -> dict[str, Any]:
+    """Result of one batch, with what follows from its times."""
+    return {
+        "receivers": receivers,
+        "threads": threads,
+        "us": {name: round(each, 4) for name, each in us.items()},
+        "parts_us": round(sum(us[name] for name in set(PARTS) - {COVARIANCE_S, FLOOR}), 4),
+        "step_over_floor": round(us[ENGINE] / us[FLOOR], 3),
+        "env_steps_per_s": round(1e6 / us[EPISODE]),
+    }
 
 
 def bytes_by_owner(core: SpoofCore) -> dict[str, float]:
@@ -266,31 +257,27 @@ def bytes_by_owner(core: SpoofCore) -> dict[str, float]:
         "episode": (simulator.memory, sensors.epoch),
     }
     found = {name: sum(_bytes(owner)) / core.receivers for name, owner in owners.items()}
-    apart = {"score of the episode": sum(_bytes(core.score.raw)) / core.receivers}
-    return {**found, TOTAL: sum(found.values()), **apart}
+    score = core.score.raw.nbytes / core.receivers
+    return {**found, TOTAL: sum(found.values()), "score of the episode": score}
 
 
-def _bytes(owner: object) -> Iterator[int]:
+def _bytes(owner: Any) -> Iterator[int]:
     """Sizes of all arrays of an owner."""
-    if isinstance(owner, np.ndarray):
-        yield owner.nbytes
-    elif isinstance(owner, Mapping | tuple):
-        for each in owner.values() if isinstance(owner, Mapping) else owner:
-            yield from _bytes(each)
-    elif isinstance(owner, LaneFields):
-        yield owner.data.nbytes
+    if isinstance(owner, np.ndarray | LaneFields):
+        yield (owner.data if isinstance(owner, LaneFields) else owner).nbytes
+        return
+    for each in owner.values() if isinstance(owner, Mapping) else owner:
+        yield from _bytes(each)
 
 
 def machine() -> dict[str, Any]:
     """What it is measured on."""
-    try:
-        usable = len(os.sched_getaffinity(0))
-    except AttributeError:
-        usable = os.cpu_count() or 1
-    kind, features = numba.config.CPU_NAME, binding.get_host_cpu_features()
+    features = binding.get_host_cpu_features()
     return {
-        "processors": usable,
-        "processor": kind or binding.get_host_cpu_name(),
+        "processors": len(
+            getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))(0)
+        ),
+        "processor": config.CPU_NAME or binding.get_host_cpu_name(),
         "vectors": next((name for key, name in VECTORS.items() if features.get(key)), "none"),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
@@ -299,18 +286,18 @@ def machine() -> dict[str, Any]:
     }
 
 
-def tables(found: Mapping[str, Any]) -> list[Table]:
+def tables(found: Mapping[str, Any]) -> Iterator[Table]:
     """What was measured, as tables: title, head and rows."""
-    made: list[Table] = []
     for threads in sorted({run["threads"] for run in found["runs"]}):
         runs = [run for run in found["runs"] if run["threads"] == threads]
         rows = [(name, *(f"{run['us'][name]:.2f}" for run in runs)) for name in runs[0]["us"]]
-        rows += [(text, *(f"{run[key]:.4g}" for run in runs)) for key, text in ROWS.items()]
+        rows += [(text, *(f"{run[key]:,.6g}" for run in runs)) for key, text in DERIVED.items()]
         what = "1 thread, processor time" if threads == 1 else f"{threads} threads, time passed"
         head = ("part", *(f"B = {run['receivers']}" for run in runs))
-        made.append((f"microseconds per receiver-epoch, {what}", head, rows))
+        yield f"microseconds per receiver-epoch, {what}", head, rows
     memory = found["bytes_per_receiver"]
-    names = next(iter(memory.values()))
-    rows = [(name, *(f"{each[name]:.0f}" for each in memory.values())) for name in names]
-    made.append(("bytes per receiver", ("arrays", *(f"B = {b}" for b in memory)), rows))
-    return made
+    rows = [
+        (name, *(f"{each[name]:.0f}" for each in memory.values()))
+        for name in next(iter(memory.values()))
+    ]
+    yield "bytes per receiver", ("arrays", *(f"B = {b}" for b in memory)), rows
