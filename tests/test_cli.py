@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-import types
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ import typer
 from typer.testing import CliRunner, Result
 
 from spoofgym import __version__
-from spoofgym.bench import perf
 from spoofgym.bench.store import ResultsFolder
 from spoofgym.cli import app
 from spoofgym.cli.options import ENV, World, with_world
@@ -270,7 +268,6 @@ def test_ctrl_c_keeps_what_is_finished() -> None:
     listening = """
 import signal, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from spoofgym.bench import perf
 from spoofgym.bench.store import ResultsFolder
 from spoofgym.cli import main
 put_cell = ResultsFolder.put_cell
@@ -297,31 +294,6 @@ main()
     assert "**Not finished**: ewma / ramp" in Path("out", "results.md").read_text()
 
 
-def test_perf_measures_both_environments(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = 0
-
-    def count(frame: Any, kind: str, argument: Any) -> None:
-        nonlocal calls
-        calls += kind in {"call", "c_call"}
-
-    # a call for a microsecond of processor time, which would depend on the machine's load
-    clock = types.SimpleNamespace(perf_counter=time.perf_counter, thread_time=lambda: calls * 1e-6)
-    monkeypatch.setattr(perf, "time", clock)
-    sys.setprofile(count)
-    try:
-        result = call("perf", "--num-envs", "2", "--threads", "1", "--duration", "0.1", "--json")
-    finally:
-        sys.setprofile(None)
-    assert result.exit_code == 0, result.output
-    found = json.loads(result.stdout)
-    assert found["single"]["steps_per_s"] > 0.0
-    assert (found["vector"]["num_envs"], found["vector"]["threads"]) == (2, 1)
-    assert found["vector"]["episodes"] >= 2  # every receiver has begun another one
-    assert found["vector"]["steps"] % 2 == 0
-    assert [each["num_envs"] for each in found["overhead"]] == [1, 2]
-    assert all(0.0 < each["engine_us"] < each["env_us"] for each in found["overhead"])
-
-
 @pytest.mark.parametrize(
     ("command", "option", "largest"),
     [
@@ -337,12 +309,6 @@ def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: 
     assert f"Invalid value for '{option}'" in result.stderr
     assert str(largest) in result.stderr
     assert list(Path().iterdir()) == []
-
-
-@pytest.mark.parametrize("duration", ["nan", "inf", "-1", "1e9"])
-def test_perf_refuses_a_duration_that_never_ends(duration: str) -> None:
-    said = refused("perf", "--duration", duration)
-    assert f"must be 0 to 3600 s, got {float(duration):g} s" in said
 
 
 def test_a_late_run_is_that_of_a_long_campaign() -> None:

@@ -93,12 +93,12 @@ class Rig:
         rules = victim.covariance_code, victim.min_satellites, victim.orthonormalize, *sizes
         # parts leave the receivers as they like, and so have copies
         self._kept = simulator.buffers.fields, simulator.sensors.fields, simulator.sensors.words
-        self._fields, self._kept = copy.deepcopy(self._kept), copy.deepcopy(self._kept)
+        self.fields, self._kept = copy.deepcopy(self._kept), copy.deepcopy(self._kept)
         rows = kernels.work_rows(world.channels, *sizes)
-        self._works = [self._fields[0].scratch(rows) for _ in range(threads)]
+        self._works = [self.fields[0].scratch(rows) for _ in range(threads)]
         truth = world.run, world.epoch_time, world.epoch_end, world.satellites
-        lanes = tuple(each.data for each in self._fields)
-        self._given = int(simulator.epochs[0]), lanes, truth, np.array(rules, dtype=np.int64)
+        lanes = tuple(each.data for each in self.fields)
+        self._given = int(simulator.epochs[0]) + 1, lanes, truth, np.array(rules, dtype=np.int64)
 
     def close(self) -> None:
         """End all threads."""
@@ -141,7 +141,7 @@ class Rig:
     def part_seconds(self, name: str) -> float:
         """Of a part of an epoch, repeated until it can be measured."""
         while True:
-            for mine, kept in zip(self._fields, self._kept, strict=True):
+            for mine, kept in zip(self.fields, self._kept, strict=True):
                 mine.data[...] = kept.data
             passed = self._seconds(self.run_part, name, self._counts[name])
             if passed >= PIECE_S:
@@ -205,7 +205,10 @@ def measure(
     shown = progress or Silent()
     chosen = [(b, t) for t in threads for b in receivers if -(-b // LANES) >= t]
     if not chosen:
-        raise ValueError(f"no batch of {receivers} receivers has a group of {LANES} per thread")
+        raise ValueError(
+            f"no batch of {list(receivers)} receivers has a group of {LANES} for each of "
+            f"{min(threads)} threads"
+        )
     rigs: list[Rig] = []
     try:
         rigs.extend(Rig(b, t) for b, t in chosen)

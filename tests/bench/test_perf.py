@@ -1,0 +1,94 @@
+"""The measurement of speed measures what a step is made of, and nothing else."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from spoofgym.bench import perf
+from spoofgym.cli import app
+
+EPOCH = [name for name in perf.KERNELS if name not in (perf.COVARIANCE_S, perf.FLOOR)]
+
+
+@pytest.mark.parametrize("receivers", [1, 5])
+def test_the_parts_of_a_step_one_after_the_other_are_an_epoch(receivers, monkeypatch):
+    monkeypatch.setattr(perf, "COMMAND", 0.0)
+    rig = perf.Rig(receivers, 1)
+    simulator = rig.engine.simulator
+    before = [each.data.copy() for each in rig.fields[:2]]
+    for name in EPOCH:
+        rig.run_part(name, 1)
+    rig.run_part(perf.COVARIANCE_S, 1)
+    simulator.advance()
+    simulator.update(None)
+    whole = simulator.buffers.fields, simulator.sensors.fields
+    for was, part, its in zip(before, rig.fields, whole, strict=False):
+        assert np.array_equal(part.data, its.data)
+        assert not np.array_equal(part.data, was)
+
+
+def test_the_floor_stays_with_one_group_per_thread():
+    rig = perf.Rig(40, 2)
+    before = rig.fields[0].data.copy()
+    rig.run_part(perf.FLOOR, 3)
+    rig.close()
+    assert np.isfinite(rig.fields[0].data).all()
+    moved = (before != rig.fields[0].data).reshape(5, -1).any(axis=1)
+    assert moved.tolist() == [True, False, True, False, False]
+
+
+def measured(*options):
+    result = CliRunner().invoke(app, ["perf", "--quick", *options])
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_the_command_reports_every_part_of_every_batch(monkeypatch):
+    monkeypatch.setattr(perf, "PIECE_S", 1e-4)
+    sizes = ["--receivers", "1", "--receivers", "9", "--threads", "1", "--threads", "2"]
+    found = json.loads(measured(*sizes, "--json"))
+    assert found["rounds"] == perf.QUICK_ROUNDS
+    assert found["machine"]["processors"] >= 1
+    batches = [(run["receivers"], run["threads"]) for run in found["runs"]]
+    assert batches == [(1, 1), (9, 1), (9, 2)]  # a single receiver has no second group
+    names = [*perf.PARTS, perf.ENGINE, perf.STEP, perf.EPISODE]
+    for run in found["runs"]:
+        us = run["us"]
+        assert list(us) == names
+        assert min(us.values()) > 0.0
+        ratio = us[perf.ENGINE] / us[perf.FLOOR]
+        assert run["step_over_floor"] == pytest.approx(ratio, rel=0.01)
+        together = sum(us[name] for name in (*EPOCH, perf.ATTACK, perf.JUDGE))
+        assert run["parts_us"] == pytest.approx(together, rel=0.01)
+        assert run["env_steps_per_s"] == pytest.approx(1e6 / us[perf.EPISODE], rel=0.01)
+
+
+def test_a_table_can_go_into_a_page(monkeypatch):
+    monkeypatch.setattr(perf, "PIECE_S", 1e-4)
+    lines = measured("--receivers", "1", "--threads", "1", "--markdown").splitlines()
+    assert "| part | B = 1 |" in lines
+    rows = {line.split(" | ")[0] for line in lines}
+    assert {f"| {name}" for name in (*perf.PARTS, perf.EPISODE, perf.TOTAL)} <= rows
+
+
+def test_every_array_of_a_receiver_counts_once():
+    rig = perf.Rig(9, 1)
+    found = perf.bytes_by_owner(rig.core)
+    fields = rig.core.engine.simulator.buffers.fields
+    assert found["filter"] == 16 * 8 * fields.rows / 9  # two groups of eight lanes
+    assert found["epoch"] == 8 * (8 + 2 * 24) + 12 + 1
+    score = found.pop("score of the episode")
+    assert found.pop(perf.TOTAL) == pytest.approx(sum(found.values()))
+    assert score > 0.0
+
+
+def test_threads_without_a_group_are_refused():
+    result = CliRunner().invoke(app, ["perf", "--receivers", "8", "--threads", "2"])
+    assert result.exit_code == 2
+    assert "spoofgym: error: no batch of [8] receivers has a group of 8 for each of 2" in (
+        result.stderr
+    )
