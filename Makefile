@@ -21,7 +21,7 @@ extras_train := report,train
 tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py
 
 .DEFAULT_GOAL := help
-.PHONY: help venv bench test test-cpus test-ray check docs perf train
+.PHONY: help venv bench test test-cpus test-ray check docs perf benchmarks train
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
@@ -55,8 +55,11 @@ docs: $(VENV)/.installed-docs ## build the pages and the API as a site, build/do
 train: $(VENV)/.installed-train ## train a spoofer, for example ARGS="--out runs/my-first"
 	$(python) -m train.ppo_spoofer $(ARGS)
 
-perf: $(VENV)/.installed-bench ## measure the speed of this machine
+perf: $(VENV)/.installed-bench ## measure the speed of this machine, part by part
 	$(VENV)/bin/spoofgym perf $(ARGS)
+
+benchmarks: $(VENV)/.installed-test ## time kernels, detectors, environments and starts, by pytest-benchmark
+	$(python) -m pytest benchmarks $(ARGS)
 
 # One stamp for each set of extras, renewed when the dependencies change.
 $(VENV)/.installed-%: pyproject.toml constraints.txt | $(python)

@@ -1,0 +1,1 @@
+"""Speed, by pytest-benchmark: ``make benchmarks``; `spoofgym perf` has the breakdown of a step."""
