@@ -45,6 +45,7 @@ docs/papers/*
 :hidden:
 :caption: The library
 docs/architecture
+docs/performance
 docs/api/README
 CONTRIBUTING
 CHANGELOG
