@@ -48,7 +48,7 @@ ROOT = Path(__file__).parents[1]
 PROBE = Path(__file__).with_name("frozen_probe.py")
 NAMES = Path(__file__).with_name("frozen_names.toml")
 KEPT_RESULTS = 4
-ROUNDS = 31
+ROUNDS = 15
 FLOAT32 = np.dtype(np.float32)
 QUICK_FORMS = (("single", None), ("same_step", 3))
 """What ``--quick`` plays of every id; of the main one, and of the duel, it plays all."""
