@@ -193,15 +193,21 @@ def _row_kind(array: types.Type) -> types.Type | None:
     return {types.float64: F8, types.uint64: U8}.get(array.dtype)
 
 
+def _data(context: Any, builder: Any, kind: types.Array, array: Any) -> Any:
+    """Address of an array's elements: its field alone, which is much less code than the array."""
+    position = context.data_model_manager[kind].get_field_position("data")
+    return builder.extract_value(array, position)
+
+
 def _row_address(context: Any, builder: Any, given: Any, values: Any) -> tuple[Any, Any]:
     """Address of a row, and its LLVM type."""
-    array = context.make_array(given[0])(context, builder, values[0])
+    data = _data(context, builder, given[0], values[0])
     row = context.cast(builder, values[1], given[1], types.intp)
     kind = _row_kind(given[0])
     if not isinstance(kind, _Vector):
-        return builder.gep(array.data, [row]), None
+        return builder.gep(data, [row]), None
     first = builder.mul(row, ir.Constant(ir.IntType(64), LANES))
-    pointer = builder.gep(array.data, [first])
+    pointer = builder.gep(data, [first])
     return builder.bitcast(pointer, _LLVM[kind].as_pointer()), _LLVM[kind]
 
 
@@ -449,10 +455,10 @@ def _lane_count(array: types.Type) -> int:
 
 
 def _lane_address(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    array = context.make_array(given[0])(context, builder, values[0])
+    data = _data(context, builder, given[0], values[0])
     row, index = (context.cast(builder, values[k], given[k], types.intp) for k in (1, 2))
     first = builder.mul(row, ir.Constant(ir.IntType(64), _lane_count(given[0])))
-    return builder.gep(array.data, [builder.add(first, index)])
+    return builder.gep(data, [builder.add(first, index)])
 
 
 def _emit_set_lane(context: Any, builder: Any, given: Any, values: Any) -> Any:
