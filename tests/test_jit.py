@@ -25,7 +25,8 @@ def tree(tmp_path, monkeypatch):
     root = Path(_jit.__file__).parent
     for package in _jit.COMPILED_LAYERS:
         shutil.copytree(root / package, tmp_path / package)
-    shutil.copy(root / "_jit.py", tmp_path)
+    for name in _jit.FOUNDATION:
+        shutil.copy(root / name, tmp_path)
     monkeypatch.setattr(_jit, "__file__", str(tmp_path / "_jit.py"))
     return tmp_path
 
@@ -79,12 +80,13 @@ def test_what_is_no_source_does_not_count(tree):
     assert changed(before) == []
 
 
-def test_the_decorator_and_numba_s_version_count_for_all(tree, monkeypatch):
+def test_the_decorator_the_vectors_and_numba_s_version_count_for_all(tree, monkeypatch):
     before = digests()
-    path = tree / "_jit.py"
-    path.write_text(path.read_text().replace('"arcp"', '"fast"'))
-    assert changed(before) == list(_jit.COMPILED_LAYERS)
-    before = digests()
+    for name in ("_jit.py", "_simd.py", "_lanes.py"):
+        path = tree / name
+        path.write_text(path.read_text() + "\n# a comment\n")
+        assert changed(before) == list(_jit.COMPILED_LAYERS)
+        before = digests()
     monkeypatch.setattr(numba, "__version__", "0.0.0")
     assert changed(before) == list(_jit.COMPILED_LAYERS)
 
