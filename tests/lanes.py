@@ -1,0 +1,26 @@
+"""Kernels of lane arrays: what they do to eight receivers they do to each alone, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from spoofgym._simd import LANES
+
+
+def side_by_side(columns: Sequence[Any]) -> np.ndarray:
+    """(rows, 8) lane array of eight receivers' rows."""
+    assert len(columns) == LANES
+    return np.stack([np.ravel(column) for column in columns], axis=1)
+
+
+def in_all_lanes(kernel: Callable[..., object], *arrays: np.ndarray) -> None:
+    """Call a kernel with lane arrays, (rows, 8), which it may write; and with each lane alone."""
+    alone = [[np.ascontiguousarray(array[:, i]) for array in arrays] for i in range(LANES)]
+    kernel(*arrays)
+    for i, single in enumerate(alone):
+        kernel(*single)
+        for number, (wide, narrow) in enumerate(zip(arrays, single, strict=True)):
+            assert wide[:, i].tobytes() == narrow.tobytes(), (i, number)
