@@ -66,7 +66,9 @@ class LaneFields:
         """Write a quantity of some receivers; `values` as NumPy broadcasts them to (b, ...)."""
         index = np.arange(self.receivers)[receivers]
         shape, rows = (len(index), *self.shapes[name]), self._rows_of(name)
-        flat = np.broadcast_to(np.asarray(values), shape).reshape(len(index), rows.stop - rows.start)
+        flat = np.broadcast_to(np.asarray(values), shape).reshape(
+            len(index), rows.stop - rows.start
+        )
         self._grouped[index // self.lanes, rows, index % self.lanes] = flat
         self._fill_lanes()
 

@@ -16,11 +16,15 @@ def side_by_side(columns: Sequence[Any]) -> np.ndarray:
     return np.stack([np.ravel(column) for column in columns], axis=1)
 
 
-def in_all_lanes(kernel: Callable[..., object], *arrays: np.ndarray) -> None:
-    """Call a kernel with lane arrays, (rows, 8), which it may write; and with each lane alone."""
+def in_all_lanes(kernel: Callable[..., object], *arrays: np.ndarray, scratch: int = 0) -> None:
+    """Call a kernel with lane arrays, (rows, 8), which it may write; and with each lane alone.
+
+    What the last `scratch` arrays hold afterwards has no meaning.
+    """
     alone = [[np.ascontiguousarray(array[:, i]) for array in arrays] for i in range(LANES)]
     kernel(*arrays)
     for i, single in enumerate(alone):
         kernel(*single)
-        for number, (wide, narrow) in enumerate(zip(arrays, single, strict=True)):
+        results = list(zip(arrays, single, strict=True))[: len(arrays) - scratch]
+        for number, (wide, narrow) in enumerate(results):
             assert wide[:, i].tobytes() == narrow.tobytes(), (i, number)
