@@ -22,9 +22,10 @@ def in_all_lanes(kernel: Callable[..., object], *arrays: np.ndarray, scratch: in
     What the last `scratch` arrays hold afterwards has no meaning.
     """
     alone = [[np.ascontiguousarray(array[:, i]) for array in arrays] for i in range(LANES)]
-    kernel(*arrays)
+    with np.errstate(all="ignore"):  # of which compiled code says nothing
+        for each in (arrays, *alone):
+            kernel(*each)
     for i, single in enumerate(alone):
-        kernel(*single)
         results = list(zip(arrays, single, strict=True))[: len(arrays) - scratch]
         for number, (wide, narrow) in enumerate(results):
             assert wide[:, i].tobytes() == narrow.tobytes(), (i, number)

@@ -50,9 +50,9 @@ def test_no_operations_are_fused_and_no_sums_regrouped(kernel):
     assert code
     for text in code.values():
         operations = re.findall(r" = f(?:add|sub|mul|div) ((?:[a-z]+ )*)(?:double|<)", text)
-        assert {flag for flags in operations for flag in flags.split()} == _jit.FASTMATH
-        assert not re.search(r" (?:contract|reassoc|fast) ", text)
-        assert "llvm.fma" not in text
+        assert operations or kernel is step.finish
+        assert not any(operations), "a rule of floating point is relaxed"
+        assert not re.search(r"llvm\.(?:fma|fmuladd)", text)
 
 
 def test_the_machine_code_is_for_the_processor_that_is_asked_for():

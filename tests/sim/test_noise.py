@@ -173,8 +173,9 @@ def test_the_exponential_function_is_right(x):
 def test_the_exponential_function_at_its_ends():
     assert exponential(0.0) == exponential(-0.0) == 1.0
     assert exponential(-1e-300) == 1.0
-    for x in (-708.001, -1e4, -1e300, -math.inf):
-        assert exponential(x) == 0.0
+    with np.errstate(all="ignore"):
+        for x in (-708.001, -1e4, -1e300, -math.inf):
+            assert exponential(np.float64(x)) == 0.0
     for k in range(1, 1000):
         assert exponential(-k * math.log(2.0)) == pytest.approx(2.0**-k, rel=2e-13)
 
