@@ -225,7 +225,7 @@ class _CheckedCache(FunctionCache):  # type: ignore[misc]
         self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
 
 
-def _compile(function: F, forceinline: bool) -> F:
+def _compile(function: F, inline: str) -> F:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache_folder(layer_of(function.__module__)))
     try:
@@ -233,7 +233,7 @@ def _compile(function: F, forceinline: bool) -> F:
             nogil=True,
             error_model="numpy",
             boundscheck=False,
-            forceinline=forceinline,
+            inline=inline,
         )(function)
         if compiled is not function:  # as it is under NUMBA_DISABLE_JIT=1
             compiled._cache = _CheckedCache(function)
@@ -266,12 +266,13 @@ def njit(function: F) -> F:
     There is no ``parallel``: after a parallel region of GNU
     OpenMP a forked child dies, and Gymnasium's ``AsyncVectorEnv`` with it.
     """
-    return _compile(function, forceinline=False)
+    return _compile(function, inline="never")
 
 
 def inlined(function: F) -> F:
-    """Compile as `njit` does, and let every caller take the body in.
+    """Compile as `njit` does, as a part of every caller: for a few operations.
 
-    For physics of a few scalars: a loop with a call in it is not vectorized.
+    What is compiled within another function takes no time of its own, and a loop with a call in it
+    is not vectorized.
     """
-    return _compile(function, forceinline=True)
+    return _compile(function, inline="always")

@@ -89,9 +89,10 @@ class LaneFields:
             group = self._grouped[-1]
             group[:, last + 1 :] = group[:, last : last + 1]
 
-    def __getstate__(self) -> dict[str, Any]:
-        """State with the data as they are."""
-        return self.__dict__.copy()
+    def scratch(self, rows: int) -> NDArray[Any]:
+        """New lane array of so many rows, as wide as these fields."""
+        memory = _aligned(rows * self.lanes, np.float64)
+        return memory if self.lanes == 1 else memory.reshape(rows, self.lanes)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the state, with the data aligned again."""

@@ -26,7 +26,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin, models, overload, register_model
+from numba.extending import lower_builtin, models, register_model
 
 LANES = 8
 ALIGNMENT = 64
@@ -503,25 +503,3 @@ _define(
     _emit_set_lane,
     4,
 )
-
-
-def scratch(like: Any, rows: Any) -> Any:
-    """New lane array of so many rows, as wide as `like` and of its type, not set to anything."""
-    lanes = lanes_of(like)
-    memory = np.empty(rows * lanes + ALIGNMENT // 8, like.dtype)
-    first = (ALIGNMENT - memory.ctypes.data % ALIGNMENT) % ALIGNMENT // 8
-    aligned = memory[first : first + rows * lanes]
-    return aligned if like.ndim == 1 else aligned.reshape((rows, LANES))
-
-
-@overload(scratch)  # type: ignore[untyped-decorator]
-def _scratch(like: Any, rows: Any) -> Any:
-    def one(like: Any, rows: Any) -> Any:
-        return np.empty(rows, like.dtype)
-
-    def many(like: Any, rows: Any) -> Any:
-        memory = np.empty(rows * LANES + ALIGNMENT // 8, like.dtype)
-        first = (ALIGNMENT - memory.ctypes.data % ALIGNMENT) % ALIGNMENT // 8
-        return memory[first : first + rows * LANES].reshape((rows, LANES))
-
-    return one if like.ndim == 1 else many

@@ -22,6 +22,7 @@ def begin(
     setup = TightlyCoupledSetup(
         scenario=scenario, receiver=receiver, detector=Never(), timeline=timeline
     )
+    setup.fields = setup.has
     engine = Engine(receivers, setup, threads=1)
     engine.reset([np.random.default_rng([seed, run]) for run in range(receivers)])
     simulator: TightlyCoupledSimulator = engine.simulator
@@ -40,16 +41,12 @@ def advance_to(simulator: TightlyCoupledSimulator, time_s: float) -> None:
 
 def position_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
     """(B, 3) estimate minus truth, ECEF [m]."""
-    return (
-        simulator.buffers.position_e - simulator.setup.world.position_e[epoch_of(simulator)]
-    )
+    return simulator.buffers.position_e - simulator.setup.world.position_e[epoch_of(simulator)]
 
 
 def velocity_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
     """(B, 3) estimate minus truth, ECEF [m/s]."""
-    return (
-        simulator.buffers.velocity_e - simulator.setup.world.velocity_e[epoch_of(simulator)]
-    )
+    return simulator.buffers.velocity_e - simulator.setup.world.velocity_e[epoch_of(simulator)]
 
 
 def attitude_error(simulator: TightlyCoupledSimulator) -> np.ndarray:

@@ -155,6 +155,18 @@ def test_a_receiver_may_be_taken_over_several_times_and_from_the_same_batch():
     check(fields, values)
 
 
+@pytest.mark.parametrize("receivers", SIZES)
+def test_scratch_memory_is_as_wide_as_the_fields_and_aligned(receivers):
+    fields = LaneFields(receivers, SHAPES)
+    for rows in (1, 2, 3, 50):
+        work = fields.scratch(rows)
+        assert work.shape == ((rows,) if receivers == 1 else (rows, LANES))
+        assert work.dtype == np.float64
+        assert work.flags.c_contiguous
+        assert work.ctypes.data % ALIGNMENT == 0
+        assert not np.shares_memory(work, fields.data)
+
+
 @pytest.mark.parametrize("way", [copy.deepcopy, lambda f: pickle.loads(pickle.dumps(f))])
 @pytest.mark.parametrize("receivers", SIZES)
 def test_a_copy_is_aligned_and_has_memory_of_its_own(way, receivers):

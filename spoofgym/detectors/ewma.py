@@ -57,7 +57,7 @@ FloatArray = NDArray[np.float64]
 @njit
 def judge_channels(
     innovation: FloatArray,
-    innovation_cov: FloatArray,
+    innovation_variance: FloatArray,
     visible: NDArray[np.bool_],
     smoothing: float,
     quantile: float,
@@ -70,9 +70,9 @@ def judge_channels(
 ) -> None:
     """Advance all charts by one epoch.
 
-    `innovation`, `innovation_cov`, `visible` (B, 2n), (B, 2n, 2n), (B, n), of the epoch; `average`,
-    `decay` (B, n) memory, overwritten; `size`, `threshold` (B, n), written: statistic and threshold
-    [m]; `weights` (B, 2n), written: IGG-III for pseudoranges, 1 for range rates.
+    `innovation`, `innovation_variance`, `visible` (B, 2n), (B, 2n), (B, n), of the epoch;
+    `average`, `decay` (B, n) memory, overwritten; `size`, `threshold` (B, n), written: statistic
+    and threshold [m]; `weights` (B, 2n), written: IGG-III for pseudoranges, 1 for range rates.
     """
     for b in range(visible.shape[0]):
         for j in range(visible.shape[1]):
@@ -81,7 +81,7 @@ def judge_channels(
                 average[b, j] += smoothing * (innovation[b, j] - average[b, j])
             else:
                 decay[b, j], average[b, j] = 1.0, 0.0
-            sd = math.sqrt(innovation_cov[b, j, j])
+            sd = math.sqrt(innovation_variance[b, j])
             first = (1.0 - smoothing) * (1.0 - smoothing)
             limit = ewma_threshold(sd, min(decay[b, j], first), smoothing, quantile)
             size[b, j] = abs(average[b, j])
@@ -150,7 +150,7 @@ class Ewma(Detector):
         weights = np.empty(epoch.innovation.shape)
         judge_channels(
             epoch.innovation,
-            epoch.innovation_cov,
+            epoch.innovation_variance,
             epoch.visible,
             self.smoothing,
             self._quantile,

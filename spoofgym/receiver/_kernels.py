@@ -11,7 +11,6 @@ from .._simd import (
     lane,
     lanes_of,
     load,
-    scratch,
     select,
     set_lane,
     splat,
@@ -21,6 +20,7 @@ from ..earth.ranging import range_and_rate
 from ..earth.wgs84 import EARTH_RATE
 from ..sim._kernels import CHANNELS as SENSOR_CHANNELS
 from ..sim._kernels import CHUNK, KEYS, SKY, draw_samples, gather_sky, measure, recorded
+from ..sim.noise import whole_number
 from . import kalman
 from .error_model import INDEX, TERMS, propagate_covariance, transition_terms
 from .state import receiver_shapes
@@ -38,6 +38,15 @@ CHANNELS = _ROWS["measured"]
 """First row of what there is of every channel: the following numbers of rows for n of them."""
 MEASURED, INNOVATION, VARIANCE, SIGHT, VISIBLE, ALL = 0, 2, 4, 6, 9, 10
 MEASURE, PREDICT, UPDATE = 1, 2, 4
+PRODUCT_ROWS = 187
+
+
+def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
+    """Rows of scratch memory that `run_epochs` needs; S and the samples share theirs."""
+    n, fixed = channels, TERMS + PRODUCT_ROWS + kalman.WORK + 6
+    return fixed + gnss_size + (SKY + 6) * n + max(imu_size + imu_size // 6 + 8 * CHUNK, 4 * n * n)
+
+
 # places of what is seen of an epoch, as `state.SEEN`
 (
     SEEN_INNOVATION,
@@ -205,14 +214,8 @@ def correct(x, base, n, weights, rules, work, precision):
         store(precision, s, select(used, 1.0 / load(x, c + VARIANCE * n + s), 0.0))
     u, z = c + SIGHT * n, c + INNOVATION * n
     for half in range(2):
-        kalman.information(x, u, x, z, precision, weights, half, n, 0, work, kalman.L + 10 * half)
-        if rules[0] != kalman.UNWEIGHTED:
-            kalman.information(
-                x, u, x, z, precision, weights, half, n, 1, work, kalman.A1 + 10 * half
-            )
-            kalman.information(
-                x, u, x, z, precision, weights, half, n, 2, work, kalman.A2 + 10 * half
-            )
+        for power in range(1 if rules[0] == kalman.UNWEIGHTED else 3):
+            kalman.information(x, u, z, precision, weights, half, n, power, work)
     kalman.update(x, base + COVARIANCE, rules[0], work)
     dx = kalman.X
     x0, x1, x2 = load(work, dx), load(work, dx + 1), load(work, dx + 2)
@@ -343,26 +346,28 @@ def show_transition(terms, tau, index, Phi):
 
 @njit
 def sample(
-    run, first, counts, keys, key_row, epoch, sensors, sensor_base, measured, rules, x, base, force
+    run, index, keys, key_row, epoch, sensors, sensor_base, measured, rules, x, base, force, work
 ):
     """Measure a group's inertial samples of one interval, and mechanize them.
 
-    `first`, `counts` (lanes,) where in `run` each lane's interval begins, and samples that it has;
-    lanes with as many go together.  Where not `measured`, `run` has what has been measured.
+    `index` (4, lanes): row 1, where in `run` each lane's interval begins; 2, samples that it has;
+    lanes with as many go together; 3, scratch memory.  Where `measured`, `run` has what the
+    sensors have measured.
     """
-    lanes, size = first.shape[0], rules[3]
-    samples, dt, truth = scratch(x, size), scratch(x, size // 6), scratch(x, 8 * CHUNK)
-    active, start = scratch(x, 1), np.zeros(lanes, dtype=np.int64)
+    first, counts, start = index[1], index[2], index[3]
+    lanes, size = counts.shape[0], rules[3]
+    samples, work = work[:size], work[size:]
+    dt, truth, active = work[: size // 6], work[size // 6 :], force[3:4]
     for leader in range(lanes):
         count, done = counts[leader], False
-        for index in range(leader):
-            done = done or counts[index] == count
+        for other in range(leader):
+            done = done or counts[other] == count
         if done:
             continue
-        for index in range(lanes):
-            together = counts[index] == count
-            set_lane(active, 0, index, 1.0 if together else 0.0)
-            start[index] = first[index] if together else first[leader]
+        for each in range(lanes):
+            together = counts[each] == count
+            set_lane(active, 0, each, 1.0 if together else 0.0)
+            start[each] = first[each] if together else first[leader]
         if measured:
             recorded(run, start, count, samples, dt)
         else:
@@ -402,6 +407,7 @@ def run_epochs(
     epoch_end,
     satellites,
     rules,
+    work,
     what,
     count,
     lo,
@@ -417,18 +423,21 @@ def run_epochs(
     (B,) bool; `weights` (B, 2n) on the columns of the gain; `epochs` (B,) that each receiver is at;
     offsets and `authentic` of `SensorBuffers`; `run` (8, N) true samples, their lengths and root
     rates, as `World.run`, or, without `MEASURE`, measured ones; `rules`: covariance update, fewest
-    satellites, whether to re-orthonormalize, deviates of an epoch for inertial sensors and GNSS.
+    satellites, whether to re-orthonormalize, deviates of an epoch for inertial sensors and for
+    GNSS; `work`: lane array of `work_rows`, scratch memory of the calling thread.
     """
     receivers, n = visible.shape
     lanes = lanes_of(x)
     rows, sensor_rows = CHANNELS + ALL * n, SENSOR_CHANNELS + 2 * n
-    noise, sky, added = scratch(x, rules[4]), scratch(x, SKY * n), scratch(x, 4 * n)
-    terms, force, product = scratch(x, TERMS), scratch(x, 3), scratch(x, 187)
-    tau, work, precision = scratch(x, 1), scratch(x, kalman.WORK), scratch(x, 2 * n)
-    S = scratch(x, 4 * n * n if places[SEEN_S] >= 0 else 1)
-    epoch = scratch(keys, 1)
-    first, counts = np.zeros(lanes, dtype=np.int64), np.zeros(lanes, dtype=np.int64)
-    now = np.zeros(lanes, dtype=np.int64)
+    terms, work = work[:TERMS], work[TERMS:]
+    product, work = work[:PRODUCT_ROWS], work[PRODUCT_ROWS:]
+    solution, work = work[: kalman.WORK], work[kalman.WORK :]
+    force, tau, epoch, work = work[:4], work[4:5], work[5:6], work[6:]
+    noise, work = work[: rules[4]], work[rules[4] :]
+    sky, work = work[: SKY * n], work[SKY * n :]
+    added, precision, work = work[: 4 * n], work[4 * n : 6 * n], work[6 * n :]
+    index = np.empty((4, lanes), np.int64)
+    now, first, counts = index[0], index[1], index[2]
     moves = 1 if what & PREDICT else 0
     for group in range(lo // lanes, -(-hi // lanes)):
         base, sensor_base, key_row = group * rows, group * sensor_rows, group * KEYS
@@ -436,30 +445,31 @@ def run_epochs(
         some = min(lanes, receivers - b)
         for _ in range(count):
             if what & (MEASURE | PREDICT):
-                for index in range(lanes):  # lanes without a receiver follow the last one
-                    k = epochs[min(b + index, receivers - 1)] + moves
-                    now[index] = k
-                    set_lane(epoch, 0, index, np.uint64(k))
-                    set_lane(tau, 0, index, epoch_time[k] - epoch_time[k - moves])
-                    first[index] = epoch_end[k - moves]
-                    counts[index] = epoch_end[k] - epoch_end[k - moves]
-                epochs[b : b + some] = now[:some]
+                for each in range(lanes):  # lanes without a receiver follow the last one
+                    k = epochs[min(b + each, receivers - 1)] + moves
+                    now[each] = k
+                    set_lane(epoch, 0, each, float(k))
+                    set_lane(tau, 0, each, epoch_time[k] - epoch_time[k - moves])
+                    first[each] = epoch_end[k - moves]
+                    counts[each] = epoch_end[k] - epoch_end[k - moves]
+                for each in range(some):
+                    epochs[b + each] = now[each]
                 gather_sky(satellites, now, sky)
             if what & MEASURE:
-                for index in range(lanes):
-                    follows = min(b + index, receivers - 1)
+                for each in range(lanes):
+                    follows = min(b + each, receivers - 1)
                     for s in range(n):
-                        set_lane(added, s, index, range_offset[follows, s])
-                        set_lane(added, n + s, index, rate_offset[follows, s])
+                        set_lane(added, s, each, range_offset[follows, s])
+                        set_lane(added, n + s, each, rate_offset[follows, s])
                     for s in range(2 * n):
-                        set_lane(added, 2 * n + s, index, authentic[follows, s])
+                        set_lane(added, 2 * n + s, each, authentic[follows, s])
                 measure(
                     sensors,
                     sensor_base,
                     n,
                     keys,
                     key_row,
-                    load(epoch, 0),
+                    whole_number(load(epoch, 0)),
                     load(tau, 0),
                     sky,
                     noise,
@@ -470,11 +480,10 @@ def run_epochs(
             if what & PREDICT:
                 sample(
                     run,
-                    first,
-                    counts,
+                    index,
                     keys,
                     key_row,
-                    load(epoch, 0),
+                    whole_number(load(epoch, 0)),
                     sensors,
                     sensor_base,
                     what & MEASURE == 0,
@@ -482,6 +491,7 @@ def run_epochs(
                     x,
                     base,
                     force,
+                    work,
                 )
                 propagate(x, base, force, load(tau, 0), terms, product)
                 innovate(x, base, n, load(tau, 0), sky)
@@ -489,22 +499,22 @@ def run_epochs(
                     P, R, u = base + COVARIANCE, c + VARIANCE * n, c + SIGHT * n
                     kalman.innovation_variance(x, P, u, R, c + VISIBLE * n, n, added)
                     if places[SEEN_S] >= 0:
-                        kalman.innovation_covariance(x, P, u, R, c + VISIBLE * n, n, S, product)
+                        kalman.innovation_covariance(x, P, u, R, c + VISIBLE * n, n, work, product)
                     spread(added, 0, 2 * n, out, places[SEEN_VARIANCE], b, some)
-                    show(x, base, n, terms, tau, sky, S, places, out, b, some)
-                    for index in range(some):
-                        out[b + index] = epoch_time[now[index]]
-                        out[receivers + b + index] = lane(tau, 0, index)
+                    show(x, base, n, terms, tau, sky, work, places, out, b, some)
+                    for each in range(some):
+                        out[b + each] = epoch_time[now[each]]
+                        out[receivers + b + each] = lane(tau, 0, each)
                         for s in range(n):
-                            visible[b + index, s] = lane(x, c + VISIBLE * n + s, index) > 0.0
+                            visible[b + each, s] = lane(x, c + VISIBLE * n + s, each) > 0.0
             if what & UPDATE:
-                for index in range(lanes):
+                for each in range(lanes):
                     for s in range(2 * n):
-                        set_lane(added, s, index, weights[min(b + index, receivers - 1), s])
-                seen = correct(x, base, n, added, rules, work, precision)
+                        set_lane(added, s, each, weights[min(b + each, receivers - 1), s])
+                seen = correct(x, base, n, added, rules, solution, precision)
                 store(tau, 0, seen)
-                for index in range(some):
-                    coasting[b + index] = lane(tau, 0, index) < rules[1]
+                for each in range(some):
+                    coasting[b + each] = lane(tau, 0, each) < rules[1]
             spread(x, base + POSITION, 3, out, 2 * receivers, b, some)
             spread(x, base + VELOCITY, 3, out, 5 * receivers, b, some)
 

@@ -76,7 +76,7 @@ def transition_terms(C, r, f, tau, terms):
 def transition_product(terms, tau, x, first, index):
     r"""Those elements of :math:`y = \Phi x` that differ from x: y_0 to y_8, and y_15.
 
-    `x`, `first`: lane array and row of its element 0; `index` (17,) places of the others from there.
+    `x`, `first`: lane array and row from which `index` (17,) gives the places of the elements.
     """
     w = EARTH_RATE * tau
     w2 = 2.0 * w

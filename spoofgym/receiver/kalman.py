@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._jit import inlined, njit
-from .._simd import any_lane, load, scratch, select, splat, sqrt, store
+from .._simd import any_lane, load, select, splat, sqrt, store
 from .error_model import INDEX
 
 OBSERVED = np.array([6, 7, 8, 15, 3, 4, 5, 16])
@@ -29,10 +29,10 @@ PLAIN, UNWEIGHTED, GENERAL = 0, 1, 2
 COVARIANCE_UPDATES = {"plain": PLAIN, "unweighted": UNWEIGHTED, "general": GENERAL}
 NO_INFORMATION = 1e-12
 """A pivot that has lost all but this part of its size to rounding has no information."""
-WORK = 8 * 8 * 5 + 2 * 8 * 17 + 96
+Y, L, X, F, M, Q, V, A1, A2, REST = 0, 8, 28, 60, 124, 188, 324, 388, 408, 428
+"""Rows of scratch memory: y, L, the correction and V Pe y, F and C, F L, Q, V, A1, A2."""
+WORK = REST + 6 * 64 + 8 * 17
 """Rows of scratch memory that `update` needs."""
-Y, L, X, F, M, Q, V, A1, A2, PE = 0, 8, 28, 60, 124, 188, 324, 388, 408, 428
-"""Rows within: y, L, solutions, F and C, I + F L, Q, V, sums of weighted information, Pe."""
 
 
 @inlined
@@ -51,25 +51,23 @@ def _store_triangle(out, first, a):
 
 
 @njit
-def information(u, first_u, z, first_z, precision, weights, half, n, power, out, first):
-    r"""Sum a half of :math:`D^T R^{-1} W^p D`, as a lower triangle; y with the power 0.
+def information(x, u, z, precision, weights, half, n, power, work):
+    r"""Sum a half of :math:`D^T R^{-1} W^p D`, as a lower triangle; with the power p = 0 also y.
 
-    `u`, `z`: lane arrays of lines of sight (3 n rows) and innovations (2 n); `precision`: 2 n rows,
-    1 / R where a satellite takes part, else 0; `weights`: 2 n rows; `half`: 0 for pseudoranges, 1
-    for range rates; `out`: the ten sums from `first` on; with power 0 also y, four rows from
-    `Y` + 4 `half` on.
+    `x`: lane array; `u`, `z`: first rows in it of lines of sight (3 n) and innovations (2 n);
+    `precision`: 2 n rows, 1 / R where a satellite takes part, else 0; `weights`: 2 n rows; `half`:
+    0 for pseudoranges, 1 for range rates; `work`: of `update`, where A, or A1 or A2, is written.
     """
-    zero = splat(0.0, u)
+    zero = splat(0.0, x)
     a00, a10, a20, a30, a11 = zero, zero, zero, zero, zero
     a21, a31, a22, a32, a33 = zero, zero, zero, zero, zero
     y0, y1, y2, y3 = zero, zero, zero, zero
     for s in range(n):
         k = s + half * n
         p, w = load(precision, k), load(weights, k)
-        gx, gy = load(u, first_u + 3 * s), load(u, first_u + 3 * s + 1)
-        gz = load(u, first_u + 3 * s + 2)
+        gx, gy, gz = load(x, u + 3 * s), load(x, u + 3 * s + 1), load(x, u + 3 * s + 2)
         if power == 0:
-            t = p * w * load(z, first_z + k)
+            t = p * w * load(x, z + k)
             y0 += gx * t
             y1 += gy * t
             y2 += gz * t
@@ -91,11 +89,12 @@ def information(u, first_u, z, first_z, precision, weights, half, n, power, out,
         a33 += p
     if power == 0:
         o = Y + 4 * half
-        store(out, o, y0)
-        store(out, o + 1, y1)
-        store(out, o + 2, y2)
-        store(out, o + 3, y3)
-    _store_triangle(out, first, (a00, a10, a20, a30, a11, a21, a31, a22, a32, a33))
+        store(work, o, y0)
+        store(work, o + 1, y1)
+        store(work, o + 2, y2)
+        store(work, o + 3, y3)
+    first = (L if power == 0 else (A1 if power == 1 else A2)) + 10 * half
+    _store_triangle(work, first, (a00, a10, a20, a30, a11, a21, a31, a22, a32, a33))
 
 
 @inlined
@@ -216,8 +215,8 @@ def update(P, first, covariance_update, work):
     from `L` on; for the other two updates also those of A1 and A2.  The correction is in its first
     17 rows from `X` on.
     """
-    factor_block(work, L)
-    factor_block(work, L + 10)
+    for half in range(2):
+        factor_block(work, L + 10 * half)
     _factor(P, first, work)
     for half in range(2):  # Q = C^-1 L' Pc'
         o = 4 * half
@@ -313,8 +312,9 @@ def _multiply(a, b, c, transposed):
 @njit
 def _weighted(P, first, covariance_update, work):
     """P -= Pc X Pc', where X is what the two weighted updates have there."""
-    T, first_sum, second_sum = scratch(P, 64), scratch(P, 64), scratch(P, 64)
-    N, Pe, product = scratch(P, 64), scratch(P, 64), scratch(P, 64)
+    rest = work[REST:]
+    T, first_sum, second_sum = rest[:64], rest[64:128], rest[128:192]
+    N, Pe, product, columns = rest[192:256], rest[256:320], rest[320:384], rest[384:520]
     zero = splat(0.0, P)
     for i in range(8):  # V = C^-1 L', by columns of L'
         for j in range(8):
@@ -358,7 +358,6 @@ def _weighted(P, first, covariance_update, work):
             for k in range(8):
                 total += load(N, 8 * i + k) * load(P, first + INDEX[OBSERVED[k], j])
             store(work, Q + 17 * i + j, total)
-    columns = scratch(P, 136)
     for k in range(8):
         for j in range(17):
             store(columns, 17 * k + j, load(P, first + INDEX[OBSERVED[k], j]))

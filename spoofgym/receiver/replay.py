@@ -299,6 +299,7 @@ def replay(
         np.concatenate([[0], ends]),
         satellites,
         rules,
+        buffers.fields.scratch(_kernels.work_rows(n, *rules[3:].tolist())),
     )
     kept: list[tuple[NDArray[np.float64], ...]] = []
     coasting = np.zeros(epochs, dtype=np.bool_)

@@ -20,7 +20,7 @@ def receiver_shapes(channels: int) -> dict[str, tuple[int, ...]]:
     - `velocity_e`, `position_e` (3,) estimated, ECEF [m/s], [m];
     - `accel_bias_b`, `gyro_bias_b` (3,) estimated sensor biases [m/s^2], [rad/s];
     - `clock` (2,) estimated receiver clock bias [m] and drift [m/s];
-    - `imu_delta` (6,) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body axes;
+    - `imu_delta` (6,) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval;
     - `noise_psd` (17,) power spectral density of the noise that drives each state;
     - `packed_covariance` in the order of `error_model.INDEX`;
     - `measured` (2, n) pseudoranges [m] and range rates [m/s] of the epoch, 0 where invisible;

@@ -151,6 +151,12 @@ def normal_pair(word: np.uint64) -> tuple[float, float]:
     return signed_a * a, signed_b * b
 
 
+@inlined
+def whole_number(x: float) -> np.uint64:
+    """The unsigned integer that a whole number from 0 to 2^52 is."""
+    return bits_of(x + 2.0**52) & _MANTISSA
+
+
 @njit
 def deviates(
     k0: np.uint64, k1: np.uint64, epoch: np.uint64, size: int, count: int, out: NDArray[np.float64]

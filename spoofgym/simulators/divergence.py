@@ -22,6 +22,8 @@ analyst knew them; authentic errors that its signals do not have are not counted
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from .._memory import Memory
@@ -36,6 +38,8 @@ class Divergence(Monitor):
 
     `memory`: ``divergence`` (B,) accumulated [nats]; ``shift`` (B, 17) e, in the filter's states.
     """
+
+    needs: ClassVar = frozenset({"transition", "design", "predicted_cov", "innovation_cov"})
 
     def bind(self, simulator: Monitored) -> None:
         """Prepare for the receivers of a simulator."""

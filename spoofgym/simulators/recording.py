@@ -68,13 +68,15 @@ def record_run(
         else:
             epoch = victim.predict(command(k - setup.onset))
         seen, measured = epoch.visible[0], buffers.fields["measured"][0]
-        satellites = epoch.satellite_position[0].copy(), epoch.satellite_velocity[0].copy()
+        sky = setup.world.satellites[int(victim.epochs[0])]
         ranges = [np.where(seen, each, np.nan) for each in measured]
         victim.update(None)
-        kept.append((samples, *ranges, *satellites, buffers.position_e[0].copy()))
-    imu_samples, pseudorange, range_rate, *motion, position_e = map(list, zip(*kept, strict=True))
+        kept.append((samples, *ranges, sky, buffers.position_e[0].copy()))
+    imu_samples, pseudorange, range_rate, satellites, position_e = map(
+        list, zip(*kept, strict=True)
+    )
     end = setup.world.epoch_end[count]
-    imu = np.concatenate(imu_samples)
+    imu, sky = np.concatenate(imu_samples), np.array(satellites)
     recording = Recording(
         imu_time=setup.world.imu_time[1 : end + 1],
         specific_force_b=imu[:, :3],
@@ -82,8 +84,8 @@ def record_run(
         gnss_time=setup.world.epoch_time[1 : count + 1],
         pseudorange=pseudorange,
         range_rate=range_rate,
-        satellite_position_e=motion[0],
-        satellite_velocity_e=motion[1],
+        satellite_position_e=sky[:, :, :3],
+        satellite_velocity_e=sky[:, :, 3:6],
     )
     return initial, recording, np.array(position_e)
 

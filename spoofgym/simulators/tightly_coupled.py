@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Self
 
@@ -17,7 +18,7 @@ from ..attacks import Attack, AttackContext, make_attack
 from ..detectors import Detector, DetectorContext
 from ..receiver import TightlyCoupled, _kernels
 from ..receiver.epoch import Epoch, epoch_view
-from ..receiver.state import SEEN, ReceiverBuffers
+from ..receiver.state import ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.scenario import Scenario, make_scenario
 from ..sim.sensors import SensorBuffers
@@ -81,9 +82,12 @@ class TightlyCoupledSetup(Setup):
         target_heading_deg: float | str = 90.0,
         decision_interval_s: float | None = None,
         between: str = "hold",
+        imu_rate_hz: float | None = None,
     ) -> None:
         self.scenario = make_scenario(scenario)
-        self.name = self.scenario.name
+        if imu_rate_hz is not None:
+            self.scenario = replace(self.scenario, imu_rate_hz=imu_rate_hz)
+        self.imu_rate_hz, self.name = self.scenario.imu_rate_hz, self.scenario.label
         self._aim(target_heading_deg, domain)
         self.receiver = _victim(receiver, self.scenario, self.domain)
         self.attack = make_attack(attack)
@@ -188,7 +192,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def _allocate(self) -> None:
         world, receivers = self.setup.world, self.receivers
-        self.buffers = ReceiverBuffers(receivers, world.channels, SEEN)
+        self.buffers = ReceiverBuffers(receivers, world.channels, self.fields)
         self.sensors = SensorBuffers(receivers, world.channels)
         self.epoch = epoch_view(self.buffers)
         self._command: FloatArray | None = None
@@ -205,6 +209,8 @@ class TightlyCoupledSimulator(Simulator):
         buffers, sensors = self.buffers, self.sensors
         sizes = padded(6 * world.most_samples), padded(2 * world.channels)
         rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
+        self._work_rows = _kernels.work_rows(world.channels, *sizes)
+        self._spare: list[FloatArray] = []
         self._before = (
             buffers.fields.data,
             buffers.seen_floats,
@@ -234,7 +240,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def __getstate__(self) -> dict[str, Any]:
         """State without views of the buffers, which a copy makes of its own."""
-        views = ("epoch", "_before", "_after")
+        views = ("epoch", "_before", "_after", "_spare")
         return {name: value for name, value in self.__dict__.items() if name not in views}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -306,7 +312,12 @@ class TightlyCoupledSimulator(Simulator):
             self.buffers.put_covariance(rows, its.covariance)
 
     def _epochs(self, what: int, count: int, lo: int, hi: int) -> None:
-        _kernels.run_epochs(*self._before, self.weights, *self._after, what, count, lo, hi)
+        try:
+            work = self._spare.pop()
+        except IndexError:
+            work = self.buffers.fields.scratch(self._work_rows)
+        _kernels.run_epochs(*self._before, self.weights, *self._after, work, what, count, lo, hi)
+        self._spare.append(work)
 
     def _advance(self, lo: int, hi: int) -> None:
         self._epochs(ADVANCE, 1, lo, hi)

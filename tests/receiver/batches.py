@@ -172,6 +172,7 @@ class Batch:
             world.epoch_end,
             world.satellites,
             np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
+            np.full_like(buffers.fields.scratch(_kernels.work_rows(N, *sizes)), np.nan),
             what,
             count,
             lo,

@@ -60,14 +60,14 @@ def textbook(P, u, z, R, w, visible, update):
 
 
 @njit
-def sum_and_update(P, u, z, precision, weights, codes, work):
-    """What `_kernels.correct` calls."""
-    n, code = u.shape[0] // 3, codes.shape[0]
+def sum_and_update(x, precision, weights, codes, work):
+    """What `_kernels.correct` calls; `x`: packed covariance, lines of sight, innovations."""
+    n, code = weights.shape[0] // 2, codes.shape[0]
+    u, z = PACKED, PACKED + 3 * n
     for half in range(2):
-        kalman.information(u, 0, z, 0, precision, weights, half, n, 0, work, kalman.L + 10 * half)
-        kalman.information(u, 0, z, 0, precision, weights, half, n, 1, work, kalman.A1 + 10 * half)
-        kalman.information(u, 0, z, 0, precision, weights, half, n, 2, work, kalman.A2 + 10 * half)
-    kalman.update(P, 0, code, work)
+        for power in range(1 if code == kalman.UNWEIGHTED else 3):
+            kalman.information(x, u, z, precision, weights, half, n, power, work)
+    kalman.update(x, 0, code, work)
 
 
 def eight_sums(cases, update):
@@ -85,9 +85,10 @@ def eight_sums(cases, update):
         np.empty((COVARIANCE_UPDATES[update], LANES)),
         np.full((kalman.WORK, LANES), np.nan),
     )
-    in_all_lanes(sum_and_update, P, u, z, np.where(seen, 1.0 / R, 0.0), w, code, work)
+    x = np.vstack([P, u, z])
+    in_all_lanes(sum_and_update, x, np.where(seen, 1.0 / R, 0.0), w, code, work)
     dx = work[kalman.X : kalman.X + 17]
-    return [(dx[:, i], P[:, i][INDEX]) for i in range(len(cases))]
+    return [(dx[:, i], x[:PACKED, i][INDEX]) for i in range(len(cases))]
 
 
 def check(cases, update, tolerance=1e-10):
