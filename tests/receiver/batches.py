@@ -154,6 +154,8 @@ class Batch:
     ):
         buffers, sensors, world = self.buffers, self.sensors, self.world
         sizes = padded(6 * MOST), padded(2 * N)
+        work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
+        work[:] = np.nan  # so that nothing is read of it that has not been written
         _kernels.run_epochs(
             buffers.fields.data,
             buffers.seen_floats,
@@ -172,7 +174,7 @@ class Batch:
             world.epoch_end,
             world.satellites,
             np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
-            np.full_like(buffers.fields.scratch(_kernels.work_rows(N, *sizes)), np.nan),
+            work,
             what,
             count,
             lo,
