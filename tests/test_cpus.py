@@ -16,7 +16,8 @@ from spoofgym.simulators import TightlyCoupledSetup
 from . import cpus, digests
 from .envs.support import single
 
-LANES_SIGNATURE = "(float64[::1], float64[::1], int64)"
+LANES_SIGNATURE = "(A, int64, A, A, int64, A, A)".replace("A", "float64[:, ::1]")
+"""Of `mechanize`, of eight receivers."""
 
 if numba.config.DISABLE_JIT:
     pytest.skip("nothing is compiled", allow_module_level=True)
@@ -60,7 +61,7 @@ def test_the_machine_code_is_for_the_processor_that_is_asked_for():
     """``zmm`` are the registers of AVX-512, ``ymm`` those of AVX."""
     name = numba.config.CPU_NAME
     features = set(cpus.KINDS[name].split()) if name else cpus.host_features()
-    (code,) = compiled(receiver.strapdown_lanes, LANES_SIGNATURE).inspect_asm().values()
+    (code,) = compiled(receiver.mechanize, LANES_SIGNATURE).inspect_asm().values()
     registers = set(re.findall(r"%([xyz]mm)", code))
     assert "xmm" in registers
     assert ("ymm" in registers) == ("avx2" in features)

@@ -74,7 +74,7 @@ def test_position_errs_by_what_the_biases_make_of_a_least_squares_fix(grade, err
     left, whole = [], []
     for _ in range(40):
         batch.quiet_epochs(1)
-        seen = batch.buffers.visible[0]
+        seen = batch.buffers.fields["visible"][0] > 0.0
         u = batch.buffers.fields["line_of_sight"][0][seen]
         fix = np.linalg.pinv(np.column_stack([-u, np.ones(len(u))]))
         biased = batch.sensors.fields["satellite_bias"][:, seen] @ fix[:3].T
