@@ -200,15 +200,21 @@ def _row_kind(array: types.Type) -> types.Type | None:
     return {types.float64: F8, types.uint64: U8}.get(array.dtype)
 
 
+def _data(context: Any, builder: Any, kind: types.Array, array: Any) -> Any:
+    """Address of an array's elements: its field alone, which is much less code than the array."""
+    position = context.data_model_manager[kind].get_field_position("data")
+    return builder.extract_value(array, position)
+
+
 def _row_address(context: Any, builder: Any, given: Any, values: Any) -> Any:
     """Address of a row."""
-    array = context.make_array(given[0])(context, builder, values[0])
+    data = _data(context, builder, given[0], values[0])
     row = context.cast(builder, values[1], given[1], types.intp)
     kind = _row_kind(given[0])
     if not isinstance(kind, _Vector):
-        return builder.gep(array.data, [row])
+        return builder.gep(data, [row])
     first = builder.mul(row, ir.Constant(ir.IntType(64), LANES))
-    pointer = builder.gep(array.data, [first])
+    pointer = builder.gep(data, [first])
     return builder.bitcast(pointer, _LLVM[kind].as_pointer())
 
 
@@ -269,7 +275,7 @@ _define(
 
 def splat(value: Any, like: Any) -> Any:
     """A number in all lanes, of as many lanes as `like` has: a lane array, vector or number."""
-    if isinstance(like, np.ndarray) and (like.ndim == 2 or like.shape == (LANES,)):
+    if isinstance(like, _Lanes) or np.ndim(like) == 2:
         return _python(np.full(LANES, value))
     return value
 
@@ -473,10 +479,10 @@ def _lane_count(array: types.Type) -> int:
 
 
 def _lane_address(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    array = context.make_array(given[0])(context, builder, values[0])
+    data = _data(context, builder, given[0], values[0])
     row, index = (context.cast(builder, values[k], given[k], types.intp) for k in (1, 2))
     first = builder.mul(row, ir.Constant(ir.IntType(64), _lane_count(given[0])))
-    return builder.gep(array.data, [builder.add(first, index)])
+    return builder.gep(data, [builder.add(first, index)])
 
 
 def _emit_set_lane(context: Any, builder: Any, given: Any, values: Any) -> Any:

@@ -11,7 +11,10 @@ from spoofgym.attacks._kernels import false_position
 from spoofgym.detectors.ewma import judge_channels
 from spoofgym.envs import _kernels as step
 from spoofgym.receiver import _kernels as receiver
+from spoofgym.receiver import replay
 from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulators._kernels import run_epochs
+from spoofgym.simulators.recording import record_run
 
 from . import cpus, digests
 from .envs.support import single
@@ -37,13 +40,16 @@ def _played():
     env = single(detector="ewma")
     env.reset(seed=1)
     env.step(np.zeros(2, dtype=np.float32))
+    setup = env.unwrapped.core.setup
     env.close()
+    initial, recording, _ = record_run(setup, np.random.default_rng(1), epochs=2)
+    replay(recording, setup.receiver, initial=initial)
 
 
 @pytest.mark.usefixtures("_played")
 @pytest.mark.parametrize(
     "kernel",
-    [receiver.run_epochs, step.finish, false_position, judge_channels],
+    [run_epochs, receiver.run_epoch, step.finish, false_position, judge_channels],
     ids=lambda kernel: kernel.__name__,
 )
 def test_no_operations_are_fused_and_no_sums_regrouped(kernel):

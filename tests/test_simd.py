@@ -442,6 +442,21 @@ def test_rows_of_words(compiled, lanes):
     np.testing.assert_array_equal(out, expected)
 
 
+@njit
+def splat_of(x, out):
+    out[0] = 1.0
+    store(out, 1, splat(2.0, x))
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("rows", [LANES - 1, LANES])
+def test_a_single_receiver_with_eight_rows_is_no_vector(compiled, rows):
+    kernel = splat_of if compiled else getattr(splat_of, "py_func", splat_of)
+    out = np.zeros(2)
+    kernel(np.zeros(rows), out)
+    np.testing.assert_array_equal(out, [1.0, 2.0])
+
+
 def test_a_loaded_row_does_not_follow_the_array():
     """A vector is a value; in Python, too, where it is an array."""
     x = np.arange(2.0 * LANES).reshape(2, LANES)

@@ -138,7 +138,14 @@ class Ewma(Detector):
         self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
         self._quantile = two_sided_quantile(self.false_alarm)
         self._longest = longest_exclusion(self.max_exclusion_s, context.epoch_interval_s)
-        self._limited = self.max_exclusion_s is not None or self.min_satellites > 0
+
+        scale = 1.0 if self.weight_scale is None else self.weight_scale
+        self.kernel_settings = np.array([self.smoothing, self._quantile, scale])
+
+    @property
+    def limits_exclusions(self) -> bool:
+        """Whether weights are limited in time or in number."""
+        return self.max_exclusion_s is not None or self.min_satellites > 0
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch.
@@ -152,9 +159,7 @@ class Ewma(Detector):
             epoch.innovation,
             epoch.innovation_variance,
             epoch.visible,
-            self.smoothing,
-            self._quantile,
-            1.0 if self.weight_scale is None else self.weight_scale,
+            *self.kernel_settings,
             self.memory["average"],
             self.memory["decay"],
             size,
@@ -162,7 +167,7 @@ class Ewma(Detector):
             weights,
         )
         in_loop = None if self.weight_scale is None else weights
-        if self._limited and in_loop is not None:
+        if self.limits_exclusions and in_loop is not None:
             limit_exclusions(
                 size,
                 threshold,

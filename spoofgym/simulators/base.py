@@ -285,6 +285,13 @@ class Simulator(ABC):
         self.weights = self.ones if weights is None else weights
         self._correct(weights)
 
+    def step(self, command: FloatArray | None = None, *, attacked: bool = True) -> Verdict:
+        """Both halves of an epoch, with the detector's weights; `attacked` as in `predict`."""
+        self.predict(command) if attacked else self.advance()
+        verdict = self.judge()
+        self.update(verdict.weights)
+        return verdict
+
     def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
         """Run clean epochs without a detector; `between` is called before some, and may wait."""
         self.weights = self.ones
@@ -305,10 +312,7 @@ class Simulator(ABC):
         for k in range(count):
             if between is not None:
                 between()
-            self.predict(None) if holding else self.advance()
-            verdict = self.judge()
-            alarms[k] = verdict.alarm.any(axis=1)
-            self.update(verdict.weights)
+            alarms[k] = self.step(attacked=holding).alarm.any(axis=1)
         return alarms
 
     def warm_up(

@@ -177,11 +177,8 @@ class Engine:
 
     def step(self, command: FloatArray | None) -> Verdict:
         """Both halves with the engine's own detector; the twins follow."""
-        simulator = self.simulator
         with NOBODY_WAITS if self._next is None else self._next.kept_waiting():
-            simulator.predict(command)
-            verdict = simulator.judge()
-            simulator.update(verdict.weights)
+            verdict = self.simulator.step(command)
             if self.twin is not None:
                 self.step_twin()
         return verdict
@@ -190,10 +187,7 @@ class Engine:
         """Run the epoch of the clean twins, with their own detector."""
         if self.twin is None:
             raise RuntimeError("this engine has no clean twins; make it with `twin=True`")
-        self.twin.advance()
-        verdict = self.twin.judge()
-        self.twin.update(verdict.weights)
-        return verdict
+        return self.twin.step(attacked=False)
 
     def hold(self, rows: Rows) -> NDArray[np.bool_]:
         """Run the time to alert of some receivers and their twins; (hold, b) bool alarms."""

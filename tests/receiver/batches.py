@@ -12,6 +12,7 @@ import numpy as np
 
 from spoofgym.earth.frames import geodetic_to_ecef
 from spoofgym.receiver import _kernels
+from spoofgym.receiver._kernels import PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 from spoofgym.receiver.state import SEEN, ReceiverBuffers
 from spoofgym.sim.clock import TCXO, ReceiverClock
@@ -19,6 +20,7 @@ from spoofgym.sim.gnss import GnssErrors
 from spoofgym.sim.imu import IMU_GRADES, ImuGrade
 from spoofgym.sim.noise import padded
 from spoofgym.sim.sensors import SensorBuffers
+from spoofgym.simulators._kernels import NO_FORM, run_epochs
 
 from .test_kalman import covariance, measured, sky
 
@@ -152,17 +154,18 @@ class Batch:
         orthonormal=False,
         count=1,
     ):
+        """Call the engine's kernel, without an attack and a detector of its own."""
         buffers, sensors, world = self.buffers, self.sensors, self.world
         sizes = padded(6 * MOST), padded(2 * N)
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
         work[:] = np.nan  # so that nothing is read of it that has not been written
-        _kernels.run_epochs(
+        one, nobody = np.zeros((1, 1)), (np.zeros(1, dtype=np.bool_), np.zeros(1, dtype=np.int64))
+        sound = run_epochs(
             buffers.fields.data,
             buffers.seen_floats,
             buffers.places,
             buffers.visible,
             buffers.coasting,
-            self.weights if weights is None else weights,
             sensors.fields.data,
             sensors.words.data,
             sensors.epoch,
@@ -174,20 +177,25 @@ class Batch:
             world.epoch_end,
             world.satellites,
             np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
+            *np.zeros((2, EPOCHS + 1, 3)),
+            *(NO_FORM, True, one, one, one, np.zeros((1, 1, 3)), one, *nobody, np.zeros(4)),
+            *(NO_FORM, one, one, np.zeros(3), one, one),
+            self.weights if weights is None else weights,
             work,
             what,
             count,
             lo,
             buffers.receivers if hi is None else hi,
         )
+        assert sound
 
     def predict(self, lo=0, hi=None):
         """Move on to the next epoch, with samples and ranges as they have been measured."""
-        self.run(_kernels.PREDICT, lo, hi)
+        self.run(PREDICT + SHOW, lo, hi)
 
     def update(self, weights=None, lo=0, hi=None, **settings):
         weights = np.ones_like(self.weights) if weights is None else weights
-        self.run(_kernels.UPDATE, lo, hi, weights=weights, **settings)
+        self.run(UPDATE, lo, hi, weights=weights, **settings)
 
     def everything(self, row):
         """All that there is of a receiver, by name."""

@@ -6,7 +6,7 @@ import pytest
 from spoofgym._simd import LANES
 from spoofgym.earth.attitude import skew
 from spoofgym.earth.ranging import range_and_rate
-from spoofgym.receiver._kernels import MEASURE, PREDICT, UPDATE
+from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 
 from .batches import EPOCHS, WORLD, Batch, HandMade, N, check_same
@@ -63,13 +63,13 @@ def test_a_receiver_is_the_same_alone_and_in_any_batch(receivers, covariance_upd
     singles = [Batch([number]) for number in numbers]
     for each in (batch, *singles):
         for _ in range(2):
-            each.run(MEASURE + PREDICT, **settings)
+            each.run(MEASURE + PREDICT + SHOW, **settings)
             each.run(UPDATE, **settings)
             if each is batch:
                 coasted |= batch.buffers.coasting
         each.run(MEASURE + PREDICT + UPDATE, count=2, **settings)
         each.run(MEASURE, **settings)
-        each.run(PREDICT, **settings)
+        each.run(PREDICT + SHOW, **settings)
     if receivers > LANES:
         assert coasted.any()
         assert not coasted.all()
@@ -80,7 +80,7 @@ def test_a_receiver_is_the_same_alone_and_in_any_batch(receivers, covariance_upd
 def test_slices_of_whole_lanes_are_the_whole():
     receivers = 2 * LANES + 5
     whole, sliced = Batch(range(receivers)), Batch(range(receivers))
-    for what in (MEASURE + PREDICT, UPDATE):
+    for what in (MEASURE + PREDICT + SHOW, UPDATE):
         whole.run(what)
         for lo, hi in ((LANES, 2 * LANES), (2 * LANES, receivers), (0, LANES)):
             sliced.run(what, lo, hi)
@@ -98,7 +98,7 @@ def test_only_the_receivers_of_a_slice_are_touched(what):
         assert same == (not 8 <= row < 16)
 
 
-@pytest.mark.parametrize("what", [PREDICT, MEASURE + PREDICT])
+@pytest.mark.parametrize("what", [PREDICT, MEASURE + PREDICT + SHOW])
 def test_lanes_without_a_receiver_follow_the_last(what):
     """Were it otherwise, they might become slow numbers or none."""
     batch = Batch(range(11))
@@ -231,7 +231,7 @@ def test_what_nobody_looks_at_changes_nothing(wanted):
     assert set(few.buffers.seen) == {"innovation", "innovation_variance", *wanted}
     for batch in (few, all_of_it):
         for _ in range(2):
-            batch.run(MEASURE + PREDICT)
+            batch.run(MEASURE + PREDICT + SHOW)
             batch.run(UPDATE)
     for row in range(9):
         mine, theirs = few.everything(row), all_of_it.everything(row)

@@ -7,7 +7,8 @@ import numpy as np
 from spoofgym._jit import njit
 from spoofgym._lanes import LaneFields
 from spoofgym._simd import LANES, load
-from spoofgym.sim._kernels import CHUNK, draw_samples, sense
+from spoofgym.sim._kernels import CHUNK, IMU_KEY, sense
+from spoofgym.sim.noise import deviates
 from spoofgym.sim.sensors import sensor_shapes
 
 from ..lanes import in_all_lanes
@@ -25,8 +26,9 @@ def sense_group(run, first, count, sensors, samples, dt, active, truth):
 
 @njit
 def draw_group(run, first, count, keys, epoch, sensors, samples, dt, active, truth):
-    now = load(epoch, 0)
-    draw_samples(run, first, count, keys, 0, now, sensors, 0, samples, dt, truth, active)
+    k0, k1 = load(keys, IMU_KEY), load(keys, IMU_KEY + 1)
+    deviates(k0, k1, load(epoch, 0), samples.shape[0], 6 * count, samples)
+    sense(run, first, count, sensors, 0, samples, dt, truth, active)
 
 
 def run_of(truth, lengths):
