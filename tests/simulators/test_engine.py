@@ -194,6 +194,44 @@ def test_an_attack_meets_the_same_noise():
     np.testing.assert_allclose(clean[2], attacked[2], rtol=0, atol=1e-8)
 
 
+STEPS = {
+    "displacement": {"attack": "false-position"},
+    "rate": {"attack": {"name": "false-position", "control": "rate"}},
+    "code alone": {"attack": "pseudorange-only"},
+    "channels": {"attack": {"name": "per-channel", "channels": "S1*"}},
+    "channels at a rate": {"attack": {"name": "per-channel", "control": "rate"}},
+    "equipment": {"attack": "tracking-1m"},
+    "chart without weights": {"detector": {"name": "ewma", "weight_scale": None}},
+    "another detector": {"detector": "cusum"},
+    "general": SETTINGS["general"],
+}
+
+
+@pytest.mark.parametrize("receivers", [1, 11])
+@pytest.mark.parametrize("name", STEPS)
+def test_a_step_is_its_two_halves_with_the_judge_between(name, receivers):
+    """One call of the kernel, where nothing in Python comes between, gives the bits of three."""
+    settings = {"timeline": SHORT, "detector": {"name": "ewma"}, **STEPS[name]}
+    whole, halves = (Engine(receivers, TightlyCoupledSetup(**settings)) for _ in range(2))
+    for engine in (whole, halves):
+        engine.reset([np.random.default_rng([5, number]) for number in range(receivers)])
+    rng, axes = np.random.default_rng(6), len(whole.setup.action_names)
+    for k in range(12):
+        command = None if k == 7 else rng.uniform(-1.0, 1.0, (receivers, axes))
+        verdict = whole.step(command)
+        halves.predict(command)
+        other = halves.judge()
+        halves.update(other)
+        for mine, theirs in zip(verdict, other, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        np.testing.assert_array_equal(whole.simulator.weights, halves.simulator.weights)
+        check_same(everything(whole.simulator), everything(halves.simulator))
+        for part in ("attack", "detector"):
+            memories = [getattr(engine.simulator, part).memory for engine in (whole, halves)]
+            for field in memories[0]:
+                np.testing.assert_array_equal(memories[0][field], memories[1][field])
+
+
 def test_the_quiet_stretch_is_the_stepwise_run():
     """One compiled call for many epochs gives the bits of three calls an epoch."""
     setup = TightlyCoupledSetup(timeline=SHORT)
