@@ -130,9 +130,16 @@ def _common(*given: types.Type) -> _Vector | None:
     if len(kinds) != 1:
         return None
     (kind,) = kinds
-    fitting = {F8: types.Number, U8: types.Integer, M8: types.Boolean}[kind]
     others = (each for each in given if not isinstance(each, _Vector))
-    return kind if all(isinstance(each, fitting) for each in others) else None
+    return kind if all(_fits(each, kind) for each in others) else None
+
+
+def _fits(number: types.Type, kind: _Vector) -> bool:
+    """Whether a number with a vector gives what it gives with a number, as numba types that."""
+    if kind is U8:
+        return isinstance(number, types.Integer) and not number.signed
+    real = (types.Integer, types.Float)
+    return isinstance(number, types.Boolean if kind is M8 else real)
 
 
 def _binary(
@@ -200,21 +207,38 @@ def _data(context: Any, builder: Any, kind: types.Array, array: Any) -> Any:
     return builder.extract_value(array, position)
 
 
-def _row_address(context: Any, builder: Any, given: Any, values: Any) -> tuple[Any, Any]:
-    """Address of a row, and its LLVM type."""
+def _row_address(context: Any, builder: Any, given: Any, values: Any) -> Any:
+    """Address of a row."""
     data = _data(context, builder, given[0], values[0])
     row = context.cast(builder, values[1], given[1], types.intp)
     kind = _row_kind(given[0])
     if not isinstance(kind, _Vector):
-        return builder.gep(data, [row]), None
+        return builder.gep(data, [row])
     first = builder.mul(row, ir.Constant(ir.IntType(64), LANES))
     pointer = builder.gep(data, [first])
-    return builder.bitcast(pointer, _LLVM[kind].as_pointer()), _LLVM[kind]
+    return builder.bitcast(pointer, _LLVM[kind].as_pointer())
+
+
+class _Lanes(np.ndarray):  # type: ignore[type-arg]
+    """A vector without compilation: like a number, none that ``+=`` changes in place."""
+
+    __iadd__: Any = np.ndarray.__add__
+    __isub__: Any = np.ndarray.__sub__
+    __imul__: Any = np.ndarray.__mul__
+    __itruediv__: Any = np.ndarray.__truediv__
+    __iand__: Any = np.ndarray.__and__
+    __ior__: Any = np.ndarray.__or__
+    __ixor__: Any = np.ndarray.__xor__
+
+
+def _python(values: Any) -> Any:
+    """A number, or a vector without compilation."""
+    return values[()] if values.ndim == 0 else values.view(_Lanes)
 
 
 def load(array: Any, row: int) -> Any:
     """Row of a lane array: a vector, or a number where it holds a single receiver."""
-    return array[row] if array.ndim == 1 else array[row].copy()
+    return array[row] if array.ndim == 1 else _python(array[row].copy())
 
 
 def store(array: Any, row: int, value: Any) -> None:
@@ -223,14 +247,13 @@ def store(array: Any, row: int, value: Any) -> None:
 
 
 def _emit_load(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    address, vector = _row_address(context, builder, given, values)
-    loaded = builder.load(address)
+    loaded = builder.load(_row_address(context, builder, given, values))
     loaded.align = 8
     return loaded
 
 
 def _emit_store(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    address, vector = _row_address(context, builder, given, values)
+    address = _row_address(context, builder, given, values)
     value = _cast(context, builder, values[2], given[2], _row_kind(given[0]))
     stored = builder.store(value, address)
     stored.align = 8
@@ -253,8 +276,8 @@ _define(
 
 def splat(value: Any, like: Any) -> Any:
     """A number in all lanes, of as many lanes as `like` has: a lane array, vector or number."""
-    if isinstance(like, np.ndarray) and (like.ndim == 2 or like.shape == (LANES,)):
-        return np.full(LANES, value)
+    if isinstance(like, _Lanes) or np.ndim(like) == 2:
+        return _python(np.full(LANES, value))
     return value
 
 
@@ -333,12 +356,12 @@ def to_float(x: Any) -> Any:
 
 def bits_of(x: Any) -> Any:
     """The 64 bits of a double, as an unsigned integer."""
-    return np.asarray(x, dtype=np.float64).view(np.uint64)[()]
+    return _python(np.asarray(x, dtype=np.float64).view(np.uint64))
 
 
 def from_bits(x: Any) -> Any:
     """The double that has these bits."""
-    return np.asarray(x, dtype=np.uint64).view(np.float64)[()]
+    return _python(np.asarray(x, dtype=np.uint64).view(np.float64))
 
 
 def _bitcast(builder: Any, value: Any, given: types.Type, result: types.Type) -> Any:
@@ -358,7 +381,7 @@ _unary(bits_of, {real: bits for bits, real in _TO_REAL.items()}, _bitcast)
 
 def select(mask: Any, x: Any, y: Any) -> Any:
     """X in the lanes where a mask holds, y in the others; both are computed."""
-    return np.where(mask, x, y)[()]
+    return _python(np.where(mask, x, y))
 
 
 def _select_kind(mask: types.Type, x: types.Type, y: types.Type) -> types.Type | None:
@@ -370,7 +393,8 @@ def _select_kind(mask: types.Type, x: types.Type, y: types.Type) -> types.Type |
     plain = isinstance(mask, types.Boolean) and not {F8, U8, M8} & {x, y}
     if not plain:
         return None
-    return x if x == y else (types.float64 if isinstance(x, types.Number) else None)
+    real = _fits(x, F8) and _fits(y, F8) and any(isinstance(each, types.Float) for each in (x, y))
+    return x if x == y else (types.float64 if real else None)
 
 
 def _emit_select(context: Any, builder: Any, given: Any, values: Any) -> Any:
