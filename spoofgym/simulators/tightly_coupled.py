@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar, Self
 
@@ -35,9 +35,9 @@ RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in ("pap
 """Victims by name: the noise that they assume as the papers print it, or as the world has it."""
 FIRST_FIX = 4
 """Satellites that a first fix takes."""
-PIECE = 64
-"""Epochs of single receivers that are run between two chances to wait: less than a millisecond."""
 AXES = ("north", "east", "down")
+AFTER_ONSET = [SOURCES.index(each) for each in ("imu", "clock", "gnss", "spoofer", "correlated")]
+"""Sources whose noise goes on after the onset."""
 ADVANCE = _kernels.MEASURE + _kernels.PREDICT
 
 
@@ -253,6 +253,13 @@ class TightlyCoupledSimulator(Simulator):
         keys: NDArray[np.uint64] = self.sensors.keys[SOURCES.index("domain")]
         return keys
 
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        keys, spoofer = self.sensors.keys, SOURCES.index("spoofer")
+        for row, episode in zip(rows.tolist(), episodes, strict=True):
+            own = episode.generate_state(2 * len(SOURCES), np.uint64).reshape(-1, 2)
+            keys[AFTER_ONSET, row] = own[AFTER_ONSET]
+        self.attack.begin(rows, keys[spoofer, rows], self.onset[rows])
+
     def _start(self, choice: Choice) -> None:
         """Draw the errors; first fix, attitude, empty memories."""
         setup, b, first = self.setup, self.receivers, self.memory["first"]
@@ -332,15 +339,10 @@ class TightlyCoupledSimulator(Simulator):
         self._run(self._advance, self.receivers)
         return self.epoch
 
-    def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
-        """Run clean epochs without a detector, several in one kernel call."""
+    def quiet_epochs(self, count: int) -> None:
+        """Run clean epochs without a detector, in one kernel call."""
         self.weights = self.ones
-        what = ADVANCE + _kernels.UPDATE
-        piece = count if between is None else max(1, PIECE // self.receivers)
-        for start in range(0, count, max(piece, 1)):
-            if between is not None:
-                between()
-            self._run(partial(self._epochs, what, min(piece, count - start)), self.receivers)
+        self._run(partial(self._epochs, ADVANCE + _kernels.UPDATE, count), self.receivers)
 
     def error_n(self) -> FloatArray:
         """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""
