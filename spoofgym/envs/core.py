@@ -92,7 +92,7 @@ class SpoofCore:
         B.
     setup : Setup
         Of any victim.
-    threads, prefetch : optional
+    threads, prefetch, warm_pool : optional
         As in `Engine`; all others as in `SpoofEnv`.
 
     Attributes

@@ -1,6 +1,7 @@
 """A pool of warm-ups: M pasts, the same for everyone, each with a future of its own."""
 
 import copy
+import json
 import pickle
 
 import gymnasium as gym
@@ -9,6 +10,7 @@ import pytest
 from scipy import stats
 
 from spoofgym.envs import SpoofCore
+from spoofgym.envs.wrappers import RecordEpochs
 from spoofgym.sim.sensors import SOURCES
 from spoofgym.simulators.engine import POOL_SEED, Engine
 from spoofgym.simulators.tightly_coupled import TightlyCoupledSimulator
@@ -175,6 +177,18 @@ def test_all_forms_of_an_environment_take_it():
     assert view.unwrapped.core.engine.warm_pool == 3
     for env in (envs, single, view):
         env.close()
+
+
+@pytest.mark.parametrize("pool", [None, 3])
+def test_recorded_files_name_it(pool, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    env = gym.make("spoofgym/TightlyCoupled-v0", timeline=TIMELINE, warm_pool=pool)
+    env = RecordEpochs(env, tmp_path)
+    env.reset(seed=1)
+    env.step(np.zeros(2, dtype=np.float32))
+    env.close()
+    (file,) = tmp_path.glob("*.parquet")
+    assert json.loads(parquet.read_metadata(file).metadata[b"spoofgym"]).get("warm_pool") == pool
 
 
 @pytest.mark.parametrize("given", [0, -1, 1.5, True, "64"])
