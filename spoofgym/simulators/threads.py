@@ -130,9 +130,8 @@ class Workers:
                 thread.join(JOIN_S)
 
     def _stop(self) -> None:
-        if self._generation is _threads.generation():
-            for queue in self._jobs:
-                queue.put(None)
+        for queue in self._jobs:
+            queue.put(None)
         self._generation, self._threads, self._jobs = None, [], []
 
     def __del__(self) -> None:
