@@ -116,6 +116,11 @@ class NextEpisodes:
             slot: None for slot, i, group in pairs if self._episodes.get(slot) is group.episodes[i]
         }
 
+    def _drop_unwanted(self) -> None:
+        """Stop groups of which no episode is wanted any more."""
+        self._groups = [group for group in self._groups if self._open([group])]
+        self._workers.pieces[:] = self._groups
+
     def _check_fork(self) -> None:
         """Take all groups apart in a forked process, which has no thread that goes on with them."""
         if self._generation is not _threads.generation():
@@ -149,6 +154,8 @@ class NextEpisodes:
                 self._asked[slot] = None
                 self._sources[int(rows[i])] = rngs[i]
                 self._stock[rows[i]] += 1
+        if not known.all():
+            self._drop_unwanted()
         count = len(self._asked)
         if not all(group.over for group in self._groups):
             count -= count % MOST_TOGETHER  # more may join the rest while the threads are busy
@@ -220,6 +227,7 @@ class NextEpisodes:
             self._asked.pop(slots[i], None)
             self._taken[rows[i]] += 1
             self._stock[rows[i]] -= 1
+        self._drop_unwanted()
         return instead
 
 

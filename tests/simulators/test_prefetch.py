@@ -281,6 +281,17 @@ def test_the_owner_helps_with_what_it_needs(setup, monkeypatch):
     assert np.array_equal(core.observe(), plain.observe())
 
 
+@pytest.mark.parametrize("given", [None, {"start_s": 0.0}])
+def test_what_nobody_wants_any_more_is_dropped(setup, given):
+    core, rngs = core_of(setup, True), generators()
+    for seed in range(12):
+        core.reset(rngs if given else generators(seed=seed), given=given)
+        groups = core.engine._next._groups
+        assert len(groups) <= 2
+        assert core.engine._workers.pieces == groups
+    core.close()
+
+
 def running():
     return {thread for thread in threading.enumerate() if thread.name.startswith("spoofgym-")}
 
