@@ -18,6 +18,8 @@ import numpy as np
 
 LIBRARIES = {"spoofgym", "numpy", "pandas", *sys.stdlib_module_names}
 """Packages that versions and digests of their own stand for."""
+OMITTED = {"omitted": True}
+"""Metadata of a field whose default is not written down, since records are older than it."""
 INSTALLED = {"site-packages", "dist-packages"}
 
 
@@ -43,7 +45,11 @@ def describe(value: Any) -> Any:
 def _describe_parts(value: Any) -> Any:
     """A record, mapping or sequence as JSON."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        named = {f.name: describe(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        named = {
+            f.name: describe(getattr(value, f.name))
+            for f in dataclasses.fields(value)
+            if not (f.metadata.get("omitted") and getattr(value, f.name) == f.default)
+        }
         return {"kind": type(value).__qualname__, **named}
     if hasattr(value, "_asdict"):
         value = value._asdict()

@@ -39,9 +39,6 @@ COMPILED_LAYERS = ("earth", "sim", "attacks", "receiver", "detectors", "simulato
 """Packages with compiled code, each of which calls only those before it (import-linter's order)."""
 KEPT_DIGESTS = 16
 CHECKSUM_SIZE = 16
-FASTMATH = {"arcp", "nsz"}
-"""Relaxed rules of floating point; not ``contract``, not ``reassoc``: see the notes of `njit`."""
-
 NOTICE_S = 2.0
 NOTICE = "spoofgym: compiling for this machine, once; takes about a minute"
 
@@ -225,16 +222,15 @@ class _CheckedCache(FunctionCache):  # type: ignore[misc]
         self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
 
 
-def _compile(function: F, forceinline: bool) -> F:
+def _compile(function: F, inline: str) -> F:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache_folder(layer_of(function.__module__)))
     try:
         compiled: Any = numba.njit(
             nogil=True,
-            fastmath=FASTMATH,
             error_model="numpy",
             boundscheck=False,
-            forceinline=forceinline,
+            inline=inline,
         )(function)
         if compiled is not function:  # as it is under NUMBA_DISABLE_JIT=1
             compiled._cache = _CheckedCache(function)
@@ -258,22 +254,22 @@ def njit(function: F) -> F:
 
     Notes
     -----
-    The relaxed floating-point rules leave NaN and infinity alone, since inputs are screened for
-    them.  Two rules are left out, so that a receiver has the same bits in any batch, thread and
-    process of one machine.  With ``contract``, a multiplication and an addition may become one
-    operation with one rounding: LLVM chooses them in the body of a vectorized loop otherwise than
-    in its remainder, and how many receivers the body holds depends on the processor.  With
-    ``reassoc``, sums may be regrouped: LLVM optimizes a function once by itself and once more
-    within each caller, and would group otherwise each time.  Which of these copies runs depends on
-    what the process has loaded first.  There is no ``parallel``: after a parallel region of GNU
+    No rule of floating point is relaxed, so that a receiver has the same bits in any batch, thread
+    and process, and on any kind of processor, as far as the code calls no C library.  With
+    ``contract``, a multiplication and an addition may become one operation with one rounding: LLVM
+    chooses them in the body of a vectorized loop otherwise than in its remainder.  With
+    ``reassoc``, sums may be regrouped, and with ``arcp`` divisions become products, otherwise in
+    one copy of a function than in another; which copy runs depends on what has been loaded first.
+    There is no ``parallel``: after a parallel region of GNU
     OpenMP a forked child dies, and Gymnasium's ``AsyncVectorEnv`` with it.
     """
-    return _compile(function, forceinline=False)
+    return _compile(function, inline="never")
 
 
 def inlined(function: F) -> F:
-    """Compile as `njit` does, and let every caller take the body in.
+    """Compile as `njit` does, as a part of every caller: for a few operations.
 
-    For physics of a few scalars: a loop with a call in it is not vectorized.
+    What is compiled within another function takes no time of its own, and a loop with a call in it
+    is not vectorized.
     """
-    return _compile(function, forceinline=True)
+    return _compile(function, inline="always")

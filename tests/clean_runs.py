@@ -22,6 +22,7 @@ def begin(
     setup = TightlyCoupledSetup(
         scenario=scenario, receiver=receiver, detector=Never(), timeline=timeline
     )
+    setup.fields = setup.has
     engine = Engine(receivers, setup, threads=1)
     engine.reset([np.random.default_rng([seed, run]) for run in range(receivers)])
     simulator: TightlyCoupledSimulator = engine.simulator

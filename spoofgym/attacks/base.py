@@ -250,7 +250,10 @@ class Attack(ABC):
         self.world = context.world
         self.mask = self.captured(context.world)
         axes = len(self.action_names(context.world))
-        self._idle = np.zeros((context.receivers, axes))
+        self.idle = np.zeros((context.receivers, axes))
+        self.slots = np.flatnonzero(self.mask)
+        rules = (self.control == "rate", self.unit_scale, self.rate_limit_mps, self.coherent)
+        self.kernel_settings = np.array(rules, dtype=np.float64)
         self.memory = Memory(context.receivers)
         self.memory.declare("displacement", np.zeros((context.receivers, axes)))
         self.memory.declare("rate", np.zeros((context.receivers, axes)))

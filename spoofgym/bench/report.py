@@ -94,10 +94,11 @@ def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
         own = ", ".join(f"{k}={text}" for k, text in given.items())
         return [f"- Environment: {config['env']}, {own}", *notes]
     scenario, receiver = config["scenario"], config["receiver"]
-    errors = scenario["errors"]
+    errors, rate = scenario["errors"], scenario.get("imu_rate_hz")
     return [
         f"- Scenario: errors {errors if isinstance(errors, str) else errors['kind']}, "
-        f"{scenario['imu']} inertial sensors, epochs of {scenario['epoch_interval_s']:g} s",
+        f"{scenario['imu']} inertial sensors{'' if rate is None else f' at {rate:g} Hz'}, "
+        f"epochs of {scenario['epoch_interval_s']:g} s",
         *notes,
         f"- Receiver: tightly coupled, tuning {receiver['tuning']}, covariance update "
         f"{receiver['covariance_update']}",

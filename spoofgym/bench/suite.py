@@ -319,7 +319,7 @@ class Suite:
         setup = self._setup
         if isinstance(setup, TightlyCoupledSetup):
             return {
-                "scenario": describe(setup.scenario),
+                "scenario": {**describe(setup.scenario), "name": setup.name},
                 "receiver": describe(setup.receiver),
                 "attack": spec_of("attack", ATTACKS, setup.attack),
             }

@@ -113,7 +113,7 @@ def _scenario(world: World) -> tuple[Scenario, tuple[str, ...], Reports]:
     from ..bench.real import real_scenario
 
     usual = make_scenario(named)
-    kept = ("errors", "imu", "epoch_interval_s", "channels", "mask_deg")
+    kept = ("errors", "imu", "epoch_interval_s", "channels", "mask_deg", "imu_rate_hz")
     real = real_scenario(
         world.track,
         world.ephemeris,

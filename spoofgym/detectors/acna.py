@@ -227,7 +227,7 @@ class Acna(Detector):
     max_exclusion_s: float | None = 300.0
 
     paper: ClassVar[str] = "song2021"
-    needs: ClassVar[frozenset[str]] = frozenset({"gnss_position"})
+    needs: ClassVar[frozenset[str]] = frozenset({"design", "gnss_position"})
     measures: ClassVar[str] = "position"
 
     def __post_init__(self) -> None:
@@ -269,7 +269,7 @@ class Acna(Detector):
         judge_fixes(
             cast(FloatArray, epoch.gnss_position),
             epoch.predicted_position,
-            epoch.design,
+            cast(FloatArray, epoch.design),
             epoch.interval,
             NO_RULE if self.jump_threshold_m is None else self.jump_threshold_m,
             NO_RULE if self.slow_threshold_m is None else self.slow_threshold_m,

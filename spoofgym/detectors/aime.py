@@ -116,6 +116,7 @@ class Aime(InnovationTest):
     bias_window_s: float = 0.0
 
     paper: ClassVar[str] = "diesel1995"
+    needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def __post_init__(self) -> None:
         """Check the settings."""

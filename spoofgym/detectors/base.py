@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from ..receiver.epoch import Epoch
+from ..receiver.epoch import OPTIONAL, Epoch
 
 FloatArray = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class Detector(ABC):
     paper : str
         Key in references.bib.
     needs : frozenset of str
-        Optional fields of `Epoch` that it reads.
+        Optional fields of `Epoch` that it reads; those that nobody names are None.
     scope : {"channel", "receiver"}
         Whether it judges every channel, c = n (every coordinate of a position, c = m), or the
         receiver as a whole, c = 1.
@@ -107,8 +107,10 @@ class Detector(ABC):
         Raises
         ------
         ValueError
-            When the receiver does not measure what the detector does.
+            When the receiver does not measure what the detector does, or `needs` has what is no
+            optional field of `Epoch`.
         """
+        check_needs(self)
         measured = "satellites" if context.channels else "position"
         if self.measures not in (measured, "any"):
             raise ValueError(
@@ -141,3 +143,15 @@ class Detector(ABC):
         Verdict
             Fresh arrays, finite, 0 and no alarm where a channel is invisible.
         """
+
+
+def check_needs(reader: object) -> frozenset[str]:
+    """`needs` of a detector or monitor; a ValueError unless they are optional fields of `Epoch`."""
+    needs: Any = getattr(reader, "needs", None)
+    unknown = sorted(needs.difference(OPTIONAL)) if isinstance(needs, frozenset) else needs
+    if unknown or not isinstance(needs, frozenset):
+        raise ValueError(
+            f"`{type(reader).__name__}.needs` must be a frozenset of optional fields of an epoch "
+            f"({', '.join(OPTIONAL)}), got {needs!r}; not valid: {unknown!r}"
+        )
+    return needs

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,6 +164,7 @@ class ClockDrift(InnovationTest):
     bias_window_s: float = 0.0
 
     paper: ClassVar[str] = "hwang2014"
+    needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -185,7 +186,8 @@ class ClockDrift(InnovationTest):
         """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
         innovation, judged = self._without_bias(epoch)
         part = np.empty((len(judged), self._per_satellite))
-        common_part(innovation, epoch.innovation_cov, judged, *self._rows, part)
+        belief = cast(FloatArray, epoch.innovation_cov)
+        common_part(innovation, belief, judged, *self._rows, part)
         statistic = np.empty((len(judged), 1))
         ring = (self.memory["past"], self.memory["taken"], self.memory["place"])
         window_average(part, judged, *ring, statistic[:, 0])

@@ -54,7 +54,7 @@ def mean_epochs_between_alarms(allowance: float, limit: float) -> float:
 @njit
 def advance_sums(
     innovation: FloatArray,
-    innovation_cov: FloatArray,
+    innovation_variance: FloatArray,
     judged: NDArray[np.bool_],
     first: int,
     last: int,
@@ -64,7 +64,7 @@ def advance_sums(
 ) -> FloatArray:
     """Advance all sums by one epoch.
 
-    `innovation`, `innovation_cov` (B, 2n), (B, 2n, 2n); `judged` (B, n) bool; the sums of the
+    `innovation`, `innovation_variance` (B, 2n); `judged` (B, n) bool; the sums of the
     others start again; `above`, `below` (B, last - first) memory, overwritten; returns (B, n)
     largest sum of every satellite.
     """
@@ -76,7 +76,7 @@ def advance_sums(
             if not judged[b, j]:
                 above[b, i] = below[b, i] = 0.0
                 continue
-            u = innovation[b, r] / math.sqrt(innovation_cov[b, r, r])
+            u = innovation[b, r] / math.sqrt(innovation_variance[b, r])
             above[b, i] = max(0.0, above[b, i] + u - allowance)
             below[b, i] = max(0.0, below[b, i] - u - allowance)
             out[b, j] = max(out[b, j], above[b, i], below[b, i])
@@ -128,7 +128,7 @@ class Cusum(InnovationTest):
         innovation, judged = self._without_bias(epoch)
         statistic = advance_sums(
             innovation,
-            epoch.innovation_cov,
+            epoch.innovation_variance,
             judged,
             *self._rows,
             self.allowance,

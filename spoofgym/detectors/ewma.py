@@ -57,7 +57,7 @@ FloatArray = NDArray[np.float64]
 @njit
 def judge_channels(
     innovation: FloatArray,
-    innovation_cov: FloatArray,
+    innovation_variance: FloatArray,
     visible: NDArray[np.bool_],
     smoothing: float,
     quantile: float,
@@ -70,9 +70,9 @@ def judge_channels(
 ) -> None:
     """Advance all charts by one epoch.
 
-    `innovation`, `innovation_cov`, `visible` (B, 2n), (B, 2n, 2n), (B, n), of the epoch; `average`,
-    `decay` (B, n) memory, overwritten; `size`, `threshold` (B, n), written: statistic and threshold
-    [m]; `weights` (B, 2n), written: IGG-III for pseudoranges, 1 for range rates.
+    `innovation`, `innovation_variance`, `visible` (B, 2n), (B, 2n), (B, n), of the epoch;
+    `average`, `decay` (B, n) memory, overwritten; `size`, `threshold` (B, n), written: statistic
+    and threshold [m]; `weights` (B, 2n), written: IGG-III for pseudoranges, 1 for range rates.
     """
     for b in range(visible.shape[0]):
         for j in range(visible.shape[1]):
@@ -81,7 +81,7 @@ def judge_channels(
                 average[b, j] += smoothing * (innovation[b, j] - average[b, j])
             else:
                 decay[b, j], average[b, j] = 1.0, 0.0
-            sd = math.sqrt(innovation_cov[b, j, j])
+            sd = math.sqrt(innovation_variance[b, j])
             first = (1.0 - smoothing) * (1.0 - smoothing)
             limit = ewma_threshold(sd, min(decay[b, j], first), smoothing, quantile)
             size[b, j] = abs(average[b, j])
@@ -138,7 +138,14 @@ class Ewma(Detector):
         self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
         self._quantile = two_sided_quantile(self.false_alarm)
         self._longest = longest_exclusion(self.max_exclusion_s, context.epoch_interval_s)
-        self._limited = self.max_exclusion_s is not None or self.min_satellites > 0
+
+        scale = 1.0 if self.weight_scale is None else self.weight_scale
+        self.kernel_settings = np.array([self.smoothing, self._quantile, scale])
+
+    @property
+    def limits_exclusions(self) -> bool:
+        """Whether weights are limited in time or in number."""
+        return self.max_exclusion_s is not None or self.min_satellites > 0
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch.
@@ -150,11 +157,9 @@ class Ewma(Detector):
         weights = np.empty(epoch.innovation.shape)
         judge_channels(
             epoch.innovation,
-            epoch.innovation_cov,
+            epoch.innovation_variance,
             epoch.visible,
-            self.smoothing,
-            self._quantile,
-            1.0 if self.weight_scale is None else self.weight_scale,
+            *self.kernel_settings,
             self.memory["average"],
             self.memory["decay"],
             size,
@@ -162,7 +167,7 @@ class Ewma(Detector):
             weights,
         )
         in_loop = None if self.weight_scale is None else weights
-        if self._limited and in_loop is not None:
+        if self.limits_exclusions and in_loop is not None:
             limit_exclusions(
                 size,
                 threshold,

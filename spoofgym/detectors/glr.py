@@ -150,7 +150,7 @@ def largest_evidence(
 @njit
 def scan_channels(
     innovation: FloatArray,
-    innovation_cov: FloatArray,
+    innovation_variance: FloatArray,
     visible: NDArray[np.bool_],
     first_row: int,
     signals: int,
@@ -197,7 +197,7 @@ def scan_channels(
                     base[b, s] += float(values[(known - 1) % length])
                 if known > baseline:
                     base[b, s] -= float(values[(known - 1 - baseline) % length])
-                values[known % length] = innovation[b, row] / math.sqrt(innovation_cov[b, row, row])
+                values[known % length] = innovation[b, row] / math.sqrt(innovation_variance[b, row])
                 split_sums(values, base[b, s], known, onsets, baseline, ramp, scratch)
                 found = largest_evidence(ages, known + 1, onsets, baseline, ramp, scratch)
                 statistic[b, j] = max(statistic[b, j], found)
@@ -254,7 +254,7 @@ class _Glr(Detector):
         statistic, threshold = np.empty(shape), np.empty(shape)
         scan_channels(
             epoch.innovation,
-            epoch.innovation_cov,
+            epoch.innovation_variance,
             epoch.visible,
             self._first_row,
             self._signals,

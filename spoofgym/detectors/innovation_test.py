@@ -17,6 +17,7 @@ calibrated away: the option trusts the first epochs.
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -218,9 +219,12 @@ class InnovationTest(Detector):
         return without_bias(epoch, self.memory, self._bias_window)
 
     def _whitened(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:
-        """Whitened innovations of the rows (B, last - first) and the channels to judge."""
+        """Whitened innovations of the rows (B, last - first) and the channels to judge.
+
+        The test needs ``"innovation_cov"``.
+        """
         innovation, judged = self._without_bias(epoch)
         first, last = self._rows
         white = np.empty((len(judged), last - first))
-        whiten(innovation, epoch.innovation_cov, judged, first, last, white)
+        whiten(innovation, cast(FloatArray, epoch.innovation_cov), judged, first, last, white)
         return white, judged

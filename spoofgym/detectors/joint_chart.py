@@ -85,7 +85,7 @@ def spread_of(older: float, old: float, newest: float) -> float:
 @njit
 def judge_channels(
     innovation: FloatArray,
-    innovation_cov: FloatArray,
+    innovation_variance: FloatArray,
     visible: NDArray[np.bool_],
     smoothing: float,
     quantile: float,
@@ -100,11 +100,11 @@ def judge_channels(
 ) -> None:
     """Advance all charts by one epoch.
 
-    `innovation`, `innovation_cov`, `visible` (B, 2n), (B, 2n, 2n), (B, n), of the epoch; `average`,
-    `decay` (B, n) memory, overwritten; `ratios` (B, n, 2) memory, overwritten: the last ratios, the
-    older one first; 0 before the alarm; `spoofed` (B, n) memory, overwritten: epochs since the
-    alarm began, itself counted; 0 for none; `size`, `threshold` (B, n), written: statistic and
-    threshold [m].
+    `innovation`, `innovation_variance`, `visible` (B, 2n), (B, 2n), (B, n), of the epoch;
+    `average`, `decay` (B, n) memory, overwritten; `ratios` (B, n, 2) memory, overwritten: the last
+    ratios, the older one first; 0 before the alarm; `spoofed` (B, n) memory, overwritten: epochs
+    since the alarm began, itself counted; 0 for none; `size`, `threshold` (B, n), written:
+    statistic and threshold [m].
     """
     keep = (1.0 - smoothing) * (1.0 - smoothing)
     for b in range(visible.shape[0]):
@@ -114,7 +114,7 @@ def judge_channels(
                 average[b, j] += smoothing * (innovation[b, j] - average[b, j])
             else:
                 decay[b, j], average[b, j] = 1.0, 0.0
-            sd = math.sqrt(innovation_cov[b, j, j])
+            sd = math.sqrt(innovation_variance[b, j])
             limit = ewma_threshold(sd, min(decay[b, j], keep), smoothing, quantile)
             threshold[b, j] = limit
             ended = not abs(average[b, j]) > limit
@@ -222,7 +222,7 @@ class JointChart(Detector):
         size, threshold = np.empty(shape), np.empty(shape)
         judge_channels(
             epoch.innovation,
-            epoch.innovation_cov,
+            epoch.innovation_variance,
             epoch.visible,
             self.smoothing,
             self._quantile,

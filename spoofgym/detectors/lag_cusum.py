@@ -52,7 +52,7 @@ BASELINE_SDS = 5.0
 @njit
 def sum_channels(
     innovation: FloatArray,
-    innovation_cov: FloatArray,
+    innovation_variance: FloatArray,
     visible: NDArray[np.bool_],
     first_row: int,
     signals: int,
@@ -87,7 +87,7 @@ def sum_channels(
                     base[b, s] = above[b, s] = below[b, s] = 0.0
                     continue
                 row = first_row + s
-                value = innovation[b, row] / math.sqrt(innovation_cov[b, row, row])
+                value = innovation[b, row] / math.sqrt(innovation_variance[b, row])
                 if moved:
                     base[b, s] += ring[b, s, (end - 1) % length]
                     if end > baseline:
@@ -158,7 +158,7 @@ class LagCusum(Detector):
         statistic = np.empty(shape)
         sum_channels(
             epoch.innovation,
-            epoch.innovation_cov,
+            epoch.innovation_variance,
             epoch.visible,
             self._first_row,
             self._signals,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..receiver.epoch import Epoch
-from .base import Detector, DetectorContext, Verdict
+from .base import Detector, DetectorContext, Verdict, check_needs
 from .verdicts import judged
 
 FloatArray = NDArray[np.float64]
@@ -158,7 +158,7 @@ class PooledDetector(Detector):
         # these differ from pool to pool, so that they are the object's, not the class's
         self.measures = measures.pop() if measures else "any"  # type: ignore[misc]
         self.scope = scopes.pop() if self._alike else "receiver"  # type: ignore[misc]
-        self.needs = frozenset().union(*(j.needs for j in self.judges))  # type: ignore[misc]
+        self.needs = frozenset().union(*map(check_needs, self.judges))  # type: ignore[misc]
         self.oracle = any(judge.oracle for judge in self.judges)  # type: ignore[misc]
 
     def bind(self, context: DetectorContext) -> None:

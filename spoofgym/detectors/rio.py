@@ -99,7 +99,7 @@ class Rio(Detector):
     readmission_m: float = 5.0
 
     paper: ClassVar[str] = "song2021"
-    needs: ClassVar[frozenset[str]] = frozenset({"gnss_position", "auxiliary_position"})
+    needs: ClassVar[frozenset[str]] = frozenset({"auxiliary_position", "design", "gnss_position"})
     measures: ClassVar[str] = "position"
 
     def __post_init__(self) -> None:
@@ -126,7 +126,7 @@ class Rio(Detector):
             cast(FloatArray, epoch.gnss_position),
             cast(FloatArray, epoch.auxiliary_position),
             epoch.predicted_position,
-            epoch.design,
+            cast(FloatArray, epoch.design),
             self.limit_m,
             self.readmission_m,
             self.memory["rejecting"],

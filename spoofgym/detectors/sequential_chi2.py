@@ -110,6 +110,7 @@ class SequentialChi2(InnovationTest):
     bias_window_s: float = 0.0
 
     paper: ClassVar[str] = "mehra1971"
+    needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def __post_init__(self) -> None:
         """Check the settings."""

@@ -47,7 +47,7 @@ FloatArray = NDArray[np.float64]
 @njit
 def largest_normalized(
     innovation: FloatArray,
-    innovation_cov: FloatArray,
+    innovation_variance: FloatArray,
     judged: NDArray[np.bool_],
     first: int,
     last: int,
@@ -56,7 +56,7 @@ def largest_normalized(
 
     .. math:: F_j = \max_r |z_r| / \sqrt{S_{rr}}
 
-    `innovation`, `innovation_cov` (B, 2n), (B, 2n, 2n); `judged` (B, n) bool, satellites to test;
+    `innovation`, `innovation_variance` (B, 2n); `judged` (B, n) bool, satellites to test;
     returns (B, n); 0 for the others.
     """
     receivers, n = judged.shape
@@ -64,7 +64,7 @@ def largest_normalized(
     for b in range(receivers):
         for r in range(first, last):
             if judged[b, r % n]:
-                size = abs(innovation[b, r]) / math.sqrt(innovation_cov[b, r, r])
+                size = abs(innovation[b, r]) / math.sqrt(innovation_variance[b, r])
                 out[b, r % n] = max(out[b, r % n], size)
     return out
 
@@ -138,7 +138,7 @@ class Shewhart(InnovationTest):
         for range rates.
         """
         innovation, judged = self._without_bias(epoch)
-        statistic = largest_normalized(innovation, epoch.innovation_cov, judged, *self._rows)
+        statistic = largest_normalized(innovation, epoch.innovation_variance, judged, *self._rows)
         threshold = np.full(statistic.shape, self._quantile)
         weights = None
         if self.weight_scale is not None:

@@ -15,14 +15,14 @@ Source: `barshalom2001`, section 5.4, in references.bib.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 
 from ..receiver.epoch import Epoch
 from ..receiver.nis import normalized_innovation_squared
 from .base import DetectorContext, Verdict
-from .innovation_test import InnovationTest
+from .innovation_test import FloatArray, InnovationTest
 from .thresholds import chi2_thresholds
 
 
@@ -46,6 +46,7 @@ class SnapshotChi2(InnovationTest):
     bias_window_s: float = 0.0
 
     paper: ClassVar[str] = "barshalom2001"
+    needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare the thresholds for every number of visible satellites."""
@@ -56,7 +57,7 @@ class SnapshotChi2(InnovationTest):
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
         innovation, judged = self._without_bias(epoch)
-        belief = epoch.innovation_cov
+        belief = cast(FloatArray, epoch.innovation_cov)
         if self._bias_window > 0:
             rows = np.hstack([judged, judged])
             belief = np.where(rows[:, :, None] & rows[:, None, :], belief, np.eye(rows.shape[1]))

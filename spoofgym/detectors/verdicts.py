@@ -6,13 +6,14 @@ nothing but what `Verdict` promises may come as far as that.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._jit import njit
-from ..receiver.epoch import Epoch
+from ..receiver.epoch import Epoch, TracedEpoch
 from .base import Detector, Verdict
 
 FloatArray = NDArray[np.float64]
@@ -22,9 +23,39 @@ FLOAT, BOOL = np.dtype(np.float64), np.dtype(np.bool_)
 def judged(detector: Detector, epoch: Epoch) -> Verdict:
     """Let a bound detector judge an epoch, and check its verdict as `checked` does.
 
-    A new victim asks its detector through this function alone.
+    A new victim asks its detector through this function alone.  Where the detector fails, and reads
+    a field that is None since it isn't declared, an `UndeclaredFieldError` says so.
     """
-    return checked(detector.judge(epoch), detector, epoch)
+    try:
+        return checked(detector.judge(epoch), detector, epoch)
+    except UndeclaredFieldError:  # of a detector in a pool
+        raise
+    except Exception as error:
+        traced = TracedEpoch(*epoch)
+        with suppress(Exception):
+            detector.judge(traced)
+        message = undeclared(detector, traced)
+        if message:
+            raise UndeclaredFieldError(message) from error
+        raise
+
+
+class UndeclaredFieldError(TypeError):
+    """A detector reads an optional field of an epoch that its `needs` doesn't name."""
+
+
+def undeclared(detector: Detector, epoch: TracedEpoch) -> str:
+    """Say which fields were read that are None, since they are not declared; "" for none."""
+    absent = {name for name, array in epoch._asdict().items() if array is None}
+    read = sorted(epoch.read & absent)
+    if not read:
+        return ""
+    names = ", ".join(f"`epoch.{name}`" for name in read)
+    needs = ", ".join(repr(name) for name in sorted(detector.needs.union(read)))
+    return (
+        f"{type(detector).__name__} reads {names}, None here, without declaring it; write `needs = "
+        f"frozenset({{{needs}}})` into the class"
+    )
 
 
 def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
@@ -56,7 +87,7 @@ def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
                     and weights.flags.carray
                 )
             )
-            and _is_sound(statistic, threshold, weights)
+            and is_sound(statistic, threshold, weights)
         ):
             return verdict
     _examine(verdict, detector, epoch)
@@ -70,7 +101,7 @@ def checked_weights(weights: FloatArray, epoch: Epoch) -> FloatArray:
 
 
 @njit
-def _is_sound(statistic: FloatArray, threshold: FloatArray, weights: FloatArray | None) -> bool:
+def is_sound(statistic: FloatArray, threshold: FloatArray, weights: FloatArray | None) -> bool:
     """Whether statistics and thresholds are finite, and weights, if any, within 0 and 1."""
     rows, columns = statistic.shape
     sound = True

@@ -44,7 +44,7 @@ Source: `shadmehri2025`, eqs. 14 to 16; the distributions are from `hotelling193
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,6 +140,7 @@ class WindowedChi2(Detector):
     covariance_window: int = 100
 
     paper: ClassVar[str] = "shadmehri2025"
+    needs: ClassVar[frozenset[str]] = frozenset({"design", "innovation_cov"})
     measures: ClassVar[str] = "any"
 
     def __post_init__(self) -> None:
@@ -191,11 +192,13 @@ class WindowedChi2(Detector):
         Returns (B, 1) statistic, threshold and alarm; no weights.  While there is no verdict yet,
         the statistic is 0.
         """
-        nis = normalized_innovation_squared(epoch.innovation, epoch.innovation_cov, *self._rows)
+        belief = cast(FloatArray, epoch.innovation_cov)
+        nis = normalized_innovation_squared(epoch.innovation, belief, *self._rows)
         if epoch.visible.shape[1]:
             rows = self._per_satellite * epoch.visible.sum(axis=1)
         else:
-            rows = (epoch.design != 0.0).any(axis=2).sum(axis=1)  # none where the fix is missing
+            design = cast(FloatArray, epoch.design)
+            rows = (design != 0.0).any(axis=2).sum(axis=1)  # none where the fix is missing
         total, degrees = np.empty(len(nis)), np.empty(len(nis), dtype=np.int64)
         window_sum(
             nis,

@@ -64,6 +64,9 @@ class DetectorAgent(Detector):
     exclusion_s: float | None = EXCLUSION_S
 
     paper: ClassVar[str] = "groves2013"
+    needs: ClassVar[frozenset[str]] = frozenset().union(
+        *(getattr(term, "needs", ()) for term in ALL_TERMS)
+    )
 
     def __post_init__(self) -> None:
         """Check the settings."""

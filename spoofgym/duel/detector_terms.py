@@ -7,7 +7,7 @@ Every value is divided by a stated scale, and clipped to finite bounds.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ Written = NDArray[np.float32]
 
 
 class DetectorTerm(Protocol):
-    """One part of the observation."""
+    """One part of the observation; `needs`, where it has them, are those of a `Detector`."""
 
     def names(self, channels: int) -> tuple[str, ...]:
         """Name of every element, for as many slots."""
@@ -47,8 +47,7 @@ def innovation_sd(epoch: Epoch) -> FloatArray:
 
     Returns (B, m) root of the diagonal of S [m], [m/s].
     """
-    rows = np.arange(epoch.innovation.shape[1])
-    return np.sqrt(epoch.innovation_cov[:, rows, rows])
+    return np.sqrt(epoch.innovation_variance)
 
 
 @dataclass(frozen=True)
@@ -154,6 +153,8 @@ class InnovationSd:
 class ChiSquare:
     """Normalized innovations squared, of both kinds together, over the degrees of freedom."""
 
+    needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
+
     def names(self, channels: int) -> tuple[str, ...]:
         """``chi_square_ratio``."""
         return ("chi_square_ratio",)
@@ -168,7 +169,8 @@ class ChiSquare:
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         """Write the ratio; 1 is what the filter expects."""
         m = epoch.innovation.shape[1]
-        statistic = normalized_innovation_squared(epoch.innovation, epoch.innovation_cov, 0, m)
+        belief = cast(FloatArray, epoch.innovation_cov)
+        statistic = normalized_innovation_squared(epoch.innovation, belief, 0, m)
         freedom = np.maximum(2 * epoch.visible.sum(axis=1), 1)
         # an infinite one, of a covariance that is not positive definite, is cut like others
         out[:, 0] = np.minimum(statistic / freedom, 1e6)
@@ -208,6 +210,8 @@ class PredictedMotion:
     force_scale_mps2: float = 10.0
     rate_scale_rps: float = 0.1
 
+    needs: ClassVar[frozenset[str]] = frozenset({"imu_delta"})
+
     def names(self, channels: int) -> tuple[str, ...]:
         """``predicted_velocity_*``, ``specific_force_*`` and ``angular_rate_*``."""
         local = tuple(f"predicted_velocity_{a}" for a in ("north", "east", "down"))
@@ -231,7 +235,7 @@ class PredictedMotion:
         C_en = dcm_e_from_n(latitude, longitude)
         velocity_n = (epoch.predicted_velocity[:, :, None] * C_en).sum(axis=1)
         out[:, :3] = velocity_n * (1.0 / self.velocity_scale_mps)
-        mean = epoch.imu_delta / epoch.interval[:, None]
+        mean = cast(FloatArray, epoch.imu_delta) / epoch.interval[:, None]
         out[:, 3:6] = mean[:, :3] * (1.0 / self.force_scale_mps2)
         out[:, 6:] = mean[:, 3:] * (1.0 / self.rate_scale_rps)
 

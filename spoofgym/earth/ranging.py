@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 from .._jit import inlined
+from .._simd import sqrt
 from .wgs84 import EARTH_RATE, SPEED_OF_LIGHT
 
 
@@ -40,10 +39,11 @@ def range_and_rate(
     Groves (2013), eqs. 8.35, 8.40 and 9.165.
     """
     dx, dy, dz = sx - rx, sy - ry, sz - rz
-    a = EARTH_RATE * math.sqrt(dx * dx + dy * dy + dz * dz) / SPEED_OF_LIGHT
+    a = (EARTH_RATE / SPEED_OF_LIGHT) * sqrt(dx * dx + dy * dy + dz * dz)
     dx, dy = sx + a * sy - rx, sy - a * sx - ry
-    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-    ux, uy, uz = dx / distance, dy / distance, dz / distance
+    distance = sqrt(dx * dx + dy * dy + dz * dz)
+    inverse = 1.0 / distance
+    ux, uy, uz = dx * inverse, dy * inverse, dz * inverse
     # inertial velocities of the satellite and of the antenna, resolved in ECEF axes
     ix, iy = svx - EARTH_RATE * sy, svy + EARTH_RATE * sx
     rate = (

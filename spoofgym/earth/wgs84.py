@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from .._jit import inlined
+from .._simd import select, sqrt
 
 SPEED_OF_LIGHT = 299792458.0
 """Speed of light [m/s]."""
@@ -19,6 +20,8 @@ EQUATORIAL_RADIUS = 6378137.0
 ECCENTRICITY = 0.0818191908425
 """Eccentricity e of the ellipsoid."""
 ECCENTRICITY_SQUARED = ECCENTRICITY * ECCENTRICITY
+POLAR_RATIO = math.sqrt(1.0 - ECCENTRICITY_SQUARED)
+"""Polar over equatorial radius."""
 GRAVITATIONAL_CONSTANT = 3.986004418e14
 """Geocentric gravitational constant mu [m^3/s^2]."""
 J2 = 1.082627e-3
@@ -61,13 +64,12 @@ def geocentric_surface_radius(x: float, y: float, z: float) -> float:
     Groves (2013), eq. 2.137.  The latitude is Bowring's closed form, good to 1e-11 rad up to
     30 km of height.
     """
-    p = math.sqrt(x * x + y * y)
-    polar_ratio = math.sqrt(1.0 - ECCENTRICITY_SQUARED)
-    polar_radius = EQUATORIAL_RADIUS * polar_ratio
+    p = sqrt(x * x + y * y)
+    polar_radius = EQUATORIAL_RADIUS * POLAR_RATIO
     # tan of the parametric latitude, kept as a sine-cosine pair so that poles are no exception
     a = z * EQUATORIAL_RADIUS
     b = p * polar_radius
-    h = math.sqrt(a * a + b * b)
+    h = sqrt(a * a + b * b)
     s, c = a / h, b / h
     second = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED)
     u = z + second * polar_radius * s * s * s
@@ -76,11 +78,7 @@ def geocentric_surface_radius(x: float, y: float, z: float) -> float:
     sin2 = u * u / squared
     cos2 = v * v / squared
     flat = (1.0 - ECCENTRICITY_SQUARED) * (1.0 - ECCENTRICITY_SQUARED)
-    return (
-        EQUATORIAL_RADIUS
-        * math.sqrt(cos2 + flat * sin2)
-        / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin2)
-    )
+    return EQUATORIAL_RADIUS * sqrt(cos2 + flat * sin2) / sqrt(1.0 - ECCENTRICITY_SQUARED * sin2)
 
 
 @inlined
@@ -100,9 +98,8 @@ def gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
     Groves (2013), eqs. 2.142 and 2.133.
     """
     r2 = x * x + y * y + z * z
-    if r2 == 0.0:
-        return 0.0, 0.0, 0.0
-    r = math.sqrt(r2)
+    r2 = select(r2 > 0.0, r2, 1.0)
+    r = sqrt(r2)
     cube = 1.0 / (r2 * r)  # the only division: this runs for every inertial sample
     k = -GRAVITATIONAL_CONSTANT * cube
     j = (1.5 * J2 * EQUATORIAL_RADIUS * EQUATORIAL_RADIUS) * r * cube

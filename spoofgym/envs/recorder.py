@@ -66,7 +66,7 @@ class EpochRecorder:
             "statistic": verdict.statistic,
             "threshold": verdict.threshold,
             "innovation": epoch.innovation,
-            "innovation_variance": np.diagonal(epoch.innovation_cov, axis1=1, axis2=2),
+            "innovation_variance": epoch.innovation_variance,
             "visible": epoch.visible,
             **simulator.recorded(),
         }

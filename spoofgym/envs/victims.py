@@ -148,6 +148,9 @@ class SpoofEnv(VictimEnv):
         Time between decisions; every epoch by default.
     between : {"hold", "linear"}
         What is commanded between them.
+    imu_rate_hz : float, optional
+        Samples of the inertial sensors per second, such as 50, 20 or 10: fewer make a step cheaper;
+        those of the scenario by default.  See `Scenario`.
     twin : bool
         Whether a clean twin of the victim runs, too, and displacement is the distance from it
         instead of the error less that at the onset.  It takes up to twice the time.

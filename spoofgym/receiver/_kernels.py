@@ -1,437 +1,647 @@
-"""The compiled halves of a receiver's epoch, over a slice of a batch of receivers."""
+"""The compiled halves of a receiver's epoch, group by group of a batch of receivers."""
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from .._jit import njit
+from .._jit import inlined, njit
+from .._lanes import first_rows
+from .._simd import (
+    any_lane,
+    lane,
+    lanes_of,
+    load,
+    select,
+    set_lane,
+    splat,
+    store,
+)
 from ..earth.ranging import range_and_rate
-from ..sim._kernels import gnss_epoch, imu_block
-from ..sim.sensors import unpack_sensors
-from .error_model import fill_transition, propagate_covariance
-from .kalman import accumulate, gain_solution, innovation_covariance, solve_in_place
-from .state import unpack
+from ..earth.wgs84 import EARTH_RATE
+from ..sim._kernels import CHANNELS as SENSOR_CHANNELS
+from ..sim._kernels import CHUNK, IMU_KEY, KEYS, SKY, gather_sky, measure, recorded, sense
+from ..sim.noise import deviates, whole_number
+from . import kalman
+from .error_model import INDEX, TERMS, propagate_covariance, transition_terms
+from .state import receiver_shapes
 from .strapdown import strapdown_step
 
-L = 8  # state.LANES, as a constant that the compiler sees
-_X = 31 * L
-MEASURE, PREDICT, UPDATE = 1, 2, 4
+_ROWS = first_rows(receiver_shapes(1))
+C_EB, VELOCITY, POSITION = _ROWS["C_eb"], _ROWS["velocity_e"], _ROWS["position_e"]
+ACCEL_BIAS, GYRO_BIAS, CLOCK = _ROWS["accel_bias_b"], _ROWS["gyro_bias_b"], _ROWS["clock"]
+IMU_DELTA, NOISE_PSD, COVARIANCE = (
+    _ROWS["imu_delta"],
+    _ROWS["noise_psd"],
+    _ROWS["packed_covariance"],
+)
+CHANNELS = _ROWS["measured"]
+"""First row of what there is of every channel: the following numbers of rows for n of them."""
+MEASURED, INNOVATION, VARIANCE, SIGHT, VISIBLE, ALL = 0, 2, 4, 6, 9, 10
+MEASURE, PREDICT, UPDATE, SHOW = 1, 2, 4, 8
+PRODUCT_ROWS = 187
+
+
+# places of what is seen of an epoch, as `state.SEEN`
+(
+    SEEN_INNOVATION,
+    SEEN_VARIANCE,
+    SEEN_S,
+    SEEN_P,
+    SEEN_H,
+    SEEN_PHI,
+    SEEN_DELTA,
+    SEEN_RANGE,
+    SEEN_RATE,
+    SEEN_SATELLITE,
+    SEEN_SATELLITE_VELOCITY,
+) = range(11)
+
+
+@inlined
+def _put(x, row, now, a, b, c):
+    """Write three rows in some lanes."""
+    store(x, row, select(now, a, load(x, row)))
+    store(x, row + 1, select(now, b, load(x, row + 1)))
+    store(x, row + 2, select(now, c, load(x, row + 2)))
 
 
 @njit
-def mechanize(state, measured, block, samples, imu_interval, group, hi, work):
-    """Run the samples of one interval through the strapdown, `L` receivers side by side.
+def mechanize(x, base, samples, dt, count, active, force):
+    """Run the samples of one interval through the strapdown, in the lanes that are `active`.
 
-    Lanes without a receiver repeat the last one, so that a receiver takes the same path in any
-    batch.  Their number comes from the array: LLVM would unroll a loop of a known length instead of
-    vectorizing it.  `work` is component by component: C_eb (9), velocity (3), position (3),
-    accelerometer and gyro bias (6), sums of specific force and angular rate (6), last specific
-    force (3), dt.
+    `samples`: rows c count + i for sensor c and sample i; `dt`: lengths [s]; `active`: one row, 1
+    or 0; `force`: three rows, written: last bias-corrected specific force, body axes [m/s^2].
     """
-    lanes, most = samples.shape[2] // 6, 0
-    for lane in range(lanes):
-        b = min(group * L + lane, hi - 1)
-        most = max(most, block[1, b])
-        for i in range(3):
-            for j in range(3):
-                work[(3 * i + j) * L + lane] = state.C_eb[b, i, j]
-            work[(9 + i) * L + lane] = state.velocity_e[b, i]
-            work[(12 + i) * L + lane] = state.position_e[b, i]
-            work[(15 + i) * L + lane] = state.accel_bias_b[b, i]
-            work[(18 + i) * L + lane] = state.gyro_bias_b[b, i]
-        for i in range(21, 31):
-            work[i * L + lane] = 0.0
-    for i in range(most):
-        m = samples[group, i]
-        for lane in range(lanes):
-            b = min(group * L + lane, hi - 1)
-            inside = i < block[1, b]
-            work[30 * L + lane] = imu_interval[block[0, b] + i] if inside else 0.0
-        strapdown_lanes(work, m, lanes)
-    for lane in range(lanes):
-        b = group * L + lane
-        if b >= hi:
-            break
-        for i in range(3):
-            for j in range(3):
-                state.C_eb[b, i, j] = work[(3 * i + j) * L + lane]
-            state.velocity_e[b, i] = work[(9 + i) * L + lane]
-            state.position_e[b, i] = work[(12 + i) * L + lane]
-        for i in range(6):
-            measured.imu_delta[b, i] = work[(21 + i) * L + lane]
-
-
-@njit
-def strapdown_lanes(x, m, lanes):
-    """Advance one sample in all lanes; a sample of no length changes nothing."""
-    for i in range(lanes):
-        dt = x[30 * L + i]
-        C = (
-            x[i],
-            x[L + i],
-            x[2 * L + i],
-            x[3 * L + i],
-            x[4 * L + i],
-            x[5 * L + i],
-            x[6 * L + i],
-            x[7 * L + i],
-            x[8 * L + i],
+    C = (
+        load(x, base + C_EB),
+        load(x, base + C_EB + 1),
+        load(x, base + C_EB + 2),
+        load(x, base + C_EB + 3),
+        load(x, base + C_EB + 4),
+        load(x, base + C_EB + 5),
+        load(x, base + C_EB + 6),
+        load(x, base + C_EB + 7),
+        load(x, base + C_EB + 8),
+    )
+    v = load(x, base + VELOCITY), load(x, base + VELOCITY + 1), load(x, base + VELOCITY + 2)
+    r = load(x, base + POSITION), load(x, base + POSITION + 1), load(x, base + POSITION + 2)
+    a = load(x, base + ACCEL_BIAS), load(x, base + ACCEL_BIAS + 1), load(x, base + ACCEL_BIAS + 2)
+    g = load(x, base + GYRO_BIAS), load(x, base + GYRO_BIAS + 1), load(x, base + GYRO_BIAS + 2)
+    zero = splat(0.0, x)
+    f = zero, zero, zero
+    d0, d1, d2, d3, d4, d5 = zero, zero, zero, zero, zero, zero
+    n = count
+    for i in range(n):
+        h = load(dt, i)
+        f = (
+            load(samples, i) - a[0],
+            load(samples, n + i) - a[1],
+            load(samples, 2 * n + i) - a[2],
         )
-        v = (x[9 * L + i], x[10 * L + i], x[11 * L + i])
-        r = (x[12 * L + i], x[13 * L + i], x[14 * L + i])
-        fx, fy, fz = m[i] - x[15 * L + i], m[L + i] - x[16 * L + i], m[2 * L + i] - x[17 * L + i]
-        wx = m[3 * L + i] - x[18 * L + i]
-        wy = m[4 * L + i] - x[19 * L + i]
-        wz = m[5 * L + i] - x[20 * L + i]
-        C, v, r = strapdown_step(C, v, r, (fx, fy, fz), (wx, wy, wz), dt)
-        x[i], x[L + i], x[2 * L + i] = C[0], C[1], C[2]
-        x[3 * L + i], x[4 * L + i], x[5 * L + i] = C[3], C[4], C[5]
-        x[6 * L + i], x[7 * L + i], x[8 * L + i] = C[6], C[7], C[8]
-        x[9 * L + i], x[10 * L + i], x[11 * L + i] = v[0], v[1], v[2]
-        x[12 * L + i], x[13 * L + i], x[14 * L + i] = r[0], r[1], r[2]
-        x[21 * L + i] += fx * dt
-        x[22 * L + i] += fy * dt
-        x[23 * L + i] += fz * dt
-        x[24 * L + i] += wx * dt
-        x[25 * L + i] += wy * dt
-        x[26 * L + i] += wz * dt
-        keep = 1.0 if dt > 0.0 else 0.0
-        x[27 * L + i] += keep * (fx - x[27 * L + i])
-        x[28 * L + i] += keep * (fy - x[28 * L + i])
-        x[29 * L + i] += keep * (fz - x[29 * L + i])
-
-
-@njit
-def predict(
-    floats, flags, block, samples, imu_interval, receivers, channels, lo, hi, for_detector=True
-):
-    """Mechanize one block of samples, propagate, and form innovation and covariance.
-
-    `imu_interval` (N,) length of every sample of the run [s]; `for_detector`: whether to write the
-    design and the innovation covariance, which only a detector looks at.
-    """
-    state, measured, noise_psd = unpack(floats, flags, receivers, channels)
-    covariance_work, row_work = np.empty(289), np.empty(17)
-    lane_work = np.empty(_X + L)  # aligned below, or every vector of 64 bytes lies in two lines
-    aligned = (64 - lane_work.ctypes.data % 64) // 8
-    lane_work = lane_work[aligned : aligned + _X]
-    n = channels
-    for b in range(lo, hi):
-        if b % L == 0:
-            mechanize(state, measured, block, samples, imu_interval, b // L, hi, lane_work)
-        C, v, r = state.C_eb[b], state.velocity_e[b], state.position_e[b]
-        fx, fy, fz = (
-            lane_work[27 * L + b % L],
-            lane_work[28 * L + b % L],
-            lane_work[29 * L + b % L],
+        w = (
+            load(samples, 3 * n + i) - g[0],
+            load(samples, 4 * n + i) - g[1],
+            load(samples, 5 * n + i) - g[2],
         )
-        # ---- errors and clock
-        tau = measured.interval[b]
-        Phi = measured.transition[b]
-        fill_transition(Phi, C, r, fx, fy, fz, tau)
-        P = state.covariance[b].reshape(289)
-        propagate_covariance(P, Phi, noise_psd[b], tau, covariance_work)
-        state.clock[b, 0] += state.clock[b, 1] * tau
-        # ---- innovation
-        H, z, u = measured.design[b], measured.innovation[b], measured.line_of_sight[b]
-        for s in range(n):
-            if measured.visible[b, s]:
-                p, q = measured.satellite_position[b, s], measured.satellite_velocity[b, s]
-                rho, rate, ux, uy, uz = range_and_rate(
-                    p[0], p[1], p[2], q[0], q[1], q[2], r[0], r[1], r[2], v[0], v[1], v[2]
-                )
-                z[s] = measured.pseudorange[b, s] - (rho + state.clock[b, 0])
-                z[n + s] = measured.range_rate[b, s] - (rate + state.clock[b, 1])
-                u[s, 0], u[s, 1], u[s, 2] = ux, uy, uz
-                one = 1.0
-            else:
-                z[s], z[n + s] = 0.0, 0.0
-                u[s, 0], u[s, 1], u[s, 2] = 0.0, 0.0, 0.0
-                one = 0.0
-            if not for_detector:
-                continue
-            for i in range(3):
-                H[s, 6 + i] = u[s, i]
-                H[n + s, 3 + i] = u[s, i]
-            H[s, 15] = one
-            H[n + s, 16] = one
-        if for_detector:
-            innovation_covariance(
-                P,
-                u,
-                measured.noise_variance[b],
-                measured.visible[b],
-                row_work,
-                measured.innovation_cov[b],
-            )
+        C, v, r = strapdown_step(C, v, r, f, w, h)
+        d0 += f[0] * h
+        d1 += f[1] * h
+        d2 += f[2] * h
+        d3 += w[0] * h
+        d4 += w[1] * h
+        d5 += w[2] * h
+    now = load(active, 0) > 0.0
+    _put(x, base + C_EB, now, C[0], C[1], C[2])
+    _put(x, base + C_EB + 3, now, C[3], C[4], C[5])
+    _put(x, base + C_EB + 6, now, C[6], C[7], C[8])
+    _put(x, base + VELOCITY, now, v[0], v[1], v[2])
+    _put(x, base + POSITION, now, r[0], r[1], r[2])
+    _put(x, base + IMU_DELTA, now, d0, d1, d2)
+    _put(x, base + IMU_DELTA + 3, now, d3, d4, d5)
+    _put(force, 0, now, f[0], f[1], f[2])
+
+
+@inlined
+def propagate(x, base, force, tau, terms, product):
+    """Propagate a group's covariance over one interval."""
+    C = (
+        load(x, base + C_EB),
+        load(x, base + C_EB + 1),
+        load(x, base + C_EB + 2),
+        load(x, base + C_EB + 3),
+        load(x, base + C_EB + 4),
+        load(x, base + C_EB + 5),
+        load(x, base + C_EB + 6),
+        load(x, base + C_EB + 7),
+        load(x, base + C_EB + 8),
+    )
+    r = load(x, base + POSITION), load(x, base + POSITION + 1), load(x, base + POSITION + 2)
+    f = load(force, 0), load(force, 1), load(force, 2)
+    transition_terms(C, r, f, tau, terms)
+    propagate_covariance(x, base + COVARIANCE, terms, tau, x, base + NOISE_PSD, product)
 
 
 @njit
-def update(
-    floats,
-    flags,
-    weights,
-    receivers,
-    channels,
-    covariance_update,
-    min_satellites,
-    orthonormalize,
-    lo,
-    hi,
-):
-    """Correct the predicted state with the weighted gain, and feed it back.
-
-    `floats`, `flags`: of `ReceiverBuffers`, after `predict`; corrected in place; `weights` (B, 2n)
-    weights on the columns of the gain.
-    """
-    state, measured, _ = unpack(floats, flags, receivers, channels)
-    A, A1, A2 = np.empty((8, 8)), np.empty((8, 8)), np.empty((8, 8))
-    F, M, V = np.empty((8, 8)), np.empty((8, 8)), np.empty(64)
-    Pc, Q = np.empty(136), np.empty(136)
-    y, x = np.empty(8), np.empty(17)
-    n = channels
-    for b in range(lo, hi):
-        seen = 0
-        for s in range(n):
-            if measured.visible[b, s]:
-                seen += 1
-        measured.coasting[b] = seen < min_satellites
-        if seen < min_satellites:
+def innovate(x, base, n, tau, sky):
+    """Propagate the clock, and write innovations and lines of sight; 0 where invisible."""
+    drift = load(x, base + CLOCK + 1)
+    clock = load(x, base + CLOCK) + drift * tau
+    store(x, base + CLOCK, clock)
+    rx, ry, rz = (
+        load(x, base + POSITION),
+        load(x, base + POSITION + 1),
+        load(x, base + POSITION + 2),
+    )
+    vx, vy, vz = (
+        load(x, base + VELOCITY),
+        load(x, base + VELOCITY + 1),
+        load(x, base + VELOCITY + 2),
+    )
+    c = base + CHANNELS
+    for s in range(n):
+        visible = load(sky, SKY * s + 6) > 0.0
+        store(x, c + VISIBLE * n + s, select(visible, 1.0, 0.0))
+        z, u = c + INNOVATION * n + s, c + SIGHT * n + 3 * s
+        if not any_lane(visible):
+            store(x, z, 0.0)
+            store(x, z + n, 0.0)
+            store(x, u, 0.0)
+            store(x, u + 1, 0.0)
+            store(x, u + 2, 0.0)
             continue
-        accumulate(
-            measured.line_of_sight[b],
-            measured.innovation[b],
-            measured.noise_variance[b],
-            weights[b],
-            measured.visible[b],
-            covariance_update,
-            A,
-            A1,
-            A2,
-            y,
+        rho, rate, ux, uy, uz = range_and_rate(
+            load(sky, SKY * s),
+            load(sky, SKY * s + 1),
+            load(sky, SKY * s + 2),
+            load(sky, SKY * s + 3),
+            load(sky, SKY * s + 4),
+            load(sky, SKY * s + 5),
+            rx,
+            ry,
+            rz,
+            vx,
+            vy,
+            vz,
         )
-        gain_solution(
-            state.covariance[b].reshape(289), A, A1, A2, y, covariance_update, F, M, V, Pc, Q, x
-        )
-        C = state.C_eb[b]
-        for j in range(3):
-            c0, c1, c2 = C[0, j], C[1, j], C[2, j]
-            C[0, j] = c0 + x[2] * c1 - x[1] * c2
-            C[1, j] = c1 - x[2] * c0 + x[0] * c2
-            C[2, j] = c2 + x[1] * c0 - x[0] * c1
-        if orthonormalize:
-            _orthonormalize(C)
-        for i in range(3):
-            state.velocity_e[b, i] -= x[3 + i]
-            state.position_e[b, i] -= x[6 + i]
-            state.accel_bias_b[b, i] += x[9 + i]
-            state.gyro_bias_b[b, i] += x[12 + i]
-        state.clock[b, 0] += x[15]
-        state.clock[b, 1] += x[16]
+        store(x, z, select(visible, load(x, c + s) - (rho + clock), 0.0))
+        store(x, z + n, select(visible, load(x, c + n + s) - (rate + drift), 0.0))
+        store(x, u, select(visible, ux, 0.0))
+        store(x, u + 1, select(visible, uy, 0.0))
+        store(x, u + 2, select(visible, uz, 0.0))
 
 
-@njit
-def _orthonormalize(C):
-    """One step towards the nearest rotation: C <- C (3 I - C' C) / 2, row by row."""
-    g00 = C[0, 0] * C[0, 0] + C[1, 0] * C[1, 0] + C[2, 0] * C[2, 0]
-    g11 = C[0, 1] * C[0, 1] + C[1, 1] * C[1, 1] + C[2, 1] * C[2, 1]
-    g22 = C[0, 2] * C[0, 2] + C[1, 2] * C[1, 2] + C[2, 2] * C[2, 2]
-    g01 = C[0, 0] * C[0, 1] + C[1, 0] * C[1, 1] + C[2, 0] * C[2, 1]
-    g02 = C[0, 0] * C[0, 2] + C[1, 0] * C[1, 2] + C[2, 0] * C[2, 2]
-    g12 = C[0, 1] * C[0, 2] + C[1, 1] * C[1, 2] + C[2, 1] * C[2, 2]
+@inlined
+def correct(x, base, n, weights, rules, work, precision):
+    """Update a group's state and covariance; lanes with too few satellites stay as they are.
+
+    `weights`: 2 n rows; `rules`: covariance update, fewest satellites, and whether to
+    re-orthonormalize; `work`, `precision`: scratch memory of `kalman.WORK` and 2 n rows; returns
+    which lanes have satellites enough.
+    """
+    c = base + CHANNELS
+    seen = splat(0.0, x)
+    for s in range(n):
+        seen += load(x, c + VISIBLE * n + s)
+    enough = seen >= float(rules[1])
+    for s in range(2 * n):
+        used = (load(x, c + VISIBLE * n + s % n) > 0.0) & enough
+        store(precision, s, select(used, 1.0 / load(x, c + VARIANCE * n + s), 0.0))
+    u, z = c + SIGHT * n, c + INNOVATION * n
+    for half in range(2):
+        for power in range(1 if rules[0] == kalman.UNWEIGHTED else 3):
+            kalman.information(x, u, z, precision, weights, half, n, power, work)
+    kalman.update(x, base + COVARIANCE, rules[0], work)
+    dx = kalman.X
+    x0, x1, x2 = load(work, dx), load(work, dx + 1), load(work, dx + 2)
+    for j in range(base + C_EB, base + C_EB + 3):
+        c0, c1, c2 = load(x, j), load(x, j + 3), load(x, j + 6)
+        store(x, j, c0 + x2 * c1 - x1 * c2)
+        store(x, j + 3, c1 - x2 * c0 + x0 * c2)
+        store(x, j + 6, c2 + x1 * c0 - x0 * c1)
+    if rules[2]:
+        _orthonormalize(x, base + C_EB, enough)
     for i in range(3):
-        a, b, c = C[i, 0], C[i, 1], C[i, 2]
-        C[i, 0] = 0.5 * ((3.0 - g00) * a - g01 * b - g02 * c)
-        C[i, 1] = 0.5 * ((3.0 - g11) * b - g01 * a - g12 * c)
-        C[i, 2] = 0.5 * ((3.0 - g22) * c - g02 * a - g12 * b)
+        store(x, base + VELOCITY + i, load(x, base + VELOCITY + i) - load(work, dx + 3 + i))
+        store(x, base + POSITION + i, load(x, base + POSITION + i) - load(work, dx + 6 + i))
+    for i in range(3):
+        store(x, base + ACCEL_BIAS + i, load(x, base + ACCEL_BIAS + i) + load(work, dx + 9 + i))
+        store(x, base + GYRO_BIAS + i, load(x, base + GYRO_BIAS + i) + load(work, dx + 12 + i))
+    for i in range(2):
+        store(x, base + CLOCK + i, load(x, base + CLOCK + i) + load(work, dx + 15 + i))
+    return seen
 
 
 @njit
-def measure(
-    sensor_floats,
+def _orthonormalize(x, first, now):
+    """One step towards the nearest rotation: C <- C (3 I - C' C) / 2, row by row."""
+    c0, c1, c2 = load(x, first), load(x, first + 1), load(x, first + 2)
+    c3, c4, c5 = load(x, first + 3), load(x, first + 4), load(x, first + 5)
+    c6, c7, c8 = load(x, first + 6), load(x, first + 7), load(x, first + 8)
+    g00, g11, g22 = (
+        c0 * c0 + c3 * c3 + c6 * c6,
+        c1 * c1 + c4 * c4 + c7 * c7,
+        c2 * c2 + c5 * c5 + c8 * c8,
+    )
+    g01, g02, g12 = (
+        c0 * c1 + c3 * c4 + c6 * c7,
+        c0 * c2 + c3 * c5 + c6 * c8,
+        c1 * c2 + c4 * c5 + c7 * c8,
+    )
+    for i in range(first, first + 9, 3):
+        a, b, c = load(x, i), load(x, i + 1), load(x, i + 2)
+        _put(
+            x,
+            i,
+            now,
+            0.5 * ((3.0 - g00) * a - g01 * b - g02 * c),
+            0.5 * ((3.0 - g11) * b - g01 * a - g12 * c),
+            0.5 * ((3.0 - g22) * c - g02 * a - g12 * b),
+        )
+
+
+@njit
+def spread(x, row, count, out, place, first, lanes):
+    """Copy rows of a group to where its receivers have theirs, one after the other."""
+    for index in range(lanes):
+        o = place + (first + index) * count
+        for i in range(count):
+            out[o + i] = lane(x, row + i, index)
+
+
+@inlined
+def show_position(a, base, b, some):
+    """Write the estimated position and velocity of a group, receiver by receiver."""
+    receivers = a.visible.shape[0]
+    spread(a.x, base + POSITION, 3, a.out, 2 * receivers, b, some)
+    spread(a.x, base + VELOCITY, 3, a.out, 5 * receivers, b, some)
+
+
+@inlined
+def show(a, w, base, b, some):
+    """Write what is looked at of a group's predicted epoch, receiver by receiver (`state.SEEN`)."""
+    (receivers, n), x, out, places = a.visible.shape, a.x, a.out, a.places
+    c, m = base + CHANNELS, 2 * n
+    P, R, u, seen = base + COVARIANCE, c + VARIANCE * n, c + SIGHT * n, c + VISIBLE * n
+    for each in range(some):
+        out[b + each] = a.epoch_time[w.index[0, each]]
+        out[receivers + b + each] = lane(w.tau, 0, each)
+        for s in range(n):
+            a.visible[b + each, s] = lane(x, seen + s, each) > 0.0
+    show_position(a, base, b, some)
+    spread(x, c + INNOVATION * n, m, out, places[SEEN_INNOVATION], b, some)
+    kalman.innovation_variance(x, P, u, R, seen, n, w.added)
+    spread(w.added, 0, m, out, places[SEEN_VARIANCE], b, some)
+    if places[SEEN_DELTA] >= 0:
+        spread(x, base + IMU_DELTA, 6, out, places[SEEN_DELTA], b, some)
+    if places[SEEN_RANGE] >= 0:
+        spread(x, c, n, out, places[SEEN_RANGE], b, some)
+    if places[SEEN_RATE] >= 0:
+        spread(x, c + n, n, out, places[SEEN_RATE], b, some)
+    if places[SEEN_S] >= 0:
+        kalman.innovation_covariance(x, P, u, R, seen, n, w.rest, w.product)
+    for each in range(some):
+        r = b + each
+        if places[SEEN_SATELLITE] >= 0:
+            show_satellites(w.sky, 0, each, n, out, places[SEEN_SATELLITE] + 3 * n * r)
+        if places[SEEN_SATELLITE_VELOCITY] >= 0:
+            show_satellites(w.sky, 3, each, n, out, places[SEEN_SATELLITE_VELOCITY] + 3 * n * r)
+        if places[SEEN_S] >= 0:
+            o = places[SEEN_S] + m * m * r
+            for k in range(m):
+                for j in range(k, m):
+                    out[o + k * m + j] = out[o + j * m + k] = lane(w.rest, k * m + j, each)
+        if places[SEEN_P] >= 0:
+            o = places[SEEN_P] + 289 * r
+            for i in range(17):
+                for j in range(17):
+                    out[o + 17 * i + j] = lane(x, P + INDEX[i, j], each)
+        if places[SEEN_H] >= 0:
+            o = places[SEEN_H] + 17 * m * r
+            show_design(x, u, seen, each, n, out[o : o + 17 * m])
+        if places[SEEN_PHI] >= 0:
+            o = places[SEEN_PHI] + 289 * r
+            show_transition(w.terms, lane(w.tau, 0, each), each, out[o : o + 289])
+
+
+@njit
+def show_satellites(sky, column, each, n, out, first):
+    """Write three columns of what is known of the satellites, (n, 3)."""
+    for s in range(n):
+        for i in range(3):
+            out[first + 3 * s + i] = lane(sky, SKY * s + column + i, each)
+
+
+@njit
+def show_design(x, u, seen, each, n, H):
+    """Write what is not 0 of the design matrix H of one receiver, row by row."""
+    for s in range(n):
+        for i in range(3):
+            H[17 * s + 6 + i] = H[17 * (n + s) + 3 + i] = lane(x, u + 3 * s + i, each)
+        H[17 * s + 15] = H[17 * (n + s) + 16] = lane(x, seen + s, each)
+
+
+@njit
+def show_transition(terms, tau, index, Phi):
+    """Write the transition matrix of one receiver, row by row (`error_model.transition_terms`)."""
+    w = EARTH_RATE * tau
+    for i in range(17):
+        Phi[18 * i] = 1.0
+    Phi[1], Phi[17] = w, -w
+    Phi[17 * 3 + 4], Phi[17 * 4 + 3] = 2.0 * w, -2.0 * w
+    ex, ey, ez = lane(terms, 9, index), lane(terms, 10, index), lane(terms, 11, index)
+    Phi[17 * 3 + 1], Phi[17 * 3 + 2] = ez, -ey
+    Phi[17 * 4], Phi[17 * 4 + 2] = -ez, ex
+    Phi[17 * 5], Phi[17 * 5 + 1] = ey, -ex
+    for i in range(3):
+        for j in range(3):
+            Phi[17 * i + 12 + j] = lane(terms, 3 * i + j, index)
+            Phi[17 * (3 + i) + 9 + j] = lane(terms, 3 * i + j, index)
+            Phi[17 * (3 + i) + 6 + j] = lane(terms, 12 + 3 * i + j, index)
+        Phi[17 * (6 + i) + 3 + i] = tau
+    Phi[17 * 15 + 16] = tau
+
+
+@inlined
+def sample(a, w, sensor_base, key_row, epoch, measured, base):
+    """Measure a group's inertial samples of one interval, and mechanize them.
+
+    Rows 1 and 2 of `w.index` say where in `run` each lane's interval begins, and how many samples
+    it has; lanes with as many go together.  Where `measured`, `run` has what the sensors gave.
+    """
+    first, counts, start = w.index[1], w.index[2], w.index[3]
+    lanes, size = counts.shape[0], a.rules[3]
+    samples, work = w.rest[:size], w.rest[size:]
+    dt, truth, active = work[: size // 6], work[size // 6 :], w.force[3:4]
+    for leader in range(lanes):
+        count, done = counts[leader], False
+        for other in range(leader):
+            done = done or counts[other] == count
+        if done:
+            continue
+        for each in range(lanes):
+            together = counts[each] == count
+            set_lane(active, 0, each, 1.0 if together else 0.0)
+            start[each] = first[each] if together else first[leader]
+        if measured:
+            recorded(a.run, start, count, samples, dt)
+        else:
+            keys = load(a.keys, key_row + IMU_KEY), load(a.keys, key_row + IMU_KEY + 1)
+            deviates(keys[0], keys[1], epoch, size, 6 * count, samples)
+            sense(a.run, start, count, a.sensors, sensor_base, samples, dt, truth, active)
+        mechanize(a.x, base, samples, dt, count, active, w.force)
+
+
+class Arrays(NamedTuple):
+    """What a batch of receivers reads and writes at an epoch, as kernels pass it on.
+
+    - `x`, `sensors`, `keys`: lane arrays of `receiver_shapes`, `sensor_shapes` and `SOURCES`;
+    - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
+    - `visible`, `coasting`: (B, n) and (B,) bool;
+    - `epochs` (B,) that each receiver is at;
+    - `range_offset`, `rate_offset`, `authentic`: of `SensorBuffers`;
+    - `run` (8, N) true samples, their lengths and root rates, as `World.run`, or measured ones;
+    - `epoch_time`, `epoch_end`, `satellites`: of `World`;
+    - `rules`: covariance update, fewest satellites, whether to re-orthonormalize, deviates of an
+      epoch for inertial sensors and for GNSS.
+    """
+
+    x: Any
+    out: Any
+    places: Any
+    visible: Any
+    coasting: Any
+    sensors: Any
+    keys: Any
+    epochs: Any
+    range_offset: Any
+    rate_offset: Any
+    authentic: Any
+    run: Any
+    epoch_time: Any
+    epoch_end: Any
+    satellites: Any
+    rules: Any
+
+
+class Scratch(NamedTuple):
+    """Scratch memory of a thread, in lane arrays; `index` (4, lanes) int64."""
+
+    terms: Any
+    product: Any
+    solution: Any
+    force: Any
+    tau: Any
+    epoch: Any
+    noise: Any
+    sky: Any
+    added: Any
+    precision: Any
+    rest: Any
+    index: Any
+
+
+def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
+    """Rows of scratch memory of a thread; S and the samples share theirs."""
+    n, fixed = channels, TERMS + PRODUCT_ROWS + kalman.WORK + 6
+    return fixed + gnss_size + (SKY + 6) * n + max(imu_size + imu_size // 6 + 8 * CHUNK, 4 * n * n)
+
+
+@inlined
+def name_scratch(a, work):
+    """Name the parts of a lane array of `work_rows`."""
+    n = a.visible.shape[1]
+    terms, work = work[:TERMS], work[TERMS:]
+    product, work = work[:PRODUCT_ROWS], work[PRODUCT_ROWS:]
+    solution, work = work[: kalman.WORK], work[kalman.WORK :]
+    force, tau, epoch, work = work[:4], work[4:5], work[5:6], work[6:]
+    noise, work = work[: a.rules[4]], work[a.rules[4] :]
+    sky, work = work[: SKY * n], work[SKY * n :]
+    added, precision, work = work[: 4 * n], work[4 * n : 6 * n], work[6 * n :]
+    index = np.empty((4, lanes_of(a.x)), np.int64)
+    return Scratch(
+        terms, product, solution, force, tau, epoch, noise, sky, added, precision, work, index
+    )
+
+
+@inlined
+def predict_group(a, w, group, what):
+    """First half of an epoch of one group: measure, mechanize, propagate, innovate.
+
+    With `PREDICT` the group moves on to its next epoch, `MEASURE` alone measures where it is, and
+    without `MEASURE` `run` and the receivers have what has been measured; with `SHOW` the epoch is
+    written to where detectors look at it.
+    """
+    receivers, n = a.visible.shape
+    lanes, x = lanes_of(a.x), a.x
+    base, c = group * (CHANNELS + ALL * n), group * (CHANNELS + ALL * n) + CHANNELS
+    sensor_base, key_row = group * (SENSOR_CHANNELS + 2 * n), group * KEYS
+    b, some = group * lanes, min(lanes, receivers - group * lanes)
+    moves = 1 if what & PREDICT else 0
+    for each in range(lanes):  # lanes without a receiver follow the last one
+        k = a.epochs[min(b + each, receivers - 1)] + moves
+        w.index[0, each] = k
+        w.index[1, each] = a.epoch_end[k - moves]
+        w.index[2, each] = a.epoch_end[k] - a.epoch_end[k - moves]
+        set_lane(w.epoch, 0, each, float(k))
+        set_lane(w.tau, 0, each, a.epoch_time[k] - a.epoch_time[k - moves])
+    for each in range(some):
+        a.epochs[b + each] = w.index[0, each]
+    gather_sky(a.satellites, w.index[0], w.sky)
+    tau, epoch = load(w.tau, 0), whole_number(load(w.epoch, 0))
+    if what & MEASURE:
+        for each in range(lanes):
+            follows = min(b + each, receivers - 1)
+            for s in range(n):
+                set_lane(w.added, s, each, a.range_offset[follows, s])
+                set_lane(w.added, n + s, each, a.rate_offset[follows, s])
+            for s in range(2 * n):
+                set_lane(w.added, 2 * n + s, each, a.authentic[follows, s])
+        measure(
+            a.sensors, sensor_base, n, a.keys, key_row, epoch, tau, w.sky, w.noise, w.added, x, c
+        )
+    if what & PREDICT:
+        sample(a, w, sensor_base, key_row, epoch, what & MEASURE == 0, base)
+        propagate(x, base, w.force, tau, w.terms, w.product)
+        innovate(x, base, n, tau, w.sky)
+    if what & SHOW:
+        show(a, w, base, b, some)
+
+
+@inlined
+def update_group(a, w, group, weights):
+    """Second half of an epoch of one group; `weights` (B, 2n) on the columns of the gain."""
+    receivers, n = a.visible.shape
+    lanes, base = lanes_of(a.x), group * (CHANNELS + ALL * n)
+    b, some = group * lanes, min(lanes, receivers - group * lanes)
+    for each in range(lanes):
+        for s in range(2 * n):
+            set_lane(w.added, s, each, weights[min(b + each, receivers - 1), s])
+    store(w.tau, 0, correct(a.x, base, n, w.added, a.rules, w.solution, w.precision))
+    for each in range(some):
+        a.coasting[b + each] = lane(w.tau, 0, each) < a.rules[1]
+    show_position(a, base, b, some)
+
+
+@njit
+def run_epoch(
+    x,
+    out,
+    places,
+    visible,
+    coasting,
+    sensors,
     keys,
     epochs,
-    floats,
-    flags,
-    block,
-    samples,
+    range_offset,
+    rate_offset,
+    authentic,
     run,
     epoch_time,
     epoch_end,
     satellites,
-    receivers,
-    channels,
-    padded_imu,
-    padded_gnss,
-    advance,
-    lo,
-    hi,
+    rules,
+    work,
+    weights,
+    what,
 ):
-    """Move every receiver to its next epoch and measure everything on the way."""
-    sensors = unpack_sensors(sensor_floats, receivers, channels)
-    _, measured, _ = unpack(floats, flags, receivers, channels)
-    imu_noise, gnss_noise = np.empty(padded_imu), np.empty(padded_gnss)
-    scratch = np.empty((6, samples.shape[1]))
-    n = channels
-    for b in range(lo, hi):
-        k = epochs[b] + advance
-        epochs[b] = k
-        tau = 0.0
-        if advance:
-            tau = epoch_time[k] - epoch_time[k - 1]
-            a, e = epoch_end[k - 1], epoch_end[k]
-            block[0, b], block[1, b] = a, e - a
-            truth = (
-                run[0, a:e],
-                run[1, a:e],
-                run[2, a:e],
-                run[3, a:e],
-                run[4, a:e],
-                run[5, a:e],
-            )
-            imu_block(sensors, b, keys[0, b], k, truth, run[7, a:e], imu_noise, scratch)
-            group, lane = b // L, b % L
-            for i in range(e - a):
-                for c in range(6):
-                    samples[group, i, c * L + lane] = scratch[c, i]
-        measured.time[b] = epoch_time[k]
-        measured.interval[b] = tau
-        gnss_epoch(
-            sensors,
-            b,
-            keys[2, b],
-            keys[1, b],
-            keys[7, b],
-            k,
-            tau,
-            satellites[k],
-            gnss_noise,
-            measured.pseudorange[b],
-            measured.range_rate[b],
-        )
-        for s in range(n):
-            measured.visible[b, s] = satellites[k, s, 6] > 0.0
-            if not measured.visible[b, s]:
-                measured.pseudorange[b, s] = 0.0
-                measured.range_rate[b, s] = 0.0
-            for i in range(3):
-                measured.satellite_position[b, s, i] = satellites[k, s, i]
-                measured.satellite_velocity[b, s, i] = satellites[k, s, 3 + i]
+    """Run one half of an epoch, or both, of a single group, as a replay does (`Arrays`)."""
+    a = Arrays(
+        x,
+        out,
+        places,
+        visible,
+        coasting,
+        sensors,
+        keys,
+        epochs,
+        range_offset,
+        rate_offset,
+        authentic,
+        run,
+        epoch_time,
+        epoch_end,
+        satellites,
+        rules,
+    )
+    w = name_scratch(a, work)
+    if what & PREDICT:
+        predict_group(a, w, 0, what)
+    if what & UPDATE:
+        update_group(a, w, 0, weights)
 
 
 @njit
-def first_fix(floats, flags, guess_e, receivers, channels, lo, hi):
-    """Equally weighted least-squares fix of the present epoch, into the state.
+def first_fix(measured, satellites, epochs, guess_e, position_e, velocity_e, clock):
+    """Equally weighted least-squares fix of all visible satellites of an epoch.
 
     Three Gauss-Newton steps from a guess within a kilometre leave less than a micrometre.
 
-    `guess_e` (B, 3) where to linearize first, ECEF [m].
+    `measured` (B, 2, n) pseudoranges and range rates; `satellites` (K, n, 8) and `epochs` (B,) as
+    in `run_epochs`; `guess_e` (B, 3) where to linearize first, ECEF [m]; `position_e`,
+    `velocity_e` (B, 3), `clock` (B, 2): written [m], [m/s].
     """
-    state, measured, _ = unpack(floats, flags, receivers, channels)
     M, x = np.empty((4, 4)), np.empty((4, 1))
-    for b in range(lo, hi):
-        r, v, clock = state.position_e[b], state.velocity_e[b], state.clock[b]
+    for b in range(len(epochs)):
+        r, v, sky = position_e[b], velocity_e[b], satellites[epochs[b]]
         for i in range(3):
             r[i], v[i] = guess_e[b, i], 0.0
-        clock[0], clock[1] = 0.0, 0.0
+        clock[b, 0], clock[b, 1] = 0.0, 0.0
         for step in range(4):
             rates = step == 3
             M[:] = 0.0
             x[:] = 0.0
-            for s in range(channels):
-                if not measured.visible[b, s]:
+            for s in range(sky.shape[0]):
+                p = sky[s]
+                if p[6] == 0.0:
                     continue
-                p, q = measured.satellite_position[b, s], measured.satellite_velocity[b, s]
                 rho, rate, ux, uy, uz = range_and_rate(
-                    p[0], p[1], p[2], q[0], q[1], q[2], r[0], r[1], r[2], v[0], v[1], v[2]
+                    p[0], p[1], p[2], p[3], p[4], p[5], r[0], r[1], r[2], v[0], v[1], v[2]
                 )
-                z = measured.pseudorange[b, s] - rho - clock[0]
+                z = measured[b, 0, s] - rho - clock[b, 0]
                 if rates:
-                    z = measured.range_rate[b, s] - rate
+                    z = measured[b, 1, s] - rate
                 h = (-ux, -uy, -uz, 1.0)
                 for i in range(4):
                     x[i, 0] += h[i] * z
                     for j in range(4):
                         M[i, j] += h[i] * h[j]
-            solve_in_place(M, x, 1)
+            solve_in_place(M, x)
             for i in range(3):
                 if rates:
                     v[i] += x[i, 0]
                 else:
                     r[i] += x[i, 0]
-            clock[1 if rates else 0] += x[3, 0]
+            clock[b, 1 if rates else 0] += x[3, 0]
 
 
 @njit
-def run_epochs(
-    floats,
-    flags,
-    block,
-    samples,
-    weights,
-    sensor_floats,
-    keys,
-    epochs,
-    run,
-    epoch_time,
-    epoch_end,
-    satellites,
-    receivers,
-    channels,
-    padded_imu,
-    padded_gnss,
-    covariance_update,
-    min_satellites,
-    orthonormalize,
-    what,
-    count,
-    lo,
-    hi,
-):
-    """Do some of what an epoch is made of, for some epochs.
-
-    The engine and the replay of recordings call this and nothing else, since the bits of a compiled
-    function depend on what it is compiled into.
-
-    `weights` (B, 2n) weights on the columns of the gain; `run` (8, N) true samples, their lengths
-    and root rates, as `World.run`; only the lengths are needed without `MEASURE`.
-    """
-    for _ in range(count):
-        advance = what & MEASURE  # no literal 1, for which `measure` would be compiled once more
-        if advance:
-            measure(
-                sensor_floats,
-                keys,
-                epochs,
-                floats,
-                flags,
-                block,
-                samples,
-                run,
-                epoch_time,
-                epoch_end,
-                satellites,
-                receivers,
-                channels,
-                padded_imu,
-                padded_gnss,
-                advance,
-                lo,
-                hi,
-            )
-        if what & PREDICT:
-            seen = what & UPDATE == 0
-            predict(floats, flags, block, samples, run[6], receivers, channels, lo, hi, seen)
-        if what & UPDATE:
-            update(
-                floats,
-                flags,
-                weights,
-                receivers,
-                channels,
-                covariance_update,
-                min_satellites,
-                orthonormalize,
-                lo,
-                hi,
-            )
+def solve_in_place(M, B):
+    """Solve ``M X = B`` by elimination with partial pivoting; `B` becomes X, `M` is destroyed."""
+    k, c = B.shape
+    for p in range(k):
+        best = p
+        for i in range(p + 1, k):
+            if abs(M[i, p]) > abs(M[best, p]):
+                best = i
+        if best != p:
+            for j in range(p, k):
+                M[p, j], M[best, j] = M[best, j], M[p, j]
+            for j in range(c):
+                B[p, j], B[best, j] = B[best, j], B[p, j]
+        inverse = 1.0 / M[p, p]
+        for i in range(p + 1, k):
+            f = M[i, p] * inverse
+            if f != 0.0:
+                for j in range(p + 1, k):
+                    M[i, j] -= f * M[p, j]
+                for j in range(c):
+                    B[i, j] -= f * B[p, j]
+    for p in range(k - 1, -1, -1):
+        inverse = 1.0 / M[p, p]
+        for j in range(c):
+            total = B[p, j]
+            for i in range(p + 1, k):
+                total -= M[p, i] * B[i, j]
+            B[p, j] = total * inverse

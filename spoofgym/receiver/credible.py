@@ -32,7 +32,7 @@ Source: `song2021`; the filter is from `groves2013`, chapter 3.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 from .._jit import njit
 from .._memory import Memory
-from .epoch import Epoch, frozen
+from .epoch import ALWAYS, OPTIONAL, Epoch, frozen_fields
 
 FloatArray = NDArray[np.float64]
 AXES = 2
@@ -175,10 +175,16 @@ class CredibleBatch:
     """B filters in step; all that they remember lies in a memory that is handed in.
 
     `memory`: of B receivers; ``position``, ``covariance``, ``odometry``, ``outage``,
-    ``interrupted`` are declared in it.
+    ``interrupted`` are declared in it; `fields`: optional ones that its epochs have.
     """
 
-    def __init__(self, settings: CredibleFilter, memory: Memory, interval_s: float) -> None:
+    def __init__(
+        self,
+        settings: CredibleFilter,
+        memory: Memory,
+        interval_s: float,
+        fields: Collection[str] = OPTIONAL,
+    ) -> None:
         b = memory.receivers
         self.settings, self.memory, self.interval_s = settings, memory, interval_s
         self._noise = settings.process_noise(interval_s)
@@ -192,7 +198,8 @@ class CredibleBatch:
         self.design = np.zeros((b, AXES, AXES))
         self.gnss_position = np.zeros((b, 3))
         self.ones = np.ones((b, AXES))
-        self._fixed = _empty_fields(b, interval_s)
+        self._names = ALWAYS.union(fields)
+        self._fixed = frozen_fields(_empty_fields(b, interval_s), self._names)
 
     def begin(self, fix: FloatArray) -> None:
         """Begin at a position.  `fix` (B, 2) the first fix [m], finite."""
@@ -226,6 +233,7 @@ class CredibleBatch:
         arrays: dict[str, NDArray[Any]] = {
             "time": time,
             "innovation": self.innovation,
+            "innovation_variance": self.innovation_cov.diagonal(0, 1, 2),
             "innovation_cov": self.innovation_cov,
             "predicted_cov": memory["covariance"],
             "design": self.design,
@@ -233,7 +241,7 @@ class CredibleBatch:
             "gnss_position": self.gnss_position,
             "auxiliary_position": memory["odometry"],
         }
-        return Epoch(**self._fixed, **{name: frozen(array) for name, array in arrays.items()})
+        return Epoch(**self._fixed, **frozen_fields(arrays, self._names))
 
     def update(self, weights: FloatArray | None) -> None:
         """Second half of an epoch.  `weights` (B, 2) of a verdict; None for ones."""
@@ -253,7 +261,7 @@ class CredibleBatch:
 
 def _empty_fields(b: int, interval_s: float) -> Mapping[str, NDArray[Any]]:
     """What an epoch of a receiver without channels has, but never changes."""
-    fields: dict[str, NDArray[Any]] = {
+    return {
         "interval": np.full(b, interval_s),
         "transition": np.tile(np.eye(AXES), (b, 1, 1)),
         "imu_delta": np.zeros((b, 6)),
@@ -264,4 +272,3 @@ def _empty_fields(b: int, interval_s: float) -> Mapping[str, NDArray[Any]]:
         "visible": np.zeros((b, 0), dtype=np.bool_),
         "predicted_velocity": np.zeros((b, 3)),
     }
-    return {name: frozen(array) for name, array in fields.items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -19,7 +20,11 @@ class Epoch(NamedTuple):
     Read-only, C-contiguous, and valid only while a detector judges it.  Channels are slots for
     satellites; rows of the innovation are pseudoranges first, then range rates, m = 2n.  An
     invisible slot has innovation 0, a zero row of `design`, and row and column of the identity in
-    `innovation_cov`.
+    `innovation_cov`.  A receiver that measures a position has n = 0 and m coordinates.
+
+    The fields after `predicted_velocity` are optional: gathering them costs time, so that each is
+    None unless the `needs` of the detector in the loop, of a passive detector or of a monitor names
+    it.  A detector must not read what its own `needs` doesn't name, since the others change.
 
     Attributes
     ----------
@@ -27,71 +32,93 @@ class Epoch(NamedTuple):
         (B,) time of the epoch and time since the last one [s].
     innovation : ndarray
         (B, m) [m], [m/s].
-    innovation_cov : ndarray
-        (B, m, m) S.
-    predicted_cov : ndarray
-        (B, 17, 17) P before the update.
-    design : ndarray
-        (B, m, 17) H.
-    transition : ndarray
-        (B, 17, 17) Phi.
-    imu_delta : ndarray
-        (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body axes.
-    pseudorange, range_rate : ndarray
-        (B, n) as measured [m], [m/s].
-    satellite_position, satellite_velocity : ndarray
-        (B, n, 3) from the ephemerides, ECEF [m], [m/s].
+    innovation_variance : ndarray
+        (B, m) what the filter believes the variance of each innovation to be, the diagonal of S;
+        1 where a slot is invisible.
     visible : ndarray
         (B, n) bool.
     predicted_position, predicted_velocity : ndarray
         (B, 3) before the update, ECEF [m], [m/s].
+    innovation_cov : ndarray or None
+        (B, m, m) S.
+    predicted_cov : ndarray or None
+        (B, s, s) P before the update; 17 states where the receiver is tightly coupled.
+    design : ndarray or None
+        (B, m, s) H.
+    transition : ndarray or None
+        (B, s, s) Phi.
+    imu_delta : ndarray or None
+        (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body axes.
+    pseudorange, range_rate : ndarray or None
+        (B, n) as measured [m], [m/s].
+    satellite_position, satellite_velocity : ndarray or None
+        (B, n, 3) from the ephemerides, ECEF [m], [m/s].
     gnss_position : ndarray or None
-        (B, 3) GNSS position alone, where a detector's `needs` names it.
+        (B, 3) GNSS position alone.
     auxiliary_position : ndarray or None
-        (B, 3) position by odometry, where a detector's `needs` names it.
+        (B, 3) position by odometry.
     cn0_dbhz : ndarray or None
-        (B, n) carrier-to-noise density, where a detector's `needs` names it.
+        (B, n) carrier-to-noise density.
     """
 
     time: FloatArray
     interval: FloatArray
     innovation: FloatArray
-    innovation_cov: FloatArray
-    predicted_cov: FloatArray
-    design: FloatArray
-    transition: FloatArray
-    imu_delta: FloatArray
-    pseudorange: FloatArray
-    range_rate: FloatArray
-    satellite_position: FloatArray
-    satellite_velocity: FloatArray
+    innovation_variance: FloatArray
     visible: NDArray[np.bool_]
     predicted_position: FloatArray
     predicted_velocity: FloatArray
+    innovation_cov: FloatArray | None = None
+    predicted_cov: FloatArray | None = None
+    design: FloatArray | None = None
+    transition: FloatArray | None = None
+    imu_delta: FloatArray | None = None
+    pseudorange: FloatArray | None = None
+    range_rate: FloatArray | None = None
+    satellite_position: FloatArray | None = None
+    satellite_velocity: FloatArray | None = None
     gnss_position: FloatArray | None = None
     auxiliary_position: FloatArray | None = None
     cn0_dbhz: FloatArray | None = None
 
 
+OPTIONAL = tuple(Epoch._field_defaults)
+"""Fields of an epoch that are None unless somebody's `needs` names them."""
+ALWAYS = frozenset(Epoch._fields).difference(OPTIONAL)
+"""The others."""
+
+
+class TracedEpoch(Epoch):
+    """Epoch that notes in `read` which optional fields are read by their names, in copies too."""
+
+    @property
+    def read(self) -> set[str]:
+        """Names of the fields."""
+        found: set[str] = self.__dict__.setdefault("read", set())
+        return found
+
+    def __getattribute__(self, name: str) -> Any:
+        """Note an optional field."""
+        if name in OPTIONAL:
+            self.read.add(name)
+        return super().__getattribute__(name)
+
+    def _replace(self, /, **changed: Any) -> TracedEpoch:
+        """Go on noting in a changed copy."""
+        other = super()._replace(**changed)
+        other.__dict__["read"] = self.read
+        return other
+
+
 def epoch_view(buffers: ReceiverBuffers) -> Epoch:
-    """Read-only view of a batch's current epoch."""
-    m, s = buffers.measured, buffers.state
+    """Read-only view of a batch's current epoch, with those of the optional fields that it has."""
     arrays = {
-        "time": m.time,
-        "interval": m.interval,
-        "innovation": m.innovation,
-        "innovation_cov": m.innovation_cov,
-        "predicted_cov": s.covariance,
-        "design": m.design,
-        "transition": m.transition,
-        "imu_delta": m.imu_delta,
-        "pseudorange": m.pseudorange,
-        "range_rate": m.range_rate,
-        "satellite_position": m.satellite_position,
-        "satellite_velocity": m.satellite_velocity,
-        "visible": m.visible,
-        "predicted_position": s.position_e,
-        "predicted_velocity": s.velocity_e,
+        "time": buffers.time,
+        "interval": buffers.interval,
+        "visible": buffers.visible,
+        "predicted_position": buffers.position_e,
+        "predicted_velocity": buffers.velocity_e,
+        **buffers.seen,
     }
     return Epoch(**{name: _sealed(array) for name, array in arrays.items()})
 
@@ -124,3 +151,10 @@ def _sealed(array: NDArray[Any]) -> NDArray[Any]:
 def frozen(array: NDArray[Any]) -> NDArray[Any]:
     """C-contiguous copy in bytes that can't be changed, which costs hardly more than a view."""
     return np.ndarray(array.shape, array.dtype, array.tobytes())
+
+
+def frozen_fields(
+    arrays: Mapping[str, NDArray[Any]], names: Collection[str]
+) -> dict[str, NDArray[Any]]:
+    """`frozen` copies of the arrays with these names."""
+    return {name: frozen(array) for name, array in arrays.items() if name in names}

@@ -7,12 +7,11 @@ and position, truth minus estimate for biases and clock.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from .._jit import inlined, njit
+from .._simd import load, sqrt, store
 from ..earth.wgs84 import EARTH_RATE, geocentric_surface_radius, gravity
 
 STATES = 17
@@ -20,17 +19,26 @@ ATTITUDE, VELOCITY, POSITION, ACCEL_BIAS, GYRO_BIAS = 0, 3, 6, 9, 12
 CLOCK_BIAS, CLOCK_DRIFT = 15, 16
 
 
+PACKED = STATES * (STATES + 1) // 2
+"""Elements of a symmetric matrix on and above its diagonal, row by row."""
+
+
+def _packed_index() -> NDArray[np.int64]:
+    index = np.zeros((STATES, STATES), dtype=np.int64)
+    index[np.triu_indices(STATES)] = np.arange(PACKED)
+    return np.maximum(index, index.T)
+
+
+INDEX = _packed_index()
+"""(17, 17) place of every element of a packed symmetric matrix."""
+IN_ORDER = np.arange(STATES)
+TERMS = 21
+"""Elements of the transition matrix that are neither 0 nor 1 nor times: C tau, C f tau, G tau."""
+
+
 @njit
-def fill_transition(
-    Phi: NDArray[np.float64],
-    C: NDArray[np.float64],
-    r: NDArray[np.float64],
-    fx: float,
-    fy: float,
-    fz: float,
-    tau: float,
-) -> None:
-    r"""Write the transition matrix of one interval, first order in its length.
+def transition_terms(C, r, f, tau, terms):
+    r"""Write what differs from interval to interval in the transition matrix, first order in tau.
 
     .. math::
         \Phi = \begin{pmatrix}
@@ -42,126 +50,119 @@ def fill_transition(
         0 & 0 & 0 & 0 & 0 & \begin{smallmatrix}1 & \tau\\ 0 & 1\end{smallmatrix}
         \end{pmatrix}, \qquad G = -\frac{2 g(r)\, r^T}{r_{eS} |r|}
 
-    `Phi` (17, 17), written in place; entries that are always 0 or 1 must hold those already; `C`
-    (3, 3) `C_eb` at the end of the interval; `r` (3,) position at the end of the interval, ECEF
-    [m]; `fx`, `fy`, `fz`: last bias-corrected specific force of the interval, body axes [m/s^2];
-    `tau`: length of the interval [s].
+    `C`, `r`: attitude to ECEF, row by row, and position [m] at the end of the interval; `f`: last
+    bias-corrected specific force, body axes [m/s^2]; `terms`: lane array, written: C tau (9),
+    f_e tau (3), G tau (9).
 
     Notes
     -----
     Groves (2013), eqs. 14.48 to 14.50.
     """
-    w = EARTH_RATE * tau
-    Phi[0, 1], Phi[1, 0] = w, -w
-    Phi[3, 4], Phi[4, 3] = 2.0 * w, -2.0 * w
-    ex = (C[0, 0] * fx + C[0, 1] * fy + C[0, 2] * fz) * tau
-    ey = (C[1, 0] * fx + C[1, 1] * fy + C[1, 2] * fz) * tau
-    ez = (C[2, 0] * fx + C[2, 1] * fy + C[2, 2] * fz) * tau
-    Phi[3, 1], Phi[3, 2] = ez, -ey
-    Phi[4, 0], Phi[4, 2] = -ez, ex
-    Phi[5, 0], Phi[5, 1] = ey, -ex
-    gx, gy, gz = gravity(r[0], r[1], r[2])
-    norm = math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
-    k = -2.0 * tau / (geocentric_surface_radius(r[0], r[1], r[2]) * norm)
-    for j in range(3):
-        Phi[3, 6 + j] = k * gx * r[j]
-        Phi[4, 6 + j] = k * gy * r[j]
-        Phi[5, 6 + j] = k * gz * r[j]
-        for i in range(3):
-            Phi[i, 12 + j] = C[i, j] * tau
-            Phi[3 + i, 9 + j] = C[i, j] * tau
-        Phi[6 + j, 3 + j] = tau
-    Phi[15, 16] = tau
+    for i in range(9):
+        store(terms, i, C[i] * tau)
+    for i in range(3):
+        f_e = C[3 * i] * f[0] + C[3 * i + 1] * f[1] + C[3 * i + 2] * f[2]
+        store(terms, 9 + i, f_e * tau)
+    x, y, z = r
+    g = gravity(x, y, z)
+    norm = sqrt(x * x + y * y + z * z)
+    k = -2.0 * tau / (geocentric_surface_radius(x, y, z) * norm)
+    for i in range(3):
+        for j in range(3):
+            store(terms, 12 + 3 * i + j, k * g[i] * r[j])
 
 
 @inlined
-def transition_product(
-    Phi: NDArray[np.float64],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    row: int,
-    column: int,
-    count: int,
-) -> None:
-    r"""Write :math:`Y = \Phi X`, using the zeros of the transition matrix.
+def transition_product(terms, tau, x, first, index):
+    r"""Those elements of :math:`y = \Phi x` that differ from x: y_0 to y_8, and y_15.
 
-    `Phi` (17, 17), as `fill_transition` writes it.
+    `x`, `first`: lane array and row from which `index` (17,) gives the places of the elements.
     """
-    w, w2, tau = Phi[0, 1], Phi[3, 4], Phi[15, 16]
-    f0_12, f0_13, f0_14 = Phi[0, 12], Phi[0, 13], Phi[0, 14]
-    f1_12, f1_13, f1_14 = Phi[1, 12], Phi[1, 13], Phi[1, 14]
-    f2_12, f2_13, f2_14 = Phi[2, 12], Phi[2, 13], Phi[2, 14]
-    f3_1, f3_2 = Phi[3, 1], Phi[3, 2]
-    f3_6, f3_7, f3_8 = Phi[3, 6], Phi[3, 7], Phi[3, 8]
-    f3_9, f3_10, f3_11 = Phi[3, 9], Phi[3, 10], Phi[3, 11]
-    f4_0, f4_2 = Phi[4, 0], Phi[4, 2]
-    f4_6, f4_7, f4_8 = Phi[4, 6], Phi[4, 7], Phi[4, 8]
-    f4_9, f4_10, f4_11 = Phi[4, 9], Phi[4, 10], Phi[4, 11]
-    f5_0, f5_1 = Phi[5, 0], Phi[5, 1]
-    f5_6, f5_7, f5_8 = Phi[5, 6], Phi[5, 7], Phi[5, 8]
-    f5_9, f5_10, f5_11 = Phi[5, 9], Phi[5, 10], Phi[5, 11]
-    for j in range(count):
-        a0, a1, a2 = x[j * column], x[row + j * column], x[2 * row + j * column]
-        v0, v1, v2 = x[3 * row + j * column], x[4 * row + j * column], x[5 * row + j * column]
-        p0, p1, p2 = x[6 * row + j * column], x[7 * row + j * column], x[8 * row + j * column]
-        b0, b1, b2 = x[9 * row + j * column], x[10 * row + j * column], x[11 * row + j * column]
-        g0, g1, g2 = x[12 * row + j * column], x[13 * row + j * column], x[14 * row + j * column]
-        c0, c1 = x[15 * row + j * column], x[16 * row + j * column]
-        y[j * column] = (a0 + w * a1) + (f0_12 * g0 + f0_13 * g1 + f0_14 * g2)
-        y[row + j * column] = (a1 - w * a0) + (f1_12 * g0 + f1_13 * g1 + f1_14 * g2)
-        y[2 * row + j * column] = a2 + (f2_12 * g0 + f2_13 * g1 + f2_14 * g2)
-        y[3 * row + j * column] = (
-            (f3_1 * a1 + f3_2 * a2)
-            + (v0 + w2 * v1)
-            + (f3_6 * p0 + f3_7 * p1 + f3_8 * p2)
-            + (f3_9 * b0 + f3_10 * b1 + f3_11 * b2)
-        )
-        y[4 * row + j * column] = (
-            (f4_0 * a0 + f4_2 * a2)
-            + (v1 - w2 * v0)
-            + (f4_6 * p0 + f4_7 * p1 + f4_8 * p2)
-            + (f4_9 * b0 + f4_10 * b1 + f4_11 * b2)
-        )
-        y[5 * row + j * column] = (
-            (f5_0 * a0 + f5_1 * a1)
-            + v2
-            + (f5_6 * p0 + f5_7 * p1 + f5_8 * p2)
-            + (f5_9 * b0 + f5_10 * b1 + f5_11 * b2)
-        )
-        y[6 * row + j * column] = p0 + tau * v0
-        y[7 * row + j * column] = p1 + tau * v1
-        y[8 * row + j * column] = p2 + tau * v2
-        y[9 * row + j * column], y[10 * row + j * column], y[11 * row + j * column] = b0, b1, b2
-        y[12 * row + j * column], y[13 * row + j * column], y[14 * row + j * column] = g0, g1, g2
-        y[15 * row + j * column], y[16 * row + j * column] = c0 + tau * c1, c1
+    w = EARTH_RATE * tau
+    w2 = 2.0 * w
+    a0, a1, a2 = load(x, first + index[0]), load(x, first + index[1]), load(x, first + index[2])
+    v0, v1, v2 = load(x, first + index[3]), load(x, first + index[4]), load(x, first + index[5])
+    p0, p1, p2 = load(x, first + index[6]), load(x, first + index[7]), load(x, first + index[8])
+    b0, b1, b2 = load(x, first + index[9]), load(x, first + index[10]), load(x, first + index[11])
+    g0, g1, g2 = load(x, first + index[12]), load(x, first + index[13]), load(x, first + index[14])
+    ex, ey, ez = load(terms, 9), load(terms, 10), load(terms, 11)
+    # C tau b, C tau g and G tau p
+    c0 = load(terms, 0) * b0 + load(terms, 1) * b1 + load(terms, 2) * b2
+    c1 = load(terms, 3) * b0 + load(terms, 4) * b1 + load(terms, 5) * b2
+    c2 = load(terms, 6) * b0 + load(terms, 7) * b1 + load(terms, 8) * b2
+    d0 = load(terms, 0) * g0 + load(terms, 1) * g1 + load(terms, 2) * g2
+    d1 = load(terms, 3) * g0 + load(terms, 4) * g1 + load(terms, 5) * g2
+    d2 = load(terms, 6) * g0 + load(terms, 7) * g1 + load(terms, 8) * g2
+    e0 = load(terms, 12) * p0 + load(terms, 13) * p1 + load(terms, 14) * p2
+    e1 = load(terms, 15) * p0 + load(terms, 16) * p1 + load(terms, 17) * p2
+    e2 = load(terms, 18) * p0 + load(terms, 19) * p1 + load(terms, 20) * p2
+    return (
+        (a0 + w * a1) + d0,
+        (a1 - w * a0) + d1,
+        a2 + d2,
+        (ez * a1 - ey * a2) + (v0 + w2 * v1) + e0 + c0,
+        (ex * a2 - ez * a0) + (v1 - w2 * v0) + e1 + c1,
+        (ey * a0 - ex * a1) + v2 + e2 + c2,
+        p0 + tau * v0,
+        p1 + tau * v1,
+        p2 + tau * v2,
+        load(x, first + index[15]) + tau * load(x, first + index[16]),
+    )
 
 
 @njit
-def propagate_covariance(
-    P: NDArray[np.float64],
-    Phi: NDArray[np.float64],
-    noise_psd: NDArray[np.float64],
-    tau: float,
-    work: NDArray[np.float64],
-) -> None:
-    r"""Propagate the covariance over one interval, in place.
+def propagate_covariance(P, first, terms, tau, noise_psd, first_psd, work):
+    r"""Propagate a packed covariance over one interval, in place.
 
     .. math:: P \leftarrow \Phi (P + Q/2) \Phi^T + Q/2
 
-    `P` (289,) symmetric covariance, row by row; overwritten; `Phi` (17, 17) transition matrix;
-    `noise_psd` (17,) power spectral density of the noise on each state; Q = PSD tau; `tau`: length
-    of the interval [s]; `work` (289,) scratch memory.
+    `P`, `first`: lane array and first of the `PACKED` rows; `noise_psd`, `first_psd`: the same for
+    the (17,) power spectral density of the noise on each state; Q = PSD tau; `work`: scratch memory
+    of 187 rows: rows 0 to 8 and 15 of Phi P, and one row more.
 
     Notes
     -----
     Groves (2013), eq. 3.46.
     """
     for i in range(17):
-        P[18 * i] += 0.5 * tau * noise_psd[i]
-    transition_product(Phi, P, work, 17, 1, 17)
-    for i in range(17):  # each row of Phi P as a column, since (Phi P) Phi' is symmetric
-        transition_product(Phi, work[17 * i : 17 * i + 17], P[17 * i : 17 * i + 17], 1, 1, 1)
+        k = first + INDEX[i, i]
+        store(P, k, load(P, k) + 0.5 * tau * load(noise_psd, first_psd + i))
+    for j in range(17):
+        y = transition_product(terms, tau, P, first, INDEX[j])
+        store(work, j, y[0])
+        store(work, 17 + j, y[1])
+        store(work, 34 + j, y[2])
+        store(work, 51 + j, y[3])
+        store(work, 68 + j, y[4])
+        store(work, 85 + j, y[5])
+        store(work, 102 + j, y[6])
+        store(work, 119 + j, y[7])
+        store(work, 136 + j, y[8])
+        store(work, 153 + j, y[9])
+    for i in range(9):  # each row of Phi P as a column, since (Phi P) Phi' is symmetric
+        o = 17 * i
+        y = transition_product(terms, tau, work, o, IN_ORDER)
+        store(work, 170, y[0])
+        store(work, 171, y[1])
+        store(work, 172, y[2])
+        store(work, 173, y[3])
+        store(work, 174, y[4])
+        store(work, 175, y[5])
+        store(work, 176, y[6])
+        store(work, 177, y[7])
+        store(work, 178, y[8])
+        store(work, o + 15, y[9])
+        k = first + INDEX[i, i]
+        for j in range(i, 9):
+            store(P, k, load(work, 170 + j))
+            k += 1
+        for j in range(9, 17):
+            store(P, k, load(work, o + j))
+            k += 1
+    for i in range(9, 15):
+        store(P, first + INDEX[i, 15], load(work, 153 + i))
+    store(P, first + INDEX[15, 15], load(work, 168) + tau * load(work, 169))
+    store(P, first + INDEX[15, 16], load(work, 169))
     for i in range(17):
-        P[18 * i] += 0.5 * tau * noise_psd[i]
-        for j in range(i):
-            P[17 * i + j] = P[17 * j + i]
+        k = first + INDEX[i, i]
+        store(P, k, load(P, k) + 0.5 * tau * load(noise_psd, first_psd + i))

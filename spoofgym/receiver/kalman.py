@@ -9,261 +9,196 @@ diagonal of the stacked rows, H = D E, and because the measurement noise R is di
 
 by the push-through identity.  No m x m matrix is factored, and any number of satellites, also
 none, costs the same 8 x 8 solution.
+
+All functions are of lane arrays (`_simd`), one group of receivers at a time.  A lower triangle of
+4 x 4 is kept in ten rows, column by column: 00 10 20 30 11 21 31 22 32 33.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numpy.typing import NDArray
 
-from .._jit import njit
+from .._jit import inlined, njit
+from .._simd import any_lane, load, select, splat, sqrt, store
+from .error_model import INDEX
 
 OBSERVED = np.array([6, 7, 8, 15, 3, 4, 5, 16])
 """E: the states of position and clock bias, then of velocity and clock drift."""
 
 PLAIN, UNWEIGHTED, GENERAL = 0, 1, 2
 COVARIANCE_UPDATES = {"plain": PLAIN, "unweighted": UNWEIGHTED, "general": GENERAL}
+NO_INFORMATION = 1e-12
+"""A pivot that has lost all but this part of its size to rounding has no information."""
+Y, L, X, F, M, Q, V, A1, A2, REST = 0, 8, 28, 60, 124, 188, 324, 388, 408, 428
+"""Rows of scratch memory: y, L, the correction and V Pe y, F and C, F L, Q, V, A1, A2."""
+WORK = REST + 6 * 64 + 8 * 17
+"""Rows of scratch memory that `update` needs."""
+
+
+@inlined
+def _store_triangle(out, first, a):
+    """Write the ten elements of a lower triangle."""
+    store(out, first, a[0])
+    store(out, first + 1, a[1])
+    store(out, first + 2, a[2])
+    store(out, first + 3, a[3])
+    store(out, first + 4, a[4])
+    store(out, first + 5, a[5])
+    store(out, first + 6, a[6])
+    store(out, first + 7, a[7])
+    store(out, first + 8, a[8])
+    store(out, first + 9, a[9])
 
 
 @njit
-def accumulate(
-    u: NDArray[np.float64],
-    z: NDArray[np.float64],
-    R: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    visible: NDArray[np.bool_],
-    covariance_update: int,
-    A: NDArray[np.float64],
-    A1: NDArray[np.float64],
-    A2: NDArray[np.float64],
-    y: NDArray[np.float64],
-) -> None:
-    r"""Sum the information of all visible satellites.
+def information(x, u, z, precision, weights, half, n, power, work):
+    r"""Sum a half of :math:`D^T R^{-1} W^p D`, as a lower triangle; with the power p = 0 also y.
 
-    `u` (n, 3) lines of sight, ECEF; `z`, `R`, `weights` (2n,) innovations [m, m/s], noise
-    variances, and weights in [0, 1]; `covariance_update`: with `UNWEIGHTED` the sums A1 and A2 are
-    not needed, and not written; `A`, `A1`, `A2` (8, 8), written: :math:`D^T R^{-1} W^k D` for k =
-    0, 1, 2; `y` (8,), written: :math:`D^T R^{-1} W z`.
+    `x`: lane array; `u`, `z`: first rows in it of lines of sight (3 n) and innovations (2 n);
+    `precision`: 2 n rows, 1 / R where a satellite takes part, else 0; `weights`: 2 n rows; `half`:
+    0 for pseudoranges, 1 for range rates; `work`: of `update`, where A, or A1 or A2, is written.
     """
-    n = u.shape[0]
+    zero = splat(0.0, x)
+    a00, a10, a20, a30, a11 = zero, zero, zero, zero, zero
+    a21, a31, a22, a32, a33 = zero, zero, zero, zero, zero
+    y0, y1, y2, y3 = zero, zero, zero, zero
+    for s in range(n):
+        k = s + half * n
+        p, w = load(precision, k), load(weights, k)
+        gx, gy, gz = load(x, u + 3 * s), load(x, u + 3 * s + 1), load(x, u + 3 * s + 2)
+        if power == 0:
+            t = p * w * load(x, z + k)
+            y0 += gx * t
+            y1 += gy * t
+            y2 += gz * t
+            y3 += t
+        elif power == 1:
+            p = p * w
+        else:
+            p = p * (w * w)
+        px, py, pz = p * gx, p * gy, p * gz
+        a00 += px * gx
+        a10 += px * gy
+        a20 += px * gz
+        a30 += px
+        a11 += py * gy
+        a21 += py * gz
+        a31 += py
+        a22 += pz * gz
+        a32 += pz
+        a33 += p
+    if power == 0:
+        o = Y + 4 * half
+        store(work, o, y0)
+        store(work, o + 1, y1)
+        store(work, o + 2, y2)
+        store(work, o + 3, y3)
+    first = (L if power == 0 else (A1 if power == 1 else A2)) + 10 * half
+    _store_triangle(work, first, (a00, a10, a20, a30, a11, a21, a31, a22, a32, a33))
+
+
+@inlined
+def _pivot(value, whole):
+    """Root of a pivot of Cholesky's factor and its inverse; 0 without information."""
+    informed = value > NO_INFORMATION * whole
+    root = sqrt(select(informed, value, 1.0))
+    return select(informed, root, 0.0), select(informed, 1.0 / root, 0.0)
+
+
+@njit
+def factor_block(work, first):
+    """Replace a lower triangle of sums by its Cholesky factor, A = L L'."""
+    f = first
+    a00, a10, a20, a30 = load(work, f), load(work, f + 1), load(work, f + 2), load(work, f + 3)
+    a11, a21, a31 = load(work, f + 4), load(work, f + 5), load(work, f + 6)
+    a22, a32, a33 = load(work, f + 7), load(work, f + 8), load(work, f + 9)
+    l00, i0 = _pivot(a00, a00)
+    l10, l20, l30 = a10 * i0, a20 * i0, a30 * i0
+    l11, i1 = _pivot(a11 - l10 * l10, a11)
+    l21, l31 = (a21 - l20 * l10) * i1, (a31 - l30 * l10) * i1
+    l22, i2 = _pivot(a22 - l20 * l20 - l21 * l21, a22)
+    l32 = (a32 - l30 * l20 - l31 * l21) * i2
+    l33, _ = _pivot(a33 - l30 * l30 - l31 * l31 - l32 * l32, a33)
+    _store_triangle(work, f, (l00, l10, l20, l30, l11, l21, l31, l22, l32, l33))
+
+
+@inlined
+def _times_factor(work, half, q0, q1, q2, q3):
+    """Four rows of L' times a column."""
+    b = L + 10 * half
+    return (
+        load(work, b) * q0
+        + load(work, b + 1) * q1
+        + load(work, b + 2) * q2
+        + load(work, b + 3) * q3,
+        load(work, b + 4) * q1 + load(work, b + 5) * q2 + load(work, b + 6) * q3,
+        load(work, b + 7) * q2 + load(work, b + 8) * q3,
+        load(work, b + 9) * q3,
+    )
+
+
+@njit
+def _factor(P, first, work):
+    r"""Write C with :math:`C C^T = I + L^T P_e L`, lower triangle with inverse diagonal, into F."""
     for half in range(2):
         o = 4 * half
-        for power in range(1 if covariance_update == UNWEIGHTED else 3):
-            a00, a01, a02, a03, a11, a12, a13, a22, a23, a33 = (0.0,) * 10
-            y0, y1, y2, y3 = 0.0, 0.0, 0.0, 0.0
-            for s in range(n):
-                if not visible[s]:
-                    continue
-                k = s + half * n
-                p = 1.0 / R[k]
-                gx, gy, gz = u[s, 0], u[s, 1], u[s, 2]
-                if power == 0:
-                    t = p * weights[k] * z[k]
-                    y0 += gx * t
-                    y1 += gy * t
-                    y2 += gz * t
-                    y3 += t
-                elif power == 1:
-                    p *= weights[k]
-                else:
-                    p *= weights[k] * weights[k]
-                px, py, pz = p * gx, p * gy, p * gz
-                a00 += px * gx
-                a01 += px * gy
-                a02 += px * gz
-                a03 += px
-                a11 += py * gy
-                a12 += py * gz
-                a13 += py
-                a22 += pz * gz
-                a23 += pz
-                a33 += p
-            if power == 0:
-                y[o], y[o + 1], y[o + 2], y[o + 3] = y0, y1, y2, y3
-            target = A if power == 0 else (A1 if power == 1 else A2)
-            for i in range(4):
-                for j in range(4):
-                    target[o + i, 4 - o + j] = 0.0
-            target[o, o], target[o, o + 1] = a00, a01
-            target[o, o + 2], target[o, o + 3] = a02, a03
-            target[o + 1, o], target[o + 1, o + 1] = a01, a11
-            target[o + 1, o + 2], target[o + 1, o + 3] = a12, a13
-            target[o + 2, o], target[o + 2, o + 1] = a02, a12
-            target[o + 2, o + 2], target[o + 2, o + 3] = a22, a23
-            target[o + 3, o], target[o + 3, o + 1] = a03, a13
-            target[o + 3, o + 2], target[o + 3, o + 3] = a23, a33
-
-
-@njit
-def solve_in_place(M: NDArray[np.float64], B: NDArray[np.float64], columns: int) -> None:
-    """Solve ``M X = B`` by elimination with partial pivoting; `B` becomes X, `M` is destroyed.
-
-    `M` (k, k), regular; `B` (k, c) right-hand sides; `columns`: how many of the right-hand sides to
-    solve for, at most c.
-    """
-    k, c = M.shape[0], columns
-    for p in range(k):
-        best = p
-        for i in range(p + 1, k):
-            if abs(M[i, p]) > abs(M[best, p]):
-                best = i
-        if best != p:
-            for j in range(p, k):
-                M[p, j], M[best, j] = M[best, j], M[p, j]
-            for j in range(c):
-                B[p, j], B[best, j] = B[best, j], B[p, j]
-        inverse = 1.0 / M[p, p]
-        for i in range(p + 1, k):
-            f = M[i, p] * inverse
-            if f != 0.0:
-                for j in range(p + 1, k):
-                    M[i, j] -= f * M[p, j]
-                for j in range(c):
-                    B[i, j] -= f * B[p, j]
-    for p in range(k - 1, -1, -1):
-        inverse = 1.0 / M[p, p]
-        for j in range(c):
-            total = B[p, j]
-            for i in range(p + 1, k):
-                total -= M[p, i] * B[i, j]
-            B[p, j] = total * inverse
-
-
-@njit
-def innovation_covariance(
-    P: NDArray[np.float64],
-    u: NDArray[np.float64],
-    R: NDArray[np.float64],
-    visible: NDArray[np.bool_],
-    t: NDArray[np.float64],
-    S: NDArray[np.float64],
-) -> None:
-    r"""Write the innovation covariance :math:`S = H P H^T + R` of one receiver.
-
-    `P` (289,) predicted covariance, row by row; `u` (n, 3) lines of sight, ECEF; `R` (2n,) noise
-    variances; `visible` (n,) bool; an invisible slot has the row and column of the identity; `t`
-    (17,) scratch memory; `S` (2n, 2n), written.
-    """
-    n = u.shape[0]
-    for k in range(2 * n):
-        row = S[k]
-        for j in range(2 * n):
-            row[j] = 0.0
-        row[k] = 1.0
-    for s in range(n):
-        if not visible[s]:
-            continue
-        ux, uy, uz = u[s, 0], u[s, 1], u[s, 2]
-        for half in range(2):
-            k = s + half * n
-            o, clock = (17 * 3, 17 * 16) if half else (17 * 6, 17 * 15)
-            for j in range(17):  # the row of H P
-                t[j] = (ux * P[o + j] + uy * P[o + 17 + j]) + (uz * P[o + 34 + j] + P[clock + j])
-            row = S[k]
-            for j in range(s, n):
-                if visible[j]:
-                    value = (u[j, 0] * t[6] + u[j, 1] * t[7]) + (u[j, 2] * t[8] + t[15])
-                    rate = (u[j, 0] * t[3] + u[j, 1] * t[4]) + (u[j, 2] * t[5] + t[16])
-                    row[j] = value
-                    row[n + j] = rate
-                    S[j, k] = value
-                    S[n + j, k] = rate
-            row[k] += R[k]
-
-
-@njit
-def factor(
-    P: NDArray[np.float64],
-    A: NDArray[np.float64],
-    F: NDArray[np.float64],
-    M: NDArray[np.float64],
-    V: NDArray[np.float64],
-    Pc: NDArray[np.float64],
-) -> None:
-    r"""Write V with :math:`V^T V = (I + A P_e)^{-1} A`, and the rows of P that it acts on.
-
-    With :math:`A = L L^T` block by block, :math:`V = C^{-1} L^T` where
-    :math:`C C^T = I + L^T P_e L`, which is well conditioned for any number of satellites.
-
-    `P` (289,) predicted covariance, row by row; `A` (8, 8) block diagonal, positive semidefinite;
-    `F`, `M` (8, 8) scratch memory; `V` (64,), written, row by row; `Pc` (136,), written: rows
-    `OBSERVED` of P.
-    """
-    e = OBSERVED
-    for k in range(8):
-        for j in range(17):
-            Pc[17 * k + j] = P[17 * e[k] + j]
-    # L, block by block, into M; a pivot of rounding size has no information
-    for o in (0, 4):
-        for i in range(o, o + 4):
-            for j in range(o, i + 1):
-                value = A[i, j]
-                for k in range(o, j):
-                    value -= M[i, k] * M[j, k]
-                if i > j:
-                    M[i, j] = value / M[j, j] if M[j, j] > 0.0 else 0.0
-                else:
-                    M[i, i] = math.sqrt(value) if value > 1e-12 * A[i, i] else 0.0
-    # V = L', F = L' Pe
-    for i in range(8):
-        o = 4 * (i // 4)
+        e0, e1, e2, e3 = OBSERVED[o], OBSERVED[o + 1], OBSERVED[o + 2], OBSERVED[o + 3]
         for j in range(8):
-            V[8 * i + j] = 0.0
-            F[i, j] = 0.0
-        for k in range(i, o + 4):
-            f = M[k, i]
-            V[8 * i + k] = f
-            for j in range(8):
-                F[i, j] += f * Pc[17 * k + e[j]]
-    # M = I + F L, its factor C into F
-    for i in range(8):
-        for j in range(i + 1):
-            value = 1.0 if i == j else 0.0
-            for k in range(j, 4 * (j // 4) + 4):
-                value += F[i, k] * V[8 * j + k]
-            M[i, j] = value
+            e = OBSERVED[j]
+            x = _times_factor(
+                work,
+                half,
+                load(P, first + INDEX[e0, e]),
+                load(P, first + INDEX[e1, e]),
+                load(P, first + INDEX[e2, e]),
+                load(P, first + INDEX[e3, e]),
+            )
+            store(work, F + 8 * o + j, x[0])
+            store(work, F + 8 * o + 8 + j, x[1])
+            store(work, F + 8 * o + 16 + j, x[2])
+            store(work, F + 8 * o + 24 + j, x[3])
+    for i in range(8):  # F L, row by row, as L' times its columns
+        for half in range(2):
+            o = F + 8 * i + 4 * half
+            x = _times_factor(
+                work, half, load(work, o), load(work, o + 1), load(work, o + 2), load(work, o + 3)
+            )
+            o += M - F
+            store(work, o, x[0])
+            store(work, o + 1, x[1])
+            store(work, o + 2, x[2])
+            store(work, o + 3, x[3])
     for i in range(8):
         for j in range(i):
-            value = M[i, j]
+            value = load(work, M + 8 * i + j)
             for k in range(j):
-                value -= F[i, k] * F[j, k]
-            F[i, j] = value * F[j, j]
-        value = M[i, i]
+                value -= load(work, F + 8 * i + k) * load(work, F + 8 * j + k)
+            store(work, F + 8 * i + j, value * load(work, F + 9 * j))
+        value = 1.0 + load(work, M + 9 * i)
         for k in range(i):
-            value -= F[i, k] * F[i, k]
-        F[i, i] = 1.0 / math.sqrt(value)  # the inverse: no division below
-    # forward substitution, row by row
-    for i in range(8):
-        for k in range(i):
-            f = F[i, k]
-            for j in range(8):
-                V[8 * i + j] -= f * V[8 * k + j]
-        f = F[i, i]
-        for j in range(8):
-            V[8 * i + j] *= f
+            f = load(work, F + 8 * i + k)
+            value -= f * f
+        store(work, F + 9 * i, 1.0 / sqrt(value))
 
 
 @njit
-def gain_solution(
-    P: NDArray[np.float64],
-    A: NDArray[np.float64],
-    A1: NDArray[np.float64],
-    A2: NDArray[np.float64],
-    y: NDArray[np.float64],
-    covariance_update: int,
-    F: NDArray[np.float64],
-    M: NDArray[np.float64],
-    V: NDArray[np.float64],
-    Pc: NDArray[np.float64],
-    Q: NDArray[np.float64],
-    dx: NDArray[np.float64],
-) -> None:
-    r"""Correct the covariance in place and write the correction of the state.
+def _substitute(work, first, columns):
+    """Replace an 8 x `columns` matrix X by C^-1 X."""
+    for j in range(columns):
+        for i in range(8):
+            value = load(work, first + columns * i + j)
+            for k in range(i):
+                value -= load(work, F + 8 * i + k) * load(work, first + columns * k + j)
+            store(work, first + columns * i + j, value * load(work, F + 9 * i))
 
-    With :math:`T = (I + A P_e)^{-1} = I - N P_e`, :math:`N = T A = V^T V` and
-    :math:`P_c = P E^T`,
+
+@inlined
+def update(P, first, covariance_update, work):
+    r"""Correct the covariance in place, and write the correction of the state.
+
+    With :math:`A = L L^T` block by block, :math:`C C^T = I + L^T P_e L` and
+    :math:`V = C^{-1} L^T`, the matrix of the gain is :math:`T = (I + A P_e)^{-1} = I - N P_e`,
+    :math:`N = T A = V^T V`, and with :math:`P_c = P E^T`
 
     .. math::
         \delta x &= P_c T y \\
@@ -275,139 +210,225 @@ def gain_solution(
 
     The third is :math:`(I - KWH) P (I - KWH)^T + KW R W^T K^T`, right for any gain.
 
-    `P` (289,) predicted covariance, row by row, overwritten by the updated one; `F`, `M` (8, 8)
-    scratch memory; `V` (64,) scratch memory; `Pc`, `Q` (136,) scratch memory; `dx` (17,), written.
+    `P`, `first`: lane array and first row of the packed covariance, predicted before and updated
+    after; `work`: scratch memory of `WORK` rows, with y from `Y` on and the lower triangles of A
+    from `L` on; for the other two updates also those of A1 and A2.  The correction is in its first
+    17 rows from `X` on.
     """
-    e = OBSERVED
-    factor(P, A, F, M, V, Pc)
-    # x = T y = y - V' V Pe y
-    x, v = F[0], F[1]
+    for half in range(2):
+        factor_block(work, L + 10 * half)
+    _factor(P, first, work)
+    for half in range(2):  # Q = C^-1 L' Pc'
+        o = 4 * half
+        e0, e1, e2, e3 = OBSERVED[o], OBSERVED[o + 1], OBSERVED[o + 2], OBSERVED[o + 3]
+        for j in range(17):
+            x = _times_factor(
+                work,
+                half,
+                load(P, first + INDEX[e0, j]),
+                load(P, first + INDEX[e1, j]),
+                load(P, first + INDEX[e2, j]),
+                load(P, first + INDEX[e3, j]),
+            )
+            q = Q + 17 * o + j
+            store(work, q, x[0])
+            store(work, q + 17, x[1])
+            store(work, q + 34, x[2])
+            store(work, q + 51, x[3])
+    _substitute(work, Q, 17)
+    # dx = Pc (y - V' V Pe y) = Pc y - Q' (V Pe y), where V Pe are columns E of Q
+    zero = splat(0.0, P)
     for i in range(8):
-        x[i] = 0.0
-        for j in range(8):
-            x[i] += Pc[17 * i + e[j]] * y[j]
-    for i in range(8):
-        v[i] = 0.0
-        for j in range(8):
-            v[i] += V[8 * i + j] * x[j]
-    for i in range(8):
-        x[i] = y[i]
-    for k in range(8):
-        for i in range(8):
-            x[i] -= V[8 * k + i] * v[k]
+        value = zero
+        for k in range(8):
+            value += load(work, Q + 17 * i + OBSERVED[k]) * load(work, Y + k)
+        store(work, X + 17 + i, value)
     for j in range(17):
-        dx[j] = 0.0
-    for k in range(8):
-        for j in range(17):
-            dx[j] += x[k] * Pc[17 * k + j]
+        value = zero
+        for k in range(8):
+            value += load(P, first + INDEX[OBSERVED[k], j]) * load(work, Y + k)
+        for k in range(8):
+            value -= load(work, Q + 17 * k + j) * load(work, X + 17 + k)
+        store(work, X + j, value)
     if covariance_update == UNWEIGHTED:
-        product(V, Pc, Q)
-        subtract(P, Q, Q)
+        _subtract_square(P, first, work)
     else:
-        weighted_information(A1, A2, Pc, V, covariance_update, F, M)
-        product(V, Pc, Q)
-        subtract(P, Pc, Q)
+        _weighted(P, first, covariance_update, work)
 
 
 @njit
-def weighted_information(
-    A1: NDArray[np.float64],
-    A2: NDArray[np.float64],
-    Pc: NDArray[np.float64],
-    V: NDArray[np.float64],
-    covariance_update: int,
-    X: NDArray[np.float64],
-    N: NDArray[np.float64],
-) -> None:
-    r"""Replace V by what is between :math:`P_c` and :math:`P_c^T` in a weighted update.
+def _subtract_square(P, first, work):
+    """P -= Q' Q, on and above the diagonal."""
+    k = first
+    for i in range(17):
+        n0, n1 = load(work, Q + i), load(work, Q + 17 + i)
+        n2, n3 = load(work, Q + 34 + i), load(work, Q + 51 + i)
+        n4, n5 = load(work, Q + 68 + i), load(work, Q + 85 + i)
+        n6, n7 = load(work, Q + 102 + i), load(work, Q + 119 + i)
+        for j in range(i, 17):
+            q = Q + j
+            change = (
+                (n0 * load(work, q) + n1 * load(work, q + 17))
+                + (n2 * load(work, q + 34) + n3 * load(work, q + 51))
+            ) + (
+                (n4 * load(work, q + 68) + n5 * load(work, q + 85))
+                + (n6 * load(work, q + 102) + n7 * load(work, q + 119))
+            )
+            store(P, k, load(P, k) - change)
+            k += 1
 
-    `A1`, `A2` (8, 8) as `accumulate` writes them; both are overwritten; `Pc` (136,) rows `OBSERVED`
-    of P; `V` (64,) as `factor` writes it; overwritten by the symmetric result; `X`, `N` (8, 8)
-    scratch memory.
-    """
-    T = V.reshape((8, 8))
-    Pe = Pc.reshape((8, 17))[:, OBSERVED].copy()
-    for i in range(8):  # N = V' V
-        for j in range(8):
-            total = 0.0
-            for k in range(8):
-                total += T[k, i] * T[k, j]
-            N[i, j] = total
-    _multiply(N, Pe, X)  # T = I - N Pe
-    for i in range(8):
-        for j in range(8):
-            T[i, j] = (1.0 if i == j else 0.0) - X[i, j]
-    _multiply(T, A1, X)
-    if covariance_update == PLAIN:
-        for i in range(8):
-            for j in range(8):
-                T[i, j] = 0.5 * (X[i, j] + X[j, i])
-        return
-    _multiply(Pe, A1, N)
-    _multiply(A1, N, Pe)  # Pe becomes A1 Pe A1 + A2, the middle of the third term
-    for i in range(8):
-        for j in range(8):
-            Pe[i, j] += A2[i, j]
-    _multiply(T, Pe, N)
-    for i in range(8):  # A1 = X + X' - N T'
-        for j in range(8):
-            total = X[i, j] + X[j, i]
-            for k in range(8):
-                total -= N[i, k] * T[j, k]
-            A1[i, j] = total
-    for i in range(8):
-        for j in range(8):
-            T[i, j] = A1[i, j]
+
+@inlined
+def _lower(work, first, i, j):
+    """Element of a symmetric block-diagonal matrix that is kept as two lower triangles."""
+    high, low = max(i, j) % 4, min(i, j) % 4
+    return load(work, first + 10 * (i // 4) + 4 * low - low * (low - 1) // 2 + high - low)
 
 
 @njit
-def _multiply(A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64]) -> None:
-    """``C = A B``, all (8, 8)."""
+def _expand(work, first, out):
+    """Write an 8 x 8 matrix that is kept as two lower triangles, row by row."""
+    zero = splat(0.0, work)
     for i in range(8):
         for j in range(8):
-            total = 0.0
-            for k in range(8):
-                total += A[i, k] * B[k, j]
-            C[i, j] = total
+            value = zero
+            if i // 4 == j // 4:
+                value = _lower(work, first, i, j)
+            store(out, 8 * i + j, value)
 
 
 @njit
-def product(N: NDArray[np.float64], Pc: NDArray[np.float64], Q: NDArray[np.float64]) -> None:
-    """Write ``Q = N Pc``; (8, 8), (8, 17) and (8, 17), all flat.
+def _multiply(a, b, c, transposed):
+    """``c = a b``, or ``a b'``, all 8 x 8."""
+    zero = splat(0.0, a)
+    for i in range(8):
+        for j in range(8):
+            total = zero
+            for k in range(8):
+                total += load(a, 8 * i + k) * load(b, 8 * j + k if transposed else 8 * k + j)
+            store(c, 8 * i + j, total)
 
-    `N`, `Pc` (64,) and (136,); `Q` (136,), written.
-    """
+
+@njit
+def _weighted(P, first, covariance_update, work):
+    """P -= Pc X Pc', where X is what the two weighted updates have there."""
+    rest = work[REST:]
+    T, first_sum, second_sum = rest[:64], rest[64:128], rest[128:192]
+    N, Pe, product, columns = rest[192:256], rest[256:320], rest[320:384], rest[384:520]
+    zero = splat(0.0, P)
+    for i in range(8):  # V = C^-1 L', by columns of L'
+        for j in range(8):
+            value = zero
+            if i // 4 == j // 4 and j >= i:
+                value = _lower(work, L, j, i)
+            store(work, V + 8 * i + j, value)
+            store(Pe, 8 * i + j, load(P, first + INDEX[OBSERVED[i], OBSERVED[j]]))
+    _substitute(work, V, 8)
+    for i in range(8):
+        for j in range(8):
+            total = zero
+            for k in range(8):
+                total += load(work, V + 8 * k + i) * load(work, V + 8 * k + j)
+            store(N, 8 * i + j, total)
+    _multiply(N, Pe, T, False)
+    for i in range(8):  # T = I - N Pe
+        for j in range(8):
+            store(T, 8 * i + j, (1.0 if i == j else 0.0) - load(T, 8 * i + j))
+    _expand(work, A1, first_sum)
+    _multiply(T, first_sum, product, False)  # T A1
+    if covariance_update == GENERAL:
+        _expand(work, A2, second_sum)
+        _multiply(Pe, first_sum, N, False)
+        _multiply(first_sum, N, Pe, False)
+        for k in range(64):  # A1 Pe A1 + A2
+            store(Pe, k, load(Pe, k) + load(second_sum, k))
+        _multiply(T, Pe, N, False)
+        _multiply(N, T, Pe, True)
+    for i in range(8):
+        for j in range(8):
+            value = load(product, 8 * i + j) + load(product, 8 * j + i)
+            if covariance_update == PLAIN:
+                value = 0.5 * value
+            else:
+                value -= load(Pe, 8 * i + j)
+            store(N, 8 * i + j, value)
+    for i in range(8):  # Q = X Pc'
+        for j in range(17):
+            total = zero
+            for k in range(8):
+                total += load(N, 8 * i + k) * load(P, first + INDEX[OBSERVED[k], j])
+            store(work, Q + 17 * i + j, total)
     for k in range(8):
-        o = 8 * k
-        n0, n1, n2, n3 = N[o], N[o + 1], N[o + 2], N[o + 3]
-        n4, n5, n6, n7 = N[o + 4], N[o + 5], N[o + 6], N[o + 7]
-        q = Q[17 * k : 17 * k + 17]
         for j in range(17):
-            q[j] = (
-                (n0 * Pc[j] + n1 * Pc[17 + j])
-                + (n2 * Pc[34 + j] + n3 * Pc[51 + j])
-                + (n4 * Pc[68 + j] + n5 * Pc[85 + j])
-                + (n6 * Pc[102 + j] + n7 * Pc[119 + j])
-            )
+            store(columns, 17 * k + j, load(P, first + INDEX[OBSERVED[k], j]))
+    p = first
+    for i in range(17):
+        for j in range(i, 17):
+            total = load(P, p)
+            for k in range(8):
+                total -= load(columns, 17 * k + i) * load(work, Q + 17 * k + j)
+            store(P, p, total)
+            p += 1
 
 
 @njit
-def subtract(P: NDArray[np.float64], X: NDArray[np.float64], Y: NDArray[np.float64]) -> None:
-    """``P -= X' Y`` in place, where the product is symmetric; kept exactly so.
+def innovation_covariance(x, P, u, R, visible, n, S, t):
+    r"""Write the innovation covariance :math:`S = H P H^T + R`, on and above the diagonal.
 
-    `P` (289,), overwritten; `X`, `Y` (136,), (8, 17) row by row.
+    `x`: lane array; `P`, `u`, `R`, `visible`: first rows in it of the packed covariance, lines of
+    sight (3 n rows), noise variances (2 n) and of n rows that are above 0 where a satellite is
+    visible; an invisible slot has the row and column of the identity; `S`: lane array of 4 n^2
+    rows, row by row; `t`: scratch memory of 8 rows.
     """
-    for i in range(17):
-        n0, n1, n2, n3 = X[i], X[17 + i], X[34 + i], X[51 + i]
-        n4, n5, n6, n7 = X[68 + i], X[85 + i], X[102 + i], X[119 + i]
-        p = P[17 * i : 17 * i + 17]
-        for j in range(17):
-            p[j] -= (
-                (n0 * Y[j] + n1 * Y[17 + j])
-                + (n2 * Y[34 + j] + n3 * Y[51 + j])
-                + (n4 * Y[68 + j] + n5 * Y[85 + j])
-                + (n6 * Y[102 + j] + n7 * Y[119 + j])
+    m = 2 * n
+    for k in range(m):
+        for j in range(k, m):
+            store(S, k * m + j, 1.0 if j == k else 0.0)
+    for k in range(m):
+        s, o = k % n, 4 * (k // n)
+        seen = load(x, visible + s) > 0.0
+        if not any_lane(seen):
+            continue
+        ux, uy, uz = load(x, u + 3 * s), load(x, u + 3 * s + 1), load(x, u + 3 * s + 2)
+        e0, e1, e2, e3 = OBSERVED[o], OBSERVED[o + 1], OBSERVED[o + 2], OBSERVED[o + 3]
+        for i in range(8):  # the row of H P
+            e = OBSERVED[i]
+            value = (ux * load(x, P + INDEX[e0, e]) + uy * load(x, P + INDEX[e1, e])) + (
+                uz * load(x, P + INDEX[e2, e]) + load(x, P + INDEX[e3, e])
             )
-    for i in range(17):
-        for j in range(i):
-            P[17 * i + j] = P[17 * j + i]
+            store(t, i, value)
+        for j in range(k, m):
+            a, b = u + 3 * (j % n), 4 * (j // n)
+            both = seen & (load(x, visible + j % n) > 0.0)
+            value = (load(x, a) * load(t, b) + load(x, a + 1) * load(t, b + 1)) + (
+                load(x, a + 2) * load(t, b + 2) + load(t, b + 3)
+            )
+            if j == k:
+                value += load(x, R + k)
+            store(S, k * m + j, select(both, value, load(S, k * m + j)))
+
+
+@njit
+def innovation_variance(x, P, u, R, visible, n, out):
+    """Write the diagonal of S, 2 n rows; the others as in `innovation_covariance`."""
+    for half in range(2):
+        o = 4 * half
+        e0, e1, e2, e3 = OBSERVED[o], OBSERVED[o + 1], OBSERVED[o + 2], OBSERVED[o + 3]
+        p00, p01 = load(x, P + INDEX[e0, e0]), load(x, P + INDEX[e0, e1])
+        p02, p03 = load(x, P + INDEX[e0, e2]), load(x, P + INDEX[e0, e3])
+        p11, p12 = load(x, P + INDEX[e1, e1]), load(x, P + INDEX[e1, e2])
+        p13, p22 = load(x, P + INDEX[e1, e3]), load(x, P + INDEX[e2, e2])
+        p23, p33 = load(x, P + INDEX[e2, e3]), load(x, P + INDEX[e3, e3])
+        for s in range(n):
+            ux, uy, uz = load(x, u + 3 * s), load(x, u + 3 * s + 1), load(x, u + 3 * s + 2)
+            t0, t1 = (
+                (ux * p00 + uy * p01) + (uz * p02 + p03),
+                (ux * p01 + uy * p11) + (uz * p12 + p13),
+            )
+            t2, t3 = (
+                (ux * p02 + uy * p12) + (uz * p22 + p23),
+                (ux * p03 + uy * p13) + (uz * p23 + p33),
+            )
+            k = s + half * n
+            value = ((ux * t0 + uy * t1) + (uz * t2 + t3)) + load(x, R + k)
+            store(out, k, select(load(x, visible + s) > 0.0, value, 1.0))

@@ -9,7 +9,7 @@ covariance is Joseph's form, which is right for the weights of a verdict, too.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from .._registry import build_record
 from ..earth.wgs84 import STANDARD_GRAVITY
 from ._loose_kernels import LooseState, first_estimate, predict, update
 from .adaptive import PROCESS, SelfTuning
-from .epoch import Epoch, frozen
+from .epoch import ALWAYS, OPTIONAL, Epoch, frozen_fields
 from .loose_model import POSITION, STATES
 
 FloatArray = NDArray[np.float64]
@@ -115,11 +115,17 @@ class LooseReceivers:
     - `memory`: of B receivers; what changes from one epoch to the next is declared in it;
     - `samples`: inertial samples of an epoch;
     - `samples` (B, S, 6) measured specific force and angular rate, to be written before `predict`;
-    - `fix_e` (B, 3) GNSS position, ECEF [m], to be written before `predict`.
+    - `fix_e` (B, 3) GNSS position, ECEF [m], to be written before `predict`;
+    - `fields`: optional ones that its epochs have.
     """
 
     def __init__(
-        self, settings: LooselyCoupled, memory: Memory, samples: int, imu_interval_s: float
+        self,
+        settings: LooselyCoupled,
+        memory: Memory,
+        samples: int,
+        imu_interval_s: float,
+        fields: Collection[str] = OPTIONAL,
     ) -> None:
         self.settings, self.memory, self.imu_interval_s = settings, memory, imu_interval_s
         b, tuning = memory.receivers, settings.tuning
@@ -150,7 +156,7 @@ class LooseReceivers:
         self._design[:, np.arange(3), POSITION + np.arange(3)] = -1.0
         self._ones = np.ones((b, 3))
         nothing, no_vector = np.zeros((b, 0)), np.zeros((b, 0, 3))
-        self._constant: dict[str, NDArray[Any]] = {
+        constant: dict[str, NDArray[Any]] = {
             "interval": np.full(b, samples * imu_interval_s),
             "design": self._design,
             "pseudorange": nothing,
@@ -159,7 +165,8 @@ class LooseReceivers:
             "satellite_velocity": no_vector,
             "visible": np.zeros((b, 0), dtype=np.bool_),
         }
-        self._constant = {name: frozen(array) for name, array in self._constant.items()}
+        self._names = ALWAYS.union(fields)
+        self._constant = frozen_fields(constant, self._names)
 
     @property
     def state(self) -> LooseState:
@@ -203,15 +210,16 @@ class LooseReceivers:
         north, up.
         """
         state = self.state
-        return Epoch(
-            time=frozen(time),
-            innovation=frozen(state.innovation),
-            innovation_cov=frozen(state.innovation_cov),
-            predicted_cov=frozen(state.covariance),
-            predicted_position=frozen(state.position_e),
-            predicted_velocity=frozen(state.velocity_e),
-            transition=frozen(self._transition),
-            imu_delta=frozen(self._imu_delta),
-            gnss_position=frozen(self.fix_e),
-            **self._constant,
-        )
+        arrays = {
+            "time": time,
+            "innovation": state.innovation,
+            "innovation_variance": state.innovation_cov.diagonal(0, 1, 2),
+            "innovation_cov": state.innovation_cov,
+            "predicted_cov": state.covariance,
+            "predicted_position": state.position_e,
+            "predicted_velocity": state.velocity_e,
+            "transition": self._transition,
+            "imu_delta": self._imu_delta,
+            "gnss_position": self.fix_e,
+        }
+        return Epoch(**frozen_fields(arrays, self._names), **self._constant)

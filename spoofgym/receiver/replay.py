@@ -7,9 +7,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..sim.noise import padded
+from ..sim.sensors import SensorBuffers
 from . import _kernels
-from .error_model import STATES
-from .state import ReceiverBuffers, ReceiverState
+from .state import ReceiverBuffers
 from .strapdown import LARGEST_ROTATION
 from .tight import NavState, TightlyCoupled
 
@@ -23,6 +24,7 @@ _SHAPES = {
     "satellite_position_e": "Kn3",
     "satellite_velocity_e": "Kn3",
 }
+_SOLVED = ("position_e", "velocity_e", "C_eb", "accel_bias_b", "gyro_bias_b", "clock")
 MAY_BE_NAN = ("pseudorange", "range_rate", "satellite_position_e", "satellite_velocity_e")
 
 
@@ -165,15 +167,14 @@ class Solution:
     innovation: NDArray[np.float64]
 
 
-def load_initial(state: ReceiverState, receiver: TightlyCoupled, initial: NavState) -> None:
+def load_initial(buffers: ReceiverBuffers, receiver: TightlyCoupled, initial: NavState) -> None:
     """Write one navigation solution and the initial covariance into every receiver."""
-    state.position_e[:] = initial.position_e
-    state.velocity_e[:] = initial.velocity_e
-    state.C_eb[:] = initial.C_eb
-    state.accel_bias_b[:] = 0.0
-    state.gyro_bias_b[:] = 0.0
-    state.clock[:] = initial.clock_bias_m, initial.clock_drift_mps
-    state.covariance[:] = receiver.initial_covariance()
+    fields = buffers.fields
+    fields["position_e"], fields["velocity_e"] = initial.position_e, initial.velocity_e
+    fields["C_eb"] = initial.C_eb
+    fields["accel_bias_b"] = fields["gyro_bias_b"] = 0.0
+    fields["clock"] = initial.clock_bias_m, initial.clock_drift_mps
+    buffers.put_covariance(np.arange(buffers.receivers), receiver.initial_covariance())
 
 
 def replay(
@@ -256,80 +257,68 @@ def replay(
                 f"got shape {variance.shape}"
             )
     ends = recording.epoch_samples()
-    starts = np.concatenate([[0], ends[:-1]])
-    gnss_time = np.asarray(recording.gnss_time)
-    gnss_interval = np.diff(gnss_time, prepend=0.0)
-    samples = np.hstack([recording.specific_force_b, recording.angular_rate_b])
+    imu_time = np.asarray(recording.imu_time)
+    samples = [recording.specific_force_b, recording.angular_rate_b]
+    lengths = np.diff(imu_time, prepend=0.0)
+    run = np.vstack([np.hstack(samples).T, lengths, lengths**-0.5])
+    # epoch 0 is time zero, where nothing is measured; range and range rate are in what is measured
+    satellites = np.zeros((epochs + 1, n, 8))
+    satellites[1:, :, :3] = np.where(visible[:, :, None], position, 0.0)
+    satellites[1:, :, 3:6] = np.where(visible[:, :, None], velocity, 0.0)
+    satellites[1:, :, 6] = visible
+    measured = np.where(visible[:, None], np.stack([range_, rate], axis=1), 0.0)
 
-    buffers = ReceiverBuffers(1, n, int((ends - starts).max()))
-    state, measured = buffers.state, buffers.measured
-    load_initial(state, receiver, initial)
-    buffers.noise_psd[:] = receiver.noise_psd()
-    weights = np.ones((1, 2 * n))
-    out = {
-        "position_e": np.empty((epochs, 3)),
-        "velocity_e": np.empty((epochs, 3)),
-        "C_eb": np.empty((epochs, 3, 3)),
-        "accel_bias_b": np.empty((epochs, 3)),
-        "gyro_bias_b": np.empty((epochs, 3)),
-        "clock": np.empty((epochs, 2)),
-        "sd": np.empty((epochs, STATES)),
-        "innovation": np.empty((epochs, 2 * n)),
-    }
-    coasting = np.zeros(epochs, dtype=np.bool_)
-    run = np.zeros((8, len(samples)))
-    run[6] = np.diff(np.asarray(recording.imu_time), prepend=0.0)
-    nothing = np.zeros(0)
-
-    def half(what: int) -> None:
-        """Run one half of the epoch in the buffers."""
-        _kernels.run_epochs(
-            buffers.floats,
-            buffers.flags,
-            buffers.block,
-            buffers.samples,
-            weights,
-            nothing,
-            np.zeros((0, 0, 0), dtype=np.uint64),
-            np.zeros(0, dtype=np.int64),
-            run,
-            nothing,
-            np.zeros(0, dtype=np.int64),
-            np.zeros((0, 0, 0)),
-            1,
-            n,
-            0,
-            0,
+    buffers = ReceiverBuffers(1, n)
+    load_initial(buffers, receiver, initial)
+    buffers.fields["noise_psd"] = receiver.noise_psd()
+    sensors = SensorBuffers(1, n)
+    rules = np.array(
+        [
             receiver.covariance_code,
             receiver.min_satellites,
             receiver.orthonormalize,
-            what,
-            1,
-            0,
-            1,
-        )
-
+            padded(6 * int(np.diff(ends, prepend=0).max())),
+            padded(2 * n),
+        ]
+    )
+    given = (
+        buffers.fields.data,
+        buffers.seen_floats,
+        buffers.places,
+        buffers.visible,
+        buffers.coasting,
+        sensors.fields.data,
+        sensors.words.data,
+        sensors.epoch,
+        sensors.range_offset,
+        sensors.rate_offset,
+        sensors.authentic,
+        run,
+        np.concatenate([[0.0], np.asarray(recording.gnss_time)]),
+        np.concatenate([[0], ends]),
+        satellites,
+        rules,
+        buffers.fields.scratch(_kernels.work_rows(n, *rules[3:].tolist())),
+        np.ones((1, 2 * n)),
+    )
+    kept: list[tuple[NDArray[np.float64], ...]] = []
+    coasting = np.zeros(epochs, dtype=np.bool_)
+    fields = buffers.fields
     for k in range(epochs):
-        first, count = starts[k], ends[k] - starts[k]
-        buffers.put_samples(0, samples[first : first + count])
-        buffers.block[:, 0] = first, count
-        measured.time[0], measured.interval[0] = gnss_time[k], gnss_interval[k]
-        measured.visible[0] = visible[k]
-        measured.pseudorange[0], measured.range_rate[0] = range_[k], rate[k]
-        measured.satellite_position[0], measured.satellite_velocity[0] = position[k], velocity[k]
-        measured.noise_variance[0] = variance[k]
-        half(_kernels.PREDICT)
-        out["innovation"][k] = measured.innovation[0]
-        half(_kernels.UPDATE)
-        for name in ("position_e", "velocity_e", "C_eb", "accel_bias_b", "gyro_bias_b", "clock"):
-            out[name][k] = getattr(state, name)[0]
-        out["sd"][k] = np.sqrt(np.diagonal(state.covariance[0]))
-        coasting[k] = measured.coasting[0]
-    clock = out.pop("clock")
+        fields["measured"], fields["noise_variance"] = measured[k], variance[k]
+        _kernels.run_epoch(*given, _kernels.PREDICT + _kernels.SHOW)
+        innovation = buffers.seen["innovation"][0].copy()
+        _kernels.run_epoch(*given, _kernels.UPDATE)
+        sd = np.sqrt(np.diagonal(buffers.covariance[0]))
+        kept.append((*(fields[name][0] for name in _SOLVED), sd, innovation))
+        coasting[k] = buffers.coasting[0]
+    *solved, clock, sds, innovations = (np.array(each) for each in zip(*kept, strict=True))
     return Solution(
         time=np.array(recording.gnss_time),
         clock_bias_m=clock[:, 0].copy(),
         clock_drift_mps=clock[:, 1].copy(),
         coasting=coasting,
-        **out,
+        sd=sds,
+        innovation=innovations,
+        **dict(zip(_SOLVED, solved, strict=False)),
     )

@@ -1,215 +1,141 @@
-"""The arrays of a batch of receivers: estimates, samples, measurements, noise model.
-
-All floating-point arrays of a batch lie one after the other in one buffer, `ReceiverBuffers`, and
-`unpack` names them.  A kernel takes the buffer and unpacks it itself, which costs a tenth of
-handing over twenty arrays; a copy of the buffers is a snapshot of the batch.
-"""
+"""The memory of a batch of receivers: estimates, measurements, noise model."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import njit
-from .error_model import STATES
+from .._lanes import LaneFields
+from .error_model import INDEX, PACKED, STATES
 
 FloatArray = NDArray[np.float64]
 
 
-class ReceiverState(NamedTuple):
-    """What the receivers estimate.
+def receiver_shapes(channels: int) -> dict[str, tuple[int, ...]]:
+    """What is kept of every receiver from epoch to epoch, in the order of the lane array.
 
-    - `position_e`, `velocity_e` (B, 3) ECEF [m], [m/s];
-    - `C_eb` (B, 3, 3) attitude, to ECEF from body axes;
-    - `accel_bias_b`, `gyro_bias_b` (B, 3) estimated sensor biases [m/s^2], [rad/s];
-    - `clock` (B, 2) receiver clock bias [m] and drift [m/s];
-    - `covariance` (B, 17, 17) in the order of `error_model`.
+    - `C_eb` (3, 3) estimated attitude, to ECEF from body axes;
+    - `velocity_e`, `position_e` (3,) estimated, ECEF [m/s], [m];
+    - `accel_bias_b`, `gyro_bias_b` (3,) estimated sensor biases [m/s^2], [rad/s];
+    - `clock` (2,) estimated receiver clock bias [m] and drift [m/s];
+    - `imu_delta` (6,) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval;
+    - `noise_psd` (17,) power spectral density of the noise that drives each state;
+    - `packed_covariance` in the order of `error_model.INDEX`;
+    - `measured` (2, n) pseudoranges [m] and range rates [m/s] of the epoch, 0 where invisible;
+    - `innovation` (2n,) 0 where invisible;
+    - `noise_variance` (2n,) R, pseudoranges first;
+    - `line_of_sight` (n, 3) unit vectors to the satellites, ECEF, 0 where invisible;
+    - `visible` (n,) 1 or 0.
     """
-
-    position_e: FloatArray
-    velocity_e: FloatArray
-    C_eb: FloatArray
-    accel_bias_b: FloatArray
-    gyro_bias_b: FloatArray
-    clock: FloatArray
-    covariance: FloatArray
-
-
-class Measurements(NamedTuple):
-    """One epoch of the receivers: what is measured, and what is derived from it.
-
-    - `time`, `interval` (B,) time of the epoch and time since the last one [s];
-    - `pseudorange`, `range_rate` (B, n) [m], [m/s];
-    - `satellite_position`, `satellite_velocity` (B, n, 3) ECEF [m], [m/s];
-    - `visible` (B, n) bool;
-    - `noise_variance` (B, 2n) R, pseudoranges first;
-    - `innovation` (B, 2n), 0 where invisible;
-    - `innovation_cov` (B, 2n, 2n);
-    - `design` (B, 2n, 17) H;
-    - `line_of_sight` (B, n, 3) unit vectors to the satellites, ECEF;
-    - `transition` (B, 17, 17) Phi;
-    - `imu_delta` (B, 6) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval, body
-      axes;
-    - `coasting` (B,) bool, whether the update was left out for want of satellites.
-    """
-
-    time: FloatArray
-    interval: FloatArray
-    pseudorange: FloatArray
-    range_rate: FloatArray
-    satellite_position: FloatArray
-    satellite_velocity: FloatArray
-    visible: NDArray[np.bool_]
-    noise_variance: FloatArray
-    innovation: FloatArray
-    innovation_cov: FloatArray
-    design: FloatArray
-    line_of_sight: FloatArray
-    transition: FloatArray
-    imu_delta: FloatArray
-    coasting: NDArray[np.bool_]
-
-
-@njit
-def buffer_size(receivers: int, channels: int) -> int:
-    """Number of floating-point values of a batch."""
     n = channels
-    state = 3 + 3 + 9 + 3 + 3 + 2 + 289
-    epoch = 2 + 2 * n + 6 * n + 2 * n + 2 * n + 4 * n * n + 34 * n + 3 * n + 289 + 6
-    return receivers * (state + epoch + 17)
+    return {
+        "C_eb": (3, 3),
+        "velocity_e": (3,),
+        "position_e": (3,),
+        "accel_bias_b": (3,),
+        "gyro_bias_b": (3,),
+        "clock": (2,),
+        "imu_delta": (6,),
+        "noise_psd": (STATES,),
+        "packed_covariance": (PACKED,),
+        "measured": (2, n),
+        "innovation": (2 * n,),
+        "noise_variance": (2 * n,),
+        "line_of_sight": (n, 3),
+        "visible": (n,),
+    }
 
 
-@njit
-def unpack(
-    floats: FloatArray, flags: NDArray[np.bool_], receivers: int, channels: int
-) -> tuple[ReceiverState, Measurements, FloatArray]:
-    """Name the arrays of a batch: views of its buffers.
-
-    `floats` (`buffer_size`,) float64; `flags` (B (n + 1),) bool; returns `noise_psd` (B, 17) power
-    spectral density of the noise that drives each state.
-    """
-    b, n, m = receivers, channels, 2 * channels
-    o = 0
-    position_e = floats[o : o + 3 * b].reshape((b, 3))
-    o += 3 * b
-    velocity_e = floats[o : o + 3 * b].reshape((b, 3))
-    o += 3 * b
-    C_eb = floats[o : o + 9 * b].reshape((b, 3, 3))
-    o += 9 * b
-    accel_bias_b = floats[o : o + 3 * b].reshape((b, 3))
-    o += 3 * b
-    gyro_bias_b = floats[o : o + 3 * b].reshape((b, 3))
-    o += 3 * b
-    clock = floats[o : o + 2 * b].reshape((b, 2))
-    o += 2 * b
-    covariance = floats[o : o + 289 * b].reshape((b, 17, 17))
-    o += 289 * b
-    time = floats[o : o + b]
-    o += b
-    interval = floats[o : o + b]
-    o += b
-    pseudorange = floats[o : o + n * b].reshape((b, n))
-    o += n * b
-    range_rate = floats[o : o + n * b].reshape((b, n))
-    o += n * b
-    satellite_position = floats[o : o + 3 * n * b].reshape((b, n, 3))
-    o += 3 * n * b
-    satellite_velocity = floats[o : o + 3 * n * b].reshape((b, n, 3))
-    o += 3 * n * b
-    noise_variance = floats[o : o + m * b].reshape((b, m))
-    o += m * b
-    innovation = floats[o : o + m * b].reshape((b, m))
-    o += m * b
-    innovation_cov = floats[o : o + m * m * b].reshape((b, m, m))
-    o += m * m * b
-    design = floats[o : o + 17 * m * b].reshape((b, m, 17))
-    o += 17 * m * b
-    line_of_sight = floats[o : o + 3 * n * b].reshape((b, n, 3))
-    o += 3 * n * b
-    transition = floats[o : o + 289 * b].reshape((b, 17, 17))
-    o += 289 * b
-    imu_delta = floats[o : o + 6 * b].reshape((b, 6))
-    o += 6 * b
-    noise_psd = floats[o : o + 17 * b].reshape((b, 17))
-    visible = flags[: n * b].reshape((b, n))
-    coasting = flags[n * b : n * b + b]
-    state = ReceiverState(
-        position_e, velocity_e, C_eb, accel_bias_b, gyro_bias_b, clock, covariance
-    )
-    measured = Measurements(
-        time,
-        interval,
-        pseudorange,
-        range_rate,
-        satellite_position,
-        satellite_velocity,
-        visible,
-        noise_variance,
-        innovation,
-        innovation_cov,
-        design,
-        line_of_sight,
-        transition,
-        imu_delta,
-        coasting,
-    )
-    return state, measured, noise_psd
+SEEN = (
+    "innovation",
+    "innovation_variance",
+    "innovation_cov",
+    "predicted_cov",
+    "design",
+    "transition",
+    "imu_delta",
+    "pseudorange",
+    "range_rate",
+    "satellite_position",
+    "satellite_velocity",
+)
+"""Fields of an epoch that kernels write, in the order in which they get their places."""
+ALWAYS_SEEN = frozenset({"innovation", "innovation_variance"})
 
 
-LANES = 8
-"""Receivers whose inertial samples are mechanized side by side."""
+def _seen_shapes(channels: int) -> dict[str, tuple[int, ...]]:
+    n = channels
+    shapes = [(2 * n,), (2 * n,), (2 * n, 2 * n), (17, 17), (2 * n, 17), (17, 17), (6,)]
+    return dict(zip(SEEN, [*shapes, (n,), (n,), (n, 3), (n, 3)], strict=True))
 
 
 class ReceiverBuffers:
     """The memory of a batch of receivers.
 
-    - `samples`: most inertial samples between two epochs, S;
-    - `block` (2, B) int64, first sample of the interval in the run, and number of samples;
-    - `samples` (G, S, 6 * LANES) measured specific force and angular rate, body axes, component by
-      component for the `LANES` receivers of each of the G groups.
+    - `fields`: of `receiver_shapes`, in lane arrays;
+    - `time`, `interval` (B,) time of the epoch and time since the last one [s];
+    - `position_e`, `velocity_e` (B, 3) estimated, ECEF [m], [m/s], as the last kernel left them;
+    - `visible` (B, n) bool; `coasting` (B,) bool, whether the last epoch had no update;
+    - `seen`: fields of `SEEN` that somebody looks at, (B, ...) each; `places` (11,) where in
+      `seen_floats` each lies, -1 where nobody does.
     """
 
-    def __init__(self, receivers: int, channels: int, samples: int) -> None:
+    def __init__(self, receivers: int, channels: int, wanted: Iterable[str] = ()) -> None:
         self.receivers, self.channels = receivers, channels
-        self.floats = np.zeros(buffer_size(receivers, channels))
-        self.flags = np.zeros(receivers * (channels + 1), dtype=np.bool_)
-        self.block = np.zeros((2, receivers), dtype=np.int64)
-        self.samples = np.zeros((-(-receivers // LANES), samples, 6 * LANES))
+        self.fields = LaneFields(receivers, receiver_shapes(channels))
+        self.fields["noise_variance"] = 1.0
+        self.visible = np.zeros((receivers, channels), dtype=np.bool_)
+        self.coasting = np.zeros(receivers, dtype=np.bool_)
+        shapes = _seen_shapes(channels)
+        chosen = ALWAYS_SEEN | (set(wanted) & set(SEEN))
+        self._shapes = {name: (receivers, *shapes[name]) for name in SEEN if name in chosen}
+        sizes = [int(np.prod(shape)) for shape in self._shapes.values()]
+        firsts = dict(zip(self._shapes, np.cumsum([8 * receivers, *sizes]).tolist(), strict=False))
+        self.places = np.array([firsts.get(name, -1) for name in SEEN])
+        self.seen_floats = np.zeros(8 * receivers + sum(sizes))
         self._name_arrays()
-        self.measured.transition[:] = np.eye(STATES)
-        self.measured.noise_variance[:] = 1.0
 
     def _name_arrays(self) -> None:
-        self.state, self.measured, self.noise_psd = unpack(
-            self.floats, self.flags, self.receivers, self.channels
-        )
+        b, floats = self.receivers, self.seen_floats
+        self.time, self.interval = floats[:b], floats[b : 2 * b]
+        self.position_e = floats[2 * b : 5 * b].reshape(b, 3)
+        self.velocity_e = floats[5 * b : 8 * b].reshape(b, 3)
+        self.seen = {
+            name: floats[place : place + int(np.prod(shape))].reshape(shape)
+            for name, shape, place in zip(
+                self._shapes, self._shapes.values(), self.places[self.places >= 0], strict=True
+            )
+        }
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Buffers without their views, which a copy makes of its own buffers."""
-        views = ("state", "measured", "noise_psd")
+    def __getstate__(self) -> dict[str, object]:
+        """Buffers without their views, which a copy makes of its own buffer."""
+        views = ("time", "interval", "position_e", "velocity_e", "seen")
         return {name: value for name, value in self.__dict__.items() if name not in views}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         """Take over the buffers, and name their arrays."""
         self.__dict__.update(state)
         self._name_arrays()
 
-    def measured_samples(self, receiver: int) -> FloatArray:
-        """Measured samples of one receiver's last interval.
+    @property
+    def covariance(self) -> FloatArray:
+        """(B, 17, 17) in the order of `error_model`, a copy."""
+        return self.fields["packed_covariance"][:, INDEX]
 
-        Returns (count, 6) specific force [m/s^2] and angular rate [rad/s], a copy.
-        """
-        group, lane = divmod(receiver, LANES)
-        lanes = self.samples[group].reshape(-1, 6, LANES)
-        return np.array(lanes[: self.block[1, receiver], :, lane])
+    def put_covariance(self, rows: NDArray[np.intp], covariance: FloatArray) -> None:
+        """Write the (17, 17) covariance of some receivers, (b, 17, 17) or one for all."""
+        upper = np.triu_indices(STATES)
+        self.fields.put("packed_covariance", rows, np.asarray(covariance)[..., *upper])
 
-    def put_samples(self, receiver: int, samples: FloatArray) -> None:
-        """Write one receiver's samples of an interval.
-
-        `samples` (count, 6) specific force [m/s^2] and angular rate [rad/s].
-        """
-        group, lane = divmod(receiver, LANES)
-        lanes = self.samples[group].reshape(-1, 6, LANES)
-        lanes[: len(samples), :, lane] = samples
+    def copy_rows(
+        self, to: NDArray[np.intp], other: ReceiverBuffers, rows: NDArray[np.intp]
+    ) -> None:
+        """Take over receivers of another batch."""
+        self.fields.copy_rows(to, other.fields, rows)
+        for name in ("time", "interval", "position_e", "velocity_e", "visible", "coasting"):
+            getattr(self, name)[to] = getattr(other, name)[rows]
+        for name, mine in self.seen.items():
+            if name in other.seen:
+                mine[to] = other.seen[name][rows]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from .._jit import inlined
+from .._simd import floor, select
 from ..earth.wgs84 import EARTH_RATE, gravity
 
 NO_ROTATION = 1e-16
@@ -17,6 +16,12 @@ UNITS_PER_TWO = 2.0**52
 """Half the number of doubles between one half and one."""
 LARGEST_ROTATION = 1.0
 """Rotation angle of one sample [rad] up to which the series are exact to rounding."""
+
+
+@inlined
+def _nested(x: float, a: float, b: float, c: float, rest: float) -> float:
+    """First factors of a Taylor series: 1 - a x (1 - b x (1 - c x rest))."""
+    return 1.0 - x * a * (1.0 - x * b * (1.0 - x * c * rest))
 
 
 @inlined
@@ -37,19 +42,18 @@ def rotation_coefficients(squared_angle: float) -> tuple[float, float, float]:
     most 5e-9 of itself, which shows at 1e-8 m/s in a tactical golden run.
     """
     x = squared_angle
-    s = 1.0 - x / 110.0 * (1.0 - x / 156.0 * (1.0 - x / 210.0 * (1.0 - x / 272.0)))
-    s = 1.0 - x / 6.0 * (1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0 * s)))
-    c = 1.0 - x / 132.0 * (1.0 - x / 182.0 * (1.0 - x / 240.0))
-    c = 0.5 * (1.0 - x / 12.0 * (1.0 - x / 30.0 * (1.0 - x / 56.0 * (1.0 - x / 90.0 * c))))
-    d = 1.0 - x / 156.0 * (1.0 - x / 210.0 * (1.0 - x / 272.0))
-    d = 1.0 - x / 20.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0 * (1.0 - x / 110.0 * d)))
-    # the units in the last place below one that 1 - cos a leaves of x / 2; blends, since a branch
-    # would keep compilers from vectorizing
-    units = np.floor(x * (1.0 - x / 12.0) * UNITS_PER_TWO + 0.5)
+    s = _nested(x, 1 / 72, 1 / 110, 1 / 156, 1.0 - x * (1 / 210) * (1.0 - x * (1 / 272)))
+    s = _nested(x, 1 / 6, 1 / 20, 1 / 42, s)
+    c = _nested(x, 1 / 90, 1 / 132, 1 / 182, 1.0 - x * (1 / 240))
+    c = 0.5 * _nested(x, 1 / 12, 1 / 30, 1 / 56, c)
+    d = _nested(x, 1 / 110, 1 / 156, 1 / 210, 1.0 - x * (1 / 272))
+    d = _nested(x, 1 / 20, 1 / 42, 1 / 72, d)
+    # the units in the last place below one that 1 - cos a leaves of x / 2
+    units = floor(x * (1.0 - x * (1 / 12)) * UNITS_PER_TWO + 0.5)
     rounded = units / (2.0 * UNITS_PER_TWO * x + TINY)
-    exact = 1.0 if x > ROUNDING_LIMIT else 0.0
-    turns = 1.0 if x > NO_ROTATION else 0.0
-    return s, turns * (rounded + exact * (c - rounded)), turns * d / 6.0
+    turns = x > NO_ROTATION
+    c = select(turns, select(x > ROUNDING_LIMIT, c, rounded), 0.0)
+    return s, c, select(turns, d * (1 / 6), 0.0)
 
 
 @inlined
@@ -126,7 +130,7 @@ def strapdown_step(
     b21 = c20 * m01 + c21 * m11 + c22 * m21
     b22 = c20 * m02 + c21 * m12 + c22 * m22
     # a is below 1e-4 rad for any sample up to a second: two terms are exact to rounding
-    sa, ca = a * (1.0 - a * a / 6.0), 1.0 - 0.5 * a * a
+    sa, ca = a * (1.0 - a * a * (1.0 / 6.0)), 1.0 - 0.5 * a * a
     attitude = (
         ca * b00 + sa * b10,
         ca * b01 + sa * b11,

@@ -1,14 +1,44 @@
-"""Compiled loops of the authentic world."""
+"""Compiled loops of the authentic world; those of lane arrays take one group of receivers."""
 
 from __future__ import annotations
 
-import math
-
-from .._jit import njit
+from .._jit import inlined, njit
+from .._lanes import first_rows
+from .._simd import (
+    any_lane,
+    floor,
+    load,
+    select,
+    set_lane,
+    splat,
+    sqrt,
+    store,
+)
 from ..earth.ranging import range_and_rate
 from .clock import advance_clock
-from .imu import quantize, sense
-from .noise import normals
+from .noise import deviates, exponential
+from .sensors import SOURCES, sensor_shapes
+
+_ROWS = first_rows(sensor_shapes(1))
+ACCEL_BIAS, ACCEL_MATRIX = _ROWS["accel_bias"], _ROWS["accel_matrix"]
+GYRO_BIAS, GYRO_MATRIX, G_DEPENDENCE = (
+    _ROWS["gyro_bias"],
+    _ROWS["gyro_matrix"],
+    _ROWS["g_dependence"],
+)
+IMU_NOISE, RESIDUAL = _ROWS["imu_noise"], _ROWS["residual"]
+CLOCK, CLOCK_PSD = _ROWS["clock"], _ROWS["clock_psd"]
+GNSS_NOISE, CORRELATED_NOISE = _ROWS["gnss_noise"], _ROWS["correlated_noise"]
+CHANNELS = _ROWS["satellite_bias"]
+"""First row of the biases; n rows later the correlated errors."""
+IMU_KEY, CLOCK_KEY, GNSS_KEY, CORRELATED_KEY = (
+    2 * SOURCES.index(source) for source in ("imu", "clock", "gnss", "correlated")
+)
+KEYS = 2 * len(SOURCES)
+CHUNK = 16
+"""Samples whose truth is gathered at a time, so that it stays in the nearest cache."""
+SKY = 8
+"""What is known of a satellite: position, velocity, true range and range rate, 0 if invisible."""
 
 
 @njit
@@ -31,110 +61,204 @@ def fill_ranges(satellites, visible, position_e, velocity_e):
 
 
 @njit
-def imu_block(sensors, b, keys, epoch, truth, root_rate, noise, samples):
-    """Measure one receiver's samples of one interval.
-
-    `keys` (2,) key of the sensor noise; `truth` (S,) each: true samples; `root_rate` (S,) one over
-    the square root of their lengths [Hz^0.5]; `noise` (P,) scratch memory for the deviates;
-    `samples` (6, S or more), written: measured specific force and angular rate.
-    """
-    normals(keys[0], keys[1], epoch, noise)
-    n = root_rate.shape[0]
-    level = sensors.imu_noise[b]
-    for c in range(6):
-        if c < 3:
-            m = sensors.accel_matrix[b, c]
-            row = (m[0], m[1], m[2], 0.0, 0.0, 0.0)
-            bias = sensors.accel_bias[b, c]
-        else:
-            g, m = sensors.g_dependence[b, c - 3], sensors.gyro_matrix[b, c - 3]
-            row = (g[0], g[1], g[2], m[0], m[1], m[2])
-            bias = sensors.gyro_bias[b, c - 3]
-        deviates = noise[c * n : (c + 1) * n]
-        sense(truth, deviates, root_rate, row, bias, level[c // 3], samples[c, :n])
-    quantize(samples, n, level[2], level[3], sensors.residual[b])
+def gather_sky(satellites, epochs, sky):
+    """Put what is known of the satellites at each lane's epoch into rows ``8 s`` to ``8 s + 7``."""
+    n = satellites.shape[1]
+    for index in range(epochs.shape[0]):
+        k = epochs[index]
+        for s in range(n):
+            for i in range(SKY):
+                set_lane(sky, SKY * s + i, index, satellites[k, s, i])
 
 
 @njit
-def advance_correlated(sensors, b, keys, epoch, tau, noise):
-    r"""Correlated code errors of one receiver at its next epoch: first-order Gauss-Markov.
+def gather_truth(run, first, start, stop, truth):
+    """Put the samples from `start` on, counted from each lane's `first`, into rows of eight."""
+    lanes, same = first.shape[0], True
+    for index in range(1, lanes):
+        same = same and first[index] == first[0]
+    for i in range(start, stop):
+        for c in range(8):
+            if same:
+                store(truth, 8 * (i - start) + c, run[c, first[0] + i])
+            else:
+                for index in range(lanes):
+                    set_lane(truth, 8 * (i - start) + c, index, run[c, first[index] + i])
+
+
+@inlined
+def _rounded(total, level, inverse):
+    """The quantization level next to a running sum; itself where there is no quantization."""
+    return select(level > 0.0, level * floor(total * inverse + 0.5), total)
+
+
+@inlined
+def _row(matrix, row, f0, f1, f2):
+    """Product of a row of a matrix and a vector."""
+    m = load(matrix, row) * f0 + load(matrix, row + 1) * f1
+    return m + load(matrix, row + 2) * f2
+
+
+@inlined
+def _keep(sensors, row, now, value):
+    """Write a row in some lanes."""
+    store(sensors, row, select(now, value, load(sensors, row)))
+
+
+@njit
+def sense(run, first, count, sensors, base, samples, dt, truth, active):
+    r"""Measure the samples of one interval, in place of the deviates that their noise is made of.
+
+    .. math:: x_i &= b + \sqrt{S / \Delta t_i} \, n_i + M (f_i, w_i) \\
+        m_i &= q \left(\left\lfloor \tfrac{c_i}{q} + \tfrac12 \right\rfloor
+        - \left\lfloor \tfrac{c_{i-1}}{q} + \tfrac12 \right\rfloor\right), \qquad
+        c_i = r + \sum_{j \le i} x_j
+
+    what rounding to the quantization level q leaves over is carried on in r (`imu`).
+
+    `run` (8, N) true samples, their lengths and root rates; `first` (lanes,) first sample of each
+    lane's interval; `count`: samples of all of them; `sensors`, `base`: errors of the group, and
+    its first row; `samples`: lane array, rows c count + i for sensor c and sample i; `dt`: lane
+    array, written: lengths [s]; `truth`: scratch memory of 8 `CHUNK` rows; `active`: one
+    row, 1 or 0, which lanes keep what is carried on.
+    """
+    b = base
+    level_a, level_g = load(sensors, b + IMU_NOISE), load(sensors, b + IMU_NOISE + 1)
+    qa, qg = load(sensors, b + IMU_NOISE + 2), load(sensors, b + IMU_NOISE + 3)
+    ia, ig = select(qa > 0.0, 1.0 / qa, 0.0), select(qg > 0.0, 1.0 / qg, 0.0)
+    c0, c1 = load(sensors, b + RESIDUAL), load(sensors, b + RESIDUAL + 1)
+    c2, c3 = load(sensors, b + RESIDUAL + 2), load(sensors, b + RESIDUAL + 3)
+    c4, c5 = load(sensors, b + RESIDUAL + 4), load(sensors, b + RESIDUAL + 5)
+    zero = splat(0.0, sensors)
+    p0, p1, p2, p3, p4, p5 = zero, zero, zero, zero, zero, zero
+    n = count
+    for start in range(0, count, CHUNK):
+        stop = min(start + CHUNK, count)
+        gather_truth(run, first, start, stop, truth)
+        for i in range(start, stop):
+            t = 8 * (i - start)
+            f0, f1, f2 = load(truth, t), load(truth, t + 1), load(truth, t + 2)
+            w0, w1, w2 = load(truth, t + 3), load(truth, t + 4), load(truth, t + 5)
+            store(dt, i, load(truth, t + 6))
+            rate = load(truth, t + 7)
+            a, g, d = b + ACCEL_BIAS, b + GYRO_BIAS, b + G_DEPENDENCE
+            c0 += (load(sensors, a) + level_a * load(samples, i) * rate) + _row(
+                sensors, b + ACCEL_MATRIX, f0, f1, f2
+            )
+            c1 += (load(sensors, a + 1) + level_a * load(samples, n + i) * rate) + _row(
+                sensors, b + ACCEL_MATRIX + 3, f0, f1, f2
+            )
+            c2 += (load(sensors, a + 2) + level_a * load(samples, 2 * n + i) * rate) + _row(
+                sensors, b + ACCEL_MATRIX + 6, f0, f1, f2
+            )
+            c3 += (
+                (load(sensors, g) + level_g * load(samples, 3 * n + i) * rate)
+                + _row(sensors, d, f0, f1, f2)
+                + _row(sensors, b + GYRO_MATRIX, w0, w1, w2)
+            )
+            c4 += (
+                (load(sensors, g + 1) + level_g * load(samples, 4 * n + i) * rate)
+                + _row(sensors, d + 3, f0, f1, f2)
+                + _row(sensors, b + GYRO_MATRIX + 3, w0, w1, w2)
+            )
+            c5 += (
+                (load(sensors, g + 2) + level_g * load(samples, 5 * n + i) * rate)
+                + _row(sensors, d + 6, f0, f1, f2)
+                + _row(sensors, b + GYRO_MATRIX + 6, w0, w1, w2)
+            )
+            m0, m1, m2 = _rounded(c0, qa, ia), _rounded(c1, qa, ia), _rounded(c2, qa, ia)
+            m3, m4, m5 = _rounded(c3, qg, ig), _rounded(c4, qg, ig), _rounded(c5, qg, ig)
+            store(samples, i, m0 - p0)
+            store(samples, n + i, m1 - p1)
+            store(samples, 2 * n + i, m2 - p2)
+            store(samples, 3 * n + i, m3 - p3)
+            store(samples, 4 * n + i, m4 - p4)
+            store(samples, 5 * n + i, m5 - p5)
+            p0, p1, p2, p3, p4, p5 = m0, m1, m2, m3, m4, m5
+    now = load(active, 0) > 0.0
+    b += RESIDUAL
+    _keep(sensors, b, now & (qa > 0.0), c0 - p0)
+    _keep(sensors, b + 1, now & (qa > 0.0), c1 - p1)
+    _keep(sensors, b + 2, now & (qa > 0.0), c2 - p2)
+    _keep(sensors, b + 3, now & (qg > 0.0), c3 - p3)
+    _keep(sensors, b + 4, now & (qg > 0.0), c4 - p4)
+    _keep(sensors, b + 5, now & (qg > 0.0), c5 - p5)
+
+
+@njit
+def recorded(run, first, count, samples, dt):
+    """Take the samples of one interval as `run` has them, measured; the others as in `sense`."""
+    for index in range(first.shape[0]):
+        for i in range(count):
+            for c in range(6):
+                set_lane(samples, c * count + i, index, run[c, first[index] + i])
+            set_lane(dt, i, index, run[6, first[index] + i])
+
+
+@njit
+def advance_correlated(sensors, base, channels, key0, key1, epoch, tau, noise):
+    r"""Correlated code errors at the next epoch: first-order Gauss-Markov.
 
     .. math:: c^+ = \alpha c + \sigma \sqrt{1 - \alpha^2}\, w, \qquad \alpha = e^{-\tau / T}
 
     which is exact for any interval, and stationary since it begins with :math:`\sigma w`.
 
-    `keys` (2,) key of the source; `tau`: time since the epoch before [s]; 0 for the first epoch;
-    `noise` (P,) scratch memory for the deviates, at least n.
+    `tau`: time since the epoch before [s]; 0 for the first epoch; `noise`: scratch memory.
     """
-    sd, time_constant = sensors.correlated_noise[b, 0], sensors.correlated_noise[b, 1]
-    alpha = math.exp(-tau / time_constant) if tau > 0.0 else 0.0
-    driving = sd * math.sqrt(1.0 - alpha * alpha)
-    normals(keys[0], keys[1], epoch, noise)
-    for s in range(sensors.correlated.shape[1]):
-        sensors.correlated[b, s] = alpha * sensors.correlated[b, s] + driving * noise[s]
+    sd, time = load(sensors, base + CORRELATED_NOISE), load(sensors, base + CORRELATED_NOISE + 1)
+    alpha = select(tau > 0.0, exponential(-tau / time), 0.0)
+    driving = sd * sqrt(1.0 - alpha * alpha)
+    deviates(key0, key1, epoch, noise.shape[0], channels, noise)
+    for s in range(channels):
+        row = base + CHANNELS + channels + s
+        store(sensors, row, alpha * load(sensors, row) + driving * load(noise, s))
 
 
 @njit
-def replace_errors(sensors, b, noise, out_range, out_rate):
-    """Take the authentic errors from the channels whose counterfeit signals bring their own.
+def measure(sensors, base, channels, keys, key_row, epoch, tau, sky, noise, replaced, out, first):
+    """Measure a group's pseudoranges and range rates at one epoch.
 
-    `out_range`, `out_rate` (n,), overwritten [m], [m/s].
+    `epoch`, `tau`: of each lane, and time since the epoch before [s]; 0 leaves the clock alone;
+    `sky`: of `gather_sky`; `noise`: scratch memory for the deviates; `replaced`: lane array of 4 n
+    rows, what an attack adds to pseudoranges and range rates, and the factors on their authentic
+    errors; `out`: lane array; its 2 n rows from `first` on are written, 0 where invisible.
     """
-    n = out_range.shape[0]
-    for s in range(n):
-        code, rate = sensors.authentic[b, s], sensors.authentic[b, n + s]
-        if code != 1.0:
-            error = sensors.satellite_bias[b, s] + sensors.gnss_noise[b, 0] * noise[s]
-            out_range[s] -= (1.0 - code) * (error + sensors.correlated[b, s])
-        if rate != 1.0:
-            out_rate[s] -= (1.0 - rate) * sensors.gnss_noise[b, 1] * noise[n + s]
-
-
-@njit
-def gnss_epoch(
-    sensors,
-    b,
-    gnss_keys,
-    clock_keys,
-    correlated_keys,
-    epoch,
-    tau,
-    satellites,
-    noise,
-    out_range,
-    out_rate,
-):
-    """Measure one receiver's pseudoranges and range rates at one epoch.
-
-    `gnss_keys`, `clock_keys`, `correlated_keys` (2,) keys of the three sources; `tau`: time since
-    the epoch before [s]; 0 leaves the clock alone; `satellites` (n, 8) truth of the epoch; `noise`
-    (P,) scratch memory for the deviates, at least 2 n; `out_range`, `out_rate` (n,), written, for
-    all slots, visible or not [m], [m/s].
-    """
-    if tau > 0.0:
-        p, f = sensors.clock_psd[b, 0], sensors.clock_psd[b, 1]
-        a, w = 0.0, 0.0
-        if p > 0.0 or f > 0.0:
-            normals(clock_keys[0], clock_keys[1], epoch, noise)
-            a, w = noise[0], noise[1]
-        sensors.clock[b, 0], sensors.clock[b, 1] = advance_clock(
-            sensors.clock[b, 0], sensors.clock[b, 1], tau, p, f, a, w
+    n = channels
+    b, k = base, key_row
+    phase, frequency = load(sensors, b + CLOCK_PSD), load(sensors, b + CLOCK_PSD + 1)
+    a, w = splat(0.0, sensors), splat(0.0, sensors)
+    if any_lane((phase > 0.0) | (frequency > 0.0)):
+        deviates(
+            load(keys, k + CLOCK_KEY),
+            load(keys, k + CLOCK_KEY + 1),
+            epoch,
+            noise.shape[0],
+            2,
+            noise,
         )
-    correlated = sensors.correlated_noise[b, 0] > 0.0
-    if correlated:
-        advance_correlated(sensors, b, correlated_keys, epoch, tau, noise)
-    normals(gnss_keys[0], gnss_keys[1], epoch, noise)
-    n = satellites.shape[0]
+        a, w = load(noise, 0), load(noise, 1)
+    bias, drift = advance_clock(
+        load(sensors, b + CLOCK), load(sensors, b + CLOCK + 1), tau, phase, frequency, a, w
+    )
+    store(sensors, b + CLOCK, bias)
+    store(sensors, b + CLOCK + 1, drift)
+    if any_lane(load(sensors, b + CORRELATED_NOISE) > 0.0):
+        key0, key1 = load(keys, k + CORRELATED_KEY), load(keys, k + CORRELATED_KEY + 1)
+        advance_correlated(sensors, b, n, key0, key1, epoch, tau, noise)
+    key0, key1 = load(keys, k + GNSS_KEY), load(keys, k + GNSS_KEY + 1)
+    deviates(key0, key1, epoch, noise.shape[0], 2 * n, noise)
+    code_sd, rate_sd = load(sensors, b + GNSS_NOISE), load(sensors, b + GNSS_NOISE + 1)
     for s in range(n):
-        authentic = satellites[s, 6] + sensors.satellite_bias[b, s] + sensors.clock[b, 0]
-        out_range[s] = authentic + sensors.gnss_noise[b, 0] * noise[s] + sensors.range_offset[b, s]
-        out_rate[s] = (
-            satellites[s, 7]
-            + sensors.clock[b, 1]
-            + sensors.gnss_noise[b, 1] * noise[n + s]
-            + sensors.rate_offset[b, s]
-        )
-    if correlated:
-        for s in range(n):
-            out_range[s] += sensors.correlated[b, s]
-    replace_errors(sensors, b, noise, out_range, out_rate)
+        true_range = load(sky, SKY * s + 6)
+        visible = true_range > 0.0
+        constant = load(sensors, b + CHANNELS + s)
+        code_error = code_sd * load(noise, s)
+        rate_error = rate_sd * load(noise, n + s)
+        correlated = load(sensors, b + CHANNELS + n + s)
+        rho = (true_range + constant + bias) + code_error + load(replaced, s) + correlated
+        rate = load(sky, SKY * s + 7) + drift + rate_error + load(replaced, n + s)
+        # a counterfeit signal may bring errors of its own
+        rho -= (1.0 - load(replaced, 2 * n + s)) * ((constant + code_error) + correlated)
+        rate -= (1.0 - load(replaced, 3 * n + s)) * rate_error
+        store(out, first + s, select(visible, rho, 0.0))
+        store(out, first + n + s, select(visible, rate, 0.0))

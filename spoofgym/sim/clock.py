@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from .._jit import inlined
+from .._simd import sqrt
 from ..earth.wgs84 import SPEED_OF_LIGHT
 
 
@@ -75,6 +76,6 @@ def advance_clock(
     -----
     Groves (2013), eq. 9.151.
     """
-    frequency = math.sqrt(frequency_psd * tau) * a
-    own = math.sqrt(phase_psd * tau + frequency_psd * tau * tau * tau / 12.0) * b
+    frequency = sqrt(frequency_psd * tau) * a
+    own = sqrt(phase_psd * tau + frequency_psd * tau * tau * tau * (1.0 / 12.0)) * b
     return bias + tau * (drift + 0.5 * frequency) + own, drift + frequency

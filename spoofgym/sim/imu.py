@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._jit import njit
 from ..earth.wgs84 import STANDARD_GRAVITY
 
 _UG = STANDARD_GRAVITY * 1e-6
@@ -22,7 +21,6 @@ _DEG = math.pi / 180.0
 _DEG_PER_HOUR = _DEG / 3600.0
 _DEG_PER_ROOT_HOUR = _DEG / 60.0
 
-FloatArray = NDArray[np.float64]
 Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -138,81 +136,3 @@ IMU_GRADES: dict[str, ImuGrade] = {
     ),
 }
 """Sensor errors by grade (`groves2013`, the book's software)."""
-
-
-@njit
-def sense(
-    truth: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
-    noise: FloatArray,
-    root_rate: FloatArray,
-    row: tuple[float, float, float, float, float, float],
-    bias: float,
-    root_psd: float,
-    out: FloatArray,
-) -> None:
-    r"""Samples of one sensor over one interval, before quantization.
-
-    .. math:: x_i = b + m^T (f_i, w_i) + \sqrt{S / \Delta t_i} \, n_i
-
-    `truth` (S,) each: true specific force and angular rate; `noise` (S,) standard normal deviates
-    n; `root_rate` (S,) one over the square root of the length of the samples [Hz^0.5]; `out` (S,),
-    written.
-    """
-    f0, f1, f2, w0, w1, w2 = truth
-    for i in range(out.shape[0]):
-        out[i] = (
-            (bias + root_psd * noise[i] * root_rate[i])
-            + (row[0] * f0[i] + row[1] * f1[i] + row[2] * f2[i])
-            + (row[3] * w0[i] + row[4] * w1[i] + row[5] * w2[i])
-        )
-
-
-@njit
-def quantize(
-    samples: FloatArray, count: int, accel_level: float, gyro_level: float, residual: FloatArray
-) -> None:
-    r"""Round the samples of six sensors, carrying on what the rounding leaves over.
-
-    That is the difference of the rounded running sum,
-
-    .. math:: m_i = q \left(\left\lfloor \tfrac{c_i}{q} + \tfrac12 \right\rfloor
-        - \left\lfloor \tfrac{c_{i-1}}{q} + \tfrac12 \right\rfloor\right), \qquad
-        c_i = r_0 + \sum_{j \le i} x_j
-
-    `samples` (6, S or more) specific force and angular rate, overwritten; `accel_level`,
-    `gyro_level`: q [m/s^2], [rad/s]; 0 for no quantization; `residual` (6,) r, carried from the
-    last interval to the next.
-    """
-    s0, s1, s2, s3, s4, s5 = samples[0], samples[1], samples[2], samples[3], samples[4], samples[5]
-    c0, c1, c2, c3, c4, c5 = (
-        residual[0],
-        residual[1],
-        residual[2],
-        residual[3],
-        residual[4],
-        residual[5],
-    )
-    for i in range(count):  # six sums side by side, since each waits for its last term
-        c0 += s0[i]
-        c1 += s1[i]
-        c2 += s2[i]
-        c3 += s3[i]
-        c4 += s4[i]
-        c5 += s5[i]
-        s0[i], s1[i], s2[i], s3[i], s4[i], s5[i] = c0, c1, c2, c3, c4, c5
-    for c in range(6):
-        level = accel_level if c < 3 else gyro_level
-        row = samples[c]
-        total = row[count - 1]
-        if level > 0.0:
-            inverse = 1.0 / level
-            for i in range(count):
-                row[i] = level * np.floor(row[i] * inverse + 0.5)
-            residual[c] = total - row[count - 1]
-            before = 0.0
-        else:
-            before = residual[c]
-            residual[c] = 0.0
-        for i in range(count - 1, 0, -1):
-            row[i] -= row[i - 1]
-        row[0] -= before

@@ -19,7 +19,7 @@ from ..earth.wgs84 import STANDARD_GRAVITY
 from .manoeuvres import FLIGHTS
 from .noise import normals
 from .position_error import gauss_markov_step
-from .trajectory import Trajectory, inverse_kinematics
+from .trajectory import Trajectory, trajectory_at
 
 FloatArray = NDArray[np.float64]
 _DEG = math.pi / 180.0
@@ -141,10 +141,10 @@ def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
 
 
 @lru_cache(maxsize=4)
-def flown_world(flight: str, interval_s: float) -> LooseWorld:
-    """World of a ready-made flight."""
+def flown_world(flight: str, interval_s: float, imu_rate_hz: float | None = None) -> LooseWorld:
+    """World of a ready-made flight; `imu_rate_hz` as in `Scenario`."""
     check_choice("flight", flight, FLIGHTS)
-    return loose_world(inverse_kinematics(FLIGHTS[flight]()), interval_s)
+    return loose_world(trajectory_at(FLIGHTS[flight](), imu_rate_hz, interval_s), interval_s)
 
 
 @njit

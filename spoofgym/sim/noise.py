@@ -16,15 +16,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._jit import inlined, njit
+from .._simd import (
+    bits_of,
+    floor,
+    from_bits,
+    rotate_left,
+    select,
+    splat,
+    sqrt,
+    store,
+    to_float,
+)
 
 _MASK = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
-_WORD = np.uint64(64)
 _PARITY = np.uint64(0x1BD11BDAA9FC1A22)
 _SQRT2 = math.sqrt(2.0)
 _LN2 = math.log(2.0)
-_MANTISSA = np.int64(0x000FFFFFFFFFFFFF)
-_ONE_BITS = np.int64(0x3FF0000000000000)
+_LN2_HIGH = 0.6931471803691238
+_LN2_LOW = 1.9082149292705877e-10
+"""ln 2 in two parts, of which the first has so few bits that multiples of it are exact."""
+_DIVISORS = tuple(1.0 / k for k in range(11, 0, -1))
+_MANTISSA = np.uint64(0x000FFFFFFFFFFFFF)
+_ONE_BITS = np.uint64(0x3FF0000000000000)
+_EXPONENT = np.uint64(52)
 _QUADRANT = np.uint64(30)
 _QUADRANT_MASK = np.uint64(0x3FFFFFFF)
 _ODD = np.uint64(1)
@@ -35,9 +50,9 @@ BLOCK = 64
 
 
 @inlined
-def _mix(x: np.uint64, y: np.uint64, turn: np.uint64) -> tuple[np.uint64, np.uint64]:
+def _mix(x: np.uint64, y: np.uint64, turn: int) -> tuple[np.uint64, np.uint64]:
     x = x + y
-    return x, ((y << turn) | (y >> (_WORD - turn))) ^ x
+    return x, rotate_left(y, turn) ^ x
 
 
 @inlined
@@ -53,30 +68,30 @@ def threefry(
     """
     k2 = k0 ^ k1 ^ _PARITY
     x, y = x + k0, y + k1
-    x, y = _mix(x, y, np.uint64(16))
-    x, y = _mix(x, y, np.uint64(42))
-    x, y = _mix(x, y, np.uint64(12))
-    x, y = _mix(x, y, np.uint64(31))
+    x, y = _mix(x, y, 16)
+    x, y = _mix(x, y, 42)
+    x, y = _mix(x, y, 12)
+    x, y = _mix(x, y, 31)
     x, y = x + k1, y + k2 + np.uint64(1)
-    x, y = _mix(x, y, np.uint64(16))
-    x, y = _mix(x, y, np.uint64(32))
-    x, y = _mix(x, y, np.uint64(24))
-    x, y = _mix(x, y, np.uint64(21))
+    x, y = _mix(x, y, 16)
+    x, y = _mix(x, y, 32)
+    x, y = _mix(x, y, 24)
+    x, y = _mix(x, y, 21)
     x, y = x + k2, y + k0 + np.uint64(2)
-    x, y = _mix(x, y, np.uint64(16))
-    x, y = _mix(x, y, np.uint64(42))
-    x, y = _mix(x, y, np.uint64(12))
-    x, y = _mix(x, y, np.uint64(31))
+    x, y = _mix(x, y, 16)
+    x, y = _mix(x, y, 42)
+    x, y = _mix(x, y, 12)
+    x, y = _mix(x, y, 31)
     x, y = x + k0, y + k1 + np.uint64(3)
-    x, y = _mix(x, y, np.uint64(16))
-    x, y = _mix(x, y, np.uint64(32))
-    x, y = _mix(x, y, np.uint64(24))
-    x, y = _mix(x, y, np.uint64(21))
+    x, y = _mix(x, y, 16)
+    x, y = _mix(x, y, 32)
+    x, y = _mix(x, y, 24)
+    x, y = _mix(x, y, 21)
     x, y = x + k1, y + k2 + np.uint64(4)
-    x, y = _mix(x, y, np.uint64(16))
-    x, y = _mix(x, y, np.uint64(42))
-    x, y = _mix(x, y, np.uint64(12))
-    x, y = _mix(x, y, np.uint64(31))
+    x, y = _mix(x, y, 16)
+    x, y = _mix(x, y, 42)
+    x, y = _mix(x, y, 12)
+    x, y = _mix(x, y, 31)
     x, y = x + k2, y + k0 + np.uint64(5)
     return x, y
 
@@ -89,12 +104,12 @@ def natural_log(x: float) -> float:
 
     .. math:: \ln x = e \ln 2 + 2 \sum_{k=0}^{8} \frac{s^{2k + 1}}{2k + 1}
     """
-    bits = np.float64(x).view(np.int64)
-    e = float(bits >> np.int64(52)) - 1023.0
-    m = np.int64((bits & _MANTISSA) | _ONE_BITS).view(np.float64)
+    bits = bits_of(x)
+    e = to_float(bits >> _EXPONENT) - 1023.0
+    m = from_bits((bits & _MANTISSA) | _ONE_BITS)
     high = m > _SQRT2
-    m = 0.5 * m if high else m
-    e = e + 1.0 if high else e
+    m = select(high, 0.5 * m, m)
+    e = select(high, e + 1.0, e)
     s = (m - 1.0) / (m + 1.0)
     q = s * s
     p = 1.0 / 13.0 + q * (1.0 / 15.0 + q * (1.0 / 17.0))
@@ -116,22 +131,52 @@ def normal_pair(word: np.uint64) -> tuple[float, float]:
     Box and Muller (1958).
     """
     x, y = word & _MASK, word >> _HALF
-    radius = math.sqrt(-2.0 * natural_log((float(x) + 0.5) * 2.0**-32))
+    radius = sqrt(-2.0 * natural_log((to_float(x) + 0.5) * 2.0**-32))
     # the upper two bits of y choose the quadrant, the others an angle within +- pi/4 of its middle
     quadrant = y >> _QUADRANT
-    t = (float(y & _QUADRANT_MASK) + 0.5) * (0.5 * math.pi * 2.0**-30) - 0.25 * math.pi
+    t = (to_float(y & _QUADRANT_MASK) + 0.5) * (0.5 * math.pi * 2.0**-30) - 0.25 * math.pi
     q = t * t
-    sine = 1.0 / 5040.0 - q * (1.0 / 362880.0 - q * (1.0 / 39916800.0 - q / 6227020800.0))
+    sine = 1.0 / 5040.0 - q * (1.0 / 362880.0 - q * (1.0 / 39916800.0 - q * (1.0 / 6227020800.0)))
     sine = t * (1.0 - q * (1.0 / 6.0 - q * (1.0 / 120.0 - q * sine)))
-    cosine = 1.0 / 40320.0 - q * (1.0 / 3628800.0 - q * (1.0 / 479001600.0 - q / 87178291200.0))
+    cosine = 1.0 / 40320.0 - q * (
+        1.0 / 3628800.0 - q * (1.0 / 479001600.0 - q * (1.0 / 87178291200.0))
+    )
     cosine = 1.0 - q * (0.5 - q * (1.0 / 24.0 - q * (1.0 / 720.0 - q * cosine)))
-    odd = (quadrant & _ODD) != 0
-    upper = (quadrant & _UPPER) != 0
-    a = sine if odd else cosine
-    b = cosine if odd else sine
-    signed_a = -radius if odd != upper else radius
-    signed_b = -radius if upper else radius
+    odd = (quadrant & _ODD) == _ODD
+    upper = (quadrant & _UPPER) == _UPPER
+    a = select(odd, sine, cosine)
+    b = select(odd, cosine, sine)
+    signed_a = select(odd ^ upper, -radius, radius)
+    signed_b = select(upper, -radius, radius)
     return signed_a * a, signed_b * b
+
+
+@inlined
+def whole_number(x: float) -> np.uint64:
+    """The unsigned integer that a whole number from 0 to 2^52 is."""
+    return bits_of(x + 2.0**52) & _MANTISSA
+
+
+@njit
+def deviates(
+    k0: np.uint64, k1: np.uint64, epoch: np.uint64, size: int, count: int, out: NDArray[np.float64]
+) -> None:
+    """Write the first standard normal deviates of one epoch into the rows of a lane array.
+
+    `k0`, `k1`, `epoch`: key and counter, a number or a vector of one a lane; `size`: a multiple of
+    `BLOCK`, how many the epoch has, which says where in the stream each lies; `count`: how many
+    are wanted; rows behind them may be written, too.
+    """
+    n = size // 4
+    for q in range(min(n, count)):
+        x, y = threefry(splat(np.uint64(q), k0), epoch, k0, k1)
+        a, b = normal_pair(x)
+        store(out, q, a)
+        store(out, n + q, b)
+        if count > 2 * n:
+            a, b = normal_pair(y)
+            store(out, 2 * n + q, a)
+            store(out, 3 * n + q, b)
 
 
 @njit
@@ -140,15 +185,24 @@ def normals(k0: np.uint64, k1: np.uint64, epoch: int, out: NDArray[np.float64]) 
 
     `out` (N,), N a multiple of `BLOCK`, written.
     """
-    n = out.shape[0] // 4
-    for q in range(n):
-        x, y = threefry(np.uint64(q), np.uint64(epoch), k0, k1)
-        a, b = normal_pair(x)
-        out[q] = a
-        out[n + q] = b
-        a, b = normal_pair(y)
-        out[2 * n + q] = a
-        out[3 * n + q] = b
+    deviates(k0, k1, np.uint64(epoch), out.shape[0], out.shape[0], out)
+
+
+@inlined
+def exponential(x: float) -> float:
+    r"""Exponential function of a number that is not above 0; 0 below -708.
+
+    With :math:`x = k \ln 2 + r`, :math:`|r| \le \ln 2 / 2`: the Taylor series of :math:`e^r` up to
+    the 13th power, and :math:`2^k` by its bits.  It has the same bits on any processor.
+    """
+    k = floor(x * (1.0 / _LN2) + 0.5)
+    k = select(k > -1022.0, k, -1022.0)
+    r = (x - k * _LN2_HIGH) - k * _LN2_LOW
+    p = 1.0 + r * (1.0 / 12.0) * (1.0 + r * (1.0 / 13.0))
+    for divisor in _DIVISORS:
+        p = 1.0 + r * divisor * p
+    power = from_bits(bits_of(k + (1023.0 + 2.0**52)) << _EXPONENT)
+    return select(x > -708.0, p * power, 0.0)
 
 
 def padded(count: int) -> int:

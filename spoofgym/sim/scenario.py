@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any, TypeGuard
 
-from .._registry import check_choice
+from .._describe import OMITTED
+from .._registry import check_choice, check_finite
 from .constellation import (
     TWO_CONSTELLATIONS,
     CircularConstellation,
@@ -19,7 +20,7 @@ from .flight import Flight, turned
 from .gnss import ERRORS, GnssErrors
 from .imu import IMU_GRADES, ImuGrade
 from .manoeuvres import FLIGHTS
-from .trajectory import inverse_kinematics
+from .trajectory import trajectory_at
 from .world import CHANNELS, MASK_DEG, World, build_world
 
 
@@ -29,7 +30,19 @@ class Scenario:
 
     - `flight`: a name in `FLIGHTS`, or a flight;
     - `errors`: a name in `ERRORS`, or errors;
-    - `turned_deg`: turn of the whole flight about the vertical where it begins, clockwise.
+    - `turned_deg`: turn of the whole flight about the vertical where it begins, clockwise;
+    - `imu_rate_hz`: samples of the inertial sensors that the receiver gets per second; None for the
+      flight's own rate.
+
+    Notes
+    -----
+    At a lower `imu_rate_hz` a step costs less.  Velocity and attitude of the flight are kept at the
+    samples that are left, its position is their integral again (millimetres apart), and the true
+    specific force and angular rate over each longer sample are those from which the receiver's
+    mechanization gets there, so that coning and sculling leave no error.  Sensor errors are those
+    of a sensor whose increments are summed up: the same biases, scale factors and noise densities,
+    and quantization of the same increments, whose level on a longer sample is the smaller in
+    proportion.
     """
 
     name: str = "custom"
@@ -41,6 +54,7 @@ class Scenario:
     channels: int = CHANNELS
     mask_deg: float = MASK_DEG
     turned_deg: float = 0.0
+    imu_rate_hz: float | None = field(default=None, metadata=OMITTED)
 
     def __post_init__(self) -> None:
         """Check the names."""
@@ -51,6 +65,20 @@ class Scenario:
         check_choice("imu grade", self.imu, IMU_GRADES)
         if not math.isfinite(self.turned_deg):
             raise ValueError(f"`turned_deg` must be finite, got {self.turned_deg}")
+        if self.imu_rate_hz is not None:
+            check_finite("imu_rate_hz", self.imu_rate_hz, "> 0")
+
+    @property
+    def label(self) -> str:
+        """Name for results, with the rate of the inertial sensors where that is not the flight's.
+
+        Examples
+        --------
+        >>> from spoofgym.sim.scenario import make_scenario
+        >>> make_scenario({"name": "zhong2025", "imu_rate_hz": 20}).label
+        'zhong2025@20Hz'
+        """
+        return at_rate(self.name, self.imu_rate_hz)
 
     @property
     def gnss_errors(self) -> GnssErrors:
@@ -73,6 +101,7 @@ class Scenario:
                 self.channels,
                 self.mask_deg,
                 self.turned_deg,
+                self.imu_rate_hz,
             )
         flight = FLIGHTS[self.flight]() if isinstance(self.flight, str) else self.flight
         return _world(
@@ -82,7 +111,13 @@ class Scenario:
             self.channels,
             self.mask_deg,
             self.turned_deg,
+            self.imu_rate_hz,
         )
+
+
+def at_rate(name: str, imu_rate_hz: float | None) -> str:
+    """Name of a world, with the rate of its inertial sensors where one is given."""
+    return name if imu_rate_hz is None else f"{name}@{imu_rate_hz:g}Hz"
 
 
 def _world(
@@ -92,11 +127,12 @@ def _world(
     channels: int,
     mask_deg: float,
     turned_deg: float,
+    imu_rate_hz: float | None,
 ) -> World:
     if turned_deg != 0.0:
         flight = turned(flight, math.radians(turned_deg))
     return build_world(
-        inverse_kinematics(flight),
+        trajectory_at(flight, imu_rate_hz, epoch_interval_s),
         constellation,
         epoch_interval_s=epoch_interval_s,
         channels=channels,
@@ -121,9 +157,16 @@ def _named_world(
     channels: int,
     mask_deg: float,
     turned_deg: float,
+    imu_rate_hz: float | None,
 ) -> World:
     return _world(
-        FLIGHTS[flight](), constellation, epoch_interval_s, channels, mask_deg, turned_deg
+        FLIGHTS[flight](),
+        constellation,
+        epoch_interval_s,
+        channels,
+        mask_deg,
+        turned_deg,
+        imu_rate_hz,
     )
 
 
@@ -183,5 +226,6 @@ def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
         if setting not in valid:
             raise ValueError(f"a scenario has no setting {setting!r}; valid: {', '.join(valid)}")
     scenario = SCENARIOS[name]()
-    changed = "".join(f" {key}={settings[key]}" for key in sorted(settings))
+    named = sorted(settings.keys() - {"imu_rate_hz"})  # which is in the label
+    changed = "".join(f" {key}={settings[key]}" for key in named)
     return replace(scenario, name=f"{scenario.name}{changed}", **settings)

@@ -37,7 +37,8 @@ class World:
     - `elevation`, `azimuth` (K, n) [rad]; 0 for an empty slot;
     - `position_e`, `velocity_e` (K, 3) true antenna, ECEF [m], [m/s];
     - `C_eb` (K, 3, 3) true attitude;
-    - `C_en` (K, 3, 3) to ECEF from the north-east-down axes at the true position.
+    - `C_en` (K, 3, 3) to ECEF from the north-east-down axes at the true position;
+    - `decimation`: as in `Trajectory`.
     """
 
     name: str
@@ -54,6 +55,7 @@ class World:
     velocity_e: FloatArray
     C_eb: FloatArray
     C_en: FloatArray
+    decimation: int = 1
 
     @property
     def epochs(self) -> int:
@@ -158,6 +160,7 @@ def build_world(
         velocity_e=velocity_e.copy(),
         C_eb=trajectory.C_eb[epoch_end].copy(),
         C_en=np.ascontiguousarray(dcm_e_from_n(*ecef_to_geodetic(position_e)[:2])),
+        decimation=trajectory.decimation,
     )
 
 

@@ -7,6 +7,169 @@ import math
 import numpy as np
 
 from .._jit import njit
+from .._simd import lanes_of
+from ..attacks._kernels import false_position, per_channel
+from ..detectors.ewma import judge_channels
+from ..detectors.verdicts import is_sound
+from ..receiver._kernels import (
+    UPDATE,
+    Arrays,
+    name_scratch,
+    predict_group,
+    update_group,
+)
+
+ATTACK, JUDGE = 16, 32
+NO_FORM, FALSE_POSITION, PER_CHANNEL = range(3)
+EWMA, PASSIVE_EWMA = 1, 2
+
+
+@njit
+def run_epochs(
+    x,
+    out,
+    places,
+    visible,
+    coasting,
+    sensors,
+    keys,
+    epochs,
+    range_offset,
+    rate_offset,
+    authentic,
+    run,
+    epoch_time,
+    epoch_end,
+    satellites,
+    rules,
+    position_e,
+    velocity_e,
+    attack,
+    hold,
+    action,
+    displacement,
+    rate,
+    to_ecef,
+    target_error,
+    captured,
+    slots,
+    attack_settings,
+    detector,
+    average,
+    decay,
+    detector_settings,
+    statistic,
+    threshold,
+    weights,
+    work,
+    what,
+    count,
+    lo,
+    hi,
+):
+    """Do some of what an epoch is made of, for some epochs of receivers lo to hi, group by group.
+
+    All that a tightly coupled simulator does between two commands: `ATTACK` moves the counterfeit,
+    then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them.
+
+    `x` to `rules`: as in `Arrays`; `position_e`, `velocity_e`: of `World`; `attack`, `detector`:
+    their compiled forms, by number, with the arguments of these; `attack_settings`: whether rates
+    are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
+    coherent; `weights` (B, 2n) on the columns of the gain, written by `JUDGE`; `work`: lane array,
+    scratch memory of the calling thread; returns whether all verdicts are sound.
+    """
+    a = Arrays(
+        x,
+        out,
+        places,
+        visible,
+        coasting,
+        sensors,
+        keys,
+        epochs,
+        range_offset,
+        rate_offset,
+        authentic,
+        run,
+        epoch_time,
+        epoch_end,
+        satellites,
+        rules,
+    )
+    w = name_scratch(a, work)
+    (receivers, n), lanes = visible.shape, lanes_of(x)
+    m = 2 * n
+    innovation = out[places[0] : places[0] + receivers * m].reshape((receivers, m))
+    variance = out[places[1] : places[1] + receivers * m].reshape((receivers, m))
+    sound = True
+    by_rate, coherent = attack_settings[0] > 0.0, attack_settings[3] > 0.0
+    for group in range(lo // lanes, -(-hi // lanes)):
+        b, e = group * lanes, min((group + 1) * lanes, receivers)
+        for _ in range(count):
+            if what & ATTACK and attack == FALSE_POSITION:
+                false_position(
+                    action,
+                    hold,
+                    by_rate,
+                    attack_settings[1],
+                    attack_settings[2],
+                    displacement,
+                    rate,
+                    to_ecef,
+                    target_error,
+                    coherent,
+                    epochs,
+                    epoch_time,
+                    satellites,
+                    position_e,
+                    velocity_e,
+                    captured,
+                    range_offset,
+                    rate_offset,
+                    b,
+                    e,
+                )
+            elif what & ATTACK and attack == PER_CHANNEL:
+                per_channel(
+                    action,
+                    hold,
+                    by_rate,
+                    attack_settings[1],
+                    attack_settings[2],
+                    displacement,
+                    rate,
+                    slots,
+                    coherent,
+                    epochs,
+                    epoch_time,
+                    range_offset,
+                    rate_offset,
+                    b,
+                    e,
+                )
+            predict_group(a, w, group, what)
+            if what & JUDGE:
+                judge_channels(
+                    innovation[b:e],
+                    variance[b:e],
+                    visible[b:e],
+                    detector_settings[0],
+                    detector_settings[1],
+                    detector_settings[2],
+                    average[b:e],
+                    decay[b:e],
+                    statistic[b:e],
+                    threshold[b:e],
+                    weights[b:e],
+                )
+                sound = is_sound(statistic[b:e], threshold[b:e], weights[b:e]) and sound
+                if detector == PASSIVE_EWMA:
+                    for r in range(b, e):
+                        for k in range(m):
+                            weights[r, k] = 1.0
+            if what & UPDATE:
+                update_group(a, w, group, weights)
+    return sound
 
 
 @njit

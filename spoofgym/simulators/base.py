@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..detectors import DETECTORS, Detector, DetectorContext, PooledDetector, Verdict
+from ..detectors.base import check_needs
 from ..detectors.verdicts import checked_weights, judged
 from ..receiver.epoch import Epoch
 from .domain import Choice, draw, given_choice
@@ -47,6 +48,8 @@ class Simulator(ABC):
 
     - `setup`: what all simulators of this victim share;
     - `receivers`: B;
+    - `fields`: optional fields of the epochs: what the detector in the loop and the monitors need,
+      and `Setup.fields`; the others are None;
     - `memory`: ``first`` and ``onset`` (B,) epochs at which the episode starts, and after which the
       attack does; ``heading`` (B,) and ``direction`` (B, 2) of the target; ``key`` (B, 2) of the
       episode's domain; ``warmup_alarm`` (B,), whether the warm-up alarmed; and the victim's;
@@ -71,6 +74,8 @@ class Simulator(ABC):
         self.memory.declare("key", np.zeros((receivers, 2), dtype=np.uint64))
         self.memory.declare("direction", np.zeros((receivers, 2)))
         self.memory.declare("warmup_alarm", np.zeros(receivers, dtype=np.bool_))
+        readers = setup.detector, *setup.monitors
+        self.fields = setup.fields.union(*map(check_needs, readers))
         self._allocate()
         self.ones = np.ones((receivers, len(self._context().noise_variance)))
         self.weights, self.verdict = self.ones, None
@@ -80,6 +85,7 @@ class Simulator(ABC):
         self.monitors = [copy.deepcopy(monitor) for monitor in setup.monitors]
         for monitor in self.monitors:
             monitor.bind(self)
+            self._check_has(monitor)
 
     # --- what a victim defines -----------------------------------------------------------------
 
@@ -109,7 +115,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def _form_epoch(self) -> Epoch:
-        """What a detector may see of the epoch."""
+        """What a detector may see of the epoch: of the optional fields those in `fields`."""
 
     @abstractmethod
     def _correct(self, weights: FloatArray | None) -> None:
@@ -202,11 +208,13 @@ class Simulator(ABC):
     def bind_detector(self, detector: Detector) -> None:
         """Bind a detector to these receivers; a ValueError where it can't judge or alarm."""
         setup = self.setup
-        missing = detector.needs - setup.has
-        if missing:
+        self._check_has(detector)
+        late = detector.needs - self.fields
+        if late:
             raise ValueError(
-                f"{type(detector).__name__} needs {', '.join(sorted(missing))}, which "
-                f"{setup.whose} does not have"
+                f"{type(detector).__name__} needs {', '.join(sorted(late))}, but the fields of the "
+                "epochs are fixed when a simulator is made: a monitor that binds detectors must "
+                "have what they need in its own `needs`"
             )
         detector.bind(self._context())
         epochs = setup.live + setup.steps + setup.hold
@@ -214,6 +222,14 @@ class Simulator(ABC):
             raise ValueError(
                 f"{type(detector).__name__} can't alarm in its first {detector.silent_epochs} "
                 f"epochs, and an episode has {epochs} in which it judges; shorten its windows"
+            )
+
+    def _check_has(self, reader: Detector | Monitor) -> None:
+        missing = reader.needs - self.setup.has
+        if missing:
+            raise ValueError(
+                f"{type(reader).__name__} needs {', '.join(sorted(missing))}, which "
+                f"{self.setup.whose} does not have"
             )
 
     def monitor(self, kind: type[M]) -> M:
@@ -275,6 +291,13 @@ class Simulator(ABC):
         self.weights = self.ones if weights is None else weights
         self._correct(weights)
 
+    def step(self, command: FloatArray | None = None, *, attacked: bool = True) -> Verdict:
+        """Both halves of an epoch, with the detector's weights; `attacked` as in `predict`."""
+        self.predict(command) if attacked else self.advance()
+        verdict = self.judge()
+        self.update(verdict.weights)
+        return verdict
+
     def quiet_epochs(self, count: int) -> None:
         """Run clean epochs without a detector."""
         self.weights = self.ones
@@ -289,10 +312,7 @@ class Simulator(ABC):
         """
         alarms = np.zeros((count, self.receivers), dtype=np.bool_)
         for k in range(count):
-            self.predict(None) if holding else self.advance()
-            verdict = self.judge()
-            alarms[k] = verdict.alarm.any(axis=1)
-            self.update(verdict.weights)
+            alarms[k] = self.step(attacked=holding).alarm.any(axis=1)
         return alarms
 
     def warm_up(self, rngs: Rngs, given: Given | None = None) -> NDArray[np.bool_]:

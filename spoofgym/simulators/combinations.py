@@ -134,7 +134,12 @@ def _combination(
     bias_sd = errors.bias_sd(world.first_elevation)
     variance, noise = assumed_noise(receiver, errors, bias_sd, world, epochs, flown)
     psd, covariance = receiver.noise_psd(noise), receiver.initial_covariance(noise)
-    return Combination(IMU_GRADES[grade], errors, bias_sd, variance, noise, psd, covariance)
+    sheet = IMU_GRADES[grade]
+    sheet = sheet._replace(  # the increments are quantized before they are summed up
+        accel_quantization=sheet.accel_quantization / world.decimation,
+        gyro_quantization=sheet.gyro_quantization / world.decimation,
+    )
+    return Combination(sheet, errors, bias_sd, variance, noise, psd, covariance)
 
 
 def _first_attitudes(world: World, grade: ImuGrade) -> FloatArray:

@@ -22,6 +22,8 @@ analyst knew them; authentic errors that its signals do not have are not counted
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from .._memory import Memory
@@ -37,6 +39,8 @@ class Divergence(Monitor):
     `memory`: ``divergence`` (B,) accumulated [nats]; ``shift`` (B, 17) e, in the filter's states.
     """
 
+    needs: ClassVar = frozenset({"transition", "design", "predicted_cov", "innovation_cov"})
+
     def bind(self, simulator: Monitored) -> None:
         """Prepare for the receivers of a simulator."""
         receivers = tightly_coupled(simulator, "the divergence of an attack").receivers
@@ -47,7 +51,7 @@ class Divergence(Monitor):
     def update(self, simulator: Monitored) -> None:
         """Add the part of an epoch."""
         victims = tightly_coupled(simulator, "the divergence of an attack")
-        epoch, verdict, sensors = victims.epoch, victims.verdict, victims.sensors.state
+        epoch, verdict, sensors = victims.epoch, victims.verdict, victims.sensors
         weights = victims.ones if verdict is None or verdict.weights is None else verdict.weights
         model = epoch.transition, epoch.design, epoch.predicted_cov, epoch.innovation_cov
         used = epoch.visible, weights, victims.setup.receiver.min_satellites

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._registry import whole_number
+from .._simd import LANES
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
-from ..receiver.state import LANES
 from .base import Given, Rngs, Rows, Simulator, run_serially
 from .domain import draw, given_choice
 from .prefetch import PIECE, STOCK, NextEpisodes
@@ -206,10 +206,7 @@ class Engine:
 
     def step(self, command: FloatArray | None) -> Verdict:
         """Both halves with the engine's own detector; the twins follow."""
-        simulator = self.simulator
-        simulator.predict(command)
-        verdict = simulator.judge()
-        simulator.update(verdict.weights)
+        verdict = self.simulator.step(command)
         if self.twin is not None:
             self.step_twin()
         return verdict
@@ -218,10 +215,7 @@ class Engine:
         """Run the epoch of the clean twins, with their own detector."""
         if self.twin is None:
             raise RuntimeError("this engine has no clean twins; make it with `twin=True`")
-        self.twin.advance()
-        verdict = self.twin.judge()
-        self.twin.update(verdict.weights)
-        return verdict
+        return self.twin.step(attacked=False)
 
     def hold(self, rows: Rows) -> NDArray[np.bool_]:
         """Run the time to alert of some receivers and their twins; (hold, b) bool alarms."""

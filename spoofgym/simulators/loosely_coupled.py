@@ -15,6 +15,7 @@ from ..receiver.loose import LooselyCoupled, LooseReceivers
 from ..sim.loose_world import SOURCES, InertialErrors, first_errors, flown_world, measure
 from ..sim.noise import padded
 from ..sim.position_error import PositionErrors
+from ..sim.scenario import at_rate
 from .base import Rows
 from .domain import Choice, Domain
 from .rates import RateSimulator
@@ -50,6 +51,9 @@ class LooselyCoupledSetup(Setup):
         Errors of the inertial sensors and of the alignment.
     receiver : mapping or LooselyCoupled, optional
         Settings of the victim; by default R adapts, over 100 epochs.
+    imu_rate_hz : float, optional
+        Samples of the inertial sensors per second, as in `Scenario`; those of the flight by
+        default.
     rate_limit_mps : float
         Rate of the displacement to the north and to the east that a command of 1 means.
 
@@ -61,7 +65,7 @@ class LooselyCoupledSetup(Setup):
 
     kind: ClassVar[str] = "loose"
     whose: ClassVar[str] = "a loosely coupled receiver"
-    has: ClassVar[frozenset[str]] = frozenset({"gnss_position"})
+    has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
     motion_names = tuple(
         f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")
@@ -83,13 +87,14 @@ class LooselyCoupledSetup(Setup):
         target_heading_deg: float | str = 90.0,
         decision_interval_s: float | None = None,
         between: str = "hold",
+        imu_rate_hz: float | None = None,
     ) -> None:
         check_finite("rate_limit_mps", rate_limit_mps, "> 0")
-        self.name = flight
         self.attack = RateCommands(
             self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2
         )
-        self.world = flown_world(flight, INTERVAL_S)
+        self.world = flown_world(flight, INTERVAL_S, imu_rate_hz)
+        self.name = at_rate(flight, imu_rate_hz)
         self.errors = build_record("errors", PositionErrors, errors)
         self.inertial = build_record("inertial", InertialErrors, inertial)
         self.receiver = build_record(
@@ -100,7 +105,7 @@ class LooselyCoupledSetup(Setup):
         timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         self._phase(detector, timeline, INTERVAL_S, decision_interval_s, between)
         self.epochs_each = self.world.epochs
-        self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, flight))
+        self.bounds = self._bounds(1, 1, 1, *self._starts(self.epochs_each, self.name))
         self.epoch_time = np.arange(self.epochs_each, dtype=np.float64) * INTERVAL_S
         self.true_position = self.world.position_e
         # to ECEF from local north, east, down axes
@@ -120,7 +125,7 @@ class LooselyCoupledSimulator(RateSimulator):
         super()._allocate()
         b, memory, world = self.receivers, self.memory, self.setup.world
         self.victims = LooseReceivers(
-            self.setup.receiver, memory, world.samples, world.imu_interval_s
+            self.setup.receiver, memory, world.samples, world.imu_interval_s, self.fields
         )
         memory.declare("keys", np.zeros((b, SOURCES, 2), dtype=np.uint64))
         memory.declare("first_error", np.zeros((b, 15)))

@@ -9,13 +9,14 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..detectors import DETECTORS, Detector, Verdict
+from ..detectors.base import check_needs
 from ..detectors.verdicts import judged
 from ..receiver.epoch import Epoch
 
@@ -34,8 +35,12 @@ class Monitored(Protocol):
 
 
 class Monitor(ABC):
-    """What looks at the epochs of a simulator; `memory` is all that it remembers of receivers."""
+    """What looks at the epochs of a simulator; `memory` is all that it remembers of receivers.
 
+    `needs`: optional fields of `Epoch` that it reads, as of a `Detector`.
+    """
+
+    needs: ClassVar[frozenset[str]] = frozenset()
     memory: Memory
 
     @abstractmethod
@@ -66,6 +71,8 @@ class PassiveDetectors(Monitor):
     def __init__(self, detectors: Sequence[Detector]) -> None:
         self.detectors = [copy.deepcopy(detector) for detector in detectors]
         self.names = names_of(self.detectors)
+        # those of the detectors, so that they are the object's, not the class's
+        self.needs = frozenset().union(*map(check_needs, self.detectors))  # type: ignore[misc]
 
     def bind(self, simulator: Monitored) -> None:
         """Prepare for the receivers of a simulator."""

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..receiver import NavState, Recording
+from ..sim._kernels import CHUNK, sense
+from ..sim.noise import deviates, padded
 from .base import run_serially
-from .tightly_coupled import TightlyCoupledSetup
+from .tightly_coupled import TightlyCoupledSetup, TightlyCoupledSimulator
 
 FloatArray = NDArray[np.float64]
 
@@ -50,28 +52,31 @@ def record_run(
         raise ValueError(f"`epochs` must be 1 to {setup.world.epochs - 1}, got {count}")
     victim = setup.simulator(1, run_serially)
     victim.begin([rng])
-    state, measured = victim.buffers.state, victim.buffers.measured
+    buffers, clock = victim.buffers, victim.buffers.fields["clock"][0]
     initial = NavState(
-        position_e=state.position_e[0],
-        velocity_e=state.velocity_e[0],
-        C_eb=state.C_eb[0],
-        clock_bias_m=float(state.clock[0, 0]),
-        clock_drift_mps=float(state.clock[0, 1]),
+        position_e=buffers.position_e[0],
+        velocity_e=buffers.velocity_e[0],
+        C_eb=buffers.fields["C_eb"][0],
+        clock_bias_m=float(clock[0]),
+        clock_drift_mps=float(clock[1]),
     )
     kept = []
     for k in range(count):
+        samples = _next_samples(victim)
         if command is None or k < setup.onset:
-            victim.advance()
+            epoch = victim.advance()
         else:
-            victim.predict(command(k - setup.onset))
-        seen, samples = measured.visible[0], victim.buffers.measured_samples(0)
-        ranges = [np.where(seen, m[0], np.nan) for m in (measured.pseudorange, measured.range_rate)]
-        satellites = measured.satellite_position[0].copy(), measured.satellite_velocity[0].copy()
+            epoch = victim.predict(command(k - setup.onset))
+        seen, measured = epoch.visible[0], buffers.fields["measured"][0]
+        sky = setup.world.satellites[int(victim.epochs[0])]
+        ranges = [np.where(seen, each, np.nan) for each in measured]
         victim.update(None)
-        kept.append((samples, *ranges, *satellites, state.position_e[0].copy()))
-    imu_samples, pseudorange, range_rate, *motion, position_e = map(list, zip(*kept, strict=True))
+        kept.append((samples, *ranges, sky, buffers.position_e[0].copy()))
+    imu_samples, pseudorange, range_rate, satellites, position_e = map(
+        list, zip(*kept, strict=True)
+    )
     end = setup.world.epoch_end[count]
-    imu = np.concatenate(imu_samples)
+    imu, sky = np.concatenate(imu_samples), np.array(satellites)
     recording = Recording(
         imu_time=setup.world.imu_time[1 : end + 1],
         specific_force_b=imu[:, :3],
@@ -79,7 +84,19 @@ def record_run(
         gnss_time=setup.world.epoch_time[1 : count + 1],
         pseudorange=pseudorange,
         range_rate=range_rate,
-        satellite_position_e=motion[0],
-        satellite_velocity_e=motion[1],
+        satellite_position_e=sky[:, :, :3],
+        satellite_velocity_e=sky[:, :, 3:6],
     )
     return initial, recording, np.array(position_e)
+
+
+def _next_samples(victim: TightlyCoupledSimulator) -> FloatArray:
+    """(count, 6) what a single receiver's inertial sensors will measure up to its next epoch."""
+    world, sensors, k = victim.setup.world, victim.sensors, int(victim.epochs[0])
+    first, end = world.epoch_end[k : k + 2].tolist()
+    samples, dt = np.empty(padded(6 * world.most_samples)), np.empty(world.most_samples)
+    count, kept = end - first, sensors.fields.data.copy()
+    deviates(*sensors.words["imu"][0], np.uint64(k + 1), len(samples), 6 * count, samples)
+    truth, active = np.empty(8 * CHUNK), np.ones(1)
+    sense(world.run, np.array([first]), count, kept, 0, samples, dt, truth, active)
+    return samples[: 6 * count].reshape(6, -1).T.copy()

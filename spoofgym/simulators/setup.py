@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .._registry import build_record, check_choice, check_finite, is_number
 from ..detectors import Detector, make_detector
+from ..receiver.epoch import OPTIONAL
 from ._kernels import local_motion
 from .domain import Bounds, Domain
 from .monitors import Monitor
@@ -142,8 +143,14 @@ class Setup(ABC):
     kind: ClassVar[str]
     whose: ClassVar[str]
     """The victim with its article, for messages."""
-    has: ClassVar[frozenset[str]] = frozenset()
+    has: ClassVar[frozenset[str]] = frozenset(OPTIONAL) - {
+        "gnss_position",
+        "auxiliary_position",
+        "cn0_dbhz",
+    }
     """Optional fields of `Epoch` that the victim has."""
+    fields: frozenset[str] = frozenset()
+    """Those that are wanted besides the `needs` of detectors and monitors."""
     domain_names: ClassVar[frozenset[str]] = frozenset()
     """Settings of `Domain` that the victim has."""
     threaded: ClassVar[bool] = False

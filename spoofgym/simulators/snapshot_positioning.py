@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .._registry import build_record, check_finite, is_number
 from ..detectors import Detector, DetectorContext
-from ..receiver.epoch import Epoch, frozen
+from ..receiver.epoch import ALWAYS, Epoch, frozen_fields
 from ..receiver.least_squares import FIXED, fix_receivers
 from ..receiver.snapshot_positioning import EXPECTED_CLOCK_SD_M, EXPECTED_POSITION_SD_M, expect
 from ..sim.constellation import CircularConstellation
@@ -199,7 +199,8 @@ class SnapshotSimulator(RateSimulator):
             "visible": np.ones((b, n), dtype=np.bool_),
             "predicted_velocity": np.zeros((b, 3)),
         }
-        self._constant = {name: frozen(array) for name, array in constant.items()}
+        self._names = ALWAYS | self.fields
+        self._constant = frozen_fields(constant, self._names)
 
     def _context(self) -> DetectorContext:
         setup, n = self.setup, len(self.setup.weight_names)
@@ -247,6 +248,7 @@ class SnapshotSimulator(RateSimulator):
         arrays = {
             "time": self.time_s(),
             "innovation": self._innovation,
+            "innovation_variance": self._cov.diagonal(0, 1, 2),
             "innovation_cov": self._cov,
             "design": self._design,
             "pseudorange": self._pseudorange,
@@ -254,8 +256,7 @@ class SnapshotSimulator(RateSimulator):
             "satellite_velocity": self.setup.sky.satellite_velocity_e[memory["epoch"]],
             "predicted_position": memory["position_e"],
         }
-        seen = {name: frozen(array) for name, array in arrays.items()}
-        return Epoch(**seen, **self._constant)
+        return Epoch(**frozen_fields(arrays, self._names), **self._constant)
 
     def _correct(self, weights: FloatArray | None) -> None:
         """Make a fix; where there is none, the last one stays."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Self
 
@@ -12,15 +13,22 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from .._registry import build_record, check_choice
+from .._simd import LANES
 from ..attacks import Attack, AttackContext, make_attack
-from ..detectors import Detector, DetectorContext
-from ..receiver import TightlyCoupled, _kernels
+from ..attacks.false_position import FalsePosition
+from ..attacks.per_channel import PerChannel
+from ..detectors import Detector, DetectorContext, Verdict
+from ..detectors.ewma import Ewma
+from ..detectors.verdicts import checked
+from ..receiver import TightlyCoupled
+from ..receiver import _kernels as _kernels_of_receiver
 from ..receiver.epoch import Epoch, epoch_view
-from ..receiver.state import LANES, ReceiverBuffers
+from ..receiver.state import ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.scenario import Scenario, make_scenario
-from ..sim.sensors import SOURCES, SensorBuffers
+from ..sim.sensors import SensorBuffers
 from ..sim.world import World
+from . import _kernels
 from ._kernels import displace
 from .base import Rngs, Rows, Simulator
 from .combinations import Combinations, worlds_of
@@ -36,9 +44,19 @@ RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in ("pap
 FIRST_FIX = 4
 """Satellites that a first fix takes."""
 AXES = ("north", "east", "down")
-AFTER_ONSET = [SOURCES.index(each) for each in ("imu", "clock", "gnss", "spoofer", "correlated")]
+AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")
 """Sources whose noise goes on after the onset."""
-ADVANCE = _kernels.MEASURE + _kernels.PREDICT
+MEASURE, UPDATE, SHOW = (
+    _kernels_of_receiver.MEASURE,
+    _kernels_of_receiver.UPDATE,
+    _kernels_of_receiver.SHOW,
+)
+ADVANCE = MEASURE + _kernels_of_receiver.PREDICT
+ATTACK_FORMS: dict[type, int] = {
+    FalsePosition: _kernels.FALSE_POSITION,
+    PerChannel: _kernels.PER_CHANNEL,
+}
+"""Attacks that the kernel makes itself, if their equipment is perfect."""
 
 
 class TightlyCoupledSetup(Setup):
@@ -80,9 +98,12 @@ class TightlyCoupledSetup(Setup):
         target_heading_deg: float | str = 90.0,
         decision_interval_s: float | None = None,
         between: str = "hold",
+        imu_rate_hz: float | None = None,
     ) -> None:
         self.scenario = make_scenario(scenario)
-        self.name = self.scenario.name
+        if imu_rate_hz is not None:
+            self.scenario = replace(self.scenario, imu_rate_hz=imu_rate_hz)
+        self.imu_rate_hz, self.name = self.scenario.imu_rate_hz, self.scenario.label
         self._aim(target_heading_deg, domain)
         self.receiver = _victim(receiver, self.scenario, self.domain)
         self.attack = make_attack(attack)
@@ -187,24 +208,48 @@ class TightlyCoupledSimulator(Simulator):
 
     def _allocate(self) -> None:
         world, receivers = self.setup.world, self.receivers
-        self.buffers = ReceiverBuffers(receivers, world.channels, world.most_samples)
+        self.buffers = ReceiverBuffers(receivers, world.channels, self.fields)
         self.sensors = SensorBuffers(receivers, world.channels)
-        self._imu_noise = padded(6 * world.most_samples)
-        self._gnss_noise = padded(2 * world.channels)
         self.epoch = epoch_view(self.buffers)
-        self._command: FloatArray | None = None
+        self._is_sound = True
         self._everyone = np.arange(receivers)
         self._serial = receivers <= LANES
-        buffers, sensors, receiver = self.buffers, self.sensors, self.setup.receiver
-        self._before = (buffers.floats, buffers.flags, buffers.block, buffers.samples)
-        self._errors = (sensors.floats, sensors.keys, sensors.epoch)
-        self._truth = (world.run, world.epoch_time, world.epoch_end, world.satellites)
-        self._sizes = (receivers, world.channels, self._imu_noise, self._gnss_noise)
-        rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize)
-        self._after = (*self._errors, *self._truth, *self._sizes, *rules)
+        self._hold_arguments()
         self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
         self.attack = copy.deepcopy(self.setup.attack)
         self.attack.bind(AttackContext(receivers, world))
+
+    def _hold_arguments(self) -> None:
+        """Collect what the kernel takes: what stays the same, and what stands for nothing."""
+        world, receiver = self.setup.world, self.setup.receiver
+        buffers, sensors, one = self.buffers, self.sensors, np.zeros((1, 1))
+        sizes = padded(6 * world.most_samples), padded(2 * world.channels)
+        rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
+        self._work_rows = _kernels_of_receiver.work_rows(world.channels, *sizes)
+        self._spare: list[FloatArray] = []
+        self._arrays = (
+            buffers.fields.data,
+            buffers.seen_floats,
+            buffers.places,
+            buffers.visible,
+            buffers.coasting,
+            sensors.fields.data,
+            sensors.words.data,
+            sensors.epoch,
+            sensors.range_offset,
+            sensors.rate_offset,
+            sensors.authentic,
+            world.run,
+            world.epoch_time,
+            world.epoch_end,
+            world.satellites,
+            np.array(rules, dtype=np.int64),
+            world.position_e,
+            world.velocity_e,
+        )
+        nowhere = np.zeros((1, 1, 3)), one, np.zeros(1, dtype=np.bool_), np.zeros(1, dtype=np.int64)
+        self._no_attack = (_kernels.NO_FORM, True, one, one, one, *nowhere, np.zeros(4))
+        self._no_detector = (_kernels.NO_FORM, one, one, np.zeros(3), one, one)
 
     def _context(self) -> DetectorContext:
         setup = self.setup
@@ -213,13 +258,15 @@ class TightlyCoupledSimulator(Simulator):
         return DetectorContext(*sizes, setup.interval_s, variance, world.satellite_ids)
 
     def __getstate__(self) -> dict[str, Any]:
-        """State without the view of the epoch, which a copy makes of its own buffers."""
-        return {name: value for name, value in self.__dict__.items() if name != "epoch"}
+        """State without views of the buffers, which a copy makes of its own."""
+        views = ("epoch", "_arrays", "_spare")
+        return {name: value for name, value in self.__dict__.items() if name not in views}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the state, and view the epoch."""
         self.__dict__.update(state)
         self.epoch = epoch_view(self.buffers)
+        self._hold_arguments()
 
     @property
     def epochs(self) -> NDArray[np.int64]:
@@ -229,12 +276,12 @@ class TightlyCoupledSimulator(Simulator):
     @property
     def position(self) -> FloatArray:
         """(B, 3) estimated antenna, ECEF [m]."""
-        return self.buffers.state.position_e
+        return self.buffers.position_e
 
     @property
     def coasting(self) -> NDArray[np.bool_]:
         """(B,) bool, whether the last epoch had too few satellites for an update."""
-        return self.buffers.measured.coasting
+        return self.buffers.coasting
 
     @property
     def commands(self) -> Memory:
@@ -245,20 +292,17 @@ class TightlyCoupledSimulator(Simulator):
     def step_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray]:
         """Epochs, coasting, commanded displacement and rate, for kernels."""
         memory = self.attack.memory
-        coasting = self.buffers.measured.coasting
+        coasting = self.buffers.coasting
         return self.sensors.epoch, coasting, memory["displacement"], memory["rate"]
 
     def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         self.sensors.draw_keys(self._everyone, rngs)
-        keys: NDArray[np.uint64] = self.sensors.keys[SOURCES.index("domain")]
+        keys: NDArray[np.uint64] = self.sensors.words["domain"]
         return keys
 
     def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
-        keys, spoofer = self.sensors.keys, SOURCES.index("spoofer")
-        for row, episode in zip(rows.tolist(), episodes, strict=True):
-            own = episode.generate_state(2 * len(SOURCES), np.uint64).reshape(-1, 2)
-            keys[AFTER_ONSET, row] = own[AFTER_ONSET]
-        self.attack.begin(rows, keys[spoofer, rows], self.onset[rows])
+        self.sensors.put_keys(rows, episodes, AFTER_ONSET)
+        self.attack.begin(rows, self.sensors.words.get("spoofer", rows), self.onset[rows])
 
     def _start(self, choice: Choice) -> None:
         """Draw the errors; first fix, attitude, empty memories."""
@@ -267,42 +311,95 @@ class TightlyCoupledSimulator(Simulator):
         self.sensors.epoch[:] = first
         self.memory["combination"][:] = combinations.index(choice.world, choice.grade, choice.error)
         self.attack.memory.reset()
-        spoofer_keys = self.sensors.keys[SOURCES.index("spoofer")]
-        self.attack.begin(self._everyone, spoofer_keys, self.onset)
+        self.attack.begin(self._everyone, self.sensors.words["spoofer"], self.onset)
         self._start_combinations()
-        _kernels.measure(*self._errors, *self._before, *self._truth, *self._sizes, 0, 0, b)
-        channels, position_e = setup.world.channels, setup.world.position_e[first]
-        buffers = self.buffers
-        _kernels.first_fix(buffers.floats, buffers.flags, position_e, b, channels, 0, b)
-        state = buffers.state
-        state.C_eb[:] = combinations.first_C_eb(choice.grade, first)
-        state.accel_bias_b[:] = 0.0
-        state.gyro_bias_b[:] = 0.0
+        self._epochs(MEASURE, 0, b)
+        world, fields = setup.world, self.buffers.fields
+        position_e, velocity_e, clock = np.empty((b, 3)), np.empty((b, 3)), np.empty((b, 2))
+        guess_e, now = world.position_e[first], (fields["measured"], world.satellites, first)
+        _kernels_of_receiver.first_fix(*now, guess_e, position_e, velocity_e, clock)
+        fields["position_e"], fields["velocity_e"], fields["clock"] = position_e, velocity_e, clock
+        fields["C_eb"] = combinations.first_C_eb(choice.grade, first)
+        fields["accel_bias_b"] = fields["gyro_bias_b"] = 0.0
+        self.buffers.position_e[:], self.buffers.velocity_e[:] = position_e, velocity_e
 
     def _start_combinations(self) -> None:
         """Draw the errors, and give the victims what they assume."""
         indices = self.memory["combination"]
-        state, measured = self.buffers.state, self.buffers.measured
+        fields = self.buffers.fields
         for index in np.unique(indices).tolist():
             its, rows = self.setup.combinations[index], np.flatnonzero(indices == index)
             self.sensors.begin(rows, its.grade, its.errors, its.bias_sd)
-            measured.noise_variance[rows] = its.noise_variance
-            self.buffers.noise_psd[rows] = its.noise_psd
-            state.covariance[rows] = its.covariance
+            fields.put("noise_variance", rows, its.noise_variance)
+            fields.put("noise_psd", rows, its.noise_psd)
+            self.buffers.put_covariance(rows, its.covariance)
 
-    def _epochs(self, what: int, count: int, lo: int, hi: int) -> None:
-        _kernels.run_epochs(*self._before, self.weights, *self._after, what, count, lo, hi)
+    def _epochs(
+        self,
+        what: int,
+        lo: int,
+        hi: int,
+        *,
+        count: int = 1,
+        attack: tuple[Any, ...] | None = None,
+        detector: tuple[Any, ...] | None = None,
+        weights: FloatArray | None = None,
+    ) -> None:
+        """Call the kernel for a slice, with scratch memory that no other thread has."""
+        try:
+            work = self._spare.pop()
+        except IndexError:
+            work = self.buffers.fields.scratch(self._work_rows)
+        sound = _kernels.run_epochs(
+            *self._arrays,
+            *(self._no_attack if attack is None else attack),
+            *(self._no_detector if detector is None else detector),
+            self.weights if weights is None else weights,
+            work,
+            what,
+            count,
+            lo,
+            hi,
+        )
+        self._spare.append(work)
+        if not sound:
+            self._is_sound = False
 
-    def _advance(self, lo: int, hi: int) -> None:
-        self._epochs(ADVANCE, 1, lo, hi)
+    def _in_slices(self, work: Callable[[int, int], None]) -> None:
+        if self._serial:
+            work(0, self.receivers)
+        else:
+            self._run(work, self.receivers)
 
-    def _update(self, lo: int, hi: int) -> None:
-        self._epochs(_kernels.UPDATE, 1, lo, hi)
+    def _compiled_attack(self, command: FloatArray | None) -> tuple[Any, ...] | None:
+        """Arguments of an attack that the kernel itself makes, else None."""
+        attack = self.attack
+        form = ATTACK_FORMS.get(type(attack), _kernels.NO_FORM)
+        if form == _kernels.NO_FORM or self.clean is not None or not attack.equipment.perfect:
+            return None
+        memory = attack.memory
+        hold = command is None
+        if command is None or command.dtype != np.float64 or not command.flags.carray:
+            command = attack.idle if command is None else np.array(command, dtype=np.float64)
+        nowhere = self._no_attack[5]
+        return (
+            form,
+            hold,
+            command,
+            memory["displacement"],
+            memory["rate"],
+            memory.get("to_ecef", nowhere),
+            memory["target_error"],
+            attack.mask,
+            attack.slots,
+            attack.kernel_settings,
+        )
 
-    def _attack_and_advance(self, lo: int, hi: int) -> None:
-        sensors = self.sensors.state
+    def _attack(self, command: FloatArray | None, lo: int, hi: int) -> None:
+        """Let an attack without a compiled form write what it adds to the measurements."""
+        sensors = self.sensors
         self.attack.command(
-            self._command, self.sensors.epoch, sensors.range_offset, sensors.rate_offset, lo, hi
+            command, sensors.epoch, sensors.range_offset, sensors.rate_offset, lo, hi
         )
         if self.attack.replaces_errors:
             sensors.authentic[lo:hi] = self.attack.memory["authentic"][lo:hi]
@@ -310,7 +407,6 @@ class TightlyCoupledSimulator(Simulator):
             spared = lo + np.flatnonzero(self.clean[lo:hi])
             sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
             sensors.authentic[spared] = 1.0
-        _kernels.run_epochs(*self._before, self.weights, *self._after, ADVANCE, 1, lo, hi)
 
     def _measure(self, command: FloatArray | None) -> None:
         self.predict(command)
@@ -319,35 +415,68 @@ class TightlyCoupledSimulator(Simulator):
         return self.epoch
 
     def _correct(self, weights: FloatArray | None) -> None:
-        if self._serial:
-            b = self.receivers
-            _kernels.run_epochs(*self._before, self.weights, *self._after, _kernels.UPDATE, 1, 0, b)
-        else:
-            self._run(self._update, self.receivers)
+        self._in_slices(partial(self._epochs, UPDATE))
+
+    def _first_half(
+        self, what: int, command: FloatArray | None, attacked: bool, **more: Any
+    ) -> None:
+        """Run kernels that begin with an attack, or none."""
+        attack = self._compiled_attack(command) if attacked else None
+        if attack is not None:
+            what += _kernels.ATTACK
+        part = partial(self._epochs, what, attack=attack, **more)
+
+        def work(lo: int, hi: int) -> None:
+            """Attack in Python first, where it has no compiled form."""
+            if attacked and attack is None:
+                self._attack(command, lo, hi)
+            part(lo, hi)
+
+        self._in_slices(work)
 
     def predict(self, command: FloatArray | None) -> Epoch:
         """First half of an epoch under attack; the epoch's arrays follow the buffers."""
-        self._command = command
-        if self._serial:
-            self._attack_and_advance(0, self.receivers)
-        else:
-            self._run(self._attack_and_advance, self.receivers)
+        self._first_half(ADVANCE + SHOW, command, True)
         return self.epoch
 
     def advance(self) -> Epoch:
         """First half of an epoch without attack: measure, mechanize, predict."""
-        self._run(self._advance, self.receivers)
+        self._first_half(ADVANCE + SHOW, None, False)
         return self.epoch
+
+    def step(self, command: FloatArray | None = None, *, attacked: bool = True) -> Verdict:
+        """Both halves of an epoch, in one kernel where nothing in Python comes between."""
+        detector = self.detector
+        if type(detector) is not Ewma or detector.limits_exclusions or self.monitors:
+            return super().step(command, attacked=attacked)
+        memory, shape = detector.memory, self.buffers.visible.shape
+        statistic, threshold, weights = np.empty(shape), np.empty(shape), np.empty(self.ones.shape)
+        form = _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
+        judge = (
+            form,
+            memory["average"],
+            memory["decay"],
+            detector.kernel_settings,
+            statistic,
+            threshold,
+        )
+        self._is_sound, self.weights = True, weights
+        what = ADVANCE + SHOW + _kernels.JUDGE + UPDATE
+        self._first_half(what, command, attacked, detector=judge)
+        in_loop = None if detector.weight_scale is None else weights
+        verdict = Verdict(statistic, threshold, statistic > threshold, in_loop)
+        self.verdict = verdict if self._is_sound else checked(verdict, detector, self.epoch)
+        return self.verdict
 
     def quiet_epochs(self, count: int) -> None:
         """Run clean epochs without a detector, in one kernel call."""
         self.weights = self.ones
-        self._run(partial(self._epochs, ADVANCE + _kernels.UPDATE, count), self.receivers)
+        self._run(partial(self._epochs, ADVANCE + UPDATE, count=count), self.receivers)
 
     def error_n(self) -> FloatArray:
         """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""
         world = self.setup.world
-        error_e = self.buffers.state.position_e - world.position_e[self.epochs]
+        error_e = self.buffers.position_e - world.position_e[self.epochs]
         # a sum of products, since the bits of a matrix product depend on the size of the batch
         result: FloatArray = (error_e[:, :, None] * world.C_en[self.onset]).sum(axis=1)
         return result
@@ -357,24 +486,14 @@ class TightlyCoupledSimulator(Simulator):
         setup, memory = self.setup, self.memory
         reference = (setup.true_position, self.sensors.epoch)
         if twin is not None:
-            reference = (twin.buffers.state.position_e, self._everyone)
+            reference = (twin.buffers.position_e, self._everyone)
         aim = memory["onset"], memory["heading"], setup.target_heading_deg == "worst"
-        displace(self.buffers.state.position_e, *reference, setup.C_en, *aim, origin, out)
+        displace(self.buffers.position_e, *reference, setup.C_en, *aim, origin, out)
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         """Take over receivers of another simulator, with all that they remember."""
-        pairs: list[tuple[Any, Any]] = [
-            (self.buffers.state, other.buffers.state),
-            (self.buffers.measured, other.buffers.measured),
-            (self.sensors.state, other.sensors.state),
-        ]
-        for mine, theirs in pairs:
-            for target, source in zip(mine, theirs, strict=True):
-                target[to] = source[rows]
-        self.buffers.noise_psd[to] = other.buffers.noise_psd[rows]
-        self.buffers.block[:, to] = other.buffers.block[:, rows]
-        self.sensors.keys[:, to] = other.sensors.keys[:, rows]
-        self.sensors.epoch[to] = other.sensors.epoch[rows]
+        self.buffers.copy_rows(to, other.buffers, rows)
+        self.sensors.copy_rows(to, other.sensors, rows)
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
         super().copy_rows(to, other, rows)
 
@@ -384,7 +503,7 @@ class TightlyCoupledSimulator(Simulator):
         return captured
 
     def _sky(self) -> SkyData:
-        world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors.state
+        world, epoch, offsets = self.setup.world, int(self.epochs[0]), self.sensors
         return SkyData(
             names=world.satellite_ids,
             azimuth=world.azimuth[epoch],
@@ -396,7 +515,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def recorded(self) -> dict[str, NDArray[Any]]:
         """What the attack adds to the measurements."""
-        offsets = self.sensors.state
+        offsets = self.sensors
         return {"range_offset_m": offsets.range_offset, "rate_offset_mps": offsets.rate_offset}
 
 

@@ -80,7 +80,7 @@ class WheeledRobotSetup(Setup):
 
     kind: ClassVar[str] = "robot"
     whose: ClassVar[str] = "a wheeled robot"
-    has: ClassVar[frozenset[str]] = frozenset({"gnss_position", "auxiliary_position"})
+    has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position", "auxiliary_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
     motion_names = ("position_north", "position_east", "velocity_north", "velocity_east")
     weight_names = ("fix",)
@@ -191,7 +191,7 @@ class WheeledRobotSimulator(RateSimulator):
         memory.declare("yaw", np.zeros(b))
         memory.declare("correlated", np.zeros((b, AXES)))
         memory.declare("fix", np.zeros((b, AXES)))
-        self.filters = CredibleBatch(setup.receiver, memory, setup.interval_s)
+        self.filters = CredibleBatch(setup.receiver, memory, setup.interval_s, self.fields)
         self.increment = np.zeros((b, AXES))
         self._noise = np.empty(BLOCK)
 

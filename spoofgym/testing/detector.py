@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Detector, Verdict, make_detector
-from ..detectors.verdicts import checked
-from ..receiver.epoch import Epoch
+from ..detectors.base import check_needs
+from ..detectors.verdicts import UndeclaredFieldError, checked, undeclared
+from ..receiver.epoch import TracedEpoch
 from .contract import read_only_given, require, require_fresh, same_bits
-from .epochs import OPTIONAL, Script, engine_script, trying_script
+from .epochs import Script, engine_script, trying_script
 from .position_epochs import COORDINATES, position_script
 from .trial import Record, Trial, check_memory, run_trial
 
@@ -31,6 +32,7 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     measures any, with all of them.  It has to show that
 
     - it cites a paper, states its scope and what it measures, and needs what an epoch can have;
+    - it reads no optional field of an epoch that its `needs` does not name;
     - verdicts have the right shapes and types, and are finite; weights lie within 0 and 1; an
       invisible channel has statistic 0, no alarm and weight 1;
     - it neither writes to an epoch nor keeps it, nor hands out arrays that it goes on using;
@@ -57,14 +59,14 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     _check_declarations(unbound)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        for script in _scripts(unbound.measures):
+        for script in scripts_of(unbound.measures):
             trial = _DetectorTrial(unbound, script)
             _check_bound_again(trial)
             _check_verdicts(trial)
             run_trial(trial)
 
 
-def _scripts(measures: str) -> list[Script]:
+def scripts_of(measures: str) -> list[Script]:
     """Epochs of what a detector measures."""
     scripts = []
     if measures != "position":
@@ -111,7 +113,7 @@ class _DetectorTrial(Trial[Detector]):
         for view in seen.values():
             view.flags.writeable = False
         with read_only_given("detector", "epoch"):
-            verdict = bound.judge(Epoch(**seen))
+            verdict = judged_traced(bound, TracedEpoch(**seen))
         for name, array in own.items():
             require(
                 same_bits(array, given[name]),
@@ -127,6 +129,22 @@ class _DetectorTrial(Trial[Detector]):
             for array in own.values():
                 array[...] = ~array if array.dtype == np.bool_ else np.nan
         return record
+
+
+def judged_traced(detector: Detector, epoch: TracedEpoch) -> Verdict:
+    """Verdict of a detector that reads no more than it declares; an AssertionError otherwise."""
+    try:
+        verdict = detector.judge(epoch)
+    except UndeclaredFieldError as error:  # of a detector in a pool
+        raise AssertionError(str(error)) from error
+    except Exception as error:
+        message = undeclared(detector, epoch)
+        if message:
+            raise AssertionError(message) from error
+        raise
+    message = undeclared(detector, epoch)
+    require(not message, message)
+    return verdict
 
 
 def _check_declarations(detector: Detector) -> None:
@@ -148,12 +166,10 @@ def _check_declarations(detector: Detector) -> None:
         isinstance(detector.oracle, bool),
         f"`{kind}.oracle` must be True or False, got {detector.oracle!r}",
     )
-    needs = detector.needs
-    require(
-        isinstance(needs, frozenset) and needs <= set(OPTIONAL),
-        f"`{kind}.needs` must be a frozenset of optional fields of an epoch "
-        f"({', '.join(OPTIONAL)}), got {needs!r}",
-    )
+    try:
+        check_needs(detector)
+    except ValueError as error:
+        raise AssertionError(str(error)) from error
 
 
 def _check_bound_again(trial: _DetectorTrial) -> None:

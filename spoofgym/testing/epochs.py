@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from ..attacks import FalsePosition
 from ..detectors import DetectorContext, Never
-from ..receiver.epoch import Epoch
+from ..receiver.epoch import OPTIONAL, Epoch
 from ..sim.scenario import Scenario
 from ..simulators import Engine, TightlyCoupledSetup, Timeline
 
-OPTIONAL = tuple(Epoch._field_defaults)
-"""Fields of an epoch that a detector only gets when its `needs` names them."""
 RECEIVERS = 5
 ATTACK_S = 10.0
 
@@ -51,6 +49,7 @@ def engine_script() -> Script:
     setup = TightlyCoupledSetup(
         scenario=Scenario(), attack=FalsePosition(), detector=Never(), timeline=timeline
     )
+    setup.fields = setup.has
     engine = Engine(RECEIVERS, setup, threads=1)
     engine.reset([np.random.default_rng(seed) for seed in range(RECEIVERS)])
     rng = np.random.default_rng(1)
@@ -176,6 +175,7 @@ def _made_up(
             time=time,
             interval=np.full(b, interval),
             innovation=innovation,
+            innovation_variance=np.ascontiguousarray(np.einsum("bii->bi", belief)),
             innovation_cov=belief,
             predicted_cov=covariance,
             design=design,

@@ -77,6 +77,7 @@ def _made_up(
             time=time,
             interval=np.full(b, interval),
             innovation=innovation,
+            innovation_variance=np.ascontiguousarray(np.einsum("bii->bi", belief)),
             innovation_cov=np.ascontiguousarray(belief),
             predicted_cov=covariance,
             design=design,

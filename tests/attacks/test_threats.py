@@ -91,6 +91,7 @@ def added_nis(errors, tracking, inertial=None):
         detector=Never(),
         timeline=phases,
     )
+    setup.fields = setup.has
     if inertial is not None:
         noise = setup.combinations[0].noise._replace(inertial=inertial)
         setup.combinations._all[0] = setup.combinations[0]._replace(

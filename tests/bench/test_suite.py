@@ -68,6 +68,15 @@ def test_the_digest_follows_everything_that_results_depend_on() -> None:
     assert small_suite(tuning=Tuning(budget=0.1, runs=np.int64(Tuning.runs))).digest == digests[-1]
 
 
+def test_the_rate_of_the_inertial_sensors_is_named_in_results() -> None:
+    own, keyword = small_suite(), small_suite(settings={"imu_rate_hz": 20})
+    mapping = small_suite(scenario={"name": "zhong2025", "imu_rate_hz": 20})
+    assert "imu_rate_hz" not in own.config["scenario"]
+    assert keyword.config["scenario"]["imu_rate_hz"] == 20
+    assert keyword.config["scenario"]["name"] == "zhong2025@20Hz"
+    assert keyword.digest == mapping.digest != own.digest
+
+
 def test_the_clean_twin_is_always_played_first() -> None:
     suite = small_suite(spoofers=("step", "none"))
     assert [entry.label for entry in suite.spoofer_entries] == ["none", "step"]

@@ -74,8 +74,7 @@ class Sum(Detector):
 
     def statistic(self, epoch):
         n = epoch.visible.shape[1]
-        variance = np.diagonal(epoch.innovation_cov, axis1=1, axis2=2)[:, :n]
-        normalized = np.abs(epoch.innovation[:, :n]) / np.sqrt(variance)
+        normalized = np.abs(epoch.innovation[:, :n]) / np.sqrt(epoch.innovation_variance[:, :n])
         total = np.maximum(0.0, self.memory["sum"] + normalized - self.drift)
         total[~epoch.visible] = 0.0
         return total

@@ -22,6 +22,7 @@ def epoch(fix, predicted=None, odometry=None, interval_s=1.0):
         time=np.zeros(b),
         interval=np.full(b, interval_s),
         innovation=innovation,
+        innovation_variance=np.ones((b, 2)),
         innovation_cov=np.tile(np.eye(2), (b, 1, 1)),
         predicted_cov=np.tile(np.eye(2), (b, 1, 1)),
         design=np.eye(2) * present[:, None, None],

@@ -23,12 +23,14 @@ def epoch(innovation, innovation_cov, visible=None):
     visible = np.ones((b, n), dtype=np.bool_) if visible is None else visible
     both = np.hstack([visible, visible])
     seen = both[:, :, None] & both[:, None, :]
+    S = np.where(seen, innovation_cov, np.eye(m))
     z = np.zeros((b, n))
     return Epoch(
         time=np.zeros(b),
         interval=np.full(b, 0.5),
         innovation=np.where(both, innovation, 0.0),
-        innovation_cov=np.where(seen, innovation_cov, np.eye(m)),
+        innovation_variance=np.einsum("bii->bi", S).copy(),
+        innovation_cov=S,
         predicted_cov=np.zeros((b, 17, 17)),
         design=np.zeros((b, m, 17)),
         transition=np.tile(np.eye(17), (b, 1, 1)),

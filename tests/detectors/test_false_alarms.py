@@ -49,6 +49,7 @@ def last_alarms():
             "time_to_alert_s": 0.0,
         },
     )
+    setup.fields = setup.has
     engine = Engine(RECEIVERS, setup, threads=1)
     engine.reset([np.random.default_rng([7, i]) for i in range(RECEIVERS)])
     specs = {label: spec(label) for label in PASSIVE}

@@ -50,6 +50,7 @@ class Sooner(Detector):
 
     paper = "groves2013"
     measures = "any"
+    needs = frozenset({"pseudorange"})
 
     def bind(self, context: DetectorContext) -> None:
         super().bind(context)

@@ -117,6 +117,7 @@ OTHER_SETTINGS = [
         {"timeline": {**TIMELINE, "time_to_alert_s": 2.0}},
         r"timeline\.time_to_alert_s: 5\.0 on the card, 2\.0 here",
     ),
+    ({"imu_rate_hz": 20}, r"scenario\.imu_rate_hz: None on the card, 20 here"),
 ]
 
 

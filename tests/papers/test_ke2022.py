@@ -156,6 +156,7 @@ def test_false_alarms_in_a_matched_world_are_as_stated():
         detector=Never(),
         timeline=Timeline(warmup_s=epochs, live_s=epochs, attack_s=1.0, time_to_alert_s=0.0),
     )
+    setup.fields = frozenset().union(*(kind.needs for kind in (InnovationRate, GlrStep, GlrRamp)))
     engine = Engine(receivers, setup, threads=1)
     simulator, world = engine.simulator, setup.world
     simulator.begin([np.random.default_rng([7, run]) for run in range(receivers)])

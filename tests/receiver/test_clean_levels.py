@@ -116,7 +116,7 @@ def normalized(errors, runs=64, epochs=80):
     for _ in range(epochs):
         epoch = batch.advance()
         seen = np.tile(epoch.visible[0], 2)
-        belief = np.sqrt(np.einsum("bii->bi", epoch.innovation_cov))
+        belief = np.sqrt(epoch.innovation_variance)
         ratios.append((epoch.innovation / belief)[:, seen])
         z, S = epoch.innovation[:, seen], epoch.innovation_cov[:, seen][:, :, seen]
         nis += np.einsum("bi,bi->b", z, np.linalg.solve(S, z[..., None])[..., 0])

@@ -11,6 +11,7 @@ from spoofgym.receiver.kalman import (
     accumulate,
     gain_solution,
     innovation_covariance,
+    innovation_variance,
     solve_in_place,
 )
 
@@ -191,6 +192,9 @@ def test_the_innovation_covariance_is_h_p_h_plus_r():
     np.testing.assert_allclose(S, want, rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(S, S.T)
     np.testing.assert_array_equal(S[~both], np.eye(2 * n)[~both])
+    variance = np.full(2 * n, np.nan)
+    innovation_variance(P.ravel(), u, R, visible, variance)
+    np.testing.assert_array_equal(variance, np.diagonal(S))
 
 
 @pytest.mark.nojit

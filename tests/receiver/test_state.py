@@ -6,10 +6,10 @@ import pickle
 import numpy as np
 import pytest
 
-from spoofgym.receiver.epoch import Epoch, epoch_view
+from spoofgym.receiver.epoch import OPTIONAL, Epoch, TracedEpoch, epoch_view
 from spoofgym.receiver.state import LANES, ReceiverBuffers, buffer_size, unpack
 
-OPTIONAL = ("gnss_position", "auxiliary_position", "cn0_dbhz")
+OF_OTHER_RECEIVERS = ("gnss_position", "auxiliary_position", "cn0_dbhz")
 
 
 @pytest.mark.nojit
@@ -32,7 +32,7 @@ def test_arrays_fill_the_buffer_without_overlap(receivers, channels):
 def test_shapes():
     buffers = ReceiverBuffers(3, 7, 20)
     m = buffers.measured
-    assert m.innovation.shape == m.noise_variance.shape == (3, 14)
+    assert m.innovation.shape == m.innovation_variance.shape == m.noise_variance.shape == (3, 14)
     assert m.innovation_cov.shape == (3, 14, 14)
     assert m.design.shape == (3, 14, 17)
     assert buffers.state.covariance.shape == m.transition.shape == (3, 17, 17)
@@ -69,7 +69,7 @@ def test_an_epoch_is_read_only_and_follows_the_buffers():
     buffers = ReceiverBuffers(2, 4, 3)
     epoch = epoch_view(buffers)
     for name, array in epoch._asdict().items():
-        if name in OPTIONAL:
+        if name in OF_OTHER_RECEIVERS:
             assert array is None
             continue
         assert array.flags.c_contiguous
@@ -84,4 +84,23 @@ def test_an_epoch_is_read_only_and_follows_the_buffers():
 
 def test_an_epoch_has_no_field_of_truth():
     assert not [name for name in Epoch._fields if "true" in name or "attack" in name]
-    assert tuple(Epoch._field_defaults) == OPTIONAL
+
+
+def test_the_fields_that_are_always_there():
+    always = ("time", "interval", "innovation", "innovation_variance", "visible")
+    assert Epoch._fields[: -len(OPTIONAL)] == (*always, "predicted_position", "predicted_velocity")
+    epoch = epoch_view(ReceiverBuffers(2, 4, 3))
+    assert [name for name in Epoch._fields if getattr(epoch, name) is None] == [*OF_OTHER_RECEIVERS]
+    some = epoch_view(ReceiverBuffers(2, 4, 3), {"design", "cn0_dbhz"})
+    assert [name for name in OPTIONAL if getattr(some, name) is not None] == ["design"]
+    assert all(getattr(some, name) is not None for name in always)
+
+
+def test_a_traced_epoch_notes_what_is_read():
+    traced = TracedEpoch(*epoch_view(ReceiverBuffers(2, 4, 3)))
+    assert traced.innovation.shape == (2, 8)
+    assert traced.read == set()
+    changed = traced._replace(innovation=traced.innovation + 1.0)
+    assert changed.design is not None
+    assert traced.cn0_dbhz is None
+    assert traced.read == changed.read == {"design", "cn0_dbhz"}

@@ -117,8 +117,8 @@ def test_innovations_after_the_onset_are_as_large_as_those_of_exact_warm_ups():
         for _ in range(3):
             engine.step(None)
             epoch = engine.simulator.epoch
-            solved = np.linalg.solve(epoch.innovation_cov, epoch.innovation[:, :, None])[:, :, 0]
-            nis.append((epoch.innovation * solved).sum() / (2 * epoch.visible.sum()))
+            square = epoch.innovation**2 / epoch.innovation_variance
+            nis.append(square.sum() / (2 * epoch.visible.sum()))
         sizes.append(np.mean(nis))
     assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
 

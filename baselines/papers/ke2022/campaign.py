@@ -179,6 +179,7 @@ def fly(
         detector=in_loop,
         timeline=Timeline(warmup_s=begun, live_s=begun, attack_s=count, time_to_alert_s=0.0),
     )
+    setup.fields = frozenset().union(*(watcher.needs for watcher in watchers.values()))
     world = setup.world
     engine = Engine(runs, setup, threads=1)
     simulator = engine.simulator

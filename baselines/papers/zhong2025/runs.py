@@ -76,6 +76,7 @@ class Several(Detector):
 
     def __init__(self, specs: Sequence[Spec]) -> None:
         self.detectors = [make_detector(spec) for spec in specs]
+        self.needs = frozenset().union(*(detector.needs for detector in self.detectors))
         self.verdicts: list[Verdict] = []
 
     def bind(self, context: DetectorContext) -> None:
@@ -211,7 +212,7 @@ def fly(
             if columns > 1:
                 others[d] |= seen.alarm
         series[0, k] = epoch.innovation[:, slot]
-        series[1, k] = np.sqrt(epoch.innovation_cov[:, slot, slot])
+        series[1, k] = np.sqrt(epoch.innovation_variance[:, slot])
         if "average" in several.detectors[0].memory:
             series[2, k] = several.detectors[0].memory["average"][:, slot]
         series[3, k] = verdict.threshold[:, slot]

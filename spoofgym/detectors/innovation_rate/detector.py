@@ -78,7 +78,7 @@ def judge_rates(
     time: FloatArray,
     interval: FloatArray,
     innovation: FloatArray,
-    innovation_cov: FloatArray,
+    innovation_variance: FloatArray,
     visible: NDArray[np.bool_],
     added: FloatArray,
     quantiles: FloatArray,
@@ -114,7 +114,7 @@ def judge_rates(
             if not visible[b, j]:
                 restart(x, P)
             elif time[b] >= start_s:
-                sample = (innovation[b, j] + added[b, j]) / math.sqrt(innovation_cov[b, j, j])
+                sample = (innovation[b, j] + added[b, j]) / math.sqrt(innovation_variance[b, j])
                 advance(x, P, sample, interval[b], correlation, noise, growth)
             size[b, j] = abs(x[1])
             limit = fixed_threshold if fixed_threshold > 0.0 else quantiles[seen] * math.sqrt(P[3])
@@ -251,7 +251,7 @@ class InnovationRate(Detector):
             epoch.time,
             epoch.interval,
             epoch.innovation,
-            epoch.innovation_cov,
+            epoch.innovation_variance,
             epoch.visible,
             self.added(epoch),
             self._quantiles,

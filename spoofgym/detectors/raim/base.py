@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ from .consistency import (
     write_groups,
 )
 
+FloatArray = NDArray[np.float64]
+
 
 class ConsistencyTest(Detector):
     """Residual test of all satellites in view; after an alarm, a search of groups that agree.
@@ -35,6 +38,8 @@ class ConsistencyTest(Detector):
     false_alarm: float
     exclude: bool
     frame: str = "ecef"
+
+    needs: ClassVar[frozenset[str]] = frozenset({"pseudorange", "satellite_position"})
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -67,8 +72,8 @@ class ConsistencyTest(Detector):
         statistic, threshold = np.empty((b, 1)), np.empty((b, 1))
         weights = np.empty((b, 2 * n))
         line_up_all(
-            epoch.pseudorange,
-            epoch.satellite_position,
+            cast(FloatArray, epoch.pseudorange),
+            cast(FloatArray, epoch.satellite_position),
             epoch.visible,
             epoch.predicted_position,
             self._axes if self.frame == "ecef" else frame_axes(epoch.predicted_position),

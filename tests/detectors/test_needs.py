@@ -1,0 +1,169 @@
+"""A detector reads the optional fields of an epoch that it declares, and no others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spoofgym.detectors import DETECTORS, Detector, Never, PooledDetector, Verdict, make_detector
+from spoofgym.detectors.verdicts import UndeclaredFieldError, judged
+from spoofgym.receiver.epoch import OPTIONAL, Epoch, TracedEpoch
+from spoofgym.testing import check_detector
+from spoofgym.testing.contract import same_bits
+from spoofgym.testing.detector import scripts_of
+from spoofgym.testing.epochs import trying_script
+
+
+def bound(detector, script):
+    made = make_detector(detector)
+    made.bind(script.context)
+    return made
+
+
+def epoch_of(script, number, needs):
+    return Epoch(**script.epoch(number, np.arange(script.context.receivers), needs))
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_a_shipped_detector_reads_what_it_declares_and_no_more(name):
+    read = set()
+    for script in scripts_of(make_detector(name).measures):
+        detector = bound(name, script)
+        for epoch in script.epochs:
+            traced = TracedEpoch(*epoch)
+            judged(detector, traced)
+            read |= traced.read
+    assert read == detector.needs
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_verdicts_are_the_same_without_the_other_fields(name):
+    for script in scripts_of(make_detector(name).measures):
+        all_, few = bound(name, script), bound(name, script)
+        for number in range(len(script.epochs)):
+            theirs = judged(all_, epoch_of(script, number, OPTIONAL))
+            mine = judged(few, epoch_of(script, number, few.needs))
+            for part in Verdict._fields:
+                assert same_bits(getattr(mine, part), getattr(theirs, part)), part
+
+
+def test_most_detectors_need_the_variance_alone():
+    frugal = {name for name, kind in DETECTORS.items() if not kind.needs}
+    assert frugal == {
+        "cusum",
+        "ewma",
+        "glr-ramp",
+        "glr-step",
+        "innovation-rate",
+        "joint-chart",
+        "lag-cusum",
+        "never",
+        "oracle-ramp",
+        "oracle-step",
+        "pool",  # whose needs are those of its members
+        "shewhart",
+    }
+    pool = make_detector({"name": "pool", "members": ["snapshot-chi2", "raim", "ewma"]})
+    assert pool.needs == {"innovation_cov", "pseudorange", "satellite_position"}
+
+
+class Forgetful(Detector):
+    """Reads what it doesn't declare, and fails at it."""
+
+    paper = "page1954"
+    needs = frozenset({"design"})
+
+    def bind(self, context):
+        super().bind(context)
+
+    def judge(self, epoch):
+        size = np.abs(epoch.imu_delta).max(axis=1, keepdims=True) + epoch.design[:, :1, 0]
+        return Verdict(size, np.full_like(size, 1e9), size > 1e9)
+
+
+class Lenient(Forgetful):
+    """Reads it, and goes on without it."""
+
+    def judge(self, epoch):
+        one = np.ones((len(epoch.time), 1))
+        return Verdict(one if epoch.imu_delta is None else 2.0 * one, 3.0 * one, one > 3.0)
+
+
+class Silent(Forgetful):
+    """Makes NaN of it, which only the check of the verdict finds."""
+
+    def judge(self, epoch):
+        nothing = np.array(epoch.imu_delta, dtype=np.float64)
+        size = np.full((len(epoch.time), 1), nothing if nothing.ndim == 0 else 1.0)
+        return Verdict(size, np.ones_like(size), size > 9.0)
+
+
+class Broken(Never):
+    """Fails for another reason."""
+
+    def judge(self, epoch):
+        raise KeyError("of another kind")
+
+
+class Outer(Never):
+    """Hands a changed epoch on to a detector whose needs it forgets."""
+
+    def bind(self, context):
+        super().bind(context)
+        self.inner = bound("snapshot-chi2", trying_script())
+
+    def judge(self, epoch):
+        return self.inner.judge(epoch._replace(innovation=0.5 * epoch.innovation))
+
+
+LINE = r"write `needs = frozenset\({'design', 'imu_delta'}\)` into the class"
+MESSAGES = {
+    Forgetful: rf"Forgetful reads `epoch.imu_delta`, None here, without declaring it; {LINE}",
+    Silent: rf"Silent reads `epoch.imu_delta`, None here, .*{LINE}",
+    Outer: r"Outer reads `epoch.innovation_cov`, .* `needs = frozenset\({'innovation_cov'}\)`",
+}
+
+
+@pytest.mark.parametrize("kind", [*MESSAGES, Lenient], ids=lambda kind: kind.__name__)
+def test_check_detector_finds_who_forgets(kind):
+    message = MESSAGES.get(kind, rf"Lenient reads `epoch.imu_delta`, .*{LINE}")
+    with pytest.raises(AssertionError, match=message):
+        check_detector(kind())
+
+
+@pytest.mark.parametrize("kind", MESSAGES, ids=lambda kind: kind.__name__)
+def test_a_run_says_who_forgets(kind):
+    script = trying_script()
+    detector = bound(kind(), script)
+    with pytest.raises(UndeclaredFieldError, match=MESSAGES[kind]) as caught:
+        judged(detector, epoch_of(script, 3, detector.needs))
+    assert caught.value.__cause__ is not None
+    judged(detector, epoch_of(script, 3, OPTIONAL))  # where others need it, it is there
+
+
+def test_other_failures_stay_what_they_are():
+    script = trying_script()
+    with pytest.raises(KeyError, match="of another kind"):
+        judged(bound(Broken(), script), epoch_of(script, 3, ()))
+
+
+def test_the_member_of_a_pool_is_named():
+    pool, script = PooledDetector([Forgetful(), "never"], [1.0, 0.0]), trying_script()
+    with pytest.raises(UndeclaredFieldError, match=MESSAGES[Forgetful]):
+        judged(bound(pool, script), epoch_of(script, 3, pool.needs))
+    with pytest.raises(AssertionError, match=MESSAGES[Forgetful]):
+        check_detector(pool)
+
+
+@pytest.mark.parametrize("needs", [frozenset({"desing", "design"}), {"design"}, ["design"], None])
+def test_needs_are_checked(needs):
+    detector, script = Never(), trying_script()
+    detector.needs = needs
+    wrong = r"\['desing'\]" if isinstance(needs, frozenset) else ""
+    message = rf"`Never.needs` must be a frozenset of optional .*cn0_dbhz\), got .*{wrong}"
+    with pytest.raises(ValueError, match=message):
+        detector.bind(script.context)
+    with pytest.raises(ValueError, match=message):
+        PooledDetector([detector])
+    with pytest.raises(AssertionError, match=message):
+        check_detector(detector)
