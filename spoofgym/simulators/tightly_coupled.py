@@ -44,9 +44,9 @@ RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in ("pap
 """Victims by name: the noise that they assume as the papers print it, or as the world has it."""
 FIRST_FIX = 4
 """Satellites that a first fix takes."""
-PIECE = 64
-"""Epochs of single receivers that are run between two chances to wait: less than a millisecond."""
 AXES = ("north", "east", "down")
+AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")
+"""Sources whose noise goes on after the onset."""
 MEASURE, UPDATE, SHOW = (
     _kernels_of_receiver.MEASURE,
     _kernels_of_receiver.UPDATE,
@@ -306,6 +306,10 @@ class TightlyCoupledSimulator(Simulator):
         keys: NDArray[np.uint64] = self.sensors.words["domain"]
         return keys
 
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        self.sensors.put_keys(rows, episodes, AFTER_ONSET)
+        self.attack.begin(rows, self.sensors.words.get("spoofer", rows), self.onset[rows])
+
     def _start(self, choice: Choice) -> None:
         """Draw the errors; first fix, attitude, empty memories."""
         setup, b, first = self.setup, self.receivers, self.memory["first"]
@@ -478,15 +482,10 @@ class TightlyCoupledSimulator(Simulator):
         charts = detector.kernel_settings, memory["average"], memory["decay"]
         return form, *charts, np.empty(shape), np.empty(shape)
 
-    def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
-        """Run clean epochs without a detector, several in one kernel call."""
+    def quiet_epochs(self, count: int) -> None:
+        """Run clean epochs without a detector, in one kernel call."""
         self.weights = self.ones
-        piece = count if between is None else max(1, PIECE // self.receivers)
-        for start in range(0, count, max(piece, 1)):
-            if between is not None:
-                between()
-            part = partial(self._epochs, ADVANCE + UPDATE, count=min(piece, count - start))
-            self._run(part, self.receivers)
+        self._run(partial(self._epochs, ADVANCE + UPDATE, count=count), self.receivers)
 
     def error_n(self) -> FloatArray:
         """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""
