@@ -254,8 +254,9 @@ class TightlyCoupledSimulator(Simulator):
             "attack_settings": attack.kernel_settings,
         }
         self._table = ArrayTable([given[name] for name in _kernels.TABLE])
-        self._no_attack = one, one, one, np.zeros((1, 1, 3)), one
-        self._no_detector = np.zeros(3), one, one, one, one
+        nothing = _kernels.NO_FORM
+        self._no_attack = nothing, True, one, one, one, np.zeros((1, 1, 3)), one
+        self._no_detector = nothing, np.zeros(3), one, one, one, one
 
     def _context(self) -> DetectorContext:
         setup = self.setup
@@ -355,20 +356,11 @@ class TightlyCoupledSimulator(Simulator):
             work = self._spare.pop()
         except IndexError:
             work = self.buffers.fields.scratch(self._work_rows)
-        sound = _kernels.run_epochs(
-            self._table.entries,
-            *(self._no_attack if attack is None else attack[2:]),
-            *(self._no_detector if detector is None else detector[1:]),
-            self.weights,
-            work,
-            _kernels.NO_FORM if attack is None else attack[0],
-            attack is None or attack[1],
-            _kernels.NO_FORM if detector is None else detector[0],
-            what,
-            count,
-            lo,
-            hi,
-        )
+        attack_form, hold, *moved = self._no_attack if attack is None else attack
+        detector_form, *judged = self._no_detector if detector is None else detector
+        arrays: tuple[Any, ...] = (self._table.entries, *moved, *judged, self.weights, work)
+        forms = attack_form, hold, detector_form
+        sound = _kernels.run_epochs(*arrays, *forms, what, count, lo, hi)
         self._spare.append(work)
         if not sound:
             self._is_sound = False
@@ -395,7 +387,7 @@ class TightlyCoupledSimulator(Simulator):
             command,
             memory["displacement"],
             memory["rate"],
-            memory.get("to_ecef", self._no_attack[3]),
+            memory.get("to_ecef", self._no_attack[5]),
             memory["target_error"],
         )
 
@@ -471,7 +463,7 @@ class TightlyCoupledSimulator(Simulator):
         if self.monitors:
             return None
         if type(detector) is Never:
-            self.weights, (settings, one, *_) = self.ones, self._no_detector
+            self.weights, (_, settings, one, *_) = self.ones, self._no_detector
             shape = self.receivers, 1
             return _kernels.NEVER, settings, one, one, np.zeros(shape), np.ones(shape)
         if type(detector) is not Ewma or detector.limits_exclusions:
