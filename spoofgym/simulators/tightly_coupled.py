@@ -358,9 +358,10 @@ class TightlyCoupledSimulator(Simulator):
             work = self.buffers.fields.scratch(self._work_rows)
         attack_form, hold, *moved = self._no_attack if attack is None else attack
         detector_form, *judged = self._no_detector if detector is None else detector
-        arrays: tuple[Any, ...] = (self._table.entries, *moved, *judged, self.weights, work)
-        forms = attack_form, hold, detector_form
-        sound = _kernels.run_epochs(*arrays, *forms, what, count, lo, hi)
+        arrays = self._table.entries, *moved, *judged, self.weights, work
+        rest = attack_form, hold, detector_form, what, count, lo, hi
+        given: tuple[Any, ...] = (*arrays, *rest)
+        sound = _kernels.run_epochs(*given)
         self._spare.append(work)
         if not sound:
             self._is_sound = False
