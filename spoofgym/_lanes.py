@@ -65,9 +65,11 @@ class LaneFields:
     def put(self, name: str, receivers: Any, values: Any) -> None:
         """Write a quantity of some receivers; `values` as NumPy broadcasts them to (b, ...)."""
         index = np.arange(self.receivers)[receivers]
-        shape = (len(index), *self.shapes[name])
-        flat = np.broadcast_to(np.asarray(values), shape).reshape(len(index), -1)
-        self._grouped[index // self.lanes, self._rows_of(name), index % self.lanes] = flat
+        shape, rows = (len(index), *self.shapes[name]), self._rows_of(name)
+        flat = np.broadcast_to(np.asarray(values), shape).reshape(
+            len(index), rows.stop - rows.start
+        )
+        self._grouped[index // self.lanes, rows, index % self.lanes] = flat
         self._fill_lanes()
 
     def __setitem__(self, name: str, values: Any) -> None:
@@ -102,6 +104,6 @@ class LaneFields:
 
 def _aligned(size: int, dtype: type) -> NDArray[Any]:
     """Zeros that start where a vector may."""
-    memory = np.zeros(size + ALIGNMENT // 8, dtype=dtype)
+    memory: NDArray[Any] = np.zeros(size + ALIGNMENT // 8, dtype=dtype)
     first = (ALIGNMENT - memory.ctypes.data % ALIGNMENT) % ALIGNMENT // 8
     return memory[first : first + size]

@@ -18,7 +18,7 @@ chooses lane by lane, and `any_lane` asks whether it holds anywhere.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, register_model
+from numba.np.arrayobj import populate_array
 
 LANES = 8
 ALIGNMENT = 64
@@ -129,9 +130,16 @@ def _common(*given: types.Type) -> _Vector | None:
     if len(kinds) != 1:
         return None
     (kind,) = kinds
-    fitting = {F8: types.Number, U8: types.Integer, M8: types.Boolean}[kind]
     others = (each for each in given if not isinstance(each, _Vector))
-    return kind if all(isinstance(each, fitting) for each in others) else None
+    return kind if all(_fits(each, kind) for each in others) else None
+
+
+def _fits(number: types.Type, kind: _Vector) -> bool:
+    """Whether a number with a vector gives what it gives with a number, as numba types that."""
+    if kind is U8:
+        return isinstance(number, types.Integer) and not number.signed
+    real = (types.Integer, types.Float)
+    return isinstance(number, types.Boolean if kind is M8 else real)
 
 
 def _binary(
@@ -141,10 +149,10 @@ def _binary(
 
     def kind_of(x: types.Type, y: types.Type) -> types.Type | None:
         kind = _common(x, y)
-        return None if kind not in emits else (result or kind)
+        return None if kind is None or kind not in emits else (result or kind)
 
     def emit(context: Any, builder: Any, given: Any, values: Any) -> Any:
-        kind = _common(*given)
+        kind: Any = _common(*given)
         operands = [_cast(context, builder, v, t, kind) for v, t in zip(values, given, strict=True)]
         name, _, predicate = emits[kind].partition(" ")
         method = getattr(builder, name)
@@ -193,21 +201,44 @@ def _row_kind(array: types.Type) -> types.Type | None:
     return {types.float64: F8, types.uint64: U8}.get(array.dtype)
 
 
-def _row_address(context: Any, builder: Any, given: Any, values: Any) -> tuple[Any, Any]:
-    """Address of a row, and its LLVM type."""
-    array = context.make_array(given[0])(context, builder, values[0])
+def _data(context: Any, builder: Any, kind: types.Array, array: Any) -> Any:
+    """Address of an array's elements: its field alone, which is much less code than the array."""
+    position = context.data_model_manager[kind].get_field_position("data")
+    return builder.extract_value(array, position)
+
+
+def _row_address(context: Any, builder: Any, given: Any, values: Any) -> Any:
+    """Address of a row."""
+    data = _data(context, builder, given[0], values[0])
     row = context.cast(builder, values[1], given[1], types.intp)
     kind = _row_kind(given[0])
     if not isinstance(kind, _Vector):
-        return builder.gep(array.data, [row]), None
+        return builder.gep(data, [row])
     first = builder.mul(row, ir.Constant(ir.IntType(64), LANES))
-    pointer = builder.gep(array.data, [first])
-    return builder.bitcast(pointer, _LLVM[kind].as_pointer()), _LLVM[kind]
+    pointer = builder.gep(data, [first])
+    return builder.bitcast(pointer, _LLVM[kind].as_pointer())
+
+
+class _Lanes(np.ndarray):
+    """A vector without compilation: like a number, none that ``+=`` changes in place."""
+
+    __iadd__: Any = np.ndarray.__add__
+    __isub__: Any = np.ndarray.__sub__
+    __imul__: Any = np.ndarray.__mul__
+    __itruediv__: Any = np.ndarray.__truediv__
+    __iand__: Any = np.ndarray.__and__
+    __ior__: Any = np.ndarray.__or__
+    __ixor__: Any = np.ndarray.__xor__
+
+
+def _python(values: Any) -> Any:
+    """A number, or a vector without compilation."""
+    return values[()] if values.ndim == 0 else values.view(_Lanes)
 
 
 def load(array: Any, row: int) -> Any:
     """Row of a lane array: a vector, or a number where it holds a single receiver."""
-    return array[row] if array.ndim == 1 else array[row].copy()
+    return array[row] if array.ndim == 1 else _python(array[row].copy())
 
 
 def store(array: Any, row: int, value: Any) -> None:
@@ -216,14 +247,13 @@ def store(array: Any, row: int, value: Any) -> None:
 
 
 def _emit_load(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    address, vector = _row_address(context, builder, given, values)
-    loaded = builder.load(address)
+    loaded = builder.load(_row_address(context, builder, given, values))
     loaded.align = 8
     return loaded
 
 
 def _emit_store(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    address, vector = _row_address(context, builder, given, values)
+    address = _row_address(context, builder, given, values)
     value = _cast(context, builder, values[2], given[2], _row_kind(given[0]))
     stored = builder.store(value, address)
     stored.align = 8
@@ -246,14 +276,14 @@ _define(
 
 def splat(value: Any, like: Any) -> Any:
     """A number in all lanes, of as many lanes as `like` has: a lane array, vector or number."""
-    if isinstance(like, np.ndarray) and (like.ndim == 2 or like.shape == (LANES,)):
-        return np.full(LANES, value)
+    if isinstance(like, _Lanes) or np.ndim(like) == 2:
+        return _python(np.full(LANES, value))
     return value
 
 
 def _splat_kind(value: types.Type, like: types.Type) -> types.Type | None:
     many = isinstance(like, _Vector) or (isinstance(like, types.Array) and like.ndim == 2)
-    if not many:
+    if not many or isinstance(value, _Vector):
         return value
     if isinstance(value, types.Float):
         return F8
@@ -326,12 +356,12 @@ def to_float(x: Any) -> Any:
 
 def bits_of(x: Any) -> Any:
     """The 64 bits of a double, as an unsigned integer."""
-    return np.asarray(x, dtype=np.float64).view(np.uint64)[()]
+    return _python(np.asarray(x, dtype=np.float64).view(np.uint64))
 
 
 def from_bits(x: Any) -> Any:
     """The double that has these bits."""
-    return np.asarray(x, dtype=np.uint64).view(np.float64)[()]
+    return _python(np.asarray(x, dtype=np.uint64).view(np.float64))
 
 
 def _bitcast(builder: Any, value: Any, given: types.Type, result: types.Type) -> Any:
@@ -351,7 +381,7 @@ _unary(bits_of, {real: bits for bits, real in _TO_REAL.items()}, _bitcast)
 
 def select(mask: Any, x: Any, y: Any) -> Any:
     """X in the lanes where a mask holds, y in the others; both are computed."""
-    return np.where(mask, x, y)[()]
+    return _python(np.where(mask, x, y))
 
 
 def _select_kind(mask: types.Type, x: types.Type, y: types.Type) -> types.Type | None:
@@ -363,7 +393,8 @@ def _select_kind(mask: types.Type, x: types.Type, y: types.Type) -> types.Type |
     plain = isinstance(mask, types.Boolean) and not {F8, U8, M8} & {x, y}
     if not plain:
         return None
-    return x if x == y else (types.float64 if isinstance(x, types.Number) else None)
+    real = _fits(x, F8) and _fits(y, F8) and any(isinstance(each, types.Float) for each in (x, y))
+    return x if x == y else (types.float64 if real else None)
 
 
 def _emit_select(context: Any, builder: Any, given: Any, values: Any) -> Any:
@@ -449,10 +480,10 @@ def _lane_count(array: types.Type) -> int:
 
 
 def _lane_address(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    array = context.make_array(given[0])(context, builder, values[0])
+    data = _data(context, builder, given[0], values[0])
     row, index = (context.cast(builder, values[k], given[k], types.intp) for k in (1, 2))
     first = builder.mul(row, ir.Constant(ir.IntType(64), _lane_count(given[0])))
-    return builder.gep(array.data, [builder.add(first, index)])
+    return builder.gep(data, [builder.add(first, index)])
 
 
 def _emit_set_lane(context: Any, builder: Any, given: Any, values: Any) -> Any:
@@ -479,3 +510,97 @@ _define(
     _emit_set_lane,
     4,
 )
+
+
+# --- many arrays as one argument -------------------------------------------------------------
+
+
+class ArrayTable:
+    """Addresses and sizes of C-contiguous arrays, which a kernel takes as one argument.
+
+    To hand an array to compiled code costs as much as some hundred operations; `floats_at` and the
+    others make it of its address there.  The table keeps the arrays alive; each has to stay where
+    it is.
+
+    `entries` (2 k,) int64, address and number of elements of each.
+    """
+
+    def __init__(self, arrays: Sequence[np.ndarray[Any, Any]]) -> None:
+        for array in arrays:
+            if not array.flags.c_contiguous:
+                raise ValueError("the arrays of a table must be C-contiguous")
+        self.arrays = tuple(arrays)
+        pairs = [(array.ctypes.data, array.size) for array in arrays]
+        self.entries = np.array(pairs, dtype=np.int64).ravel()
+
+
+def _array(entries: Any, index: int, dtype: type, many: bool = False) -> Any:
+    size, kind = int(entries[2 * index + 1]), np.ctypeslib.as_ctypes_type(dtype)
+    flat = np.ctypeslib.as_array((kind * size).from_address(int(entries[2 * index])))
+    return flat.reshape(-1, LANES) if many else flat
+
+
+def floats_at(entries: Any, index: int) -> Any:
+    """Array of a table, (N,) float64."""
+    return _array(entries, index, np.float64)
+
+
+def integers_at(entries: Any, index: int) -> Any:
+    """Array of a table, (N,) int64."""
+    return _array(entries, index, np.int64)
+
+
+def flags_at(entries: Any, index: int) -> Any:
+    """Array of a table, (N,) bool."""
+    return _array(entries, index, np.bool_)
+
+
+def rows_at(entries: Any, index: int, like: Any) -> Any:
+    """Lane array of a table, float64, as wide as `like`."""
+    return _array(entries, index, np.float64, like.ndim == 2)
+
+
+def words_at(entries: Any, index: int, like: Any) -> Any:
+    """Lane array of a table, uint64, as wide as `like`."""
+    return _array(entries, index, np.uint64, like.ndim == 2)
+
+
+def _define_reader(function: Callable[..., Any], element: types.Type, arity: int) -> None:
+    def kind_of(*given: types.Type) -> types.Array:
+        return types.Array(element, given[2].ndim if arity == 3 else 1, "C")
+
+    def emit(context: Any, builder: Any, given: Any, values: Any) -> Any:
+        def number(value: int) -> Any:
+            return ir.Constant(ir.IntType(64), value)
+
+        kind = kind_of(*given)
+        data = _data(context, builder, given[0], values[0])
+        index = context.cast(builder, values[1], given[1], types.intp)
+        place = builder.mul(index, number(2))
+        address = builder.load(builder.gep(data, [place]))
+        size = builder.load(builder.gep(data, [builder.add(place, number(1))]))
+        item = context.get_data_type(element)
+        width = number(context.get_abi_sizeof(item))
+        shape, strides = [size], [width]
+        if kind.ndim == 2:
+            lanes = number(LANES)
+            shape, strides = [builder.udiv(size, lanes), lanes], [builder.mul(width, lanes), width]
+        array = context.make_array(kind)(context, builder)
+        populate_array(
+            array,
+            data=builder.inttoptr(address, item.as_pointer()),
+            shape=cgutils.pack_array(builder, shape),
+            strides=cgutils.pack_array(builder, strides),
+            itemsize=width,
+            meminfo=None,
+        )
+        return array._getvalue()
+
+    _define(function, kind_of, emit, arity)
+
+
+_define_reader(floats_at, types.float64, 2)
+_define_reader(integers_at, types.int64, 2)
+_define_reader(flags_at, types.boolean, 2)
+_define_reader(rows_at, types.float64, 3)
+_define_reader(words_at, types.uint64, 3)

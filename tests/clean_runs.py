@@ -41,22 +41,18 @@ def advance_to(simulator: TightlyCoupledSimulator, time_s: float) -> None:
 
 def position_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
     """(B, 3) estimate minus truth, ECEF [m]."""
-    return (
-        simulator.buffers.state.position_e - simulator.setup.world.position_e[epoch_of(simulator)]
-    )
+    return simulator.buffers.position_e - simulator.setup.world.position_e[epoch_of(simulator)]
 
 
 def velocity_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
     """(B, 3) estimate minus truth, ECEF [m/s]."""
-    return (
-        simulator.buffers.state.velocity_e - simulator.setup.world.velocity_e[epoch_of(simulator)]
-    )
+    return simulator.buffers.velocity_e - simulator.setup.world.velocity_e[epoch_of(simulator)]
 
 
 def attitude_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
     """(B, 3) rotation vector of the estimate against the truth, ECEF axes [rad]."""
     true_C_eb = simulator.setup.world.C_eb[epoch_of(simulator)]
-    turn = np.einsum("bij,kj->bik", simulator.buffers.state.C_eb, true_C_eb)
+    turn = np.einsum("bij,kj->bik", simulator.buffers.fields["C_eb"], true_C_eb)
     skew = 0.5 * (turn - turn.transpose(0, 2, 1))
     return np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
 
@@ -67,19 +63,20 @@ def state_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
     A bias is what an accelerometer or a gyro adds in straight flight at the present specific force:
     errors of scale act on it as on a bias.  What they make of a rotation is no bias.
     """
-    state, sensors, world = simulator.buffers.state, simulator.sensors.state, simulator.setup.world
+    state, sensors = simulator.buffers.fields, simulator.sensors.fields
+    world = simulator.setup.world
     first, last = world.epoch_end[epoch_of(simulator) - 1 : epoch_of(simulator) + 1]
     force = world.run[:3, first:last].mean(axis=1)
-    accel_bias = sensors.accel_bias + (sensors.accel_matrix - np.eye(3)) @ force
-    gyro_bias = sensors.gyro_bias + sensors.g_dependence @ force
+    accel_bias = sensors["accel_bias"] + (sensors["accel_matrix"] - np.eye(3)) @ force
+    gyro_bias = sensors["gyro_bias"] + sensors["g_dependence"] @ force
     return np.hstack(
         [
             attitude_error(simulator),
             velocity_error(simulator),
             position_error(simulator),
-            accel_bias - state.accel_bias_b,
-            gyro_bias - state.gyro_bias_b,
-            sensors.clock - state.clock,
+            accel_bias - state["accel_bias_b"],
+            gyro_bias - state["gyro_bias_b"],
+            sensors["clock"] - state["clock"],
         ]
     )
 
@@ -87,5 +84,5 @@ def state_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
 def normalized_error_squared(simulator: TightlyCoupledSimulator, states: np.ndarray) -> np.ndarray:
     """(B,) e' P^-1 e of some states."""
     error = state_error(simulator)[:, states]
-    covariance = simulator.buffers.state.covariance[:, states[:, None], states]
+    covariance = simulator.buffers.covariance[:, states[:, None], states]
     return np.einsum("bi,bi->b", error, np.linalg.solve(covariance, error[..., None])[..., 0])

@@ -1,21 +1,27 @@
 """The tests of identity on other kinds of processors: ``python -m tests.cpus [KIND ...]``.
 
-Every kind has a process and a compile cache of its own.  A kind with instructions that this
-processor lacks is skipped, and named.
+Every kind has processes and a compile cache of its own.  A kind with instructions that this
+processor lacks is skipped, and named.  What the tightly coupled engine computes is compared between
+the kinds, to the last bit (`tests.digests`); with ``--compare`` that is all that is done.  Only
+compiled code is for another kind: NumPy, BLAS and the C library choose by the processor itself.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from llvmlite.binding import get_host_cpu_features
 
 from spoofgym._jit import CACHE_VARIABLE
 
+Digests = dict[str, dict[str, str]]
+"""By run and by field, as `tests.digests` prints them."""
+COMPARE = "--compare"
 _HASWELL = "sse4.2 popcnt avx2 fma bmi bmi2 f16c lzcnt movbe"
 _AVX512 = "avx512f avx512bw avx512cd avx512dq avx512vl adx clwb"
 _ZNVER3 = f"{_HASWELL} sse4a sha adx clwb vaes vpclmulqdq"
@@ -56,29 +62,66 @@ def environment(kind: str, cache: str) -> dict[str, str]:
     return kept | chosen
 
 
-def passes(kind: str) -> bool:
+def passes(kind: str, cache: str) -> bool:
     """Run the tests in a process that compiles for a kind."""
-    with tempfile.TemporaryDirectory(prefix="spoofgym-cpus-") as cache:
-        command = [sys.executable, "-m", "pytest", "-q", *TESTS]
-        return subprocess.run(command, env=environment(kind, cache), check=False).returncode == 0
+    command = [sys.executable, "-m", "pytest", "-q", *TESTS]
+    return subprocess.run(command, env=environment(kind, cache), check=False).returncode == 0
 
 
-def main(kinds: Sequence[str]) -> int:
-    """Number of kinds whose tests fail; 1 also where this processor can run none of them."""
-    features, results = host_features(), {}
-    for kind in kinds or KINDS:
+def digests(kind: str, cache: str) -> Digests | None:
+    """What a process that compiles for a kind computes; None where it fails."""
+    command = [sys.executable, "-m", "tests.digests"]
+    done = subprocess.run(
+        command, env=environment(kind, cache), stdout=subprocess.PIPE, text=True, check=False
+    )
+    return None if done.returncode else json.loads(done.stdout)
+
+
+def differences(computed: Mapping[str, Digests]) -> list[str]:
+    """Where kinds differ from the first one: a line for every run, with the fields."""
+    (first, expected), *others = computed.items()
+    found = []
+    for kind, given in others:
+        for run in {**expected, **given}:
+            mine, theirs = expected.get(run, {}), given.get(run, {})
+            fields = [name for name in {**mine, **theirs} if mine.get(name) != theirs.get(name)]
+            if fields:
+                found.append(f"{kind} differs from {first}: {run}: {', '.join(fields)}")
+    return found
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Number of kinds that fail or differ; 1 also where this processor can run none of them."""
+    kinds = [kind for kind in arguments if kind != COMPARE] or list(KINDS)
+    for kind in kinds:
         if kind not in KINDS:
-            raise SystemExit(f"unknown kind of processor {kind!r}; valid are {', '.join(KINDS)}")
+            raise SystemExit(
+                f"unknown kind of processor {kind!r}; valid are {', '.join(KINDS)}, and {COMPARE}"
+            )
+    features, results = host_features(), {}
+    computed: dict[str, Digests] = {}
+    for kind in kinds:
         lacking = missing(kind, features)
         print(f"== {kind}", flush=True)
-        results[kind] = (
-            f"skipped: this processor lacks {', '.join(lacking)}"
-            if lacking
-            else ("passed" if passes(kind) else "FAILED")
-        )
+        if lacking:
+            results[kind] = f"skipped: this processor lacks {', '.join(lacking)}"
+            continue
+        with tempfile.TemporaryDirectory(prefix="spoofgym-cpus-") as cache:
+            passed = COMPARE in arguments or passes(kind, cache)
+            found = digests(kind, cache)
+        if found is not None:
+            computed[kind] = found
+        results[kind] = "passed" if passed and found is not None else "FAILED"
+    wrong = differences(computed) if computed else []
+    for kind in {line.partition(" ")[0] for line in wrong}:
+        results[kind] = "FAILED: other bits"
+    print(*wrong, sep="\n")
     for kind, result in results.items():
         print(f"{kind:16}{result}")
-    outcomes = list(results.values())
+    if len(computed) > 1 and not wrong:
+        fields = sum(map(len, next(iter(computed.values())).values()))
+        print(f"the same bits in {fields} fields: {', '.join(computed)}")
+    outcomes = [result.partition(":")[0] for result in results.values()]
     return outcomes.count("FAILED") or int("passed" not in outcomes)
 
 

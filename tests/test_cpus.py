@@ -6,16 +6,21 @@ import numba
 import numpy as np
 import pytest
 
-from spoofgym import _jit
+from spoofgym.attacks import ATTACKS
 from spoofgym.attacks._kernels import false_position
 from spoofgym.detectors.ewma import judge_channels
 from spoofgym.envs import _kernels as step
 from spoofgym.receiver import _kernels as receiver
+from spoofgym.receiver import replay
+from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulators._kernels import run_epochs
+from spoofgym.simulators.recording import record_run
 
-from . import cpus
+from . import cpus, digests
 from .envs.support import single
 
-LANES_SIGNATURE = "(float64[::1], float64[::1], int64)"
+LANES_SIGNATURE = "(A, int64, A, A, int64, A, A)".replace("A", "float64[:, ::1]")
+"""Of `mechanize`, of eight receivers."""
 
 if numba.config.DISABLE_JIT:
     pytest.skip("nothing is compiled", allow_module_level=True)
@@ -35,13 +40,16 @@ def _played():
     env = single(detector="ewma")
     env.reset(seed=1)
     env.step(np.zeros(2, dtype=np.float32))
+    setup = env.unwrapped.core.setup
     env.close()
+    initial, recording, _ = record_run(setup, np.random.default_rng(1), epochs=2)
+    replay(recording, setup.receiver, initial=initial)
 
 
 @pytest.mark.usefixtures("_played")
 @pytest.mark.parametrize(
     "kernel",
-    [receiver.run_epochs, step.finish, false_position, judge_channels],
+    [run_epochs, receiver.run_epoch, step.finish, false_position, judge_channels],
     ids=lambda kernel: kernel.__name__,
 )
 def test_no_operations_are_fused_and_no_sums_regrouped(kernel):
@@ -50,20 +58,20 @@ def test_no_operations_are_fused_and_no_sums_regrouped(kernel):
     assert code
     for text in code.values():
         operations = re.findall(r" = f(?:add|sub|mul|div) ((?:[a-z]+ )*)(?:double|<)", text)
-        assert {flag for flags in operations for flag in flags.split()} == _jit.FASTMATH
-        assert not re.search(r" (?:contract|reassoc|fast) ", text)
-        assert "llvm.fma" not in text
+        assert operations or kernel is step.finish
+        assert not any(operations), "a rule of floating point is relaxed"
+        assert not re.search(r"llvm\.(?:fma|fmuladd)", text)
 
 
 def test_the_machine_code_is_for_the_processor_that_is_asked_for():
     """``zmm`` are the registers of AVX-512, ``ymm`` those of AVX."""
     name = numba.config.CPU_NAME
     features = set(cpus.KINDS[name].split()) if name else cpus.host_features()
-    (code,) = compiled(receiver.strapdown_lanes, LANES_SIGNATURE).inspect_asm().values()
+    (code,) = compiled(receiver.mechanize, LANES_SIGNATURE).inspect_asm().values()
     registers = set(re.findall(r"%([xyz]mm)", code))
+    widest = "zmm" if "avx512f" in features else ("ymm" if "avx2" in features else "xmm")
     assert "xmm" in registers
-    assert ("ymm" in registers) == ("avx2" in features)
-    assert "zmm" not in registers or "avx512f" in features
+    assert max(registers) == widest  # a vector of eight fills as few registers as can be
 
 
 def test_a_kind_is_skipped_that_the_processor_cannot_run():
@@ -82,3 +90,60 @@ def test_where_no_kind_can_run_that_is_no_success(monkeypatch, capsys):
     monkeypatch.setattr(cpus, "host_features", set)
     assert cpus.main([]) == 1
     assert "generic         skipped: this processor lacks sse2" in capsys.readouterr().out
+
+
+def compare(monkeypatch, **computed):
+    """Exit code where every kind has computed something, or failed to."""
+    monkeypatch.setattr(cpus, "missing", lambda kind, features: [])
+    monkeypatch.setattr(cpus, "digests", lambda kind, cache: computed[kind])
+    return cpus.main([*computed, cpus.COMPARE])
+
+
+def test_kinds_with_other_bits_fail_and_their_runs_and_fields_are_named(monkeypatch, capsys):
+    one = {
+        "default: B=1": {"position": "aa", "epoch.innovation": "bb"},
+        "default: B=3": {"x": "cc"},
+    }
+    other = {**one, "default: B=1": {"position": "aa", "epoch.innovation": "b0"}}
+    assert compare(monkeypatch, generic=one, haswell=one, znver4=other) == 1
+    printed = capsys.readouterr().out
+    assert "znver4 differs from generic: default: B=1: epoch.innovation\n" in printed
+    assert "haswell         passed" in printed
+    assert "znver4          FAILED: other bits" in printed
+    assert "the same bits" not in printed
+
+
+def test_a_kind_that_computes_less_differs(monkeypatch):
+    one = {"default: B=1": {"position": "aa"}, "default: B=3": {"position": "bb"}}
+    assert compare(monkeypatch, generic=one, haswell={"default: B=1": {"position": "aa"}}) == 1
+
+
+def test_a_kind_whose_process_fails_fails(monkeypatch):
+    one = {"default: B=1": {"position": "aa"}}
+    assert compare(monkeypatch, generic=one, haswell=None) == 1
+
+
+def test_kinds_with_the_same_bits_pass(monkeypatch, capsys):
+    one = {"default: B=1": {"position": "aa", "x": "bb"}}
+    assert compare(monkeypatch, generic=one, haswell=dict(one)) == 0
+    assert "the same bits in 2 fields: generic, haswell" in capsys.readouterr().out
+
+
+def test_digests_are_of_every_bit():
+    def digest(values):
+        made = digests.Digests()
+        made.add(x=np.array(values), optional=None)
+        return made.hex()
+
+    assert digest([1.0, 2.0]) == digest([1.0, 2.0])
+    assert digest([1.0, 2.0]) != digest([1.0, np.nextafter(2.0, 3.0)])
+    assert {*digest([1.0])} == {"x"}
+
+
+def test_the_runs_hold_every_attack_with_all_equipment_and_every_size_of_batch():
+    attacks = [settings["attack"] for settings in digests.RUNS.values() if "attack" in settings]
+    full = {attack["name"] for attack in attacks if isinstance(attack, dict)}
+    assert full == {*ATTACKS}
+    assert digests.BATCHES == (1, 3, 8, 17)
+    setup = TightlyCoupledSetup(timeline=digests.TIMELINE)
+    assert digests.run_digests(setup, 3) == digests.run_digests(setup, 3)

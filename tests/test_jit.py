@@ -25,7 +25,8 @@ def tree(tmp_path, monkeypatch):
     root = Path(_jit.__file__).parent
     for package in _jit.COMPILED_LAYERS:
         shutil.copytree(root / package, tmp_path / package)
-    shutil.copy(root / "_jit.py", tmp_path)
+    for name in _jit.FOUNDATION:
+        shutil.copy(root / name, tmp_path)
     monkeypatch.setattr(_jit, "__file__", str(tmp_path / "_jit.py"))
     return tmp_path
 
@@ -79,12 +80,13 @@ def test_what_is_no_source_does_not_count(tree):
     assert changed(before) == []
 
 
-def test_the_decorator_and_numba_s_version_count_for_all(tree, monkeypatch):
+def test_the_decorator_the_vectors_and_numba_s_version_count_for_all(tree, monkeypatch):
     before = digests()
-    path = tree / "_jit.py"
-    path.write_text(path.read_text().replace('"arcp"', '"fast"'))
-    assert changed(before) == list(_jit.COMPILED_LAYERS)
-    before = digests()
+    for name in ("_jit.py", "_simd.py", "_lanes.py"):
+        path = tree / name
+        path.write_text(path.read_text() + "\n# a comment\n")
+        assert changed(before) == list(_jit.COMPILED_LAYERS)
+        before = digests()
     monkeypatch.setattr(numba, "__version__", "0.0.0")
     assert changed(before) == list(_jit.COMPILED_LAYERS)
 
@@ -386,37 +388,45 @@ def test_code_of_this_process_lies_in_the_folder_of_its_layer():
     assert _jit.source_digest(0) in folder.as_posix()
 
 
-GAIN = """
+UPDATE = """
 import hashlib, sys
 import numpy as np
-from spoofgym.receiver.kalman import _multiply, gain_solution, product, subtract
+from spoofgym._simd import LANES
+from spoofgym.receiver import kalman
 rng = np.random.default_rng(1)
+shapes = ((), (LANES,))
 if "callees-first" in sys.argv:
-    subtract(np.zeros(289), np.zeros(136), np.zeros(136))
-    product(np.zeros(64), np.zeros(136), np.zeros(136))
-    _multiply(*np.zeros((3, 8, 8)))
+    for shape in shapes:
+        kalman._multiply(*np.zeros((3, 64, *shape)), False)
+        kalman._subtract_square(np.zeros((153, *shape)), 0, np.zeros((kalman.WORK, *shape)))
+        kalman.factor_block(np.ones((kalman.WORK, *shape)), 0)
 digest = hashlib.sha256()
 for covariance_update in (0, 1, 2):
-    root = rng.normal(size=(17, 17))
-    P, sums, dx = (root @ root.T).ravel(), np.zeros((3, 8, 8)), np.zeros(17)
-    for k in (0, 4):
-        rows = rng.normal(size=(3, 4, 4))
-        sums[:, k : k + 4, k : k + 4] = rows @ rows.transpose(0, 2, 1)
-    scratch = (*np.zeros((2, 8, 8)), np.zeros(64), *np.zeros((2, 136)))
-    gain_solution(P, *sums, rng.normal(size=8), covariance_update, *scratch, dx)
-    digest.update(P.tobytes() + dx.tobytes())
+    for shape in shapes:
+        root, rows = rng.normal(size=(17, 17)), rng.normal(size=(6, 4, 4))
+        P = (root @ root.T)[np.triu_indices(17)]
+        work = np.zeros((kalman.WORK, *shape))
+        each = [each[np.triu_indices(4)] for each in rows @ rows.transpose(0, 2, 1)]
+        sums = np.concatenate(each).reshape(-1, *np.ones_like(shape))
+        P = P.reshape(-1, *np.ones_like(shape)) * np.ones((153, *shape))
+        work[kalman.L : kalman.L + 20] = sums[:20]
+        work[kalman.A1 : kalman.A1 + 40] = sums[20:]
+        work[kalman.Y : kalman.Y + 8] = rng.normal(size=(8, *shape))
+        kalman.update(P, 0, covariance_update, work)
+        assert np.isfinite(P).all()
+        digest.update(P.tobytes() + work[kalman.X : kalman.X + 17].tobytes())
 print(digest.hexdigest())
 """
 
 
 @pytest.mark.slow
 def test_a_process_that_compiles_has_the_bits_of_one_that_loads(tmp_path):
-    """A chain of four kernels; their sums come out otherwise where LLVM may regroup them."""
+    """A chain of kernels; their sums come out otherwise where LLVM may regroup them."""
     environment = os.environ | {_jit.CACHE_VARIABLE: str(tmp_path)}
     environment.pop("NUMBA_DISABLE_JIT", None)
     digests_of = {}
     for case in ("compiling", "loading", "callees-first"):
-        command = [sys.executable, "-c", GAIN, case]
+        command = [sys.executable, "-c", UPDATE, case]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         digests_of[case] = done.stdout.strip()

@@ -1,9 +1,15 @@
-"""Whether this working tree behaves, to the last bit, as an older commit does.
+"""Whether this working tree behaves, to the last bit, as an older commit does, and how fast it is.
 
 ``python -m tools.frozen --against COMMIT`` plays every id in every form in both trees on this
 machine, and compares all that they return.  What has another name now is in ``frozen_names.toml``.
 What the commit did is kept in the user's cache folder, so that the next comparison with it plays
 the working tree alone.
+
+``--tolerance 1e-9`` lets numbers of floating point differ by that part of the largest absolute
+value of their column; what is counted, flagged or named has to be equal, and so do the steps at
+which a value is there.  An alarm that comes an epoch earlier is a difference.
+
+``--speed-of '*'`` plays nothing, and measures both trees in alternate rounds.
 """
 
 from __future__ import annotations
@@ -12,7 +18,6 @@ import contextlib
 import fcntl
 import fnmatch
 import hashlib
-import itertools
 import json
 import os
 import re
@@ -34,22 +39,25 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
+from rich.text import Text
 
 from .frozen_probe import MAIN, SPEEDS, Case
+from .frozen_speed import measure, speed_table
 
 ROOT = Path(__file__).parents[1]
 PROBE = Path(__file__).with_name("frozen_probe.py")
 NAMES = Path(__file__).with_name("frozen_names.toml")
 KEPT_RESULTS = 4
-ROUNDS = 31
+ROUNDS = 15
+FLOAT32 = np.dtype(np.float32)
 QUICK_FORMS = (("single", None), ("same_step", 3))
 """What ``--quick`` plays of every id; of the main one, and of the duel, it plays all."""
 ELEMENTS = {"final_obs": "observation", "terminal_observation": "observation"}
 """Keys whose elements have the names of another."""
 PARTS = "\x1f"
 """Between the parts of a path within a pattern; an id is one part, with a slash of its own."""
-SHOWN = 10
-"""Differences of a case that are printed; with ``--json`` all are."""
+SHOWN, DEVIATIONS_SHOWN = 10, 25
+"""Differences of a case, and columns, that are printed; with ``--json`` all are."""
 Array = np.ndarray[Any, Any]
 Columns = dict[tuple[str, ...], "Column"]
 
@@ -187,21 +195,80 @@ def load_record(file: Path) -> Columns:
     return columns
 
 
-def unequal(old: Array, new: Array, rtol: float) -> Array:
-    """Where two arrays of one shape differ; NaN equals NaN, and 0.0 is not -0.0."""
-    if old.dtype.kind not in "fc":
-        return np.asarray(old != new)
-    nan = np.isnan(old) & np.isnan(new)
-    if rtol:
-        finite = np.abs(old[np.isfinite(old)])
-        limit = rtol * (finite.max() if finite.size else 0.0)
-        with np.errstate(invalid="ignore"):
-            return np.asarray(~((old == new) | (np.abs(old - new) <= limit) | nan))
-    return np.asarray(~(((old == new) & (np.signbit(old) == np.signbit(new))) | nan))
+@dataclass(frozen=True)
+class Deviation:
+    """By how much the floating-point numbers of a column differ at most, where they may.
+
+    - `ratio`: of the largest absolute value of the column in its case;
+    - `absolute`: in the column's own unit.
+    """
+
+    case: str
+    key: str
+    ratio: float
+    absolute: float
+    within: bool
 
 
-def compare(case: Case, old: Columns, new: Columns, scope: Scope, rtol: float) -> list[Difference]:
-    """All columns that differ."""
+@dataclass
+class Tolerance:
+    """What floating-point numbers may differ by, and the largest deviations found so far.
+
+    - `relative`: part of the largest absolute value of the column in its case;
+    - `absolute`: in the column's own unit;
+    - `worst`: by column, of all cases;
+    - `inexact`: cases in which a number differs at all.
+    """
+
+    relative: float = 0.0
+    absolute: float = 0.0
+    worst: dict[str, Deviation] = field(default_factory=dict)
+    inexact: set[str] = field(default_factory=set)
+
+    def unequal(self, old: Array, new: Array) -> Array:
+        """Where two arrays of one shape differ by too much; NaN equals NaN.
+
+        Without a tolerance 0.0 is not -0.0.  Numbers that were rounded to single precision may
+        have gone to its next number.
+        """
+        if old.dtype.kind != "f":
+            return np.asarray(old != new)
+        nan = np.isnan(old) & np.isnan(new)
+        if not (self.relative or self.absolute):
+            return np.asarray(~(((old == new) & (np.signbit(old) == np.signbit(new))) | nan))
+        limit = np.maximum(self.relative * largest(old, new), self.absolute)
+        if old.dtype == FLOAT32:
+            limit = limit + np.spacing(np.maximum(np.abs(old), np.abs(new)))
+        near = np.abs(_difference(old, new)) <= limit
+        return np.asarray(~((old == new) | near | nan))
+
+    def note(self, case: Case, key: str, old: Array, new: Array, *, within: bool) -> None:
+        """Keep the largest deviation of a column."""
+        off = np.abs(_difference(old, new))
+        off = off[np.isfinite(off)]
+        if off.size and off.max() > 0.0:
+            self.inexact.add(case.name)
+            absolute = float(off.max())
+            found = Deviation(case.name, key, absolute / largest(old, new), absolute, within)
+            if key not in self.worst or found.ratio > self.worst[key].ratio:
+                self.worst[key] = found
+
+
+def largest(old: Array, new: Array) -> float:
+    """Largest absolute value of two arrays, of those that are finite."""
+    sizes = np.abs(np.stack([old, new]).astype(np.float64))
+    return float(np.max(sizes, where=np.isfinite(sizes), initial=0.0))
+
+
+def _difference(old: Array, new: Array) -> Array:
+    with np.errstate(invalid="ignore"):  # of infinities
+        return np.asarray(new.astype(np.float64) - old.astype(np.float64))
+
+
+def compare(
+    case: Case, old: Columns, new: Columns, scope: Scope, tolerance: Tolerance
+) -> list[Difference]:
+    """All columns that differ, those first that do so first."""
     found: list[Difference] = []
 
     def differs(step: int | None, key: str, was: Any, is_: Any, places: int = 1) -> None:
@@ -214,7 +281,8 @@ def compare(case: Case, old: Columns, new: Columns, scope: Scope, rtol: float) -
             differs(None, "/".join(path), "declared as dropped", "still there")
         elif path not in expected and not free:
             differs(None, "/".join(path), "missing", _brief(new[path]))
-    for path, before in expected.items():
+    # flags and counts first: where they differ, an event has moved, and numbers follow it
+    for path, before in sorted(expected.items(), key=lambda item: _is_float(old[item[1]])):
         key = "/".join(path)
         if scope.is_added(path):
             differs(None, key, _brief(old[before]), "declared as added")
@@ -223,8 +291,12 @@ def compare(case: Case, old: Columns, new: Columns, scope: Scope, rtol: float) -
         elif path[0] == "names":
             _compare_names(path[1], old[before], new[path], scope, differs)
         else:
-            _compare_column(key, old[before], new[path], rtol, differs)
-    return found
+            _compare_column(case, key, old[before], new[path], tolerance, differs)
+    return sorted(found, key=lambda each: -2 if each.step is None else each.step)
+
+
+def _is_float(column: Column) -> bool:
+    return column.values.dtype.kind == "f"
 
 
 def _brief(column: Column) -> str:
@@ -241,7 +313,9 @@ def _compare_names(key: str, old: Column, new: Column, scope: Scope, differs: An
         differs(None, f"names of the {key}", ", ".join(expected), ", ".join(given))
 
 
-def _compare_column(key: str, old: Column, new: Column, rtol: float, differs: Any) -> None:
+def _compare_column(
+    case: Case, key: str, old: Column, new: Column, tolerance: Tolerance, differs: Any
+) -> None:
     """Compare types, steps and values of a column that both have."""
     kinds = [
         (*c.types, c.values.dtype.kind if c.values.dtype.kind == "U" else str(c.values.dtype))
@@ -259,7 +333,9 @@ def _compare_column(key: str, old: Column, new: Column, rtol: float, differs: An
     elif old.values.shape != new.values.shape:
         differs(None, key, f"shape {old.values.shape[1:]}", f"shape {new.values.shape[1:]}")
     else:
-        wrong = np.argwhere(unequal(old.values, new.values, rtol))
+        wrong = np.argwhere(tolerance.unequal(old.values, new.values))
+        if _is_float(old):
+            tolerance.note(case, key, old.values, new.values, within=not len(wrong))
         if len(wrong):
             at = tuple(wrong[0])
             place = "".join(f"[{i}]" for i in at[1:])
@@ -338,6 +414,10 @@ class Child:
         with contextlib.suppress(BrokenPipeError):  # seen when the answer is missing
             self._process.stdin.write(json.dumps({**request, "imports": self.imports}) + "\n")
             self._process.stdin.flush()
+
+    def signal(self, number: int) -> None:
+        """Send a signal to the process, such as one that lets it wait."""
+        self._process.send_signal(number)
 
     def receive(self) -> dict[str, Any]:
         """Answer to what has been sent."""
@@ -419,6 +499,8 @@ class Report:
     cases: list[str] = field(default_factory=list)
     ends: int = 0
     differences: list[Difference] = field(default_factory=list)
+    inexact: list[str] = field(default_factory=list)
+    deviations: list[Deviation] = field(default_factory=list)
     speed: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
@@ -444,57 +526,44 @@ def old_cases(folder: Path, child: Child | None) -> list[Case]:
     return [Case(*each) for each in json.loads(file.read_text())]
 
 
-def paired_speed(old: Child, new: Child, rounds: int, progress: Progress) -> dict[str, Any]:
-    """Microseconds a step of both, and median and quartiles of the paired differences."""
-    task = progress.add_task("speed", total=rounds * len(SPEEDS))
-    result = {}
-    for what in SPEEDS:
-        pairs = []
-        for k in range(-1, rounds):  # the first round warms up
-            order = (old, new) if k % 2 else (new, old)
-            answers = {child.tree: child.ask(do="speed", what=what) for child in order}
-            for child in order:
-                if "error" in answers[child.tree]:
-                    raise RuntimeError(f"{child.tree}: {answers[child.tree]['traceback']}")
-            pairs.append([1e6 * answers[child.tree]["seconds"] for child in (old, new)])
-            progress.advance(task)
-        times = np.array(pairs[1:])
-        low, middle, high = np.percentile(times[:, 1] - times[:, 0], [25, 50, 75])
-        result[what] = {
-            "old_us": float(np.median(times[:, 0])),
-            "new_us": float(np.median(times[:, 1])),
-            "difference_us": float(middle),
-            "low_us": float(low),
-            "high_us": float(high),
-        }
-    return result
-
-
 def examine(
     commit: str,
     names: Names,
     wanted: Any,
     *,
-    rtol: float,
+    tolerance: Tolerance,
     keep: bool,
+    speeds: Sequence[str],
     rounds: int,
     progress: Progress,
 ) -> Report:
-    """Play and compare."""
+    """Play and compare; without `wanted` only measure."""
     report, folder = Report(commit), results_folder(commit)
     with contextlib.ExitStack() as stack:
         out = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        new = Child(ROOT, names.imports)
-        stack.callback(new.close)
+        trees: list[Path] = []
 
-        def start_old() -> Child:
-            tree = stack.enter_context(old_tree(commit, keep))
-            compiled = tree.parent / "compiled" if not keep else tree.parent.parent / "compiled"
-            child = Child(tree, {}, compiled)
+        def start_new() -> Child:
+            child = Child(ROOT, names.imports)
             stack.callback(child.close)
             child.cases()  # imports the package, and sees to it that it is that of the tree
             return child
 
+        def start_old() -> Child:
+            if not trees:
+                trees.append(stack.enter_context(old_tree(commit, keep)))
+            (tree,) = trees
+            compiled = tree.parent / "compiled" if not keep else tree.parent.parent / "compiled"
+            child = Child(tree, {}, compiled)
+            stack.callback(child.close)
+            child.cases()
+            return child
+
+        if speeds:
+            report.speed = measure(start_old, start_new, speeds, rounds, progress)
+        if wanted is None:
+            return report
+        new = start_new()
         old = None if (folder / "cases.json").exists() else start_old()
         before = [case for case in old_cases(folder, old) if wanted(case)]
         after = [case for case in new.cases() if wanted(case)]
@@ -510,12 +579,12 @@ def examine(
                 child.send(do="run", case=case, out=str(files[name]))
             replies = {name: child.receive() for name, child in children.items()}
             report.ends += replies["new"].get("ends", 0)
-            report.differences += judge(case, files, replies, names, rtol)
+            report.differences += judge(case, files, replies, names, tolerance)
             files["new"].unlink(missing_ok=True)
             report.cases.append(case.name)
             progress.advance(task)
-        if rounds:
-            report.speed = paired_speed(old or start_old(), new, rounds, progress)
+    report.inexact = sorted(tolerance.inexact)
+    report.deviations = sorted(tolerance.worst.values(), key=lambda each: -each.ratio)
     return report
 
 
@@ -524,15 +593,14 @@ def judge(
     files: dict[str, Path],
     replies: dict[str, dict[str, Any]],
     names: Names,
-    rtol: float,
+    tolerance: Tolerance,
 ) -> list[Difference]:
     """Differences of one case, an error in either tree among them."""
     errors = [replies.get(tree, {}).get("error", "plays") for tree in ("old", "new")]
     if errors != ["plays", "plays"]:
         return [Difference(*case, None, "error", *errors)]
-    return compare(
-        case, load_record(files["old"]), load_record(files["new"]), names.of(case.id), rtol
-    )
+    old, new = load_record(files["old"]), load_record(files["new"])
+    return compare(case, old, new, names.of(case.id), tolerance)
 
 
 app = typer.Typer(add_completion=False, context_settings={"help_option_names": ["-h", "--help"]})
@@ -548,13 +616,25 @@ def main(
         str | None,
         typer.Option(help="Only cases like this, such as 'Snapshot-v0/*' or '*/sb3/17'."),
     ] = None,
-    rtol: Annotated[
+    tolerance: Annotated[
         float,
-        typer.Option(min=0.0, help="Tolerance, relative to a column's largest absolute value."),
+        typer.Option(
+            min=0.0,
+            help="What numbers of floating point may differ by in every case, relative to their "
+            "column's largest absolute value; flags, counts and texts have to be equal.",
+        ),
+    ] = 0.0,
+    absolute: Annotated[
+        float,
+        typer.Option(min=0.0, help="The same in the column's own unit; the larger of both holds."),
     ] = 0.0,
     speed: Annotated[
         bool | None,
         typer.Option(help="Compare speed too.  Default: unless --quick or --only is given."),
+    ] = None,
+    speed_of: Annotated[
+        str | None,
+        typer.Option(help=f"Compare only speed, of what is like this: {', '.join(SPEEDS)}."),
     ] = None,
     rounds: Annotated[int, typer.Option(min=3, help="Pairs of rounds of the speed.")] = ROUNDS,
     keep: Annotated[
@@ -571,21 +651,28 @@ def main(
     commit = git("rev-parse", "--verify", f"{against}^{{commit}}")
     console = Console(stderr=True, quiet=json_)
     timed = (not quick and only is None) if speed is None else speed
+    speeds = [what for what in SPEEDS if fnmatch.fnmatchcase(what, speed_of or "*")]
+    if not speeds:
+        raise typer.BadParameter(
+            f"no measurement is like {speed_of!r}; there are {', '.join(SPEEDS)}",
+            param_hint="--speed-of",
+        )
     try:
         with Progress(console=console, transient=True) as progress:
             report = examine(
                 commit,
                 Names.load(NAMES),
-                lambda case: is_wanted(case, quick, only),
-                rtol=rtol,
+                None if speed_of else lambda case: is_wanted(case, quick, only),
+                tolerance=Tolerance(tolerance, absolute),
                 keep=keep,
-                rounds=rounds if timed else 0,
+                speeds=speeds if timed or speed_of else (),
+                rounds=rounds,
                 progress=progress,
             )
     except RuntimeError as error:  # of a probe: nothing has been compared to the end
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error
-    if not report.cases and not report.differences:
+    if not (report.cases or report.differences or speed_of):
         raise typer.BadParameter(f"no case is like {only!r}", param_hint="--only")
     if json_:
         print(json.dumps(asdict(report), indent=2))
@@ -597,24 +684,30 @@ def main(
 def show(report: Report) -> None:
     """Print a report."""
     console = Console(soft_wrap=True, highlight=False)
-    by_case = itertools.groupby(report.differences, lambda each: (each.id, each.form, each.batch))
-    for case, each in by_case:
-        found = list(each)
+    if not console.is_terminal:
+        console.width = 180
+    for case in dict.fromkeys((each.id, each.form, each.batch) for each in report.differences):
+        found = [each for each in report.differences if (each.id, each.form, each.batch) == case]
         for difference in found[:SHOWN]:
             console.print(str(difference), markup=False)
         if len(found) > SHOWN:
             console.print(f"{Case(*case).name}: {len(found) - SHOWN} differences more")
-    if report.speed:
-        table = Table(*("µs a step", "old", "new", "difference", "quartiles"))
-        for what, row in report.speed.items():
-            quartiles = f"{row['low_us']:+.2f} ... {row['high_us']:+.2f}"
-            middle = [f"{row[name]:.2f}" for name in ("old_us", "new_us")]
-            table.add_row(what, *middle, f"{row['difference_us']:+.2f}", quartiles)
+    if report.deviations:
+        table = Table("column", "of its largest", "absolute", "", "case", title="worst deviations")
+        for each in report.deviations[:DEVIATIONS_SHOWN]:
+            sizes = (f"{each.ratio:.1e}", f"{each.absolute:.1e}")
+            table.add_row(Text(each.key), *sizes, "" if each.within else "TOO LARGE", each.case)
         console.print(table)
-    console.print(
-        f"{len(report.cases)} cases against {report.commit[:12]}, {report.ends} ends of episodes: "
-        + (f"{len(report.differences)} differences" if report.differences else "equal")
-    )
+    if report.speed:
+        console.print(speed_table(report.speed))
+    if report.cases:
+        differ = {Case(each.id, each.form, each.batch).name for each in report.differences}
+        bits = len({*report.cases} - differ - {*report.inexact})
+        console.print(
+            f"{len(report.cases)} cases against {report.commit[:12]}, {report.ends} ends of "
+            f"episodes: {bits} equal to the last bit, {len({*report.cases} - differ) - bits} "
+            f"within the tolerance, {len(differ)} with {len(report.differences)} differences"
+        )
 
 
 if __name__ == "__main__":

@@ -250,13 +250,17 @@ class Attack(ABC):
         self.world = context.world
         self.mask = self.captured(context.world)
         axes = len(self.action_names(context.world))
-        self._idle = np.zeros((context.receivers, axes))
+        self.idle = np.zeros((context.receivers, axes))
+        self.slots = np.flatnonzero(self.mask)
+        rules = (self.control == "rate", self.unit_scale, self.rate_limit_mps, self.coherent)
+        self.kernel_settings = np.array(rules, dtype=np.float64)
         self.memory = Memory(context.receivers)
         self.memory.declare("displacement", np.zeros((context.receivers, axes)))
         self.memory.declare("rate", np.zeros((context.receivers, axes)))
         self.memory.declare("onset", np.zeros(context.receivers, dtype=np.int64))
         self.memory.declare("key", np.zeros((context.receivers, 2), dtype=np.uint64))
         self._equipment = self.equipment
+        self.is_perfect = self._equipment.perfect
         self._equipment.declare(self.memory, context.world.channels)
 
     def begin(

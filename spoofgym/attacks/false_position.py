@@ -86,7 +86,7 @@ class FalsePosition(Attack):
         world = self.world
         self._prepare(epochs, lo, hi)
         false_position(
-            self._idle if action is None else action,
+            self.idle if action is None else action,
             action is None,
             self.control == "rate",
             self.unit_scale,

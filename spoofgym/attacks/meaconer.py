@@ -96,7 +96,7 @@ class Meaconer(Attack):
         world, memory = self.world, self.memory
         self._prepare(epochs, lo, hi)
         meaconer(
-            self._idle if action is None else action,
+            self.idle if action is None else action,
             action is None,
             self.control == "rate",
             self.unit_scale,

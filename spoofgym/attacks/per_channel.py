@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..sim.world import World
 from ._kernels import displaced_ranges, per_channel
-from .base import Attack, AttackContext, FloatArray
+from .base import Attack, FloatArray
 
 
 @dataclass(kw_only=True)
@@ -42,11 +42,6 @@ class PerChannel(Attack):
         ids = [name for name, taken in zip(world.satellite_ids, mask, strict=True) if taken]
         return tuple(f"{name}_{self.control}" for name in ids)
 
-    def bind(self, context: AttackContext) -> None:
-        """Prepare for a batch of receivers."""
-        super().bind(context)
-        self._slots = np.flatnonzero(self.mask)
-
     def command(
         self,
         action: FloatArray | None,
@@ -64,14 +59,14 @@ class PerChannel(Attack):
         world = self.world
         self._prepare(epochs, lo, hi)
         per_channel(
-            self._idle if action is None else action,
+            self.idle if action is None else action,
             action is None,
             self.control == "rate",
             self.unit_scale,
             self.rate_limit_mps,
             self.memory["displacement"],
             self.memory["rate"],
-            self._slots,
+            self.slots,
             self.coherent,
             epochs,
             world.epoch_time,

@@ -1,4 +1,4 @@
-"""The command line: ``spoofgym list | card | run | render | tune | bench | tasks | report | perf``.
+"""The command line: ``spoofgym --help`` lists its commands.
 
 Nothing that is slow to load is imported before a command needs it.
 """
@@ -11,8 +11,9 @@ from .bench import bench, report, tune
 from .listing import card, list_, tasks
 from .perf import perf
 from .run import render, run
+from .warmup import warmup
 
 # in the order of the help page
 app.command("list")(clear_errors(list_))
-for _command in (card, run, render, tune, bench, tasks, report, perf):
+for _command in (card, run, render, tune, bench, tasks, report, perf, warmup):
     app.command()(clear_errors(_command))

@@ -138,7 +138,10 @@ class Ewma(Detector):
         self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
         self._quantile = two_sided_quantile(self.false_alarm)
         self._longest = longest_exclusion(self.max_exclusion_s, context.epoch_interval_s)
-        self._limited = self.max_exclusion_s is not None or self.min_satellites > 0
+
+        self.limits_exclusions = self.max_exclusion_s is not None or self.min_satellites > 0
+        scale = 1.0 if self.weight_scale is None else self.weight_scale
+        self.kernel_settings = np.array([self.smoothing, self._quantile, scale])
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch.
@@ -148,13 +151,14 @@ class Ewma(Detector):
         shape = epoch.visible.shape
         size, threshold = np.empty(shape), np.empty(shape)
         weights = np.empty(epoch.innovation.shape)
+        smoothing, quantile, scale = self.kernel_settings.tolist()
         judge_channels(
             epoch.innovation,
             epoch.innovation_variance,
             epoch.visible,
-            self.smoothing,
-            self._quantile,
-            1.0 if self.weight_scale is None else self.weight_scale,
+            smoothing,
+            quantile,
+            scale,
             self.memory["average"],
             self.memory["decay"],
             size,
@@ -162,7 +166,7 @@ class Ewma(Detector):
             weights,
         )
         in_loop = None if self.weight_scale is None else weights
-        if self._limited and in_loop is not None:
+        if self.limits_exclusions and in_loop is not None:
             limit_exclusions(
                 size,
                 threshold,

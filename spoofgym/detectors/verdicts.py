@@ -87,7 +87,7 @@ def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
                     and weights.flags.carray
                 )
             )
-            and _is_sound(statistic, threshold, weights)
+            and is_sound(statistic, threshold, weights)
         ):
             return verdict
     _examine(verdict, detector, epoch)
@@ -101,7 +101,7 @@ def checked_weights(weights: FloatArray, epoch: Epoch) -> FloatArray:
 
 
 @njit
-def _is_sound(statistic: FloatArray, threshold: FloatArray, weights: FloatArray | None) -> bool:
+def is_sound(statistic: FloatArray, threshold: FloatArray, weights: FloatArray | None) -> bool:
     """Whether statistics and thresholds are finite, and weights, if any, within 0 and 1."""
     rows, columns = statistic.shape
     sound = True

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from .._jit import inlined, njit
@@ -19,8 +21,8 @@ from .._simd import (
 from ..earth.ranging import range_and_rate
 from ..earth.wgs84 import EARTH_RATE
 from ..sim._kernels import CHANNELS as SENSOR_CHANNELS
-from ..sim._kernels import CHUNK, KEYS, SKY, draw_samples, gather_sky, measure, recorded
-from ..sim.noise import whole_number
+from ..sim._kernels import CHUNK, IMU_KEY, KEYS, SKY, gather_sky, measure, recorded, sense
+from ..sim.noise import deviates, whole_number
 from . import kalman
 from .error_model import INDEX, TERMS, propagate_covariance, transition_terms
 from .state import receiver_shapes
@@ -37,14 +39,8 @@ IMU_DELTA, NOISE_PSD, COVARIANCE = (
 CHANNELS = _ROWS["measured"]
 """First row of what there is of every channel: the following numbers of rows for n of them."""
 MEASURED, INNOVATION, VARIANCE, SIGHT, VISIBLE, ALL = 0, 2, 4, 6, 9, 10
-MEASURE, PREDICT, UPDATE = 1, 2, 4
+MEASURE, PREDICT, UPDATE, SHOW = 1, 2, 4, 8
 PRODUCT_ROWS = 187
-
-
-def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
-    """Rows of scratch memory that `run_epochs` needs; S and the samples share theirs."""
-    n, fixed = channels, TERMS + PRODUCT_ROWS + kalman.WORK + 6
-    return fixed + gnss_size + (SKY + 6) * n + max(imu_size + imu_size // 6 + 8 * CHUNK, 4 * n * n)
 
 
 # places of what is seen of an epoch, as `state.SEEN`
@@ -127,7 +123,7 @@ def mechanize(x, base, samples, dt, count, active, force):
     _put(force, 0, now, f[0], f[1], f[2])
 
 
-@njit
+@inlined
 def propagate(x, base, force, tau, terms, product):
     """Propagate a group's covariance over one interval."""
     C = (
@@ -196,7 +192,7 @@ def innovate(x, base, n, tau, sky):
         store(x, u + 2, select(visible, uz, 0.0))
 
 
-@njit
+@inlined
 def correct(x, base, n, weights, rules, work, precision):
     """Update a group's state and covariance; lanes with too few satellites stay as they are.
 
@@ -274,53 +270,76 @@ def spread(x, row, count, out, place, first, lanes):
             out[o + i] = lane(x, row + i, index)
 
 
-@njit
-def show(x, base, n, terms, tau, sky, S, places, out, first, lanes):
+@inlined
+def show_position(a, base, b, some):
+    """Write the estimated position and velocity of a group, receiver by receiver."""
+    receivers = a.visible.shape[0]
+    spread(a.x, base + POSITION, 3, a.out, 2 * receivers, b, some)
+    spread(a.x, base + VELOCITY, 3, a.out, 5 * receivers, b, some)
+
+
+@inlined
+def show(a, w, base, b, some):
     """Write what is looked at of a group's predicted epoch, receiver by receiver (`state.SEEN`)."""
-    c = base + CHANNELS
-    spread(x, c + INNOVATION * n, 2 * n, out, places[SEEN_INNOVATION], first, lanes)
-    if places[SEEN_DELTA] >= 0:
-        spread(x, base + IMU_DELTA, 6, out, places[SEEN_DELTA], first, lanes)
-    if places[SEEN_RANGE] >= 0:
-        spread(x, c, n, out, places[SEEN_RANGE], first, lanes)
-    if places[SEEN_RATE] >= 0:
-        spread(x, c + n, n, out, places[SEEN_RATE], first, lanes)
-    m = 2 * n
-    for index in range(lanes):
-        b = first + index
+    (receivers, n), x, out, places = a.visible.shape, a.x, a.out, a.places
+    c, m = base + CHANNELS, 2 * n
+    P, R, u, seen = base + COVARIANCE, c + VARIANCE * n, c + SIGHT * n, c + VISIBLE * n
+    for each in range(some):
+        out[b + each] = a.epoch_time[w.index[0, each]]
+        out[receivers + b + each] = lane(w.tau, 0, each)
         for s in range(n):
-            for i in range(3):
-                if places[SEEN_SATELLITE] >= 0:
-                    out[places[SEEN_SATELLITE] + (b * n + s) * 3 + i] = lane(
-                        sky, SKY * s + i, index
-                    )
-                if places[SEEN_SATELLITE_VELOCITY] >= 0:
-                    o = places[SEEN_SATELLITE_VELOCITY] + (b * n + s) * 3 + i
-                    out[o] = lane(sky, SKY * s + 3 + i, index)
+            a.visible[b + each, s] = lane(x, seen + s, each) > 0.0
+    show_position(a, base, b, some)
+    spread(x, c + INNOVATION * n, m, out, places[SEEN_INNOVATION], b, some)
+    kalman.innovation_variance(x, P, u, R, seen, n, w.added)
+    spread(w.added, 0, m, out, places[SEEN_VARIANCE], b, some)
+    if places[SEEN_DELTA] >= 0:
+        spread(x, base + IMU_DELTA, 6, out, places[SEEN_DELTA], b, some)
+    if places[SEEN_RANGE] >= 0:
+        spread(x, c, n, out, places[SEEN_RANGE], b, some)
+    if places[SEEN_RATE] >= 0:
+        spread(x, c + n, n, out, places[SEEN_RATE], b, some)
+    if places[SEEN_S] >= 0:
+        kalman.innovation_covariance(x, P, u, R, seen, n, w.rest, w.product)
+    for each in range(some):
+        r = b + each
+        if places[SEEN_SATELLITE] >= 0:
+            show_satellites(w.sky, 0, each, n, out, places[SEEN_SATELLITE] + 3 * n * r)
+        if places[SEEN_SATELLITE_VELOCITY] >= 0:
+            show_satellites(w.sky, 3, each, n, out, places[SEEN_SATELLITE_VELOCITY] + 3 * n * r)
         if places[SEEN_S] >= 0:
-            o = places[SEEN_S] + b * m * m
+            o = places[SEEN_S] + m * m * r
             for k in range(m):
                 for j in range(k, m):
-                    value = lane(S, k * m + j, index)
-                    out[o + k * m + j] = value
-                    out[o + j * m + k] = value
+                    out[o + k * m + j] = out[o + j * m + k] = lane(w.rest, k * m + j, each)
         if places[SEEN_P] >= 0:
-            o = places[SEEN_P] + b * 289
+            o = places[SEEN_P] + 289 * r
             for i in range(17):
                 for j in range(17):
-                    out[o + 17 * i + j] = lane(x, base + COVARIANCE + INDEX[i, j], index)
+                    out[o + 17 * i + j] = lane(x, P + INDEX[i, j], each)
         if places[SEEN_H] >= 0:
-            H = out[places[SEEN_H] + b * m * 17 : places[SEEN_H] + (b + 1) * m * 17]
-            for s in range(n):
-                for i in range(3):
-                    value = lane(x, c + SIGHT * n + 3 * s + i, index)
-                    H[17 * s + 6 + i] = value
-                    H[17 * (n + s) + 3 + i] = value
-                H[17 * s + 15] = lane(x, c + VISIBLE * n + s, index)
-                H[17 * (n + s) + 16] = lane(x, c + VISIBLE * n + s, index)
+            o = places[SEEN_H] + 17 * m * r
+            show_design(x, u, seen, each, n, out[o : o + 17 * m])
         if places[SEEN_PHI] >= 0:
-            Phi = out[places[SEEN_PHI] + b * 289 : places[SEEN_PHI] + (b + 1) * 289]
-            show_transition(terms, lane(tau, 0, index), index, Phi)
+            o = places[SEEN_PHI] + 289 * r
+            show_transition(w.terms, lane(w.tau, 0, each), each, out[o : o + 289])
+
+
+@njit
+def show_satellites(sky, column, each, n, out, first):
+    """Write three columns of what is known of the satellites, (n, 3)."""
+    for s in range(n):
+        for i in range(3):
+            out[first + 3 * s + i] = lane(sky, SKY * s + column + i, each)
+
+
+@njit
+def show_design(x, u, seen, each, n, H):
+    """Write what is not 0 of the design matrix H of one receiver, row by row."""
+    for s in range(n):
+        for i in range(3):
+            H[17 * s + 6 + i] = H[17 * (n + s) + 3 + i] = lane(x, u + 3 * s + i, each)
+        H[17 * s + 15] = H[17 * (n + s) + 16] = lane(x, seen + s, each)
 
 
 @njit
@@ -344,20 +363,17 @@ def show_transition(terms, tau, index, Phi):
     Phi[17 * 15 + 16] = tau
 
 
-@njit
-def sample(
-    run, index, keys, key_row, epoch, sensors, sensor_base, measured, rules, x, base, force, work
-):
+@inlined
+def sample(a, w, sensor_base, key_row, epoch, measured, base):
     """Measure a group's inertial samples of one interval, and mechanize them.
 
-    `index` (4, lanes): row 1, where in `run` each lane's interval begins; 2, samples that it has;
-    lanes with as many go together; 3, scratch memory.  Where `measured`, `run` has what the
-    sensors have measured.
+    Rows 1 and 2 of `w.index` say where in `run` each lane's interval begins, and how many samples
+    it has; lanes with as many go together.  Where `measured`, `run` has what the sensors gave.
     """
-    first, counts, start = index[1], index[2], index[3]
-    lanes, size = counts.shape[0], rules[3]
-    samples, work = work[:size], work[size:]
-    dt, truth, active = work[: size // 6], work[size // 6 :], force[3:4]
+    first, counts, start = w.index[1], w.index[2], w.index[3]
+    lanes, size = counts.shape[0], a.rules[3]
+    samples, work = w.rest[:size], w.rest[size:]
+    dt, truth, active = work[: size // 6], work[size // 6 :], w.force[3:4]
     for leader in range(lanes):
         count, done = counts[leader], False
         for other in range(leader):
@@ -369,33 +385,152 @@ def sample(
             set_lane(active, 0, each, 1.0 if together else 0.0)
             start[each] = first[each] if together else first[leader]
         if measured:
-            recorded(run, start, count, samples, dt)
+            recorded(a.run, start, count, samples, dt)
         else:
-            draw_samples(
-                run,
-                start,
-                count,
-                keys,
-                key_row,
-                epoch,
-                sensors,
-                sensor_base,
-                samples,
-                dt,
-                truth,
-                active,
-            )
-        mechanize(x, base, samples, dt, count, active, force)
+            keys = load(a.keys, key_row + IMU_KEY), load(a.keys, key_row + IMU_KEY + 1)
+            deviates(keys[0], keys[1], epoch, size, 6 * count, samples)
+            sense(a.run, start, count, a.sensors, sensor_base, samples, dt, truth, active)
+        mechanize(a.x, base, samples, dt, count, active, w.force)
+
+
+class Arrays(NamedTuple):
+    """What a batch of receivers reads and writes at an epoch, as kernels pass it on.
+
+    - `x`, `sensors`, `keys`: lane arrays of `receiver_shapes`, `sensor_shapes` and `SOURCES`;
+    - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
+    - `visible`, `coasting`: (B, n) and (B,) bool;
+    - `epochs` (B,) that each receiver is at;
+    - `range_offset`, `rate_offset`, `authentic`: of `SensorBuffers`;
+    - `run` (8, N) true samples, their lengths and root rates, as `World.run`, or measured ones;
+    - `epoch_time`, `epoch_end`, `satellites`: of `World`;
+    - `rules`: covariance update, fewest satellites, whether to re-orthonormalize, deviates of an
+      epoch for inertial sensors and for GNSS.
+    """
+
+    x: Any
+    out: Any
+    places: Any
+    visible: Any
+    coasting: Any
+    sensors: Any
+    keys: Any
+    epochs: Any
+    range_offset: Any
+    rate_offset: Any
+    authentic: Any
+    run: Any
+    epoch_time: Any
+    epoch_end: Any
+    satellites: Any
+    rules: Any
+
+
+class Scratch(NamedTuple):
+    """Scratch memory of a thread, in lane arrays; `index` (4, lanes) int64."""
+
+    terms: Any
+    product: Any
+    solution: Any
+    force: Any
+    tau: Any
+    epoch: Any
+    noise: Any
+    sky: Any
+    added: Any
+    precision: Any
+    rest: Any
+    index: Any
+
+
+def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
+    """Rows of scratch memory of a thread; S and the samples share theirs."""
+    n, fixed = channels, TERMS + PRODUCT_ROWS + kalman.WORK + 6
+    return fixed + gnss_size + (SKY + 6) * n + max(imu_size + imu_size // 6 + 8 * CHUNK, 4 * n * n)
+
+
+@inlined
+def name_scratch(a, work):
+    """Name the parts of a lane array of `work_rows`."""
+    n = a.visible.shape[1]
+    terms, work = work[:TERMS], work[TERMS:]
+    product, work = work[:PRODUCT_ROWS], work[PRODUCT_ROWS:]
+    solution, work = work[: kalman.WORK], work[kalman.WORK :]
+    force, tau, epoch, work = work[:4], work[4:5], work[5:6], work[6:]
+    noise, work = work[: a.rules[4]], work[a.rules[4] :]
+    sky, work = work[: SKY * n], work[SKY * n :]
+    added, precision, work = work[: 4 * n], work[4 * n : 6 * n], work[6 * n :]
+    index = np.empty((4, lanes_of(a.x)), np.int64)
+    return Scratch(
+        terms, product, solution, force, tau, epoch, noise, sky, added, precision, work, index
+    )
+
+
+@inlined
+def predict_group(a, w, group, what):
+    """First half of an epoch of one group: measure, mechanize, propagate, innovate.
+
+    With `PREDICT` the group moves on to its next epoch, `MEASURE` alone measures where it is, and
+    without `MEASURE` `run` and the receivers have what has been measured; with `SHOW` the epoch is
+    written to where detectors look at it.
+    """
+    receivers, n = a.visible.shape
+    lanes, x = lanes_of(a.x), a.x
+    base, c = group * (CHANNELS + ALL * n), group * (CHANNELS + ALL * n) + CHANNELS
+    sensor_base, key_row = group * (SENSOR_CHANNELS + 2 * n), group * KEYS
+    b, some = group * lanes, min(lanes, receivers - group * lanes)
+    moves = 1 if what & PREDICT else 0
+    for each in range(lanes):  # lanes without a receiver follow the last one
+        k = a.epochs[min(b + each, receivers - 1)] + moves
+        w.index[0, each] = k
+        w.index[1, each] = a.epoch_end[k - moves]
+        w.index[2, each] = a.epoch_end[k] - a.epoch_end[k - moves]
+        set_lane(w.epoch, 0, each, float(k))
+        set_lane(w.tau, 0, each, a.epoch_time[k] - a.epoch_time[k - moves])
+    for each in range(some):
+        a.epochs[b + each] = w.index[0, each]
+    gather_sky(a.satellites, w.index[0], w.sky)
+    tau, epoch = load(w.tau, 0), whole_number(load(w.epoch, 0))
+    if what & MEASURE:
+        for each in range(lanes):
+            follows = min(b + each, receivers - 1)
+            for s in range(n):
+                set_lane(w.added, s, each, a.range_offset[follows, s])
+                set_lane(w.added, n + s, each, a.rate_offset[follows, s])
+            for s in range(2 * n):
+                set_lane(w.added, 2 * n + s, each, a.authentic[follows, s])
+        measure(
+            a.sensors, sensor_base, n, a.keys, key_row, epoch, tau, w.sky, w.noise, w.added, x, c
+        )
+    if what & PREDICT:
+        sample(a, w, sensor_base, key_row, epoch, what & MEASURE == 0, base)
+        propagate(x, base, w.force, tau, w.terms, w.product)
+        innovate(x, base, n, tau, w.sky)
+    if what & SHOW:
+        show(a, w, base, b, some)
+
+
+@inlined
+def update_group(a, w, group, weights):
+    """Second half of an epoch of one group; `weights` (B, 2n) on the columns of the gain."""
+    receivers, n = a.visible.shape
+    lanes, base = lanes_of(a.x), group * (CHANNELS + ALL * n)
+    b, some = group * lanes, min(lanes, receivers - group * lanes)
+    for each in range(lanes):
+        for s in range(2 * n):
+            set_lane(w.added, s, each, weights[min(b + each, receivers - 1), s])
+    store(w.tau, 0, correct(a.x, base, n, w.added, a.rules, w.solution, w.precision))
+    for each in range(some):
+        a.coasting[b + each] = lane(w.tau, 0, each) < a.rules[1]
+    show_position(a, base, b, some)
 
 
 @njit
-def run_epochs(
+def run_epoch(
     x,
     out,
     places,
     visible,
     coasting,
-    weights,
     sensors,
     keys,
     epochs,
@@ -408,115 +543,33 @@ def run_epochs(
     satellites,
     rules,
     work,
+    weights,
     what,
-    count,
-    lo,
-    hi,
 ):
-    """Do some of what an epoch is made of, for some epochs of receivers lo to hi, group by group.
-
-    The engine and the replay of recordings call this and nothing else.  `PREDICT` moves on to the
-    next epoch, `MEASURE` alone measures where the receivers are.
-
-    `x`, `sensors`, `keys`: lane arrays of `receiver_shapes`, `sensor_shapes` and `SOURCES`; `out`,
-    `places`: `seen_floats` and `places` of `ReceiverBuffers`; `visible`, `coasting`: (B, n) and
-    (B,) bool; `weights` (B, 2n) on the columns of the gain; `epochs` (B,) that each receiver is at;
-    offsets and `authentic` of `SensorBuffers`; `run` (8, N) true samples, their lengths and root
-    rates, as `World.run`, or, without `MEASURE`, measured ones; `rules`: covariance update, fewest
-    satellites, whether to re-orthonormalize, deviates of an epoch for inertial sensors and for
-    GNSS; `work`: lane array of `work_rows`, scratch memory of the calling thread.
-    """
-    receivers, n = visible.shape
-    lanes = lanes_of(x)
-    rows, sensor_rows = CHANNELS + ALL * n, SENSOR_CHANNELS + 2 * n
-    terms, work = work[:TERMS], work[TERMS:]
-    product, work = work[:PRODUCT_ROWS], work[PRODUCT_ROWS:]
-    solution, work = work[: kalman.WORK], work[kalman.WORK :]
-    force, tau, epoch, work = work[:4], work[4:5], work[5:6], work[6:]
-    noise, work = work[: rules[4]], work[rules[4] :]
-    sky, work = work[: SKY * n], work[SKY * n :]
-    added, precision, work = work[: 4 * n], work[4 * n : 6 * n], work[6 * n :]
-    index = np.empty((4, lanes), np.int64)
-    now, first, counts = index[0], index[1], index[2]
-    moves = 1 if what & PREDICT else 0
-    for group in range(lo // lanes, -(-hi // lanes)):
-        base, sensor_base, key_row = group * rows, group * sensor_rows, group * KEYS
-        b, c = group * lanes, group * rows + CHANNELS
-        some = min(lanes, receivers - b)
-        for _ in range(count):
-            if what & (MEASURE | PREDICT):
-                for each in range(lanes):  # lanes without a receiver follow the last one
-                    k = epochs[min(b + each, receivers - 1)] + moves
-                    now[each] = k
-                    set_lane(epoch, 0, each, float(k))
-                    set_lane(tau, 0, each, epoch_time[k] - epoch_time[k - moves])
-                    first[each] = epoch_end[k - moves]
-                    counts[each] = epoch_end[k] - epoch_end[k - moves]
-                for each in range(some):
-                    epochs[b + each] = now[each]
-                gather_sky(satellites, now, sky)
-            if what & MEASURE:
-                for each in range(lanes):
-                    follows = min(b + each, receivers - 1)
-                    for s in range(n):
-                        set_lane(added, s, each, range_offset[follows, s])
-                        set_lane(added, n + s, each, rate_offset[follows, s])
-                    for s in range(2 * n):
-                        set_lane(added, 2 * n + s, each, authentic[follows, s])
-                measure(
-                    sensors,
-                    sensor_base,
-                    n,
-                    keys,
-                    key_row,
-                    whole_number(load(epoch, 0)),
-                    load(tau, 0),
-                    sky,
-                    noise,
-                    added,
-                    x,
-                    c,
-                )
-            if what & PREDICT:
-                sample(
-                    run,
-                    index,
-                    keys,
-                    key_row,
-                    whole_number(load(epoch, 0)),
-                    sensors,
-                    sensor_base,
-                    what & MEASURE == 0,
-                    rules,
-                    x,
-                    base,
-                    force,
-                    work,
-                )
-                propagate(x, base, force, load(tau, 0), terms, product)
-                innovate(x, base, n, load(tau, 0), sky)
-                if what & UPDATE == 0:
-                    P, R, u = base + COVARIANCE, c + VARIANCE * n, c + SIGHT * n
-                    kalman.innovation_variance(x, P, u, R, c + VISIBLE * n, n, added)
-                    if places[SEEN_S] >= 0:
-                        kalman.innovation_covariance(x, P, u, R, c + VISIBLE * n, n, work, product)
-                    spread(added, 0, 2 * n, out, places[SEEN_VARIANCE], b, some)
-                    show(x, base, n, terms, tau, sky, work, places, out, b, some)
-                    for each in range(some):
-                        out[b + each] = epoch_time[now[each]]
-                        out[receivers + b + each] = lane(tau, 0, each)
-                        for s in range(n):
-                            visible[b + each, s] = lane(x, c + VISIBLE * n + s, each) > 0.0
-            if what & UPDATE:
-                for each in range(lanes):
-                    for s in range(2 * n):
-                        set_lane(added, s, each, weights[min(b + each, receivers - 1), s])
-                seen = correct(x, base, n, added, rules, solution, precision)
-                store(tau, 0, seen)
-                for each in range(some):
-                    coasting[b + each] = lane(tau, 0, each) < rules[1]
-            spread(x, base + POSITION, 3, out, 2 * receivers, b, some)
-            spread(x, base + VELOCITY, 3, out, 5 * receivers, b, some)
+    """Run one half of an epoch, or both, of a single group, as a replay does (`Arrays`)."""
+    a = Arrays(
+        x,
+        out,
+        places,
+        visible,
+        coasting,
+        sensors,
+        keys,
+        epochs,
+        range_offset,
+        rate_offset,
+        authentic,
+        run,
+        epoch_time,
+        epoch_end,
+        satellites,
+        rules,
+    )
+    w = name_scratch(a, work)
+    if what & PREDICT:
+        predict_group(a, w, 0, what)
+    if what & UPDATE:
+        update_group(a, w, 0, weights)
 
 
 @njit

@@ -192,7 +192,7 @@ def _substitute(work, first, columns):
             store(work, first + columns * i + j, value * load(work, F + 9 * i))
 
 
-@njit
+@inlined
 def update(P, first, covariance_update, work):
     r"""Correct the covariance in place, and write the correction of the state.
 

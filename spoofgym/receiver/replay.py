@@ -287,7 +287,6 @@ def replay(
         buffers.places,
         buffers.visible,
         buffers.coasting,
-        np.ones((1, 2 * n)),
         sensors.fields.data,
         sensors.words.data,
         sensors.epoch,
@@ -300,15 +299,16 @@ def replay(
         satellites,
         rules,
         buffers.fields.scratch(_kernels.work_rows(n, *rules[3:].tolist())),
+        np.ones((1, 2 * n)),
     )
     kept: list[tuple[NDArray[np.float64], ...]] = []
     coasting = np.zeros(epochs, dtype=np.bool_)
     fields = buffers.fields
     for k in range(epochs):
         fields["measured"], fields["noise_variance"] = measured[k], variance[k]
-        _kernels.run_epochs(*given, _kernels.PREDICT, 1, 0, 1)
+        _kernels.run_epoch(*given, _kernels.PREDICT + _kernels.SHOW)
         innovation = buffers.seen["innovation"][0].copy()
-        _kernels.run_epochs(*given, _kernels.UPDATE, 1, 0, 1)
+        _kernels.run_epoch(*given, _kernels.UPDATE)
         sd = np.sqrt(np.diagonal(buffers.covariance[0]))
         kept.append((*(fields[name][0] for name in _SOLVED), sd, innovation))
         coasting[k] = buffers.coasting[0]

@@ -186,16 +186,6 @@ def sense(run, first, count, sensors, base, samples, dt, truth, active):
 
 
 @njit
-def draw_samples(
-    run, first, count, keys, key_row, epoch, sensors, base, samples, dt, truth, active
-):
-    """Draw the noise of one interval, and measure its samples (`sense`)."""
-    key0, key1 = load(keys, key_row + IMU_KEY), load(keys, key_row + IMU_KEY + 1)
-    deviates(key0, key1, epoch, samples.shape[0], 6 * count, samples)
-    sense(run, first, count, sensors, base, samples, dt, truth, active)
-
-
-@njit
 def recorded(run, first, count, samples, dt):
     """Take the samples of one interval as `run` has them, measured; the others as in `sense`."""
     for index in range(first.shape[0]):

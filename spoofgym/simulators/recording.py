@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..receiver import NavState, Recording
-from ..sim._kernels import CHUNK, draw_samples
-from ..sim.noise import padded
+from ..sim._kernels import CHUNK, sense
+from ..sim.noise import deviates, padded
 from .base import run_serially
 from .tightly_coupled import TightlyCoupledSetup, TightlyCoupledSimulator
 
@@ -95,18 +95,9 @@ def _next_samples(victim: TightlyCoupledSimulator) -> FloatArray:
     world, sensors, k = victim.setup.world, victim.sensors, int(victim.epochs[0])
     first, end = world.epoch_end[k : k + 2].tolist()
     samples, dt = np.empty(padded(6 * world.most_samples)), np.empty(world.most_samples)
-    draw_samples(
-        world.run,
-        np.array([first]),
-        end - first,
-        sensors.words.data,
-        0,
-        np.uint64(k + 1),
-        sensors.fields.data.copy(),
-        0,
-        samples,
-        dt,
-        np.empty(8 * CHUNK),
-        np.ones(1),
-    )
-    return samples[: 6 * (end - first)].reshape(6, -1).T.copy()
+    count, kept = end - first, sensors.fields.data.copy()
+    key0, key1 = sensors.words["imu"][0]
+    deviates(key0, key1, np.uint64(k + 1), len(samples), 6 * count, samples)
+    truth, active = np.empty(8 * CHUNK), np.ones(1)
+    sense(world.run, np.array([first]), count, kept, 0, samples, dt, truth, active)
+    return samples[: 6 * count].reshape(6, -1).T.copy()

@@ -13,16 +13,23 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from .._registry import build_record, check_choice
-from .._simd import LANES
+from .._simd import LANES, ArrayTable
 from ..attacks import Attack, AttackContext, make_attack
-from ..detectors import Detector, DetectorContext
-from ..receiver import TightlyCoupled, _kernels
+from ..attacks.false_position import FalsePosition
+from ..attacks.per_channel import PerChannel
+from ..detectors import Detector, DetectorContext, Verdict
+from ..detectors.ewma import Ewma
+from ..detectors.never import Never
+from ..detectors.verdicts import checked
+from ..receiver import TightlyCoupled
+from ..receiver import _kernels as _kernels_of_receiver
 from ..receiver.epoch import Epoch, epoch_view
 from ..receiver.state import ReceiverBuffers
 from ..sim.noise import padded
 from ..sim.scenario import Scenario, make_scenario
 from ..sim.sensors import SensorBuffers
 from ..sim.world import World
+from . import _kernels
 from ._kernels import displace
 from .base import Rngs, Rows, Simulator
 from .combinations import Combinations, worlds_of
@@ -37,10 +44,21 @@ RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in ("pap
 """Victims by name: the noise that they assume as the papers print it, or as the world has it."""
 FIRST_FIX = 4
 """Satellites that a first fix takes."""
-PIECE = 64
-"""Epochs of single receivers that are run between two chances to wait: less than a millisecond."""
 AXES = ("north", "east", "down")
-ADVANCE = _kernels.MEASURE + _kernels.PREDICT
+AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")
+"""Sources whose noise goes on after the onset."""
+MEASURE, UPDATE, SHOW = (
+    _kernels_of_receiver.MEASURE,
+    _kernels_of_receiver.UPDATE,
+    _kernels_of_receiver.SHOW,
+)
+JUDGE = _kernels.JUDGE
+ADVANCE = MEASURE + _kernels_of_receiver.PREDICT
+ATTACK_FORMS: dict[type, int] = {
+    FalsePosition: _kernels.FALSE_POSITION,
+    PerChannel: _kernels.PER_CHANNEL,
+}
+"""Attacks that the kernel makes itself, if their equipment is perfect."""
 
 
 class TightlyCoupledSetup(Setup):
@@ -195,42 +213,50 @@ class TightlyCoupledSimulator(Simulator):
         self.buffers = ReceiverBuffers(receivers, world.channels, self.fields)
         self.sensors = SensorBuffers(receivers, world.channels)
         self.epoch = epoch_view(self.buffers)
-        self._command: FloatArray | None = None
+        self._is_sound = True
         self._everyone = np.arange(receivers)
         self._serial = receivers <= LANES
-        self._hold_arguments()
         self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
         self.attack = copy.deepcopy(self.setup.attack)
         self.attack.bind(AttackContext(receivers, world))
+        self._hold_arguments()
 
     def _hold_arguments(self) -> None:
-        """Collect what the kernel takes, before and after the weights."""
+        """Collect what the kernel takes: what stays the same, and what stands for nothing."""
         world, receiver = self.setup.world, self.setup.receiver
-        buffers, sensors = self.buffers, self.sensors
+        buffers, sensors, one = self.buffers, self.sensors, np.zeros((1, 1))
         sizes = padded(6 * world.most_samples), padded(2 * world.channels)
         rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
-        self._work_rows = _kernels.work_rows(world.channels, *sizes)
+        self._work_rows = _kernels_of_receiver.work_rows(world.channels, *sizes)
         self._spare: list[FloatArray] = []
-        self._before = (
-            buffers.fields.data,
-            buffers.seen_floats,
-            buffers.places,
-            buffers.visible,
-            buffers.coasting,
-        )
-        self._after = (
-            sensors.fields.data,
-            sensors.words.data,
-            sensors.epoch,
-            sensors.range_offset,
-            sensors.rate_offset,
-            sensors.authentic,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            np.array(rules, dtype=np.int64),
-        )
+        attack = self.attack
+        given: dict[str, NDArray[Any]] = {
+            "x": buffers.fields.data,
+            "out": buffers.seen_floats,
+            "places": buffers.places,
+            "visible": buffers.visible,
+            "coasting": buffers.coasting,
+            "sensors": sensors.fields.data,
+            "keys": sensors.words.data,
+            "epochs": sensors.epoch,
+            "range_offset": sensors.range_offset,
+            "rate_offset": sensors.rate_offset,
+            "authentic": sensors.authentic,
+            "run": world.run,
+            "epoch_time": world.epoch_time,
+            "epoch_end": world.epoch_end,
+            "satellites": world.satellites,
+            "rules": np.array(rules, dtype=np.int64),
+            "position_e": world.position_e,
+            "velocity_e": world.velocity_e,
+            "captured": attack.mask,
+            "slots": attack.slots,
+            "attack_settings": attack.kernel_settings,
+        }
+        self._table = ArrayTable([given[name] for name in _kernels.TABLE])
+        nothing = _kernels.NO_FORM
+        self._no_attack = nothing, True, one, one, one, np.zeros((1, 1, 3)), one
+        self._no_detector = nothing, np.zeros(3), one, one, one, one
 
     def _context(self) -> DetectorContext:
         setup = self.setup
@@ -240,7 +266,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def __getstate__(self) -> dict[str, Any]:
         """State without views of the buffers, which a copy makes of its own."""
-        views = ("epoch", "_before", "_after", "_spare")
+        views = ("epoch", "_table", "_spare")
         return {name: value for name, value in self.__dict__.items() if name not in views}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -281,6 +307,10 @@ class TightlyCoupledSimulator(Simulator):
         keys: NDArray[np.uint64] = self.sensors.words["domain"]
         return keys
 
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        self.sensors.put_keys(rows, episodes, AFTER_ONSET)
+        self.attack.begin(rows, self.sensors.words.get("spoofer", rows), self.onset[rows])
+
     def _start(self, choice: Choice) -> None:
         """Draw the errors; first fix, attitude, empty memories."""
         setup, b, first = self.setup, self.receivers, self.memory["first"]
@@ -290,11 +320,11 @@ class TightlyCoupledSimulator(Simulator):
         self.attack.memory.reset()
         self.attack.begin(self._everyone, self.sensors.words["spoofer"], self.onset)
         self._start_combinations()
-        self._epochs(_kernels.MEASURE, 1, 0, b)
+        self._epochs(MEASURE, 0, b)
         world, fields = setup.world, self.buffers.fields
         position_e, velocity_e, clock = np.empty((b, 3)), np.empty((b, 3)), np.empty((b, 2))
         guess_e, now = world.position_e[first], (fields["measured"], world.satellites, first)
-        _kernels.first_fix(*now, guess_e, position_e, velocity_e, clock)
+        _kernels_of_receiver.first_fix(*now, guess_e, position_e, velocity_e, clock)
         fields["position_e"], fields["velocity_e"], fields["clock"] = position_e, velocity_e, clock
         fields["C_eb"] = combinations.first_C_eb(choice.grade, first)
         fields["accel_bias_b"] = fields["gyro_bias_b"] = 0.0
@@ -311,24 +341,62 @@ class TightlyCoupledSimulator(Simulator):
             fields.put("noise_psd", rows, its.noise_psd)
             self.buffers.put_covariance(rows, its.covariance)
 
-    def _epochs(self, what: int, count: int, lo: int, hi: int) -> None:
+    def _epochs(
+        self,
+        what: int,
+        lo: int,
+        hi: int,
+        *,
+        count: int = 1,
+        attack: tuple[Any, ...] | None = None,
+        detector: tuple[Any, ...] | None = None,
+    ) -> None:
+        """Call the kernel for a slice, with scratch memory that no other thread has."""
         try:
             work = self._spare.pop()
         except IndexError:
             work = self.buffers.fields.scratch(self._work_rows)
-        _kernels.run_epochs(*self._before, self.weights, *self._after, work, what, count, lo, hi)
+        attack_form, hold, *moved = self._no_attack if attack is None else attack
+        detector_form, *judged = self._no_detector if detector is None else detector
+        arrays = self._table.entries, *moved, *judged, self.weights, work
+        rest = attack_form, hold, detector_form, what, count, lo, hi
+        given: tuple[Any, ...] = (*arrays, *rest)
+        sound = _kernels.run_epochs(*given)
         self._spare.append(work)
+        if not sound:
+            self._is_sound = False
 
-    def _advance(self, lo: int, hi: int) -> None:
-        self._epochs(ADVANCE, 1, lo, hi)
+    def _in_slices(self, work: Callable[[int, int], None]) -> None:
+        if self._serial:
+            work(0, self.receivers)
+        else:
+            self._run(work, self.receivers)
 
-    def _update(self, lo: int, hi: int) -> None:
-        self._epochs(_kernels.UPDATE, 1, lo, hi)
+    def _compiled_attack(self, command: FloatArray | None) -> tuple[Any, ...] | None:
+        """Arguments of an attack that the kernel itself makes, else None."""
+        attack = self.attack
+        form = ATTACK_FORMS.get(type(attack), _kernels.NO_FORM)
+        if form == _kernels.NO_FORM or self.clean is not None or not attack.is_perfect:
+            return None
+        memory = attack.memory
+        hold = command is None
+        if command is None or command.dtype != np.float64 or not command.flags.carray:
+            command = attack.idle if command is None else np.array(command, dtype=np.float64)
+        return (
+            form,
+            hold,
+            command,
+            memory["displacement"],
+            memory["rate"],
+            memory.get("to_ecef", self._no_attack[5]),
+            memory["target_error"],
+        )
 
-    def _attack_and_advance(self, lo: int, hi: int) -> None:
+    def _attack(self, command: FloatArray | None, lo: int, hi: int) -> None:
+        """Let an attack without a compiled form write what it adds to the measurements."""
         sensors = self.sensors
         self.attack.command(
-            self._command, sensors.epoch, sensors.range_offset, sensors.rate_offset, lo, hi
+            command, sensors.epoch, sensors.range_offset, sensors.rate_offset, lo, hi
         )
         if self.attack.replaces_errors:
             sensors.authentic[lo:hi] = self.attack.memory["authentic"][lo:hi]
@@ -336,7 +404,6 @@ class TightlyCoupledSimulator(Simulator):
             spared = lo + np.flatnonzero(self.clean[lo:hi])
             sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
             sensors.authentic[spared] = 1.0
-        self._epochs(ADVANCE, 1, lo, hi)
 
     def _measure(self, command: FloatArray | None) -> None:
         self.predict(command)
@@ -345,34 +412,73 @@ class TightlyCoupledSimulator(Simulator):
         return self.epoch
 
     def _correct(self, weights: FloatArray | None) -> None:
-        if self._serial:
-            self._epochs(_kernels.UPDATE, 1, 0, self.receivers)
-        else:
-            self._run(self._update, self.receivers)
+        self._in_slices(partial(self._epochs, UPDATE))
+
+    def _first_half(
+        self,
+        what: int,
+        command: FloatArray | None,
+        attacked: bool,
+        detector: tuple[Any, ...] | None = None,
+    ) -> None:
+        """Run kernels that begin with an attack, or none."""
+        attack = self._compiled_attack(command) if attacked else None
+        if attack is not None:
+            what += _kernels.ATTACK
+        in_python = attacked and attack is None
+
+        def work(lo: int, hi: int) -> None:
+            """Attack in Python first, where it has no compiled form."""
+            if in_python:
+                self._attack(command, lo, hi)
+            self._epochs(what, lo, hi, attack=attack, detector=detector)
+
+        self._in_slices(work)
 
     def predict(self, command: FloatArray | None) -> Epoch:
         """First half of an epoch under attack; the epoch's arrays follow the buffers."""
-        self._command = command
-        if self._serial:
-            self._attack_and_advance(0, self.receivers)
-        else:
-            self._run(self._attack_and_advance, self.receivers)
+        self._first_half(ADVANCE + SHOW, command, True)
         return self.epoch
 
     def advance(self) -> Epoch:
         """First half of an epoch without attack: measure, mechanize, predict."""
-        self._run(self._advance, self.receivers)
+        self._first_half(ADVANCE + SHOW, None, False)
         return self.epoch
 
-    def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
-        """Run clean epochs without a detector, several in one kernel call."""
+    def step(self, command: FloatArray | None = None, *, attacked: bool = True) -> Verdict:
+        """Both halves of an epoch, in one kernel where nothing in Python comes between."""
+        judge = self._compiled_detector()
+        if judge is None:
+            return super().step(command, attacked=attacked)
+        self._is_sound = True
+        self._first_half(ADVANCE + SHOW + JUDGE + UPDATE, command, attacked, detector=judge)
+        statistic, threshold, detector = judge[4], judge[5], self.detector
+        in_loop = self.weights if judge[0] == _kernels.EWMA else None
+        verdict = Verdict(statistic, threshold, statistic > threshold, in_loop)
+        self.verdict = verdict if self._is_sound else checked(verdict, detector, self.epoch)
+        return self.verdict
+
+    def _compiled_detector(self) -> tuple[Any, ...] | None:
+        """Arguments of a detector that the kernel itself asks, else None; sets the weights."""
+        detector = self.detector
+        if self.monitors:
+            return None
+        if type(detector) is Never:
+            self.weights, (_, settings, one, *_) = self.ones, self._no_detector
+            shape = self.receivers, 1
+            return _kernels.NEVER, settings, one, one, np.zeros(shape), np.ones(shape)
+        if type(detector) is not Ewma or detector.limits_exclusions:
+            return None
+        memory, shape = detector.memory, self.buffers.visible.shape
+        self.weights = np.empty(self.ones.shape)
+        form = _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
+        charts = detector.kernel_settings, memory["average"], memory["decay"]
+        return form, *charts, np.empty(shape), np.empty(shape)
+
+    def quiet_epochs(self, count: int) -> None:
+        """Run clean epochs without a detector, in one kernel call."""
         self.weights = self.ones
-        what = ADVANCE + _kernels.UPDATE
-        piece = count if between is None else max(1, PIECE // self.receivers)
-        for start in range(0, count, max(piece, 1)):
-            if between is not None:
-                between()
-            self._run(partial(self._epochs, what, min(piece, count - start)), self.receivers)
+        self._run(partial(self._epochs, ADVANCE + UPDATE, count=count), self.receivers)
 
     def error_n(self) -> FloatArray:
         """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""

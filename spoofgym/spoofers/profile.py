@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from .._registry import check_finite
 from .aim import Aim, has_heading
@@ -127,6 +126,8 @@ def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
     `rates_mps` (n,) at the knots, the first one at the onset, the last one at the end of the
     window; returns (steps,) [m/s].
     """
+    from scipy.interpolate import PchipInterpolator  # half of the start of an environment
+
     knots = np.linspace(0.0, 1.0, len(rates_mps))
     ends = np.arange(1, steps + 1) / steps
     return np.asarray(PchipInterpolator(knots, rates_mps)(ends))

@@ -189,9 +189,9 @@ def test_zero_command_and_inherited_errors_are_the_clean_run_to_the_bit():
         {"name": "meaconer", "antenna_m": [0.0, 0.0, 0.0]},
     ):
         core, _ = played(attack)
-        for name in ("position_e", "covariance", "clock"):
-            mine = getattr(core.engine.simulator.buffers.state, name)
-            np.testing.assert_array_equal(mine, getattr(clean.engine.simulator.buffers.state, name))
+        for name in ("position_e", "packed_covariance", "clock"):
+            mine, theirs = (each.engine.simulator.buffers.fields for each in (core, clean))
+            np.testing.assert_array_equal(mine[name], theirs[name])
 
 
 def test_counterfeit_errors_replace_the_authentic_ones():
@@ -202,9 +202,10 @@ def test_counterfeit_errors_replace_the_authentic_ones():
     for core in (inherited, replaced):
         simulator, world = core.engine.simulator, core.setup.world
         k, seen = int(simulator.epochs[0]), world.visible[int(simulator.epochs[0])]
-        sensors, measured = simulator.sensors.state, simulator.buffers.measured
-        code = measured.pseudorange - world.satellites[k, :, 6] - sensors.clock[:, :1]
-        rate = measured.range_rate - world.satellites[k, :, 7] - sensors.clock[:, 1:]
+        clock = simulator.sensors.fields["clock"]
+        ranges, rates = simulator.buffers.fields["measured"].transpose(1, 0, 2)
+        code = ranges - world.satellites[k, :, 6] - clock[:, :1]
+        rate = rates - world.satellites[k, :, 7] - clock[:, 1:]
         taken = seen & core.setup.attack.captured(world)
         if core is replaced:
             assert 0 < taken.sum() < seen.sum()
@@ -230,7 +231,7 @@ def test_counterfeit_errors_have_the_standard_deviations_given(world):
 def test_without_coherence_the_authentic_range_rates_keep_their_errors():
     core, _ = played({"name": "false-position", "errors": "replaced", "coherent": False})
     n = core.setup.world.channels
-    authentic = core.engine.simulator.sensors.state.authentic
+    authentic = core.engine.simulator.sensors.authentic
     seen = core.setup.world.visible[core.setup.onset + 1]
     assert not authentic[:, :n][:, seen].any()
     assert (authentic[:, n:] == 1.0).all()
@@ -246,9 +247,9 @@ def test_information_counts_the_captured_channels():
 
 def test_a_new_episode_has_the_authentic_errors_again():
     core, _ = played({"name": "false-position", "errors": "replaced"})
-    assert not core.engine.simulator.sensors.state.authentic.all()
+    assert not core.engine.simulator.sensors.authentic.all()
     core.reset([np.random.default_rng(1)], np.array([1]))
-    assert core.engine.simulator.sensors.state.authentic[1].all()
+    assert core.engine.simulator.sensors.authentic[1].all()
     assert not core.engine.simulator.attack.memory["captured"][1].any()
 
 

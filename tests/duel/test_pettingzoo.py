@@ -120,17 +120,17 @@ def test_the_aec_form_keeps_the_exact_order():
     env.reset(seed=2)
     batch = env.unwrapped.rules.duel.core.engine.simulator
     seen = env.observe("detector_0")
-    spoofer_seen, covariance = env.observe("spoofer_0"), batch.buffers.state.covariance.copy()
+    spoofer_seen, covariance = env.observe("spoofer_0"), batch.buffers.covariance
     env.step(np.array([0.0, 1.0]))
     assert env.agent_selection == "detector_0"
     assert not np.array_equal(env.observe("detector_0"), seen)  # the epoch has arrived
     np.testing.assert_array_equal(env.observe("spoofer_0"), spoofer_seen)
-    predicted = batch.buffers.state.covariance.copy()
+    predicted = batch.buffers.covariance
     assert not np.array_equal(predicted, covariance)
     seen = env.observe("detector_0")
     env.step(QUIET)
     assert env.agent_selection == "spoofer_0"
-    assert not np.array_equal(batch.buffers.state.covariance, predicted)  # the filter has updated
+    assert not np.array_equal(batch.buffers.covariance, predicted)  # the filter has updated
     np.testing.assert_array_equal(env.observe("detector_0"), seen)
     assert env.metadata["decision_delay"] == 0
 

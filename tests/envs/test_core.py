@@ -157,13 +157,13 @@ def test_fewer_than_four_satellites_coast_and_say_so():
     setup.world = dataclasses.replace(setup.world, visible=visible, satellites=satellites)
     core = SpoofCore(2, setup)
     core.reset([np.random.default_rng(i) for i in range(2)])
-    covariance = core.engine.simulator.buffers.state.covariance
-    before = np.sqrt(covariance[:, 6, 6])
+    buffers = core.engine.simulator.buffers
+    before = np.sqrt(buffers.covariance[:, 6, 6])
     coasting, spread = [], []
     for _ in range(25):
         result, observation = core.step(np.zeros((2, 2)))
         coasting.append(result.info["coasting"])
-        spread.append(np.sqrt(covariance[:, 6, 6]))
+        spread.append(np.sqrt(buffers.covariance[:, 6, 6]))
     coasting, spread = np.array(coasting), np.array(spread)
     assert not coasting[:4].any()
     assert coasting[4:19].all()

@@ -1,61 +1,230 @@
-"""The compiled halves of an epoch on a batch of receivers, as engine and replay call them."""
+"""Batches of receivers that differ in all, in a world made by hand, as engine and replay call them.
+
+Receiver i of any batch is the one of its number: it is at an epoch of its own, between which lie
+different numbers of samples, sees satellites of its own, and has sensors of its own.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from spoofgym._simd import ArrayTable
+from spoofgym.earth.frames import geodetic_to_ecef
 from spoofgym.receiver import _kernels
+from spoofgym.receiver._kernels import PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
+from spoofgym.receiver.state import SEEN, ReceiverBuffers
+from spoofgym.sim.clock import TCXO, ReceiverClock
+from spoofgym.sim.gnss import GnssErrors
+from spoofgym.sim.imu import IMU_GRADES, ImuGrade
+from spoofgym.sim.noise import padded
+from spoofgym.sim.sensors import SensorBuffers
+from spoofgym.simulators._kernels import NO_FORM, TABLE, run_epochs
+
+from .test_kalman import covariance, measured, sky
+
+N, EPOCHS, MOST = 6, 40, 37
+"""Channels, epochs, most samples between two: more than two `CHUNK`, and no multiple of it."""
+PLACE = geodetic_to_ecef(0.7, 0.3, 9000.0)
 
 
-def run(
-    buffers,
-    what,
-    lo,
-    hi,
-    *,
-    interval=None,
-    weights=None,
-    update="unweighted",
-    least=4,
-    orthonormal=False,
-):
-    interval = np.zeros(0) if interval is None else interval
-    samples = np.zeros((8, len(interval)))
-    samples[6] = interval
-    b, n = buffers.receivers, buffers.channels
-    _kernels.run_epochs(
-        buffers.floats,
-        buffers.flags,
-        buffers.block,
-        buffers.samples,
-        np.ones((b, 2 * n)) if weights is None else weights,
-        np.zeros(0),
-        np.zeros((0, 0, 0), dtype=np.uint64),
-        np.zeros(0, dtype=np.int64),
-        samples,
-        np.zeros(0),
-        np.zeros(0, dtype=np.int64),
-        np.zeros((0, 0, 0)),
-        b,
-        n,
-        0,
-        0,
-        COVARIANCE_UPDATES[update],
-        least,
-        orthonormal,
-        what,
-        1,
-        lo,
-        hi,
+@dataclass(frozen=True)
+class HandMade:
+    """What kernels take of a world or a recording."""
+
+    run: np.ndarray
+    epoch_time: np.ndarray
+    epoch_end: np.ndarray
+    satellites: np.ndarray
+
+
+def hand_made(seed: int = 0) -> HandMade:
+    """A world whose epochs have 1 to `MOST` samples of 8 to 12 ms, and few satellites at times."""
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(1, MOST + 1, EPOCHS)
+    counts[:2] = MOST, 1
+    counts[8:16] = 20  # eight receivers in a row with as many samples
+    lengths = rng.uniform(0.008, 0.012, counts.sum())
+    samples = rng.normal(0.0, 1.0, (6, len(lengths))) * np.repeat([10.0, 0.3], 3)[:, None]
+    ends = np.concatenate([[0], np.cumsum(counts)])
+    satellites = np.zeros((EPOCHS + 1, N, 8))
+    for k in range(EPOCHS + 1):
+        satellites[k, :, :3] = PLACE + sky(rng, N) * rng.uniform(2e7, 2.5e7, (N, 1))
+    satellites[:, :, 3:6] = rng.normal(0.0, 1e3, (EPOCHS + 1, N, 3))
+    visible = rng.uniform(size=(EPOCHS + 1, N)) < rng.uniform(0.2, 1.2, (EPOCHS + 1, 1))
+    satellites[:, :, 6] = visible * np.linalg.norm(satellites[:, :, :3] - PLACE, axis=-1)
+    satellites[:, :, 7] = visible * rng.normal(0.0, 500.0, (EPOCHS + 1, N))
+    return HandMade(
+        run=np.vstack([samples, lengths, lengths**-0.5]),
+        epoch_time=np.concatenate([[0.0], np.cumsum(lengths)])[ends],
+        epoch_end=ends,
+        satellites=satellites,
     )
 
 
-def predict(buffers, interval, lo=0, hi=None):
-    hi = buffers.receivers if hi is None else hi
-    run(buffers, _kernels.PREDICT, lo, hi, interval=interval)
+WORLD = hand_made()
+EXACT = ImuGrade(
+    **{
+        **IMU_GRADES["consumer"]._asdict(),
+        "accel_quantization": 0.0,
+        "gyro_quantization": 0.0,
+    }
+)
+GRADES = (*IMU_GRADES.values(), EXACT)
+QUIET = GnssErrors(
+    code_sd_m=1.0,
+    range_rate_sd_mps=0.1,
+    signal_in_space_sd_m=0.0,
+    zenith_iono_sd_m=0.0,
+    zenith_tropo_sd_m=0.0,
+    clock=ReceiverClock(offset_m=1e4, drift_mps=100.0),
+)
+REALISTIC = GnssErrors(
+    code_sd_m=0.5,
+    range_rate_sd_mps=0.05,
+    signal_in_space_sd_m=1.0,
+    zenith_iono_sd_m=1.0,
+    zenith_tropo_sd_m=0.1,
+    correlated_sd_m=0.8,
+    correlation_s=35.0,
+    clock=TCXO,
+)
 
 
-def update(buffers, weights=None, lo=0, hi=None, **settings):
-    hi = buffers.receivers if hi is None else hi
-    run(buffers, _kernels.UPDATE, lo, hi, weights=weights, **settings)
+class Batch:
+    """Receivers of some numbers, predicted up to an epoch of their own."""
+
+    def __init__(self, numbers, wanted=SEEN, world=WORLD):
+        self.numbers, self.world, count = list(numbers), world, len(numbers)
+        self.buffers = ReceiverBuffers(count, N, wanted)
+        self.sensors = SensorBuffers(count, N)
+        self.weights = np.ones((count, 2 * N))
+        for row, number in enumerate(self.numbers):
+            self._fill(row, number)
+
+    @property
+    def fields(self):
+        return self.buffers.fields
+
+    def _fill(self, row, number):
+        rng, rows = np.random.default_rng(number), np.array([row])
+        z, R = measured(rng, N)
+        u, visible = sky(rng, N), rng.uniform(size=N) < 0.9
+        values = {
+            "C_eb": np.linalg.qr(rng.standard_normal((3, 3)))[0],
+            "velocity_e": rng.normal(0.0, 100.0, 3),
+            "position_e": PLACE + rng.normal(0.0, 10.0, 3),
+            "accel_bias_b": rng.normal(0.0, 1e-3, 3),
+            "gyro_bias_b": rng.normal(0.0, 1e-6, 3),
+            "clock": rng.normal([1e4, 100.0], [6.0, 0.3]),
+            "noise_psd": rng.uniform(0.0, 1e-3, 17) ** 2,
+            "measured": rng.normal(self.world.satellites[number % EPOCHS + 1, :, 6:].T, 10.0) + 1e4,
+            "innovation": z * np.tile(visible, 2),
+            "noise_variance": R,
+            "line_of_sight": u * visible[:, None],
+            "visible": visible,
+        }
+        for name, value in values.items():
+            self.fields.put(name, rows, value)
+        self.buffers.put_covariance(rows, covariance(rng))
+        sensors = self.sensors
+        sensors.draw_keys(rows, [np.random.default_rng([number, 1])])
+        errors = (QUIET, REALISTIC)[number // 3 % 2]
+        sensors.begin(rows, GRADES[number % len(GRADES)], errors, rng.uniform(0.0, 2.0, N))
+        sensors.fields.put("residual", rows, rng.normal(0.0, 1e-5, 6))
+        if errors.correlated_sd_m > 0.0:
+            sensors.fields.put("correlated", rows, rng.normal(0.0, 0.5, N))
+        sensors.epoch[row] = number % EPOCHS
+        if number % 2:  # attacked
+            sensors.range_offset[row] = rng.normal(0.0, 50.0, N)
+            sensors.rate_offset[row] = rng.normal(0.0, 1.0, N)
+            sensors.authentic[row] = rng.choice([0.0, 1.0], 2 * N)
+        self.weights[row] = rng.uniform(0.0, 1.0, 2 * N) if number % 4 > 1 else 1.0
+
+    def run(
+        self,
+        what,
+        lo=0,
+        hi=None,
+        *,
+        weights=None,
+        update="unweighted",
+        least=4,
+        orthonormal=False,
+        count=1,
+    ):
+        """Call the engine's kernel, without an attack and a detector of its own."""
+        buffers, sensors, world = self.buffers, self.sensors, self.world
+        sizes = padded(6 * MOST), padded(2 * N)
+        work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
+        work[:] = np.nan  # so that nothing is read of it that has not been written
+        one = np.zeros((1, 1))
+        given = {
+            "x": buffers.fields.data,
+            "out": buffers.seen_floats,
+            "places": buffers.places,
+            "visible": buffers.visible,
+            "coasting": buffers.coasting,
+            "sensors": sensors.fields.data,
+            "keys": sensors.words.data,
+            "epochs": sensors.epoch,
+            "range_offset": sensors.range_offset,
+            "rate_offset": sensors.rate_offset,
+            "authentic": sensors.authentic,
+            "run": world.run,
+            "epoch_time": world.epoch_time,
+            "epoch_end": world.epoch_end,
+            "satellites": world.satellites,
+            "rules": np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
+            "position_e": np.zeros((EPOCHS + 1, 3)),
+            "velocity_e": np.zeros((EPOCHS + 1, 3)),
+            "captured": np.zeros(1, dtype=np.bool_),
+            "slots": np.zeros(1, dtype=np.int64),
+            "attack_settings": np.zeros(4),
+        }
+        table = ArrayTable([given[name] for name in TABLE])
+        sound = run_epochs(
+            table.entries,
+            *(one, one, one, np.zeros((1, 1, 3)), one),
+            *(np.zeros(3), one, one, one, one),
+            self.weights if weights is None else weights,
+            work,
+            *(NO_FORM, True, NO_FORM),
+            what,
+            count,
+            lo,
+            buffers.receivers if hi is None else hi,
+        )
+        assert sound
+
+    def predict(self, lo=0, hi=None):
+        """Move on to the next epoch, with samples and ranges as they have been measured."""
+        self.run(PREDICT + SHOW, lo, hi)
+
+    def update(self, weights=None, lo=0, hi=None, **settings):
+        weights = np.ones_like(self.weights) if weights is None else weights
+        self.run(UPDATE, lo, hi, weights=weights, **settings)
+
+    def everything(self, row):
+        """All that there is of a receiver, by name."""
+        buffers, sensors, rows = self.buffers, self.sensors, np.array([row])
+        plain = ("time", "interval", "position_e", "velocity_e", "visible", "coasting")
+        found = {
+            **{name: buffers.fields.get(name, rows)[0] for name in buffers.fields.shapes},
+            **{
+                f"sensor {name}": sensors.fields.get(name, rows)[0]
+                for name in sensors.fields.shapes
+            },
+            **{f"seen {name}": array[row] for name, array in buffers.seen.items()},
+            **{f"plain {name}": getattr(buffers, name)[row] for name in plain},
+            "epoch": sensors.epoch[row],
+        }
+        return {name: np.array(value) for name, value in found.items()}
+
+
+def check_same(mine, theirs):
+    assert list(mine) == list(theirs)
+    for name in mine:
+        assert mine[name].tobytes() == theirs[name].tobytes(), name

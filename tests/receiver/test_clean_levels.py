@@ -42,7 +42,7 @@ def clean_run(flight, grade, errors="white", biases=None):
     world = batch.setup.world
     if biases is not None:
         slots = [biases[int(name[1:]) - 1] if name else 0.0 for name in world.satellite_ids]
-        batch.sensors.state.satellite_bias[:] = slots
+        batch.sensors.fields["satellite_bias"] = slots
     position, velocity, attitude = [], [], []
     for _ in range(batch.setup.steps):
         batch.advance()
@@ -74,10 +74,10 @@ def test_position_errs_by_what_the_biases_make_of_a_least_squares_fix(grade, err
     left, whole = [], []
     for _ in range(40):
         batch.quiet_epochs(1)
-        seen = batch.buffers.measured.visible[0]
-        u = batch.buffers.measured.line_of_sight[0][seen]
+        seen = batch.buffers.fields["visible"][0] > 0.0
+        u = batch.buffers.fields["line_of_sight"][0][seen]
         fix = np.linalg.pinv(np.column_stack([-u, np.ones(len(u))]))
-        biased = batch.sensors.state.satellite_bias[:, seen] @ fix[:3].T
+        biased = batch.sensors.fields["satellite_bias"][:, seen] @ fix[:3].T
         whole.append(position_error(batch))
         left.append(position_error(batch) - biased)
     assert rms(left) < 0.5

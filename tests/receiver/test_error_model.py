@@ -5,25 +5,37 @@ import math
 import numpy as np
 import pytest
 
+from spoofgym._jit import njit
+from spoofgym._simd import LANES, load, store
 from spoofgym.earth.attitude import skew
 from spoofgym.earth.frames import geodetic_to_ecef
 from spoofgym.earth.wgs84 import EARTH_RATE, geocentric_surface_radius, gravity
+from spoofgym.receiver._kernels import show_transition
 from spoofgym.receiver.error_model import (
     ACCEL_BIAS,
     ATTITUDE,
     CLOCK_BIAS,
     CLOCK_DRIFT,
     GYRO_BIAS,
+    IN_ORDER,
+    INDEX,
+    PACKED,
     POSITION,
     STATES,
+    TERMS,
     VELOCITY,
-    fill_transition,
     propagate_covariance,
+    transition_product,
+    transition_terms,
 )
 from spoofgym.receiver.strapdown import strapdown_step
 
+from ..lanes import in_all_lanes, side_by_side
+
 R_E = geodetic_to_ecef(0.7, 0.3, 9000.0)
 FORCE = np.array([0.8, -0.3, -9.7])
+SD = np.repeat([1e-4, 0.1, 10.0, 3e-4, 5e-9, 0.0], 3)[:17].copy()
+SD[15:] = 10.0, 0.1
 
 
 def rotation(rng):
@@ -31,10 +43,45 @@ def rotation(rng):
     return Q * np.sign(np.linalg.det(Q))
 
 
+@njit
+def terms_of(interval, terms):
+    """`interval`: rows of C (9), r (3), f (3) and tau."""
+    C = (
+        load(interval, 0),
+        load(interval, 1),
+        load(interval, 2),
+        load(interval, 3),
+        load(interval, 4),
+        load(interval, 5),
+        load(interval, 6),
+        load(interval, 7),
+        load(interval, 8),
+    )
+    r = load(interval, 9), load(interval, 10), load(interval, 11)
+    f = load(interval, 12), load(interval, 13), load(interval, 14)
+    transition_terms(C, r, f, load(interval, 15), terms)
+
+
+def terms_and_interval(intervals):
+    """Lane arrays of up to eight (C, r, f, tau); the first fill up."""
+    filled = [intervals[i % len(intervals)] for i in range(LANES)]
+    interval = side_by_side([np.concatenate([np.ravel(x) for x in each]) for each in filled])
+    terms = np.full((TERMS, LANES), np.nan)
+    in_all_lanes(terms_of, interval, terms)
+    return terms, interval
+
+
+def transitions(intervals):
+    """Matrices of up to eight (C, r, f, tau), from lanes side by side."""
+    terms, interval = terms_and_interval(intervals)
+    matrices = np.zeros((len(intervals), STATES * STATES))
+    for i, Phi in enumerate(matrices):
+        show_transition(terms, float(interval[15, i]), i, Phi)
+    return matrices.reshape(-1, STATES, STATES)
+
+
 def transition(C, tau, r=R_E, f=FORCE):
-    Phi = np.eye(STATES)
-    fill_transition(Phi, C, r, *f, tau)
-    return Phi
+    return transitions([(C, r, f, tau)])[0]
 
 
 def as_printed(C, tau, r=R_E, f=FORCE):
@@ -56,21 +103,66 @@ def as_printed(C, tau, r=R_E, f=FORCE):
     return Phi
 
 
-@pytest.mark.nojit
-@pytest.mark.parametrize("tau", [0.01, 0.5, 3.0])
-def test_the_transition_is_the_printed_one(tau):
-    C = rotation(np.random.default_rng(0))
-    np.testing.assert_allclose(transition(C, tau), as_printed(C, tau), rtol=1e-14, atol=1e-18)
+def eight_intervals(seed=0):
+    """Receivers in different attitudes, places, forces and intervals."""
+    rng = np.random.default_rng(seed)
+    places = [
+        geodetic_to_ecef(*x) for x in rng.uniform((-1.5, -3.0, -100.0), (1.5, 3.0, 2e4), (8, 3))
+    ]
+    taus = [0.01, 0.5, 3.0, *rng.uniform(0.01, 3.0, 5)]
+    return [
+        (rotation(rng), place, rng.normal(0.0, 10.0, 3), tau)
+        for place, tau in zip(places, taus, strict=True)
+    ]
 
 
 @pytest.mark.nojit
-def test_a_matrix_is_filled_anew_for_every_interval():
-    rng = np.random.default_rng(1)
-    Phi = np.eye(STATES)
-    for tau in (2.0, 0.1):
-        C, f = rotation(rng), rng.standard_normal(3)
-        fill_transition(Phi, C, R_E, *f, tau)
-        np.testing.assert_array_equal(Phi, transition(C, tau, f=f))
+def test_the_transition_is_the_printed_one():
+    intervals = eight_intervals()
+    for Phi, (C, r, f, tau) in zip(transitions(intervals), intervals, strict=True):
+        np.testing.assert_allclose(Phi, as_printed(C, tau, r, f), rtol=1e-14, atol=1e-18)
+
+
+@pytest.mark.nojit
+def test_a_matrix_is_written_over_for_every_interval():
+    intervals, Phi = eight_intervals(1), np.zeros(STATES * STATES)
+    terms, _ = terms_and_interval(intervals)
+    for i, (C, r, f, tau) in enumerate(intervals):
+        show_transition(terms, tau, i, Phi)
+        np.testing.assert_array_equal(Phi.reshape(STATES, STATES), transition(C, tau, r, f))
+
+
+CHANGED = [*range(9), CLOCK_BIAS]
+
+
+@njit
+def product_of(terms, interval, x, y):
+    found = transition_product(terms, load(interval, 15), x, 0, IN_ORDER)
+    store(y, 0, found[0])
+    store(y, 1, found[1])
+    store(y, 2, found[2])
+    store(y, 3, found[3])
+    store(y, 4, found[4])
+    store(y, 5, found[5])
+    store(y, 6, found[6])
+    store(y, 7, found[7])
+    store(y, 8, found[8])
+    store(y, 9, found[9])
+
+
+@pytest.mark.nojit
+def test_the_product_is_that_of_the_matrix():
+    intervals = eight_intervals(2)
+    terms, interval = terms_and_interval(intervals)
+    x = np.random.default_rng(3).standard_normal((STATES, LANES)) * SD[:, None]
+    y = np.full((10, LANES), np.nan)
+    in_all_lanes(product_of, terms, interval, x, y)
+    for i, Phi in enumerate(transitions(intervals)):
+        want = Phi @ x[:, i]
+        scale = np.abs(Phi) @ np.abs(x[:, i])
+        assert (np.abs(y[:, i] - want[CHANGED]) <= 1e-15 * 8.0 * scale[CHANGED]).all()
+        same = [k for k in range(STATES) if k not in CHANGED]
+        np.testing.assert_array_equal(want[same], x[same, i])
 
 
 def step(C, v, r, f, w, tau):
@@ -115,33 +207,41 @@ def test_errors_grow_as_those_of_the_mechanization(tau):
         assert (difference <= left_out[:9] + rounding).all()
 
 
+@njit
+def grow(P, terms, interval, psd, work):
+    propagate_covariance(P, 0, terms, load(interval, 15), psd, 0, work)
+
+
+def propagated(P, intervals, psd):
+    """(8, 17, 17) covariances after an interval, side by side."""
+    packed = side_by_side([each[np.triu_indices(STATES)] for each in P])
+    assert packed.shape == (PACKED, LANES)
+    work = np.full((187, LANES), np.nan)
+    in_all_lanes(grow, packed, *terms_and_interval(intervals), side_by_side(psd), work)
+    return packed.T[:, INDEX]
+
+
 @pytest.mark.nojit
-@pytest.mark.parametrize("tau", [0.1, 1.0])
-def test_propagation_is_that_of_dense_matrices(tau):
-    rng = np.random.default_rng(3)
-    sd = np.repeat([1e-4, 0.1, 10.0, 3e-4, 5e-9, 0.0], 3)[:17].copy()
-    sd[15:] = 10.0, 0.1
-    root = rng.standard_normal((17, 17))
-    P = (root @ root.T) * np.outer(sd, sd)
-    psd = sd**2 * rng.uniform(0.0, 1.0, 17)
-    Phi, Q = transition(rotation(rng), tau), np.diag(psd * tau)
-    flat = P.ravel().copy()
-    propagate_covariance(flat, Phi, psd, tau, np.empty(289))
-    want = Phi @ (P + Q / 2.0) @ Phi.T + Q / 2.0
-    after = flat.reshape(17, 17)
-    scale = np.sqrt(np.diag(want))
-    np.testing.assert_allclose(
-        after / np.outer(scale, scale), want / np.outer(scale, scale), rtol=0, atol=1e-13
-    )
-    np.testing.assert_array_equal(after, after.T)
+def test_propagation_is_that_of_dense_matrices():
+    rng, intervals = np.random.default_rng(3), eight_intervals(3)
+    root = rng.standard_normal((8, 17, 17))
+    P = root @ root.transpose(0, 2, 1) * np.outer(SD, SD)
+    psd = SD**2 * rng.uniform(0.0, 1.0, (8, 17))
+    after = propagated(P, intervals, psd)
+    for i, Phi in enumerate(transitions(intervals)):
+        Q = np.diag(psd[i] * intervals[i][3])
+        want = Phi @ (P[i] + Q / 2.0) @ Phi.T + Q / 2.0
+        scale = np.sqrt(np.diag(want))
+        np.testing.assert_allclose(
+            after[i] / np.outer(scale, scale), want / np.outer(scale, scale), rtol=0, atol=1e-13
+        )
 
 
 def test_an_interval_of_no_length_changes_nothing():
     rng = np.random.default_rng(4)
-    P = np.cov(rng.standard_normal((17, 40)))
-    flat = P.ravel().copy()
-    propagate_covariance(flat, transition(rotation(rng), 0.0), np.ones(17), 0.0, np.empty(289))
-    np.testing.assert_array_equal(flat.reshape(17, 17), P)
+    P = np.array([np.cov(rng.standard_normal((17, 40))) for _ in range(8)])
+    still = [(C, r, f, 0.0) for C, r, f, _ in eight_intervals()]
+    np.testing.assert_array_equal(propagated(P, still, np.ones((8, 17))), P)
 
 
 def test_the_clock_is_apart_from_all_else():

@@ -1,119 +1,263 @@
-"""The two compiled calls of an epoch, over batches of receivers."""
+"""The compiled calls of an epoch, over batches of receivers that differ in all."""
 
 import numpy as np
 import pytest
 
+from spoofgym._simd import LANES
 from spoofgym.earth.attitude import skew
+from spoofgym.earth.ranging import range_and_rate
+from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
-from spoofgym.receiver.state import ReceiverBuffers
 
-from .batches import update
-from .test_kalman import SD, covariance, measured, sky, textbook
+from .batches import EPOCHS, WORLD, Batch, HandMade, N, check_same
+from .test_kalman import SD, design, sky, textbook
 
-N = 6
-
-
-def batch(receivers, visible=None):
-    """Buffers as they are after a prediction, each receiver with a sky of its own."""
-    buffers = ReceiverBuffers(receivers, N, 1)
-    for b in range(receivers):
-        fill(buffers, b, b)
-    if visible is not None:
-        buffers.measured.visible[:] = visible
-    return buffers
+STATE = ("C_eb", "velocity_e", "position_e", "accel_bias_b", "gyro_bias_b", "clock")
 
 
-def fill(buffers, row, number):
-    rng = np.random.default_rng(number)
-    state, m = buffers.state, buffers.measured
-    state.position_e[row] = rng.normal([6.4e6, 0.0, 0.0], 100.0)
-    state.velocity_e[row] = rng.normal(0.0, 100.0, 3)
-    state.C_eb[row] = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-    state.accel_bias_b[row] = rng.normal(0.0, 1e-3, 3)
-    state.gyro_bias_b[row] = rng.normal(0.0, 1e-6, 3)
-    state.clock[row] = rng.normal(0.0, 100.0, 2)
-    state.covariance[row] = covariance(rng)
-    m.line_of_sight[row] = sky(rng, N)
-    m.innovation[row], m.noise_variance[row] = measured(rng, N)
-    m.visible[row] = True
-
-
+@pytest.mark.parametrize("receivers", [1, 3, 9])
 @pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
-def test_corrections_are_fed_back(covariance_update):
-    buffers, before = batch(3), batch(3)
-    weights = np.random.default_rng(9).uniform(0.0, 1.0, (3, 2 * N))
-    update(buffers, weights, update=covariance_update)
-    for b in range(3):
-        m, old, new = before.measured, before.state, buffers.state
+def test_corrections_are_fed_back(covariance_update, receivers):
+    batch, before = Batch(range(receivers)), Batch(range(receivers))
+    weights = np.random.default_rng(9).uniform(0.0, 1.0, (receivers, 2 * N))
+    batch.update(weights, update=covariance_update, least=0)
+    old, new = before.fields, batch.fields
+    for b in range(receivers):
         x, P = textbook(
-            old.covariance[b],
-            m.line_of_sight[b],
-            m.innovation[b],
-            m.noise_variance[b],
+            before.buffers.covariance[b],
+            old["line_of_sight"][b],
+            old["innovation"][b],
+            old["noise_variance"][b],
             weights[b],
-            m.visible[b],
+            old["visible"][b] > 0.0,
             covariance_update,
         )
         close = {"rtol": 0, "atol": 1e-9}
-        np.testing.assert_allclose(new.C_eb[b], (np.eye(3) - skew(x[:3])) @ old.C_eb[b], **close)
-        np.testing.assert_allclose(new.velocity_e[b], old.velocity_e[b] - x[3:6], **close)
-        np.testing.assert_allclose(new.position_e[b], old.position_e[b] - x[6:9], rtol=0, atol=1e-8)
-        np.testing.assert_allclose(new.accel_bias_b[b], old.accel_bias_b[b] + x[9:12], **close)
-        np.testing.assert_allclose(new.gyro_bias_b[b], old.gyro_bias_b[b] + x[12:15], rtol=1e-9)
-        np.testing.assert_allclose(new.clock[b], old.clock[b] + x[15:], **close)
+        turned = (np.eye(3) - skew(x[:3])) @ old["C_eb"][b]
+        np.testing.assert_allclose(new["C_eb"][b], turned, **close)
+        np.testing.assert_allclose(new["velocity_e"][b], old["velocity_e"][b] - x[3:6], **close)
         np.testing.assert_allclose(
-            new.covariance[b] / np.outer(SD, SD), P / np.outer(SD, SD), rtol=0, atol=1e-9
+            new["position_e"][b], old["position_e"][b] - x[6:9], rtol=0, atol=1e-8
         )
-    assert not buffers.measured.coasting.any()
+        np.testing.assert_allclose(
+            new["accel_bias_b"][b], old["accel_bias_b"][b] + x[9:12], **close
+        )
+        np.testing.assert_allclose(
+            new["gyro_bias_b"][b], old["gyro_bias_b"][b] + x[12:15], rtol=1e-9
+        )
+        np.testing.assert_allclose(new["clock"][b], old["clock"][b] + x[15:], **close)
+        np.testing.assert_allclose(
+            batch.buffers.covariance[b] / np.outer(SD, SD), P / np.outer(SD, SD), rtol=0, atol=1e-9
+        )
+    assert not batch.buffers.coasting.any()
 
 
+@pytest.mark.parametrize("orthonormal", [False, True])
 @pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
-@pytest.mark.parametrize("receivers", [2, 9])
-def test_a_receiver_is_updated_alike_in_any_batch(receivers, covariance_update):
-    buffers = batch(receivers)
-    weights = np.random.default_rng(3).uniform(0.0, 1.0, (receivers, 2 * N))
-    update(buffers, weights, update=covariance_update, orthonormal=True)
-    for b in range(receivers):
-        alone = ReceiverBuffers(1, N, 1)
-        fill(alone, 0, b)
-        alone_weights = weights[b : b + 1].copy()
-        update(alone, alone_weights, update=covariance_update, orthonormal=True)
-        for together, single in zip(buffers.state, alone.state, strict=True):
-            assert together[b].tobytes() == single[0].tobytes()
+@pytest.mark.parametrize("receivers", [*range(2, 18), 33])
+def test_a_receiver_is_the_same_alone_and_in_any_batch(receivers, covariance_update, orthonormal):
+    """Epochs, samples, skies, grades, errors, attacks and weights of its own; some coast."""
+    settings = {"update": covariance_update, "least": 4, "orthonormal": orthonormal}
+    numbers = np.random.default_rng(receivers).permutation(EPOCHS - 6)[:receivers]
+    batch, coasted = Batch(numbers), np.zeros(receivers, dtype=bool)
+    singles = [Batch([number]) for number in numbers]
+    for each in (batch, *singles):
+        for _ in range(2):
+            each.run(MEASURE + PREDICT + SHOW, **settings)
+            each.run(UPDATE, **settings)
+            if each is batch:
+                coasted |= batch.buffers.coasting
+        each.run(MEASURE + PREDICT + UPDATE, count=2, **settings)
+        each.run(MEASURE, **settings)
+        each.run(PREDICT + SHOW, **settings)
+    if receivers > LANES:
+        assert coasted.any()
+        assert not coasted.all()
+    for row, single in enumerate(singles):
+        check_same(batch.everything(row), single.everything(0))
 
 
-@pytest.mark.parametrize("min_satellites", [0, 4, 6])
-def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(min_satellites):
-    seen = np.arange(N)[None, :] < np.arange(N + 1)[:, None]  # receiver b sees b satellites
-    buffers, before = batch(N + 1, seen), batch(N + 1, seen)
-    update(buffers, least=min_satellites)
-    coasting = np.arange(N + 1) < min_satellites
-    np.testing.assert_array_equal(buffers.measured.coasting, coasting)
-    for b in range(N + 1):
-        same = all(
-            new[b].tobytes() == old[b].tobytes()
-            for new, old in zip(buffers.state, before.state, strict=True)
-        )
-        assert same == (coasting[b] or b == 0)
+def test_slices_of_whole_lanes_are_the_whole():
+    receivers = 2 * LANES + 5
+    whole, sliced = Batch(range(receivers)), Batch(range(receivers))
+    for what in (MEASURE + PREDICT + SHOW, UPDATE):
+        whole.run(what)
+        for lo, hi in ((LANES, 2 * LANES), (2 * LANES, receivers), (0, LANES)):
+            sliced.run(what, lo, hi)
+    for row in range(receivers):
+        check_same(whole.everything(row), sliced.everything(row))
 
 
-def test_the_attitude_is_made_orthonormal_only_when_asked():
-    plain, orthonormal = batch(2), batch(2)
-    for buffers, wanted in ((plain, False), (orthonormal, True)):
-        buffers.state.C_eb[:] *= 1.0 + 1e-7
-        update(buffers, orthonormal=wanted)
+@pytest.mark.parametrize("what", [MEASURE + PREDICT, UPDATE, MEASURE])
+def test_only_the_receivers_of_a_slice_are_touched(what):
+    batch, before = Batch(range(17)), Batch(range(17))
+    batch.run(what, lo=8, hi=16)
+    for row in range(17):
+        mine, theirs = batch.everything(row), before.everything(row)
+        same = all(mine[name].tobytes() == theirs[name].tobytes() for name in mine)
+        assert same == (not 8 <= row < 16)
 
-    def off(buffers):
-        C = buffers.state.C_eb
+
+@pytest.mark.parametrize("what", [PREDICT, MEASURE + PREDICT + SHOW])
+def test_lanes_without_a_receiver_follow_the_last(what):
+    """Were it otherwise, they might become slow numbers or none."""
+    batch = Batch(range(11))
+    for _ in range(3):
+        batch.run(what)
+        batch.run(UPDATE)
+    for fields in (batch.fields, batch.sensors.fields):
+        group = fields.data.reshape(2, fields.rows, LANES)[1]
+        for index in range(3, LANES):
+            assert group[:, index].tobytes() == group[:, 2].tobytes()
+
+
+def seeing(counts):
+    """Receivers that see so many satellites each, all alike otherwise."""
+    batch = Batch(range(len(counts)))
+    seen = np.arange(N)[None, :] < np.asarray(counts)[:, None]
+    u = np.array([sky(np.random.default_rng(number), N) for number in range(len(counts))])
+    batch.fields["visible"] = seen
+    batch.fields["innovation"] = np.tile(seen, 2) * 3.0
+    batch.fields["line_of_sight"] = u * seen[:, :, None]
+    return batch
+
+
+@pytest.mark.parametrize("orthonormal", [False, True])
+@pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
+@pytest.mark.parametrize("min_satellites", [0, 4, 6, 7])
+def test_with_fewer_satellites_than_it_wants_a_receiver_coasts(
+    min_satellites, covariance_update, orthonormal
+):
+    """In one group with others that do not."""
+    counts = np.array([0, 1, 2, 3, 4, 5, 6, 3, 6])
+    batch, before = seeing(counts), seeing(counts)
+    weights = np.random.default_rng(1).uniform(0.1, 1.0, (len(counts), 2 * N))
+    batch.update(weights, least=min_satellites, update=covariance_update, orthonormal=orthonormal)
+    coasting = counts < min_satellites
+    np.testing.assert_array_equal(batch.buffers.coasting, coasting)
+    for b, count in enumerate(counts):
+        rows = np.array([b])
+        same = [
+            np.array_equal(batch.fields.get(name, rows), before.fields.get(name, rows))
+            for name in (*STATE, "packed_covariance")
+        ]
+        if count == 0 and not coasting[b] and orthonormal:
+            same = same[1:]  # an update without satellites, too, makes the attitude orthonormal
+        assert all(same) == (coasting[b] or count == 0)
+
+
+@pytest.mark.parametrize("receivers", [1, 2])
+def test_the_attitude_is_made_orthonormal_only_when_asked(receivers):
+    plain, orthonormal = Batch(range(receivers)), Batch(range(receivers))
+    for batch, wanted in ((plain, False), (orthonormal, True)):
+        batch.fields["C_eb"] = batch.fields["C_eb"] * (1.0 + 1e-7)
+        batch.update(orthonormal=wanted)
+
+    def off(batch):
+        C = batch.fields["C_eb"]
         return np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)).max()
 
     assert off(plain) > 1e-7
     assert off(orthonormal) < 1e-12
 
 
-def test_only_the_receivers_of_a_slice_are_updated():
-    buffers, before = batch(5), batch(5)
-    update(buffers, lo=0, hi=3)
-    for b in range(5):
-        same = buffers.state.position_e[b].tobytes() == before.state.position_e[b].tobytes()
-        assert same == (b >= 3)
+@pytest.mark.parametrize("receivers", [1, 9])
+def test_innovations_are_measured_less_predicted(receivers):
+    batch, before = Batch(range(receivers)), Batch(range(receivers))
+    batch.predict()
+    fields, seen = batch.fields, batch.buffers.seen
+    tau = batch.buffers.interval
+    np.testing.assert_allclose(
+        fields["clock"][:, 0], before.fields["clock"] @ [1.0, 0.0] + tau * fields["clock"][:, 1]
+    )
+    for b in range(receivers):
+        epoch = batch.sensors.epoch[b]
+        assert epoch == before.sensors.epoch[b] + 1
+        assert batch.buffers.time[b] == WORLD.epoch_time[epoch]
+        assert tau[b] == WORLD.epoch_time[epoch] - WORLD.epoch_time[epoch - 1]
+        satellites = WORLD.satellites[epoch]
+        np.testing.assert_array_equal(batch.buffers.visible[b], satellites[:, 6] > 0.0)
+        r, v = fields["position_e"][b], fields["velocity_e"][b]
+        np.testing.assert_array_equal(batch.buffers.position_e[b], r)
+        np.testing.assert_array_equal(batch.buffers.velocity_e[b], v)
+        bias, drift = fields["clock"][b]
+        sights = np.zeros((N, 3))
+        for s in range(N):
+            z, zdot = seen["innovation"][b, [s, N + s]]
+            if satellites[s, 6] == 0.0:
+                assert (z, zdot) == (0.0, 0.0)
+                continue
+            rho, rate, *sights[s] = range_and_rate(*satellites[s, :6], *r, *v)
+            measured = fields["measured"][b, :, s]
+            assert abs(z - (measured[0] - rho - bias)) <= 1e-8
+            assert abs(zdot - (measured[1] - rate - drift)) <= 1e-9
+        np.testing.assert_allclose(fields["line_of_sight"][b], sights, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("receivers", [1, 9])
+def test_what_is_shown_of_an_epoch_is_what_the_update_uses(receivers):
+    """Its equations hold among them, to rounding."""
+    batch, before = Batch(range(receivers)), Batch(range(receivers))
+    batch.predict()
+    fields, seen, tau = batch.fields, batch.buffers.seen, batch.buffers.interval
+    np.testing.assert_array_equal(seen["innovation"], fields["innovation"])
+    np.testing.assert_array_equal(seen["predicted_cov"], batch.buffers.covariance)
+    np.testing.assert_array_equal(seen["imu_delta"], fields["imu_delta"])
+    np.testing.assert_array_equal(seen["pseudorange"], fields["measured"][:, 0])
+    np.testing.assert_array_equal(seen["range_rate"], fields["measured"][:, 1])
+    now = WORLD.satellites[batch.sensors.epoch]
+    np.testing.assert_array_equal(seen["satellite_position"], now[:, :, :3])
+    np.testing.assert_array_equal(seen["satellite_velocity"], now[:, :, 3:6])
+    for b in range(receivers):
+        visible, R = batch.buffers.visible[b], fields["noise_variance"][b]
+        H, P, S = seen["design"][b], seen["predicted_cov"][b], seen["innovation_cov"][b]
+        np.testing.assert_array_equal(H, design(fields["line_of_sight"][b], visible))
+        want = H @ P @ H.T + np.diag(np.where(np.tile(visible, 2), R, 1.0))
+        np.testing.assert_allclose(S, want, rtol=1e-11, atol=1e-11)
+        np.testing.assert_array_equal(S, S.T)
+        np.testing.assert_allclose(seen["innovation_variance"][b], np.diag(S), rtol=1e-12)
+        Phi = seen["transition"][b]
+        Q = np.diag(fields["noise_psd"][b] * tau[b])
+        want = Phi @ (before.buffers.covariance[b] + Q / 2) @ Phi.T + Q / 2
+        sd = np.sqrt(np.diag(want))
+        np.testing.assert_allclose(
+            P / np.outer(sd, sd), want / np.outer(sd, sd), rtol=0, atol=1e-12
+        )
+
+
+@pytest.mark.parametrize("wanted", [(), ("innovation_cov",), ("design", "imu_delta")])
+def test_what_nobody_looks_at_changes_nothing(wanted):
+    few, all_of_it = Batch(range(9), wanted), Batch(range(9))
+    assert set(few.buffers.seen) == {"innovation", "innovation_variance", *wanted}
+    for batch in (few, all_of_it):
+        for _ in range(2):
+            batch.run(MEASURE + PREDICT + SHOW)
+            batch.run(UPDATE)
+    for row in range(9):
+        mine, theirs = few.everything(row), all_of_it.everything(row)
+        check_same(mine, {name: theirs[name] for name in mine})
+
+
+@pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
+@pytest.mark.parametrize("receivers", [1, 9])
+def test_an_invisible_slot_tells_nothing_whatever_it_holds(receivers, covariance_update):
+    satellites = WORLD.satellites.copy()
+    hidden = satellites[:, :, 6] == 0.0
+    satellites[hidden, :6] = np.nan
+    strange = HandMade(WORLD.run, WORLD.epoch_time, WORLD.epoch_end, satellites)
+    wanted = ("innovation_cov", "design")
+    clean, odd = Batch(range(receivers), wanted), Batch(range(receivers), wanted, strange)
+    unseen = hidden[clean.sensors.epoch + 1]
+    assert unseen.any()
+    R, measured = odd.fields.get("noise_variance"), odd.fields.get("measured")
+    R[np.tile(unseen, 2)] = np.nan
+    measured[np.repeat(unseen[:, None], 2, axis=1)] = np.nan
+    odd.fields["noise_variance"], odd.fields["measured"] = R, measured
+    for batch in (clean, odd):
+        batch.predict()
+        batch.update(batch.weights, update=covariance_update)
+    for row in range(receivers):
+        mine, theirs = odd.everything(row), clean.everything(row)
+        for name in ("noise_variance", "measured"):
+            del mine[name], theirs[name]
+        check_same(mine, theirs)

@@ -7,66 +7,114 @@ import numpy as np
 import pytest
 
 from spoofgym.receiver.epoch import OPTIONAL, Epoch, TracedEpoch, epoch_view
-from spoofgym.receiver.state import LANES, ReceiverBuffers, buffer_size, unpack
+from spoofgym.receiver.state import ALWAYS_SEEN, SEEN, ReceiverBuffers
 
 OF_OTHER_RECEIVERS = ("gnss_position", "auxiliary_position", "cn0_dbhz")
 
 
 @pytest.mark.nojit
-@pytest.mark.parametrize(("receivers", "channels"), [(1, 4), (3, 12), (8, 5)])
-def test_arrays_fill_the_buffer_without_overlap(receivers, channels):
-    floats = np.arange(float(buffer_size(receivers, channels)))
-    flags = np.zeros(receivers * (channels + 1), dtype=np.bool_)
-    state, measured, noise_psd = unpack(floats, flags, receivers, channels)
-    numbers = [*state, *(a for a in measured if a.dtype == np.float64), noise_psd]
-    np.testing.assert_array_equal(np.sort(np.concatenate([a.ravel() for a in numbers])), floats)
-    for array in (*state, *measured, noise_psd):
+@pytest.mark.parametrize("wanted", [SEEN, (), ("design", "innovation_cov")])
+@pytest.mark.parametrize(("receivers", "channels"), [(1, 4), (3, 12), (8, 5), (17, 7)])
+def test_what_is_seen_fills_its_buffer_without_overlap(receivers, channels, wanted):
+    buffers = ReceiverBuffers(receivers, channels, wanted)
+    assert list(buffers.seen) == [name for name in SEEN if name in {*ALWAYS_SEEN, *wanted}]
+    floats = buffers.seen_floats
+    floats[:] = np.arange(float(len(floats)))
+    views = [buffers.time, buffers.interval, buffers.position_e, buffers.velocity_e]
+    views += buffers.seen.values()
+    np.testing.assert_array_equal(np.concatenate([a.ravel() for a in views]), floats)
+    for array in views:
         assert array.shape[0] == receivers
         assert array.flags.c_contiguous
-    measured.visible[:] = True
-    assert flags.sum() == receivers * channels
-    measured.coasting[:] = True
-    assert flags.all()
+    for name, place in zip(SEEN, buffers.places, strict=True):
+        assert (place >= 0) == (name in buffers.seen)
+        if place >= 0:
+            assert buffers.seen[name].flat[0] == floats[place]
 
 
 def test_shapes():
-    buffers = ReceiverBuffers(3, 7, 20)
-    m = buffers.measured
-    assert m.innovation.shape == m.innovation_variance.shape == m.noise_variance.shape == (3, 14)
-    assert m.innovation_cov.shape == (3, 14, 14)
-    assert m.design.shape == (3, 14, 17)
-    assert buffers.state.covariance.shape == m.transition.shape == (3, 17, 17)
-    assert buffers.samples.shape == (1, 20, 6 * LANES)
-    np.testing.assert_array_equal(m.transition, np.tile(np.eye(17), (3, 1, 1)))
+    buffers = ReceiverBuffers(3, 7, SEEN)
+    assert buffers.fields["noise_variance"].shape == (3, 14)
+    assert buffers.fields["measured"].shape == (3, 2, 7)
+    assert buffers.visible.shape == (3, 7)
+    shapes = {name: array.shape[1:] for name, array in buffers.seen.items()}
+    assert shapes == {
+        "innovation": (14,),
+        "innovation_variance": (14,),
+        "innovation_cov": (14, 14),
+        "predicted_cov": (17, 17),
+        "design": (14, 17),
+        "transition": (17, 17),
+        "imu_delta": (6,),
+        "pseudorange": (7,),
+        "range_rate": (7,),
+        "satellite_position": (7, 3),
+        "satellite_velocity": (7, 3),
+    }
+    assert buffers.covariance.shape == (3, 17, 17)
 
 
-def test_samples_of_every_receiver_come_back():
-    receivers = 2 * LANES + 3
-    buffers = ReceiverBuffers(receivers, 4, 30)
-    rng = np.random.default_rng(0)
-    put = {}
-    for b in range(receivers):
-        put[b] = rng.standard_normal((int(rng.integers(1, 31)), 6))
-        buffers.put_samples(b, put[b])
-        buffers.block[1, b] = len(put[b])
-    for b in range(receivers):
-        np.testing.assert_array_equal(buffers.measured_samples(b), put[b])
-    assert not np.shares_memory(buffers.measured_samples(0), buffers.samples)
+@pytest.mark.parametrize("receivers", [1, 3, 9])
+def test_a_covariance_is_kept_as_its_upper_triangle(receivers):
+    buffers, rng = ReceiverBuffers(receivers, 4), np.random.default_rng(0)
+    root = rng.standard_normal((receivers, 17, 17))
+    given = root @ root.transpose(0, 2, 1)
+    buffers.put_covariance(np.arange(receivers), given)
+    np.testing.assert_array_equal(buffers.covariance, given)
+    buffers.put_covariance(np.array([receivers - 1]), np.diag(np.arange(17.0)))
+    given[receivers - 1] = np.diag(np.arange(17.0))
+    np.testing.assert_array_equal(buffers.covariance, given)
+    assert not np.shares_memory(buffers.covariance, buffers.fields.data)
 
 
+@pytest.mark.parametrize("receivers", [1, 2, 9])
 @pytest.mark.parametrize("way", [copy.deepcopy, lambda b: pickle.loads(pickle.dumps(b))])
-def test_a_copy_has_arrays_of_its_own(way):
-    buffers = ReceiverBuffers(2, 4, 3)
-    buffers.state.clock[:] = 3.0
+def test_a_copy_has_arrays_of_its_own(way, receivers):
+    buffers = ReceiverBuffers(receivers, 4, SEEN)
+    buffers.fields["clock"] = 3.0
+    buffers.seen["design"][:] = 3.0
+    buffers.time[:], buffers.visible[:] = 3.0, True
     copied = way(buffers)
-    np.testing.assert_array_equal(copied.state.clock, 3.0)
-    copied.state.clock[:] = -1.0
-    assert (copied.floats == -1.0).sum() == 4  # views of its own buffer
-    np.testing.assert_array_equal(buffers.state.clock, 3.0)
+    views = ("time", "interval", "position_e", "velocity_e", *SEEN)
+    for name in views:
+        array = copied.seen[name] if name in SEEN else getattr(copied, name)
+        assert np.shares_memory(array, copied.seen_floats), name
+    np.testing.assert_array_equal(copied.fields["clock"], 3.0)
+    np.testing.assert_array_equal(copied.seen["design"], 3.0)
+    copied.fields["clock"] = -1.0
+    copied.seen_floats[:] = -1.0
+    copied.visible[:] = False
+    np.testing.assert_array_equal(copied.time, -1.0)
+    np.testing.assert_array_equal(buffers.fields["clock"], 3.0)
+    np.testing.assert_array_equal(buffers.seen["design"], 3.0)
+    np.testing.assert_array_equal(buffers.time, 3.0)
+    assert buffers.visible.all()
+
+
+@pytest.mark.parametrize("wanted", [(), SEEN])
+@pytest.mark.parametrize(("here", "there"), [(1, 9), (9, 1), (9, 17), (8, 8)])
+def test_receivers_are_taken_over_from_a_batch_of_any_width(here, there, wanted):
+    mine, other = ReceiverBuffers(here, 4, wanted), ReceiverBuffers(there, 4, SEEN)
+    rng = np.random.default_rng(3)
+    other.fields.data[:] = rng.standard_normal(other.fields.data.shape)
+    other.seen_floats[:] = rng.standard_normal(len(other.seen_floats))
+    other.visible[:], other.coasting[:] = rng.random((there, 4)) < 0.5, rng.random(there) < 0.5
+    before = copy.deepcopy(mine)
+    to, rows = np.array([here - 1]), np.array([there - 1])
+    mine.copy_rows(to, other, rows)
+    for name in ("time", "interval", "position_e", "velocity_e", "visible", "coasting"):
+        np.testing.assert_array_equal(getattr(mine, name)[to], getattr(other, name)[rows])
+        np.testing.assert_array_equal(getattr(mine, name)[:-1], getattr(before, name)[:-1])
+    for name, array in mine.seen.items():
+        np.testing.assert_array_equal(array[to], other.seen[name][rows])
+        np.testing.assert_array_equal(array[:-1], before.seen[name][:-1])
+    for name in mine.fields.shapes:
+        np.testing.assert_array_equal(mine.fields[name][to], other.fields.get(name, rows))
+        np.testing.assert_array_equal(mine.fields[name][:-1], before.fields[name][:-1])
 
 
 def test_an_epoch_is_read_only_and_follows_the_buffers():
-    buffers = ReceiverBuffers(2, 4, 3)
+    buffers = ReceiverBuffers(2, 4, SEEN)
     epoch = epoch_view(buffers)
     for name, array in epoch._asdict().items():
         if name in OF_OTHER_RECEIVERS:
@@ -76,10 +124,12 @@ def test_an_epoch_is_read_only_and_follows_the_buffers():
         assert array.shape[0] == 2
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
-    buffers.measured.innovation[1, 3] = 7.0
-    buffers.state.covariance[0, 2, 2] = 5.0
+    buffers.seen["innovation"][1, 3] = 7.0
+    buffers.seen["predicted_cov"][0, 2, 2] = 5.0
+    buffers.position_e[1] = 3.0
     assert epoch.innovation[1, 3] == 7.0
     assert epoch.predicted_cov[0, 2, 2] == 5.0
+    np.testing.assert_array_equal(epoch.predicted_position[1], 3.0)
 
 
 def test_an_epoch_has_no_field_of_truth():
@@ -89,15 +139,15 @@ def test_an_epoch_has_no_field_of_truth():
 def test_the_fields_that_are_always_there():
     always = ("time", "interval", "innovation", "innovation_variance", "visible")
     assert Epoch._fields[: -len(OPTIONAL)] == (*always, "predicted_position", "predicted_velocity")
-    epoch = epoch_view(ReceiverBuffers(2, 4, 3))
+    epoch = epoch_view(ReceiverBuffers(2, 4, SEEN))
     assert [name for name in Epoch._fields if getattr(epoch, name) is None] == [*OF_OTHER_RECEIVERS]
-    some = epoch_view(ReceiverBuffers(2, 4, 3), {"design", "cn0_dbhz"})
+    some = epoch_view(ReceiverBuffers(2, 4, {"design", "cn0_dbhz"}))
     assert [name for name in OPTIONAL if getattr(some, name) is not None] == ["design"]
     assert all(getattr(some, name) is not None for name in always)
 
 
 def test_a_traced_epoch_notes_what_is_read():
-    traced = TracedEpoch(*epoch_view(ReceiverBuffers(2, 4, 3)))
+    traced = TracedEpoch(*epoch_view(ReceiverBuffers(2, 4, SEEN)))
     assert traced.innovation.shape == (2, 8)
     assert traced.read == set()
     changed = traced._replace(innovation=traced.innovation + 1.0)

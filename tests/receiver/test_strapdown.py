@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from spoofgym._jit import njit
+from spoofgym._simd import LANES, load, store
 from spoofgym.earth.frames import dcm_e_from_n, geodetic_to_ecef
 from spoofgym.earth.wgs84 import EARTH_RATE, gravity
-from spoofgym.receiver.state import LANES, ReceiverBuffers
 from spoofgym.receiver.strapdown import rotation_coefficients, strapdown_step
 
-from .batches import predict
+from ..lanes import in_all_lanes, side_by_side
+from .batches import WORLD, Batch
 
 ULP = 2.0**-53
 
@@ -103,93 +105,102 @@ def test_without_forces_speed_turns_against_the_earth():
     assert v_after[1] == pytest.approx(-2.0 * EARTH_RATE * 100.0, rel=1e-3)
 
 
-def random_batch(receivers, channels=4, most=12):
-    """Buffers of receivers that all fly differently, with different numbers of samples."""
-    buffers = ReceiverBuffers(receivers, channels, most)
-    interval = np.linspace(0.008, 0.012, 3 * most)
+@njit
+def coefficients_of(angle, out):
+    a = load(angle, 0)
+    s, c, d = rotation_coefficients(a * a)
+    store(out, 0, s)
+    store(out, 1, c)
+    store(out, 2, d)
+
+
+@pytest.mark.nojit
+def test_coefficients_are_the_same_in_any_lane():
+    """Of angles on both sides of the limits."""
+    angles = np.array([[0.0, 1e-300, 0.999e-8, 1.001e-8, 3e-6, 0.999e-4, 1.001e-4, 1.0]])
+    out = np.full((3, LANES), np.nan)
+    in_all_lanes(coefficients_of, angles, out)
+    for i, angle in enumerate(angles[0]):
+        assert tuple(out[:, i]) == rotation_coefficients(angle * angle)
+
+
+@njit
+def step_of(state, sample):
+    C = (
+        load(state, 0),
+        load(state, 1),
+        load(state, 2),
+        load(state, 3),
+        load(state, 4),
+        load(state, 5),
+        load(state, 6),
+        load(state, 7),
+        load(state, 8),
+    )
+    v = load(state, 9), load(state, 10), load(state, 11)
+    r = load(state, 12), load(state, 13), load(state, 14)
+    f = load(sample, 0), load(sample, 1), load(sample, 2)
+    w = load(sample, 3), load(sample, 4), load(sample, 5)
+    C, v, r = strapdown_step(C, v, r, f, w, load(sample, 6))
+    for i in range(9):
+        store(state, i, C[i])
+    for i in range(3):
+        store(state, 9 + i, v[i])
+        store(state, 12 + i, r[i])
+
+
+@pytest.mark.nojit
+def test_eight_receivers_step_as_each_alone():
+    """From the equator to the pole; turning fast, slowly and not at all."""
+    rng = np.random.default_rng(5)
+    states = []
+    for latitude in (-90.0, -45.0, -1e-6, 0.0, 30.0, 60.0, 89.999, 90.0):
+        C, _, r = at(latitude, rng.uniform(0.0, 1e4))
+        states.append(np.concatenate([C.ravel(), rng.normal(0.0, 100.0, 3), r]))
+    state = side_by_side(states)
+    sample = np.vstack([rng.normal(0.0, 10.0, (3, LANES)), rng.normal(0.0, 1.0, (4, LANES))])
+    sample[3:6] *= [1.0, 0.1, 1e-3, 1e-6, 1e-9, 0.0, 10.0, 3.0]
+    sample[6] = 0.01
+    first = state.copy()
+    in_all_lanes(step_of, state, sample)
+    for i in range(LANES):
+        C, v, r, f, w = np.split(np.concatenate([first[:, i], sample[:6, i]]), [9, 12, 15, 18])
+        C, v, r = strapdown_step(tuple(C), tuple(v), tuple(r), tuple(f), tuple(w), 0.01)
+        np.testing.assert_array_equal(state[:, i], np.concatenate([C, v, r]))
+
+
+@pytest.mark.parametrize("receivers", [1, LANES + 3])
+def test_lanes_go_the_steps_of_single_samples(receivers):
+    """Each as many as its interval has."""
+    batch, start = Batch(range(receivers)), Batch(range(receivers))
+    batch.predict()
+    after, before, counts = batch.fields, start.fields, set()
     for b in range(receivers):
-        fill(buffers, b, b, interval)
-    return buffers, interval
-
-
-def fill(buffers, row, number, interval):
-    """Make a row of a batch the receiver of a number."""
-    rng = np.random.default_rng(number)
-    state, measured = buffers.state, buffers.measured
-    C, _, r = at(rng.uniform(-80.0, 80.0), rng.uniform(0.0, 1e4))
-    state.C_eb[row] = C
-    state.position_e[row], state.velocity_e[row] = r, rng.normal(0.0, 100.0, 3)
-    state.accel_bias_b[row], state.gyro_bias_b[row] = rng.normal(0, 1e-3, 3), rng.normal(0, 1e-5, 3)
-    state.clock[row] = rng.normal(0.0, 100.0, 2)
-    root = rng.normal(0.0, 0.1, (17, 17))
-    state.covariance[row] = root @ root.T
-    buffers.noise_psd[row] = rng.uniform(0.0, 1.0, 17)
-    count = int(rng.integers(1, buffers.samples.shape[1] + 1))
-    buffers.put_samples(row, rng.normal(0.0, 1.0, (count, 6)) * np.repeat([10.0, 0.3], 3))
-    first = int(rng.integers(0, 5))
-    buffers.block[:, row] = first, count
-    measured.interval[row] = interval[first : first + count].sum()
-    measured.visible[row] = rng.uniform(size=buffers.channels) < 0.7
-    measured.satellite_position[row] = r + rng.normal(0.0, 1e7, (buffers.channels, 3))
-    measured.satellite_velocity[row] = rng.normal(0.0, 1e3, (buffers.channels, 3))
-    measured.pseudorange[row] = rng.uniform(2e7, 2.5e7, buffers.channels)
-
-
-def rows(buffers, row):
-    return [np.array(a[row]) for part in (buffers.state, buffers.measured) for a in part]
-
-
-@pytest.mark.parametrize("receivers", [2, 3, LANES - 1, LANES, LANES + 1, 2 * LANES + 5])
-def test_a_receiver_takes_the_same_path_in_any_lane_of_any_batch(receivers):
-    buffers, interval = random_batch(receivers)
-    predict(buffers, interval)
-    for b in range(receivers):
-        alone = ReceiverBuffers(1, buffers.channels, buffers.samples.shape[1])
-        fill(alone, 0, b, interval)
-        predict(alone, interval)
-        for together, single in zip(rows(buffers, b), rows(alone, 0), strict=True):
-            assert together.tobytes() == single.tobytes()
-
-
-def test_slices_of_whole_lanes_are_the_whole():
-    whole, interval = random_batch(2 * LANES + 5)
-    sliced, _ = random_batch(2 * LANES + 5)
-    predict(whole, interval)
-    for lo, hi in ((LANES, 2 * LANES), (2 * LANES, 2 * LANES + 5), (0, LANES)):
-        predict(sliced, interval, lo, hi)
-    assert whole.floats.tobytes() == sliced.floats.tobytes()
-
-
-def test_lanes_go_the_steps_of_single_samples():
-    buffers, interval = random_batch(LANES + 3)
-    start, _ = random_batch(LANES + 3)
-    predict(buffers, interval)
-    for b in range(LANES + 3):
-        samples = start.measured_samples(b)
-        C, v, r = (
-            tuple(a[b].ravel())
-            for a in (start.state.C_eb, start.state.velocity_e, start.state.position_e)
-        )
+        first, last = WORLD.epoch_end[start.sensors.epoch[b] : start.sensors.epoch[b] + 2]
+        counts.add(last - first)
+        C, v, r = (tuple(before[name][b].ravel()) for name in ("C_eb", "velocity_e", "position_e"))
         delta = np.zeros(6)
-        for i, sample in enumerate(samples):
-            dt = interval[start.block[0, b] + i]
-            f = sample[:3] - start.state.accel_bias_b[b]
-            w = sample[3:] - start.state.gyro_bias_b[b]
+        for sample in WORLD.run.T[first:last]:
+            dt = sample[6]
+            f = sample[:3] - before["accel_bias_b"][b]
+            w = sample[3:6] - before["gyro_bias_b"][b]
             delta += np.concatenate([f, w]) * dt
             C, v, r = strapdown_step(C, v, r, tuple(f), tuple(w), dt)
-        np.testing.assert_allclose(buffers.state.C_eb[b].ravel(), C, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(buffers.state.velocity_e[b], v, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(buffers.state.position_e[b], r, rtol=0, atol=2e-8)
-        np.testing.assert_allclose(buffers.measured.imu_delta[b], delta, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(after["C_eb"][b].ravel(), C, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(after["velocity_e"][b], v, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(after["position_e"][b], r, rtol=0, atol=2e-8)
+        np.testing.assert_allclose(after["imu_delta"][b], delta, rtol=1e-12, atol=1e-15)
+    assert len(counts) > 3 or receivers == 1
 
 
-def test_the_last_specific_force_is_that_of_the_last_sample():
+@pytest.mark.parametrize("receivers", [1, LANES + 3])
+def test_the_last_specific_force_is_that_of_the_last_sample(receivers):
     """It enters the transition; lanes with fewer samples keep theirs while others go on."""
-    buffers, interval = random_batch(LANES)
-    start, _ = random_batch(LANES)
-    predict(buffers, interval)
-    for b in range(LANES):
-        f = start.measured_samples(b)[-1, :3] - start.state.accel_bias_b[b]
-        f_e = buffers.state.C_eb[b] @ f * buffers.measured.interval[b]
-        Phi = buffers.measured.transition[b]
+    batch, start = Batch(range(receivers)), Batch(range(receivers))
+    batch.predict()
+    for b in range(receivers):
+        last = WORLD.epoch_end[batch.sensors.epoch[b]] - 1
+        f = WORLD.run[:3, last] - start.fields["accel_bias_b"][b]
+        f_e = batch.fields["C_eb"][b] @ f * batch.buffers.interval[b]
+        Phi = batch.buffers.seen["transition"][b]
         np.testing.assert_allclose([Phi[5, 1], Phi[3, 2], Phi[4, 0]], -f_e, rtol=1e-12)

@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from spoofgym.sim._kernels import gnss_epoch
+from spoofgym._jit import njit
+from spoofgym._simd import LANES, load
+from spoofgym.sim._kernels import SKY, gather_sky, measure
 from spoofgym.sim.clock import ReceiverClock
 from spoofgym.sim.gnss import ERRORS, GnssErrors
 from spoofgym.sim.imu import IMU_GRADES
 from spoofgym.sim.noise import padded
 from spoofgym.sim.sensors import SensorBuffers
+
+from ..lanes import in_all_lanes
 
 N = 8
 
@@ -48,34 +52,46 @@ def test_standard_deviations_must_be_finite_and_not_negative(name, value):
         replace(ERRORS["groves"], **{name: value})
 
 
+@njit
+def measured(sensors, keys, epoch, tau, sky, noise, added, out):
+    """Pseudoranges and range rates of a group, in all rows of `out`."""
+    n = out.shape[0] // 2
+    measure(sensors, 0, n, keys, 0, load(epoch, 0), load(tau, 0), sky, noise, added, out, 0)
+
+
+def begun(errors, bias_sd, seeds, grade="aviation"):
+    buffers = SensorBuffers(len(seeds), N)
+    rows = np.arange(len(seeds))
+    buffers.draw_keys(rows, [np.random.default_rng(seed) for seed in seeds])
+    buffers.begin(rows, IMU_GRADES[grade], errors, np.full(N, float(bias_sd)))
+    return buffers
+
+
 def epochs_of(errors, count, tau=0.5, bias_sd=0.0, change=None, seed=3):
     """(count, N) errors of pseudoranges and range rates of one receiver, and its clocks."""
-    buffers = SensorBuffers(1, N)
-    generator = np.random.default_rng(seed)
-    buffers.draw_keys(np.arange(1), [generator])
-    buffers.begin(np.arange(1), IMU_GRADES["aviation"], errors, np.full(N, float(bias_sd)))
+    buffers = begun(errors, bias_sd, [seed])
     if change is not None:
-        change(buffers.state)
-    truth = np.zeros((N, 8))
-    truth[:, 6], truth[:, 7] = 2.2e7 + np.arange(N), 100.0 * np.arange(N)
-    ranges, rates, clocks = np.empty((count, N)), np.empty((count, N)), np.empty((count, 2))
-    noise = np.empty(padded(2 * N))
+        change(buffers)
+    added = np.concatenate([buffers.range_offset[0], buffers.rate_offset[0], buffers.authentic[0]])
+    truth = np.zeros((1, N, 8))
+    truth[0, :, 6], truth[0, :, 7] = 2.2e7 + np.arange(N), 100.0 * np.arange(N)
+    out, clocks = np.empty((count, 2 * N)), np.empty((count, 2))
     for k in range(count):
-        gnss_epoch(
-            buffers.state,
-            0,
-            buffers.keys[2, 0],
-            buffers.keys[1, 0],
-            buffers.keys[7, 0],
-            k,
-            tau if k else 0.0,
-            truth,
-            noise,
-            ranges[k],
-            rates[k],
+        interval = np.array([tau if k else 0.0])
+        epoch = np.array([k], dtype=np.uint64)
+        measured(
+            buffers.fields.data,
+            buffers.words.data,
+            epoch,
+            interval,
+            truth.ravel(),
+            np.empty(padded(2 * N)),
+            added,
+            out[k],
         )
-        clocks[k] = buffers.state.clock[0]
-    return ranges - truth[:, 6], rates - truth[:, 7], clocks, buffers.state
+        clocks[k] = buffers.fields["clock"][0]
+    out -= truth[0, :, 6:].T.ravel()
+    return out[:, :N], out[:, N:], clocks, buffers.fields
 
 
 SILENT = GnssErrors(
@@ -96,9 +112,9 @@ def test_without_noise_only_the_clock_is_left():
 
 
 def test_an_attack_adds_to_every_channel():
-    def attack(state):
-        state.range_offset[0] = np.arange(N) * 3.0
-        state.rate_offset[0] = np.arange(N) * -0.1
+    def attack(buffers):
+        buffers.range_offset[0] = np.arange(N) * 3.0
+        buffers.rate_offset[0] = np.arange(N) * -0.1
 
     ranges, rates, _, _ = epochs_of(SILENT, 1, change=attack)
     np.testing.assert_allclose(ranges[0], 1000.0 + 3.0 * np.arange(N), rtol=0, atol=1e-8)
@@ -107,12 +123,12 @@ def test_an_attack_adds_to_every_channel():
 
 def test_biases_stay_and_the_rest_is_white():
     count = 2000
-    ranges, rates, _, state = epochs_of(
+    ranges, rates, _, fields = epochs_of(
         replace(ERRORS["groves"], clock=ReceiverClock(offset_m=0.0, drift_mps=0.0)),
         count,
         bias_sd=3.0,
     )
-    white = ranges - state.satellite_bias[0]
+    white = ranges - fields["satellite_bias"][0]
     for errors, sd in ((white, 1.0), (rates, 0.02)):
         assert scipy.stats.kstest(errors.ravel() / sd, "norm").pvalue > 1e-3
         correlation = (errors[1:] * errors[:-1]).mean() / sd**2
@@ -120,7 +136,7 @@ def test_biases_stay_and_the_rest_is_white():
         channels = np.corrcoef(errors.T) - np.eye(N)
         assert np.abs(channels).max() < 5.0 / math.sqrt(count)
     assert abs(np.corrcoef(white.ravel(), rates.ravel())[0, 1]) < 4.0 / math.sqrt(count * N)
-    assert 0.5 < state.satellite_bias[0].std() < 6.0
+    assert 0.5 < fields["satellite_bias"][0].std() < 6.0
 
 
 def test_a_noisy_clock_wanders_as_its_densities_say():
@@ -181,18 +197,18 @@ def test_correlated_errors_are_gauss_markov_and_stationary(tau):
 def test_correlated_errors_leave_range_rates_and_other_streams_alone():
     white = replace(SILENT, code_sd_m=1.0, range_rate_sd_mps=0.1)
     without, rates, _, _ = epochs_of(white, 30)
-    both, same, _, state = epochs_of(replace(white, correlated_sd_m=0.75), 30)
+    both, same, _, fields = epochs_of(replace(white, correlated_sd_m=0.75), 30)
     np.testing.assert_array_equal(rates, same)
-    np.testing.assert_allclose((both - without)[-1], state.correlated[0], rtol=0, atol=1e-8)
+    np.testing.assert_allclose((both - without)[-1], fields["correlated"][0], rtol=0, atol=1e-8)
     alone, _, _, _ = epochs_of(replace(SILENT, correlated_sd_m=0.75), 30)
     silent, _, _, _ = epochs_of(SILENT, 30)
     np.testing.assert_allclose(both - without, alone - silent, rtol=0, atol=2e-8)
 
 
 def test_authentic_errors_can_be_taken_away():
-    def capture(state):
-        state.authentic[0, :3] = 0.0
-        state.authentic[0, N : N + 2] = 0.0
+    def capture(buffers):
+        buffers.authentic[0, :3] = 0.0
+        buffers.authentic[0, N : N + 2] = 0.0
 
     errors = replace(
         ERRORS["groves"], correlated_sd_m=2.0, clock=ReceiverClock(offset_m=5.0, drift_mps=1.0)
@@ -218,3 +234,53 @@ def test_the_realistic_errors_are_those_that_were_measured():
 def test_a_correlation_time_must_be_above_zero(value):
     with pytest.raises(ValueError, match=r"`correlation_s` must be finite and >=? 0, got"):
         replace(ERRORS["groves"], correlation_s=value)
+
+
+@njit
+def sky_of(satellites, epochs, sky):
+    gather_sky(satellites, epochs, sky)
+
+
+def test_eight_receivers_measure_as_each_alone():
+    """Other errors, clocks, epochs, intervals, skies and attacks; one sees nothing."""
+    rng, seeds = np.random.default_rng(1), range(LANES)
+    noisy = ReceiverClock(phase_psd=0.3, frequency_psd=0.2)
+    errors = [
+        SILENT,
+        ERRORS["realistic"],
+        replace(WANDERING, correlation_s=3.0),
+        replace(SILENT, clock=noisy),
+        replace(ERRORS["groves"], correlated_sd_m=2.0, clock=noisy),
+        ERRORS["white"],
+        ERRORS["zhong2025"],
+        replace(SILENT, code_sd_m=1.0),
+    ]
+    buffers = SensorBuffers(LANES, N)
+    buffers.draw_keys(np.arange(LANES), [np.random.default_rng(seed) for seed in seeds])
+    for b, each in enumerate(errors):
+        buffers.begin(np.array([b]), IMU_GRADES["aviation"], each, rng.uniform(0.0, 3.0, N))
+    satellites = rng.normal(0.0, 2e7, (50, N, SKY))
+    visible = rng.uniform(size=(50, N)) < 0.7
+    satellites[:, :, 6] = visible * rng.uniform(2e7, 2.5e7, (50, N))
+    epochs = rng.integers(0, 50, LANES)
+    satellites[epochs[3], :, 6], visible[epochs[3]] = 0.0, False
+    sky = np.full((SKY * N, LANES), np.nan)
+    sky_of(satellites, epochs, sky)
+    np.testing.assert_array_equal(sky.T.reshape(LANES, N, SKY), satellites[epochs])
+    added = np.vstack(
+        [rng.normal(0.0, 10.0, (2 * N, LANES)), rng.choice([0.0, 1.0], (2 * N, LANES))]
+    )
+    tau = rng.choice([0.0, 0.1, 0.5, 30.0], (1, LANES))
+    out = np.full((2 * N, LANES), np.nan)
+    in_all_lanes(
+        measured,
+        buffers.fields.data,
+        buffers.words.data,
+        epochs[None].astype(np.uint64),
+        tau,
+        sky,
+        np.zeros((padded(2 * N), LANES)),
+        added,
+        out,
+    )
+    np.testing.assert_array_equal(out.T != 0.0, np.tile(visible[epochs], 2))

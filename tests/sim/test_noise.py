@@ -8,7 +8,20 @@ import scipy.stats
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spoofgym.sim.noise import BLOCK, natural_log, normal_pair, normals, padded, threefry
+from spoofgym._jit import njit
+from spoofgym._simd import LANES, from_bits, load, store
+from spoofgym.sim.noise import (
+    BLOCK,
+    deviates,
+    exponential,
+    natural_log,
+    normal_pair,
+    normals,
+    padded,
+    threefry,
+)
+
+from ..lanes import in_all_lanes
 
 WORDS = st.integers(0, 2**64 - 1)
 
@@ -147,6 +160,79 @@ def test_a_shorter_draw_uses_the_same_words():
         np.testing.assert_array_equal(
             shorter[part * m : (part + 1) * m], longer[part * n : part * n + m]
         )
+
+
+@pytest.mark.nojit
+@given(st.floats(-707.9, 0.0))
+def test_the_exponential_function_is_right(x):
+    """To the rounding of k ln 2, which is exact, and of thirteen terms."""
+    assert exponential(x) == pytest.approx(math.exp(x), rel=4e-16)
+
+
+@pytest.mark.nojit
+def test_the_exponential_function_at_its_ends():
+    assert exponential(0.0) == exponential(-0.0) == 1.0
+    assert exponential(-1e-300) == 1.0
+    with np.errstate(all="ignore"):
+        for x in (-708.001, -1e4, -1e300, -math.inf):
+            assert exponential(np.float64(x)) == 0.0
+    for k in range(1, 1000):
+        assert exponential(-k * math.log(2.0)) == pytest.approx(2.0**-k, rel=2e-13)
+
+
+@njit
+def functions_of(numbers, words, out):
+    x, y = threefry(load(words, 0), load(words, 1), load(words, 2), load(words, 3))
+    store(out, 0, from_bits(x))
+    store(out, 1, from_bits(y))
+    a, b = normal_pair(load(words, 0))
+    store(out, 2, a)
+    store(out, 3, b)
+    store(out, 4, natural_log(load(numbers, 0)))
+    store(out, 5, exponential(load(numbers, 1)))
+
+
+@pytest.mark.nojit
+def test_functions_are_the_same_in_any_lane():
+    rng = np.random.default_rng(0)
+    edges = np.array([0, 1, 2**32 - 1, 2**32, 2**63, 2**64 - 1, 2**30, 3 << 30], dtype=np.uint64)
+    with np.errstate(over="ignore"):
+        for part in range(20):
+            words = rng.integers(0, 2**64, (4, LANES), dtype=np.uint64, endpoint=False)
+            words[0] = edges if part == 0 else words[0]
+            numbers = np.stack([10.0 ** rng.uniform(-300, 300, LANES), rng.uniform(-800.0, 0.0, 8)])
+            numbers[1, :3] = (0.0, -0.0, -1e-9) if part == 0 else numbers[1, :3]
+            out = np.full((6, LANES), np.nan)
+            in_all_lanes(functions_of, numbers, words, out)
+            for i in range(LANES):
+                x, y = threefry(*words[:, i])
+                want = [np.uint64(x).view(np.float64), np.uint64(y).view(np.float64)]
+                want += [*normal_pair(words[0, i]), natural_log(numbers[0, i])]
+                want.append(exponential(numbers[1, i]))
+                assert out[:, i].tobytes() == np.array(want).tobytes()
+
+
+@njit
+def draw_group(keys, epoch, size, count, out):
+    deviates(load(keys, 0), load(keys, 1), load(epoch, 0), size, count, out)
+
+
+@pytest.mark.parametrize("count", [1, BLOCK // 4, BLOCK // 2, BLOCK // 2 + 1, BLOCK, 2 * BLOCK - 1])
+@pytest.mark.parametrize("size", [BLOCK, 2 * BLOCK, 5 * BLOCK])
+def test_eight_receivers_draw_the_streams_of_their_own(size, count):
+    """The first deviates of those that each has alone, whatever is drawn of them."""
+    count = min(count, size)
+    rng = np.random.default_rng(size)
+    keys = rng.integers(0, 2**64, (2, LANES), dtype=np.uint64, endpoint=False)
+    epoch = rng.integers(0, 10_000, (1, LANES)).astype(np.uint64)
+    out = np.full((size, LANES), np.nan)
+
+    def kernel(keys, epoch, out):
+        draw_group(keys, epoch, size, count, out)
+
+    in_all_lanes(kernel, keys, epoch, out)
+    for i in range(LANES):
+        np.testing.assert_array_equal(out[:count, i], draw(keys[:, i], epoch[0, i], size)[:count])
 
 
 @given(st.integers(0, 10_000))

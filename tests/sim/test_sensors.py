@@ -9,7 +9,7 @@ import pytest
 from spoofgym.sim.clock import ReceiverClock
 from spoofgym.sim.gnss import ERRORS, GnssErrors
 from spoofgym.sim.imu import IMU_GRADES
-from spoofgym.sim.sensors import SOURCES, SensorBuffers, sensor_size, unpack_sensors
+from spoofgym.sim.sensors import SOURCES, SensorBuffers, sensor_shapes
 
 N = 5
 BIAS_SD = np.linspace(1.0, 3.0, N)
@@ -24,17 +24,22 @@ def begun(seeds, rows=None, receivers=None, errors=ERRORS["groves"], grade="tact
     return buffers
 
 
+def arrays_of(buffers):
+    """All arrays of a batch, by name."""
+    fields = {name: buffers.fields[name] for name in buffers.fields.shapes}
+    plain = ("epoch", "range_offset", "rate_offset", "authentic")
+    return {**fields, **{name: getattr(buffers, name) for name in plain}}
+
+
 @pytest.mark.nojit
-@pytest.mark.parametrize(("receivers", "channels"), [(1, 4), (3, 12)])
-def test_arrays_fill_the_buffer_without_overlap(receivers, channels):
-    floats = np.arange(float(sensor_size(receivers, channels)))
-    state = unpack_sensors(floats, receivers, channels)
-    values = np.concatenate([array.ravel() for array in state])
-    np.testing.assert_array_equal(np.sort(values), floats)
-    for array in state:
-        assert array.shape[0] == receivers
-        assert np.shares_memory(array, floats)
-        assert array.flags.c_contiguous
+@pytest.mark.parametrize(("receivers", "channels"), [(1, 4), (3, 12), (9, 5)])
+def test_every_receiver_has_all_quantities(receivers, channels):
+    buffers = SensorBuffers(receivers, channels)
+    for name, shape in sensor_shapes(channels).items():
+        assert buffers.fields[name].shape == (receivers, *shape)
+    assert buffers.keys.shape == (len(SOURCES), receivers, 2)
+    assert buffers.keys.dtype == np.uint64
+    assert buffers.authentic.all()
 
 
 def test_an_episode_begins_with_the_errors_of_the_grade():
@@ -48,21 +53,28 @@ def test_an_episode_begins_with_the_errors_of_the_grade():
         clock=clock,
     )
     buffers = SensorBuffers(2, N)
-    buffers.floats[:] = np.nan
+    buffers.fields.data[:] = np.nan
+    buffers.range_offset[:] = buffers.rate_offset[:] = buffers.authentic[:] = np.nan
     generators = [np.random.default_rng(seed) for seed in (1, 2)]
     grade = IMU_GRADES["consumer"]
     buffers.draw_keys(np.arange(2), generators)
     buffers.begin(np.arange(2), grade, errors, BIAS_SD)
-    state = buffers.state
-    assert np.isfinite(buffers.floats).all()
+    state = buffers.fields
+    assert np.isfinite(buffers.fields.data).all()
+    assert buffers.authentic.all()
     for b in range(2):
-        np.testing.assert_array_equal(state.accel_bias[b], grade.accel_bias)
-        np.testing.assert_array_equal(state.gyro_matrix[b], grade.gyro_matrix)
-        np.testing.assert_array_equal(state.g_dependence[b], grade.g_dependence)
-        np.testing.assert_array_equal(state.clock[b], [7.0, 3.0])
-        np.testing.assert_array_equal(state.clock_psd[b], [0.1, 0.2])
-        np.testing.assert_array_equal(state.gnss_noise[b], [0.5, 0.1])
-        for zero in (state.residual, state.range_offset, state.rate_offset):
+        np.testing.assert_array_equal(state["accel_bias"][b], grade.accel_bias)
+        np.testing.assert_array_equal(state["gyro_matrix"][b], grade.gyro_matrix)
+        np.testing.assert_array_equal(state["g_dependence"][b], grade.g_dependence)
+        np.testing.assert_array_equal(state["clock"][b], [7.0, 3.0])
+        np.testing.assert_array_equal(state["clock_psd"][b], [0.1, 0.2])
+        np.testing.assert_array_equal(state["gnss_noise"][b], [0.5, 0.1])
+        for zero in (
+            state["residual"],
+            state["correlated"],
+            buffers.range_offset,
+            buffers.rate_offset,
+        ):
             assert not zero[b].any()
 
 
@@ -72,7 +84,7 @@ def test_chance_depends_on_the_seed_alone():
         alone = begun([seed])
         np.testing.assert_array_equal(batch.keys[:, row], alone.keys[:, 0])
         np.testing.assert_array_equal(
-            batch.state.satellite_bias[row], alone.state.satellite_bias[0]
+            batch.fields["satellite_bias"][row], alone.fields["satellite_bias"][0]
         )
 
 
@@ -97,34 +109,58 @@ def test_an_episode_depends_on_its_number_and_not_on_what_was_drawn():
             buffers.draw_keys(np.arange(1), [generator])
             buffers.begin(np.arange(1), IMU_GRADES["aviation"], ERRORS["white"], BIAS_SD)
     np.testing.assert_array_equal(a.keys, b.keys)
-    np.testing.assert_array_equal(a.state.satellite_bias, b.state.satellite_bias)
+    np.testing.assert_array_equal(a.fields["satellite_bias"], b.fields["satellite_bias"])
 
 
 def test_only_the_receivers_that_begin_are_touched():
     buffers = begun([1, 2, 3])
-    buffers.state.clock[:] = 5.0
+    buffers.fields["clock"] = 5.0
+    buffers.range_offset[:] = 3.0
     before = copy.deepcopy(buffers)
     generators = [np.random.default_rng(7)]
     buffers.draw_keys(np.array([1]), generators)
     buffers.begin(np.array([1]), IMU_GRADES["tactical"], ERRORS["groves"], BIAS_SD)
     for b in (0, 2):
-        for array, old in zip(buffers.state, before.state, strict=True):
-            np.testing.assert_array_equal(array[b], old[b])
+        theirs = arrays_of(before)
+        for name, array in arrays_of(buffers).items():
+            np.testing.assert_array_equal(array[b], theirs[name][b], err_msg=name)
         np.testing.assert_array_equal(buffers.keys[:, b], before.keys[:, b])
     assert (buffers.keys[:, 1] != before.keys[:, 1]).any()
 
 
 def test_biases_have_the_standard_deviations_given():
-    biases = begun(range(400)).state.satellite_bias / BIAS_SD
+    biases = begun(range(400)).fields["satellite_bias"] / BIAS_SD
     assert abs(biases.mean()) < 4.0 / np.sqrt(biases.size)
     assert biases.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * biases.size))
     assert np.abs(np.corrcoef(biases.T) - np.eye(N)).max() < 0.2
 
 
+@pytest.mark.parametrize("seeds", [[1], [1, 2], range(9)])
 @pytest.mark.parametrize("way", [copy.deepcopy, lambda b: pickle.loads(pickle.dumps(b))])
-def test_a_copy_has_arrays_of_its_own(way):
-    buffers = begun([1, 2])
-    copied = way(buffers)
-    copied.state.clock[:] = -1.0
-    assert (copied.floats == -1.0).sum() >= 4  # views of its own buffer
-    assert (buffers.state.clock != -1.0).all()
+def test_a_copy_has_arrays_of_its_own(way, seeds):
+    buffers = begun(seeds)
+    copied, keys = way(buffers), buffers.keys.copy()
+    before = {name: array.copy() for name, array in arrays_of(buffers).items()}
+    for name, array in arrays_of(copied).items():
+        np.testing.assert_array_equal(array, before[name], err_msg=name)
+    np.testing.assert_array_equal(copied.keys, keys)
+    copied.fields.data[:] = -1.0
+    copied.words.data[:] = 1
+    copied.epoch[:] = copied.authentic[:] = copied.range_offset[:] = copied.rate_offset[:] = -1
+    for name, array in arrays_of(buffers).items():
+        np.testing.assert_array_equal(array, before[name], err_msg=name)
+    np.testing.assert_array_equal(buffers.keys, keys)
+
+
+@pytest.mark.parametrize(("here", "there"), [(1, 9), (9, 1), (17, 9)])
+def test_receivers_are_taken_over_from_a_batch_of_any_width(here, there):
+    mine, other = begun(range(here)), begun(range(100, 100 + there), grade="consumer")
+    other.range_offset[:], other.epoch[:] = 3.0, 7
+    before = copy.deepcopy(mine)
+    mine.copy_rows(np.array([here - 1]), other, np.array([there - 1]))
+    theirs, old = arrays_of(other), arrays_of(before)
+    for name, array in arrays_of(mine).items():
+        np.testing.assert_array_equal(array[-1], theirs[name][-1], err_msg=name)
+        np.testing.assert_array_equal(array[:-1], old[name][:-1], err_msg=name)
+    np.testing.assert_array_equal(mine.keys[:, -1], other.keys[:, -1])
+    np.testing.assert_array_equal(mine.keys[:, :-1], before.keys[:, :-1])

@@ -13,11 +13,13 @@ from spoofgym.receiver import TightlyCoupled
 from spoofgym.sim.constellation import CircularConstellation
 from spoofgym.sim.flight import flight_from_geodetic
 from spoofgym.sim.gnss import ERRORS
-from spoofgym.sim.imu import IMU_GRADES, quantize, sense
+from spoofgym.sim.imu import IMU_GRADES
 from spoofgym.sim.scenario import Scenario
 from spoofgym.simulators import TightlyCoupledSetup, Timeline
 
 from ..golden import reference
+from .sensing import run_of, sensors_of
+from .sensing import sensed as measured_by
 
 STANDARD_ERRORS = 4.5
 """One comparison in 150,000 is further off by chance."""
@@ -35,25 +37,11 @@ def run(grade, data_folder):
 
 def sensed(sheet, truth, interval, rng):
     """(N, 6) measured samples of true ones, without and with quantization."""
-    columns = tuple(np.ascontiguousarray(column) for column in truth.T)
-    bias = np.concatenate([sheet.accel_bias, sheet.gyro_bias])
-    rows = np.block(
-        [[sheet.accel_matrix, np.zeros((3, 3))], [sheet.g_dependence, sheet.gyro_matrix]]
-    )
-    samples = np.empty((6, len(truth)))
-    for c in range(6):
-        sense(
-            columns,
-            rng.standard_normal(len(truth)),
-            1.0 / np.sqrt(interval),
-            tuple(rows[c]),
-            float(bias[c]),
-            float(sheet.noise[c // 3]),
-            samples[c],
-        )
-    rounded = samples.copy()
-    quantize(rounded, len(truth), *sheet.noise[2:], np.zeros(6))
-    return samples.T, rounded.T
+    run, deviates = run_of(truth.T, interval), rng.standard_normal(truth.T.shape)
+    names = ("accel_bias", "gyro_bias", "accel_matrix", "gyro_matrix", "g_dependence")
+    errors = {name: getattr(sheet, name) for name in names}
+    levels = ([*sheet.noise[:2], 0.0, 0.0], sheet.noise)
+    return [measured_by(sensors_of(imu_noise=each, **errors), run, deviates).T for each in levels]
 
 
 def modelled(sheet, truth):

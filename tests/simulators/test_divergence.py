@@ -37,7 +37,7 @@ def test_it_is_that_of_the_difference_to_a_clean_twin(attack, command):
     total = run(attacked, clean, command)
     assert total.min() > 0.5
     np.testing.assert_allclose(memory(attacked)["divergence"], total, rtol=0.01)
-    moved = attacked.simulator.buffers.state.position_e - clean.simulator.buffers.state.position_e
+    moved = attacked.simulator.position - clean.simulator.position
     found = memory(attacked)["shift"][:, 6:9]
     np.testing.assert_allclose(found, moved, atol=0.01 * np.abs(moved).max())
 
@@ -65,7 +65,7 @@ def run(attacked, clean, command):
 
 def by_hand(simulator, shift, weights):
     """Shift after an epoch, and what it adds to the divergence: the module's equations in NumPy."""
-    epoch, sensors = simulator.epoch, simulator.sensors.state
+    epoch, sensors = simulator.epoch, simulator.sensors
     seen = np.tile(epoch.visible[0], 2)
     H, P = epoch.design[0][seen], epoch.predicted_cov[0]
     S = epoch.innovation_cov[0][np.ix_(seen, seen)]

@@ -64,10 +64,10 @@ def test_an_episode_is_played_in_the_circumstances_that_it_has_drawn():
     assert set(world) == {0, 1, 2}
     # sensors, and what the receiver believes of them
     grades = simulator.memory["combination"] // 2 % 2
-    bias = simulator.sensors.state.accel_bias
+    bias = simulator.sensors.fields["accel_bias"]
     assert len({tuple(row) for row in bias[grades == 0]}) == 1
     assert np.abs(bias[grades == 1]).max() > 5.0 * np.abs(bias[grades == 0]).max()
-    attitude = simulator.buffers.state.covariance[:, 0, 0]
+    attitude = simulator.buffers.covariance[:, 0, 0]
     assert attitude[grades == 1].min() > attitude[grades == 0].max()
     # the true motion that is observed is that of the world
     names = envs.unwrapped.observation_names
@@ -86,7 +86,7 @@ def test_victims_in_all_circumstances_navigate():
     envs.reset(seed=3)
     simulator = envs.unwrapped.core.engine.simulator
     world = envs.unwrapped.core.setup.world
-    error = simulator.buffers.state.position_e - world.position_e[simulator.epochs]
+    error = simulator.buffers.position_e - world.position_e[simulator.epochs]
     assert np.linalg.norm(error, axis=1).max() < 40.0
 
 

@@ -51,46 +51,115 @@ def test_row_37_of_64_is_the_single_env_over_an_autoreset(knowledge, end_at_alar
     np.testing.assert_array_equal(one[1], many[1])
 
 
+SIZES = [*range(1, 18), 40, 64, 257]
+
+
+def everything(simulator, rows=slice(None)):
+    """All that there is of some receivers, by name."""
+    buffers, sensors = simulator.buffers, simulator.sensors
+    plain = ("time", "interval", "position_e", "velocity_e", "visible", "coasting")
+    arrays = {
+        **{name: buffers.fields[name] for name in buffers.fields.shapes},
+        **{f"sensor {name}": sensors.fields[name] for name in sensors.fields.shapes},
+        **{f"seen {name}": array for name, array in buffers.seen.items()},
+        **{f"plain {name}": getattr(buffers, name) for name in plain},
+        "epoch": sensors.epoch,
+    }
+    return {name: np.array(array)[rows] for name, array in arrays.items()}
+
+
+def check_same(mine, theirs):
+    assert list(mine) == list(theirs)
+    for name in mine:
+        assert mine[name].tobytes() == theirs[name].tobytes(), name
+
+
+def played(setup, rows, threads=1):
+    """Receivers by their numbers after 20 steps under attack; every third begins again at half."""
+    rows, axes = np.asarray(rows), len(setup.action_names)
+    engine = Engine(len(rows), setup, threads=threads)
+    engine.reset([np.random.default_rng([9, number]) for number in rows])
+    for k in range(20):
+        if k == 10 and not (rows % 3).all():
+            again = np.flatnonzero(rows % 3 == 0)
+            engine.reset([np.random.default_rng([10, number]) for number in rows[again]], again)
+        engine.step(np.full((len(rows), axes), 0.1 * (k % 3)))
+    return {**everything(engine.simulator), "weights": engine.simulator.weights.copy()}
+
+
+ALL_DRAWN = {
+    "start_s": (0.0, 60.0),
+    "worlds": 2,
+    "turned_deg": (0.0, 360.0),
+    "imu": ("aviation", "tactical", "consumer"),
+    "errors": ("zhong2025", "realistic", "groves"),
+}
+SETTINGS = {
+    "default": {},
+    "realistic": {"scenario": {"errors": "realistic"}},
+    "general": {
+        "receiver": {
+            "covariance_update": "general",
+            "conventions": "orthonormal",
+            "min_satellites": 9,
+        },
+        "attack": "per-channel",
+        "domain": {**ALL_DRAWN, "constellation_time_s": (0.0, 86_400.0)},
+    },
+    "plain": {"receiver": {"covariance_update": "plain"}, "domain": ALL_DRAWN},
+}
+
+
+@pytest.fixture(scope="module", params=SETTINGS)
+def many(request):
+    """A setting, and 257 receivers of it."""
+    setup = TightlyCoupledSetup(timeline=SHORT, detector="ewma", **SETTINGS[request.param])
+    setup.fields = setup.has
+    whole = played(setup, range(257))
+    assert (whole["weights"] < 0.99).any()
+    assert len(set(whole["epoch"])) > (20 if "domain" in SETTINGS[request.param] else 1)
+    if request.param == "general":
+        assert 20 < whole["plain coasting"].sum() < 237
+    return setup, whole
+
+
 @pytest.mark.parametrize(
     ("receivers", "threads"),
-    [(1, 1), (3, 1), (4, 1), (5, 1), (7, 1), (12, 2), (40, 1), (40, 2), (40, 3)],
+    [*((size, 1) for size in SIZES), *((size, n) for size in (9, 17, 40, 257) for n in (2, 3))],
 )
-def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(receivers, threads):
+def test_a_receiver_is_the_same_in_any_batch_and_with_any_threads(many, receivers, threads):
+    setup, whole = many
+    mine = played(setup, range(receivers), threads)
+    assert mine["seen innovation_cov"].any()
+    check_same(mine, {name: array[:receivers] for name, array in whole.items()})
+
+
+def test_every_one_of_a_batch_is_the_single_receiver(many):
+    setup, whole = many
+    for number in (*range(1, 20), 40, 64, 255, 256):
+        check_same(
+            played(setup, [number]),
+            {name: array[number : number + 1] for name, array in whole.items()},
+        )
+
+
+@pytest.mark.parametrize("receivers", [1, 3])
+def test_zero_command_is_the_clean_run(receivers):
     setup = TightlyCoupledSetup(timeline=SHORT)
     setup.fields = setup.has
 
-    def final(count, number):
-        engine = Engine(count, setup, threads=number)
-        engine.reset([np.random.default_rng(i) for i in range(count)])
-        for k in range(20):
-            engine.step(np.full((count, 2), 0.1 * (k % 3)))
-        return engine.simulator.buffers
-
-    few, many = final(receivers, threads), final(64, 1)
-    for name in ("position_e", "velocity_e", "C_eb", "covariance", "clock"):
-        mine, theirs = getattr(few.state, name), getattr(many.state, name)
-        np.testing.assert_array_equal(mine, theirs[:receivers], err_msg=name)
-    assert many.measured.innovation_cov.any()
-    for name in ("innovation_variance", "innovation_cov"):
-        mine, theirs = getattr(few.measured, name), getattr(many.measured, name)
-        np.testing.assert_array_equal(mine, theirs[:receivers], err_msg=name)
-
-
-def test_zero_command_is_the_clean_run():
-    setup = TightlyCoupledSetup(timeline=SHORT)
-
     def run(action, attacked):
-        engine = Engine(3, setup, threads=1)
-        engine.reset([np.random.default_rng(i) for i in range(3)])
+        engine = Engine(receivers, setup, threads=1)
+        engine.reset([np.random.default_rng(i) for i in range(receivers)])
         for _ in range(20):
             if attacked:
                 engine.step(action)
             else:
                 engine.simulator.advance()
                 engine.update(engine.judge())
-        return engine.simulator.buffers.floats.copy()
+        return everything(engine.simulator)
 
-    np.testing.assert_array_equal(run(np.zeros((3, 2)), True), run(None, False))
+    check_same(run(np.zeros((receivers, 2)), True), run(None, False))
 
 
 def test_an_attack_meets_the_same_noise():
@@ -100,21 +169,67 @@ def test_an_attack_meets_the_same_noise():
     def run(size):
         engine = Engine(2, setup, threads=1)
         engine.reset([np.random.default_rng(i) for i in range(2)])
-        samples, ranges = [], []
+        residuals, deltas, ranges = [], [], []
         for _ in range(20):
             engine.predict(np.full((2, 2), size))
             simulator = engine.simulator
-            samples.append(simulator.buffers.samples.copy())
-            offset = simulator.sensors.state.range_offset
-            ranges.append(simulator.buffers.measured.pseudorange - offset * simulator.epoch.visible)
+            residual = simulator.sensors.fields["residual"]
+            correction = np.repeat(simulator.epoch.interval[:, None], 6, axis=1) * np.hstack(
+                [simulator.buffers.fields[name] for name in ("accel_bias_b", "gyro_bias_b")]
+            )
+            deltas.append(simulator.buffers.fields["imu_delta"] + correction)
+            residuals.append(residual.copy())
+            offset = simulator.sensors.range_offset
+            measured = simulator.buffers.fields["measured"][:, 0]
+            ranges.append(measured - offset * simulator.epoch.visible)
             engine.update(engine.judge())
-        return np.array(samples), np.array(ranges), np.abs(offset).max()
+        return np.array(residuals), np.array(deltas), np.array(ranges), np.abs(offset).max()
 
     clean, attacked = run(0.0), run(0.7)
-    assert attacked[2] > 1.0
+    assert attacked[3] > 1.0
     np.testing.assert_array_equal(clean[0], attacked[0])
+    # increments less the biases that are estimated otherwise under attack
+    np.testing.assert_allclose(clean[1], attacked[1], rtol=0, atol=1e-13)
     # the offset is added after the noise: only the rounding of that sum may differ
-    np.testing.assert_allclose(clean[1], attacked[1], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(clean[2], attacked[2], rtol=0, atol=1e-8)
+
+
+STEPS = {
+    "displacement": {"attack": "false-position"},
+    "rate": {"attack": {"name": "false-position", "control": "rate"}},
+    "code alone": {"attack": "pseudorange-only"},
+    "channels": {"attack": {"name": "per-channel", "channels": "S1*"}},
+    "channels at a rate": {"attack": {"name": "per-channel", "control": "rate"}},
+    "equipment": {"attack": "tracking-1m"},
+    "chart without weights": {"detector": {"name": "ewma", "weight_scale": None}},
+    "another detector": {"detector": "cusum"},
+    "general": SETTINGS["general"],
+}
+
+
+@pytest.mark.parametrize("receivers", [1, 11])
+@pytest.mark.parametrize("name", STEPS)
+def test_a_step_is_its_two_halves_with_the_judge_between(name, receivers):
+    """One call of the kernel, where nothing in Python comes between, gives the bits of three."""
+    settings = {"timeline": SHORT, "detector": {"name": "ewma"}, **STEPS[name]}
+    whole, halves = (Engine(receivers, TightlyCoupledSetup(**settings)) for _ in range(2))
+    for engine in (whole, halves):
+        engine.reset([np.random.default_rng([5, number]) for number in range(receivers)])
+    rng, axes = np.random.default_rng(6), len(whole.setup.action_names)
+    for k in range(12):
+        command = None if k == 7 else rng.uniform(-1.0, 1.0, (receivers, axes))
+        verdict = whole.step(command)
+        halves.predict(command)
+        other = halves.judge()
+        halves.update(other)
+        for mine, theirs in zip(verdict, other, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        np.testing.assert_array_equal(whole.simulator.weights, halves.simulator.weights)
+        check_same(everything(whole.simulator), everything(halves.simulator))
+        for part in ("attack", "detector"):
+            memories = [getattr(engine.simulator, part).memory for engine in (whole, halves)]
+            for field in memories[0]:
+                np.testing.assert_array_equal(memories[0][field], memories[1][field])
 
 
 def test_the_quiet_stretch_is_the_stepwise_run():
@@ -128,11 +243,11 @@ def test_the_quiet_stretch_is_the_stepwise_run():
     for _ in range(30):
         stepwise.advance()
         stepwise.update(None)
-    for mine, theirs in zip(fused.buffers.state, stepwise.buffers.state, strict=True):
-        np.testing.assert_array_equal(mine, theirs)
-    np.testing.assert_array_equal(
-        fused.buffers.measured.innovation, stepwise.buffers.measured.innovation
-    )
+    mine, theirs = everything(fused), everything(stepwise)
+    for name in ("seen innovation", "seen innovation_variance", "plain time", "plain interval"):
+        del mine[name], theirs[name]  # shown only where somebody may look
+    del mine["plain visible"], theirs["plain visible"]
+    check_same(mine, theirs)
 
 
 @pytest.mark.parametrize("attacked", [False, True])
@@ -149,11 +264,9 @@ def test_an_exported_episode_replays_to_the_same_bits(attacked, grade):
     engine.reset([np.random.default_rng(3)])
     for _ in range(setup.steps):
         engine.step(action if attacked else np.zeros((1, 2)))
+    np.testing.assert_array_equal(solution.position_e[-1], engine.simulator.buffers.position_e[0])
     np.testing.assert_array_equal(
-        solution.position_e[-1], engine.simulator.buffers.state.position_e[0]
-    )
-    np.testing.assert_array_equal(
-        solution.sd[-1], np.sqrt(np.diagonal(engine.simulator.buffers.state.covariance[0]))
+        solution.sd[-1], np.sqrt(np.diagonal(engine.simulator.buffers.covariance[0]))
     )
 
 
@@ -161,12 +274,12 @@ def test_episodes_of_one_seed_differ_and_repeat():
     env = single().unwrapped
     first, _ = env.reset(seed=4)
     second, _ = env.reset()
-    state = env.core.engine.simulator.buffers.state.position_e.copy()
+    state = env.core.engine.simulator.buffers.position_e.copy()
     env.reset(seed=4)
     env.reset()
-    np.testing.assert_array_equal(state, env.core.engine.simulator.buffers.state.position_e)
+    np.testing.assert_array_equal(state, env.core.engine.simulator.buffers.position_e)
     env.reset(seed=4)
-    assert not np.array_equal(state, env.core.engine.simulator.buffers.state.position_e)
+    assert not np.array_equal(state, env.core.engine.simulator.buffers.position_e)
     assert first.shape == second.shape
 
 
@@ -183,7 +296,7 @@ def test_when_the_last_alarm_came_does_not_matter_for_the_next_episode():
             for row in np.flatnonzero(terminated & ~done):
                 sensors = envs.core.engine.simulator.sensors
                 biases[row] = (
-                    sensors.state.satellite_bias[row].copy(),
+                    sensors.fields["satellite_bias"][row].copy(),
                     sensors.keys[:, row].copy(),
                 )
             done |= terminated

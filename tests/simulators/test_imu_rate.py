@@ -11,12 +11,13 @@ import pytest
 from spoofgym import duel_v0
 from spoofgym.receiver import TightlyCoupled
 from spoofgym.receiver.strapdown import strapdown_step
-from spoofgym.sim.imu import IMU_GRADES, quantize
+from spoofgym.sim.imu import IMU_GRADES
 from spoofgym.sim.manoeuvres import FLIGHTS
 from spoofgym.sim.scenario import SCENARIOS, Scenario
 from spoofgym.simulators import LooselyCoupledSetup, SnapshotSetup, TightlyCoupledSetup
 
 from ..clean_runs import advance_to, begin, epoch_of, position_error, velocity_error
+from ..sim.sensing import run_of, sensed, sensors_of
 from .support import SHORT, setup_of, step, warm
 
 RATES = (50.0, 20.0, 10.0)
@@ -64,10 +65,13 @@ def test_increments_are_rounded_before_they_are_summed_up(grade):
     np.testing.assert_array_equal(levels, own / [1, 1, each, each])
     samples = np.random.default_rng(3).normal(0.02, 3.0, (6, 200)) * np.repeat(own[2:], 3)[:, None]
     longer = samples.reshape(6, -1, each).mean(axis=-1)
-    residual = np.zeros(6)
-    quantize(samples, 200, *own[2:], residual)
-    quantize(longer, 200 // each, *levels[2:], np.zeros(6))
-    summed = samples.reshape(6, -1, each).mean(axis=-1)
+
+    def quantized(truth, level):
+        run = run_of(truth, np.full(truth.shape[1], 0.01))
+        return sensed(sensors_of(imu_noise=[0.0, 0.0, *level]), run, np.zeros_like(truth))
+
+    longer = quantized(longer, levels[2:])
+    summed = quantized(samples, own[2:]).reshape(6, -1, each).mean(axis=-1)
     np.testing.assert_allclose(longer, summed, rtol=0, atol=1e-9 * own[2])
 
 

@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tools import frozen
-from tools.frozen import Case, Names, Scope
+from tools.frozen import Case, Names, Scope, Tolerance
 from tools.frozen_probe import STEPS, Player, Record, cases_of
 
 CASE = Case("spoofgym/Snapshot-v0", "same_step", 3)
@@ -39,9 +39,9 @@ def steps(**changes):
     return made
 
 
-def differences(tmp_path, new, scope=None, rtol=0.0, old=None):
-    before = recorded(tmp_path, steps() if old is None else old)
-    return frozen.compare(CASE, before, recorded(tmp_path, new), scope or Scope(), rtol)
+def differences(tmp_path, new, scope=None, tolerance=None, old=None):
+    before, after = recorded(tmp_path, steps() if old is None else old), recorded(tmp_path, new)
+    return frozen.compare(CASE, before, after, scope or Scope(), tolerance or Tolerance())
 
 
 def one_bit(array):
@@ -79,14 +79,66 @@ def test_one_bit_is_found_and_named(tmp_path, key, change, named):
 
 def test_a_sign_of_zero_differs_and_nan_is_nan():
     old, new = np.array([0.0, np.nan, 1.0]), np.array([-0.0, np.nan, 1.0])
-    np.testing.assert_array_equal(frozen.unequal(old, new, 0.0), [True, False, False])
-    assert frozen.unequal(old, np.array([0.0, 2.0, 1.0]), 1e-3).tolist() == [False, True, False]
+    np.testing.assert_array_equal(Tolerance().unequal(old, new), [True, False, False])
+    found = Tolerance(1e-3).unequal(old, np.array([0.0, 2.0, 1.0]))
+    assert found.tolist() == [False, True, False]
 
 
 def test_the_tolerance_is_relative_to_the_largest_value():
     old = np.array([1000.0, 1.0])
-    assert not frozen.unequal(old, old + np.array([0.0, 0.9e-3]), 1e-6).any()
-    assert frozen.unequal(old, old + np.array([0.0, 1.1e-3]), 1e-6).tolist() == [False, True]
+    assert not Tolerance(1e-6).unequal(old, old + np.array([0.0, 0.9e-3])).any()
+    assert Tolerance(1e-6).unequal(old, old + np.array([0.0, 1.1e-3])).tolist() == [False, True]
+    assert not Tolerance(1e-6, absolute=2e-3).unequal(old, old + np.array([0.0, 1.1e-3])).any()
+
+
+def test_no_tolerance_takes_nan_for_a_number_or_an_infinity_for_another():
+    old = np.array([1.0, np.nan, np.inf, np.inf, 1.0])
+    new = np.array([np.nan, np.nan, -np.inf, np.inf, np.inf])
+    assert Tolerance(1.0).unequal(old, new).tolist() == [True, False, True, False, True]
+
+
+def test_single_precision_may_have_been_rounded_to_the_next_number():
+    old = np.float32([1.0, 100.0])
+    nexts = np.nextafter(old, np.float32(np.inf))
+    assert not Tolerance(1e-12).unequal(old, nexts).any()
+    assert Tolerance().unequal(old, nexts).all()
+    assert Tolerance(1e-12).unequal(old, np.nextafter(np.nextafter(nexts, 999), 999)).all()
+
+
+def test_flags_counts_and_texts_have_no_tolerance(tmp_path):
+    tolerance = Tolerance(1.0, absolute=1e9)
+    new = steps(
+        cost=lambda x: x + 0.1, _cost=lambda mask: ~mask, count=lambda k: k + 1, label=lambda _: "x"
+    )
+    found = [each.key for each in differences(tmp_path, new, tolerance=tolerance)]
+    assert found == ["info/_cost[0]", "info/count", "info/label"]
+
+
+def test_an_alarm_that_comes_earlier_is_the_first_difference(tmp_path):
+    def played(alarm):
+        return [{"error": 0.1 * k + (k >= alarm), "alarm": k >= alarm} for k in range(6)]
+
+    tolerance = Tolerance(1e-9)
+    found = differences(tmp_path, played(3), tolerance=tolerance, old=played(4))
+    assert [(each.key, each.step) for each in found] == [("info/alarm", 3), ("info/error", 3)]
+
+
+def test_the_worst_deviation_of_every_column_is_reported(tmp_path):
+    tolerance = Tolerance(1e-9)
+    largest = max(np.abs(step["cost"]).max() for step in steps())
+    new = steps(cost=lambda x: x + 1e-10, final_info=lambda i: {"error": i["error"] * 2})
+    (found,) = differences(tmp_path, new, tolerance=tolerance)
+    assert found.key.startswith("info/final_info/error")
+    assert {*tolerance.worst} == {"info/cost", "info/final_info/error"}
+    cost = tolerance.worst["info/cost"]
+    assert cost.within
+    assert cost.case == CASE.name
+    assert cost.ratio == pytest.approx(1e-10 / largest, rel=1e-3)
+    assert cost.absolute == pytest.approx(1e-10, rel=1e-3)
+    assert not tolerance.worst["info/final_info/error"].within
+    differences(tmp_path, steps(cost=lambda x: x + 1e-12), tolerance=tolerance)
+    assert tolerance.worst["info/cost"] is cost
+    assert tolerance.inexact == {CASE.name}
 
 
 def test_a_value_that_comes_at_another_step_differs(tmp_path):
@@ -159,7 +211,7 @@ def test_elements_of_an_observation_are_named_and_mapped(tmp_path):
 
     def found(values, names, scope=None):
         new = recorded(tmp_path, values, {"observation": names})
-        return [each.key for each in frozen.compare(CASE, old, new, scope or Scope(), 0.0)]
+        return [each.key for each in frozen.compare(CASE, old, new, scope or Scope(), Tolerance())]
 
     assert found(values, ["east", "north", "up"]) == []
     assert found(swapped, ["north", "east", "up"]) == ["names of the observation"]
@@ -202,10 +254,10 @@ def test_ids_of_one_tree_alone_have_to_be_declared():
 
 def test_an_error_of_either_tree_is_a_difference():
     replies = {"old": {}, "new": {"error": "ValueError: no"}}
-    (found,) = frozen.judge(CASE, {}, replies, Names(), 0.0)
+    (found,) = frozen.judge(CASE, {}, replies, Names(), Tolerance())
     assert (found.old, found.new) == ("plays", "ValueError: no")
     same = {tree: {"error": "ValueError: no"} for tree in ("old", "new")}
-    assert frozen.judge(CASE, {}, same, Names(), 0.0)
+    assert frozen.judge(CASE, {}, same, Names(), Tolerance())
 
 
 @pytest.mark.parametrize(
@@ -252,3 +304,6 @@ def test_the_command_line_names_an_unknown_commit_and_an_unknown_case():
     done = runner.invoke(frozen.app, ["--against", "no-such-commit"])
     assert done.exit_code == 2
     assert "no-such-commit" in done.output
+    done = runner.invoke(frozen.app, ["--against", "HEAD", "--speed-of", "no-such-speed"])
+    assert done.exit_code == 2
+    assert "no-such-speed" in done.output

@@ -235,7 +235,7 @@ def test_a_common_offset_moves_the_clock_and_not_the_position():
     for _ in range(25):
         moved, kept = step([1.0]), still([0.0])
     np.testing.assert_allclose(moved, kept, atol=0.1)
-    clock = [e.core.engine.simulator.buffers.state.clock[:, 0] for e in (envs, other)]
+    clock = [e.core.engine.simulator.buffers.fields["clock"][:, 0] for e in (envs, other)]
     np.testing.assert_allclose(clock[0] - clock[1], 12.5, atol=1.0)
 
 

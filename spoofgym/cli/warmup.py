@@ -1,0 +1,95 @@
+"""Compile, or load, what the first episode of every environment needs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any
+
+import typer
+
+from . import options as opt
+from .output import print_json, print_lines, print_table, progress
+
+PREFIX = "spoofgym/"
+FORMS: dict[str, int | None] = {"single": None, "batch": 8}
+"""Receivers by form; None is the single environment."""
+
+
+def warmup(
+    ids: Annotated[
+        list[str] | None,
+        typer.Argument(help="Environments, such as Snapshot-v0. Default: all that are registered."),
+    ] = None,
+    as_json: opt.Json = False,
+) -> None:
+    """Compile for this machine what first episodes need, so that none of them waits for it.
+
+    Every environment plays an episode as single and as vector environment. What was compiled is
+    kept for all later processes, until spoofgym or numba changes.
+    """
+    import gymnasium as gym
+    import numba
+
+    from .. import _jit
+    from .._registry import check_choice
+
+    if numba.config.DISABLE_JIT:
+        raise ValueError("nothing can be compiled where NUMBA_DISABLE_JIT is set; unset it")
+    known = sorted(name for name in gym.registry if name.startswith(PREFIX))
+    wanted = [name if name.startswith(PREFIX) else PREFIX + name for name in ids or known]
+    for name in wanted:
+        check_choice("environment", name, known)
+    rows = []
+    with progress(len(wanted) * len(FORMS)) as shown:
+        for name in wanted:
+            for form, receivers in FORMS.items():
+                shown.advance(0.0, "")
+                start = time.perf_counter()
+                with _compiled() as functions:
+                    _play(name, receivers)
+                seconds = round(time.perf_counter() - start, 3)
+                rows.append(
+                    {"id": name, "form": form, "seconds": seconds, "compiled": len(functions)}
+                )
+                shown.advance(1.0, f"{name} {form}")
+    cache = str(_jit.cache_parent())
+    if as_json:
+        print_json({"cache": cache, "environments": rows})
+        return
+    heads = ("environment", "", "seconds", "functions compiled")
+    cells = [(*map(str, row.values()),) for row in rows]
+    print_table(
+        "first episodes", heads, [(*c[:3], c[3] if c[3] != "0" else "cached") for c in cells]
+    )
+    print_lines([f"compiled code is in {cache}"])
+
+
+@contextmanager
+def _compiled() -> Iterator[list[Any]]:
+    """Functions that are compiled meanwhile; those loaded from the cache are not among them."""
+    from numba.core import event
+
+    with event.install_recorder("numba:compile") as recorder:
+        found: list[Any] = []
+        yield found
+        found += [each for _, each in recorder.buffer if each.is_start]
+
+
+def _play(name: str, receivers: int | None) -> None:
+    """Play until the first end, and go on after it; random actions soon raise an alarm."""
+    import gymnasium as gym
+    import numpy as np
+
+    env: Any = gym.make(name) if receivers is None else gym.make_vec(name, num_envs=receivers)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    ended = False
+    while not ended:
+        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        ended = bool(np.any(terminated | truncated))
+    if receivers is None:
+        env.reset()
+    env.step(env.action_space.sample())
+    env.close()
