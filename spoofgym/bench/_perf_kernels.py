@@ -6,6 +6,8 @@ import numpy as np
 
 from .._jit import njit
 from .._simd import lanes_of, load, splat, store
+from ..attacks._kernels import false_position
+from ..detectors.ewma import judge_channels
 from ..receiver import _kernels as filters
 from ..receiver import kalman
 from ..receiver.error_model import TERMS
@@ -37,14 +39,14 @@ def noise_in_registers(k0, k1, epoch, size):
 
 @njit
 def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
-    """Do a part of an epoch for groups lo to hi, `rounds` times; all receivers are at that epoch.
+    """Do a part of an epoch of receivers lo to hi, whole groups, `rounds` times.
 
     The floor is noise, sensing, mechanization, propagation, measurement, innovation and update of
-    one group, lo, as often as there are groups.  Its deviates stay in registers, and it takes the
-    first half of the samples twice, so that all that it touches stays in the nearest cache.
+    the first group, as often as there are groups.  Its deviates stay in registers, and it takes
+    the first half of the samples twice, so that what it touches stays in the nearest cache.
 
-    `lanes`: x, sensors and keys; `truth`: run, epoch_time, epoch_end and satellites, and `rules`,
-    of `receiver._kernels.run_epochs`; `work`: lane array of `work_rows`.
+    `epoch`: of all receivers; `lanes`: x, sensors and keys; `truth`: run, epoch_time, epoch_end and
+    satellites, and `rules`, as in `receiver._kernels.Arrays`; `work`: lane array of `work_rows`.
     """
     x, sensors, keys = lanes
     run, epoch_time, epoch_end, satellites = truth
@@ -69,16 +71,17 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
         store(added, 2 * n + s, 1.0)
         store(weights, s, 1.0)
     world.gather_sky(satellites, now, sky)
+    leader = lo // lanes_of(x)
     for _ in range(rounds):
-        for group in range(lo, hi):
-            here = lo if part == FLOOR else group
+        for group in range(leader, -(-hi // lanes_of(x))):
+            here = leader if part == FLOOR else group
             base, sensor_base, key = here * rows, here * sensor_rows, here * world.KEYS
             c, P = base + filters.CHANNELS, base + filters.COVARIANCE
             u, R = c + filters.SIGHT * n, c + filters.VARIANCE * n
             seen = c + filters.VISIBLE * n
             if part in (NOISE, FLOOR):
                 k0, k1 = load(keys, key + world.IMU_KEY), load(keys, key + world.IMU_KEY + 1)
-                if part == NOISE or lanes_of(x) == 1:  # one lane: LLVM makes vectors of the loop
+                if part == NOISE or lanes_of(x) == 1:  # which makes vectors of one lane
                     deviates(k0, k1, k, size, 6 * count, samples)
                 else:
                     store(row, 0, noise_in_registers(k0, k1, k, size))
@@ -105,3 +108,34 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
                 kalman.innovation_covariance(x, P, u, R, seen, n, S, product)
             if part in (UPDATE, FLOOR):
                 filters.correct(x, base, n, weights, rules, solution, precision)
+
+
+@njit
+def repeat_attack(rounds, given, lo, hi):
+    """Command receivers lo to hi so often, by `false_position`."""
+    for _ in range(rounds):
+        false_position(*given, lo, hi)
+
+
+@njit
+def repeat_judge(rounds, given, memory, out, lo, hi):
+    """Let the charts of receivers lo to hi judge the same epoch so often (`judge_channels`).
+
+    `given`: innovations, variances, visibility, and the three settings; `memory`: averages and
+    decays; `out`: statistics, thresholds and weights.
+    """
+    (z, variance, visible, a, b, c), (average, decay), (size, limit, weights) = given, memory, out
+    for _ in range(rounds):
+        judge_channels(
+            z[lo:hi],
+            variance[lo:hi],
+            visible[lo:hi],
+            a,
+            b,
+            c,
+            average[lo:hi],
+            decay[lo:hi],
+            size[lo:hi],
+            limit[lo:hi],
+            weights[lo:hi],
+        )

@@ -82,7 +82,8 @@ class Rig:
         self.action = np.full(self.env.action_space.shape, COMMAND, dtype=np.float32)
         self.command = np.full((receivers, len(self.env.action_names)), COMMAND)
         groups = -(-receivers // LANES)
-        self.ends = list(pairwise(groups * k // threads for k in range(threads + 1)))
+        bounds = [LANES * (groups * k // threads) for k in range(threads)] + [receivers]
+        self._ends = list(pairwise(bounds))
         self._pool = ThreadPoolExecutor(threads)
         self._counts = dict.fromkeys(PARTS, 1)
         self.env.reset(seed=0)
@@ -99,6 +100,32 @@ class Rig:
         truth = world.run, world.epoch_time, world.epoch_end, world.satellites
         lanes = tuple(each.data for each in self.fields)
         self._given = int(simulator.epochs[0]) + 1, lanes, truth, np.array(rules, dtype=np.int64)
+        self._apart: dict[str, tuple[Callable[..., object], tuple[Any, ...]]] = {
+            ATTACK: (kernels.repeat_attack, (self._attack_arguments(),)),
+            JUDGE: (kernels.repeat_judge, self._judge_arguments()),
+        }
+
+    def _attack_arguments(self) -> tuple[Any, ...]:
+        """What `false_position` takes, as in the attack of that name."""
+        simulator, world = self.engine.simulator, self.core.setup.world
+        attack, sensors = simulator.attack, simulator.sensors
+        by_rate, scale = attack.control == "rate", attack.unit_scale
+        settings = self.command, False, by_rate, scale, attack.rate_limit_mps
+        memory = (attack.memory[name] for name in ("displacement", "rate", "to_ecef"))
+        truth = sensors.epoch, world.epoch_time, world.satellites, world.position_e
+        offsets = world.velocity_e, attack.mask, sensors.range_offset, sensors.rate_offset
+        wrong = attack.memory["target_error"], attack.coherent
+        return *settings, *memory, *wrong, *truth, *offsets
+
+    def _judge_arguments(self) -> tuple[tuple[Any, ...], ...]:
+        """What `judge_channels` takes, as in the detector ``ewma``."""
+        simulator = self.engine.simulator
+        epoch, memory = simulator.epoch, simulator.detector.memory
+        given = epoch.innovation, epoch.innovation_variance, epoch.visible
+        settings = map(float, simulator.detector.kernel_settings)
+        shapes = epoch.visible.shape, epoch.visible.shape, epoch.innovation.shape
+        charts = memory["average"], memory["decay"]
+        return (*given, *settings), charts, tuple(map(np.empty, shapes))
 
     def close(self) -> None:
         """End all threads."""
@@ -106,32 +133,18 @@ class Rig:
         self.whole.core.close()
         self._pool.shutdown()
 
-    def _share(self, work: Callable[[int, int, int], object]) -> None:
-        """Let each thread do its groups: ``work(thread, lo, hi)``."""
-        if self.threads == 1:
-            work(0, *self.ends[0])
-            return
-        jobs = [self._pool.submit(work, k, *ends) for k, ends in enumerate(self.ends)]
-        for job in jobs:
-            job.result()
-
     def run_part(self, name: str, rounds: int) -> None:
         """Do a part of an epoch so often, in all receivers."""
-        simulator, last = self.engine.simulator, self.receivers
-        attack, sensors = simulator.attack, simulator.sensors
-        offsets = sensors.epoch, sensors.range_offset, sensors.rate_offset
-
-        def command(_: int, lo: int, hi: int) -> None:
-            ends = LANES * lo, min(LANES * hi, last)
-            _repeat(rounds, attack.command, self.command, *offsets, *ends)
-
-        def kernel(k: int, lo: int, hi: int) -> None:
-            kernels.repeat(KERNELS[name], rounds, *self._given, self._works[k], lo, hi)
-
-        if name == JUDGE:
-            _repeat(rounds, self.engine.judge)
+        calls: list[Any] = [(KERNELS.get(name), rounds, *self._given, work) for work in self._works]
+        kernel: Callable[..., object] = kernels.repeat
+        if name in self._apart:
+            kernel, given = self._apart[name]
+            calls = [(rounds, *given)] * self.threads
+        jobs = [(*call, *ends) for call, ends in zip(calls, self._ends, strict=True)]
+        if self.threads == 1:
+            kernel(*jobs[0])
         else:
-            self._share(command if name == ATTACK else kernel)
+            list(self._pool.map(kernel, *zip(*jobs, strict=True)))
 
     def _seconds(self, work: Callable[..., object], *given: object) -> float:
         began = self.clock()
