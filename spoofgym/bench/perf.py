@@ -59,11 +59,11 @@ KERNELS = {
 }
 PARTS = (*KERNELS, ATTACK, JUDGE)
 ENGINE, STEP, EPISODE = "engine step", "env step", "env step with warm-ups"
-DERIVED = {
-    "parts_us": "parts of an engine step, together",
-    "step_over_floor": "engine step / floor",
-    "env_steps_per_s": "env steps per second, with warm-ups",
-}
+DERIVED = (
+    ("parts_us", "parts of an engine step, together", ".2f"),
+    ("step_over_floor", "engine step / floor", ".2f"),
+    ("env_steps_per_s", "env steps per second, with warm-ups", ",.0f"),
+)
 TOTAL = "all of these"
 VECTORS = {"avx512f": "AVX-512", "avx2": "AVX2", "sse4.2": "SSE4.2", "neon": "NEON"}
 
@@ -307,7 +307,8 @@ def tables(found: Mapping[str, Any]) -> Iterator[Table]:
     for threads in sorted({run["threads"] for run in found["runs"]}):
         runs = [run for run in found["runs"] if run["threads"] == threads]
         rows = [(name, *(f"{run['us'][name]:.2f}" for run in runs)) for name in runs[0]["us"]]
-        rows += [(text, *(f"{run[key]:,.6g}" for run in runs)) for key, text in DERIVED.items()]
+        for key, text, form in DERIVED:
+            rows.append((text, *(f"{run[key]:{form}}" for run in runs)))
         what = "1 thread, processor time" if threads == 1 else f"{threads} threads, time passed"
         head = ("part", *(f"B = {run['receivers']}" for run in runs))
         yield f"microseconds per receiver-epoch, {what}", head, rows
