@@ -197,19 +197,16 @@ def run_epochs(
 
 
 @njit
-def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin, displacement):
+def displace(position_e, reference_e, rows, C_en, onset, direction, worst, origin, displacement):
     """Displacements along the target direction, in the local axes at the onset.
 
     `position_e`, `reference_e` (B, 3) estimated, and (K, 3) what it is compared to, ECEF [m];
     `C_en` (K, 3, 3) local axes at all epochs; `onset` (B,) epoch after which each receiver's attack
-    begins; `heading` (B,) direction in which displacement counts, clockwise from north [rad];
+    begins; `direction` (B, 2) unit vector, north and east, in which displacement counts;
     `origin` (B, 2) north and east difference at the onset, which does not count [m]; `displacement`
     (B,), written [m].
     """
-    cosine, sine = 1.0, 0.0
     for b in range(displacement.shape[0]):
-        if b == 0 or heading[b] != heading[b - 1]:
-            cosine, sine = math.cos(heading[b]), math.sin(heading[b])
         north, east = -origin[b, 0], -origin[b, 1]
         axes = C_en[onset[b]]
         for i in range(3):
@@ -219,7 +216,7 @@ def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin,
         if worst:
             displacement[b] = math.sqrt(north * north + east * east)
         else:
-            displacement[b] = cosine * north + sine * east
+            displacement[b] = direction[b, 0] * north + direction[b, 1] * east
 
 
 @njit

@@ -494,7 +494,7 @@ class TightlyCoupledSimulator(Simulator):
         reference = (setup.true_position, self.sensors.epoch)
         if twin is not None:
             reference = (twin.buffers.position_e, self._everyone)
-        aim = memory["onset"], memory["heading"], setup.target_heading_deg == "worst"
+        aim = memory["onset"], memory["direction"], setup.target_heading_deg == "worst"
         displace(self.buffers.position_e, *reference, setup.C_en, *aim, origin, out)
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
