@@ -100,8 +100,9 @@ class Batch:
         self.buffers = ReceiverBuffers(count, N, wanted)
         self.sensors = SensorBuffers(count, N)
         self.weights = np.ones((count, 2 * N))
-        for row, number in enumerate(self.numbers):
-            self._fill(row, number)
+        with np.errstate(over="ignore"):  # unsigned words wrap around
+            for row, number in enumerate(self.numbers):
+                self._fill(row, number)
 
     @property
     def fields(self):
@@ -160,33 +161,34 @@ class Batch:
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
         work[:] = np.nan  # so that nothing is read of it that has not been written
         one, nobody = np.zeros((1, 1)), (np.zeros(1, dtype=np.bool_), np.zeros(1, dtype=np.int64))
-        sound = run_epochs(
-            buffers.fields.data,
-            buffers.seen_floats,
-            buffers.places,
-            buffers.visible,
-            buffers.coasting,
-            sensors.fields.data,
-            sensors.words.data,
-            sensors.epoch,
-            sensors.range_offset,
-            sensors.rate_offset,
-            sensors.authentic,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
-            *np.zeros((2, EPOCHS + 1, 3)),
-            *(NO_FORM, True, one, one, one, np.zeros((1, 1, 3)), one, *nobody, np.zeros(4)),
-            *(NO_FORM, one, one, np.zeros(3), one, one),
-            self.weights if weights is None else weights,
-            work,
-            what,
-            count,
-            lo,
-            buffers.receivers if hi is None else hi,
-        )
+        with np.errstate(all="ignore"):  # of which compiled code says nothing
+            sound = run_epochs(
+                buffers.fields.data,
+                buffers.seen_floats,
+                buffers.places,
+                buffers.visible,
+                buffers.coasting,
+                sensors.fields.data,
+                sensors.words.data,
+                sensors.epoch,
+                sensors.range_offset,
+                sensors.rate_offset,
+                sensors.authentic,
+                world.run,
+                world.epoch_time,
+                world.epoch_end,
+                world.satellites,
+                np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
+                *np.zeros((2, EPOCHS + 1, 3)),
+                *(NO_FORM, True, one, one, one, np.zeros((1, 1, 3)), one, *nobody, np.zeros(4)),
+                *(NO_FORM, one, one, np.zeros(3), one, one),
+                self.weights if weights is None else weights,
+                work,
+                what,
+                count,
+                lo,
+                buffers.receivers if hi is None else hi,
+            )
         assert sound
 
     def predict(self, lo=0, hi=None):
