@@ -18,7 +18,7 @@ chooses lane by lane, and `any_lane` asks whether it holds anywhere.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from numba import types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, register_model
+from numba.np.arrayobj import populate_array
 
 LANES = 8
 ALIGNMENT = 64
@@ -282,7 +283,7 @@ def splat(value: Any, like: Any) -> Any:
 
 def _splat_kind(value: types.Type, like: types.Type) -> types.Type | None:
     many = isinstance(like, _Vector) or (isinstance(like, types.Array) and like.ndim == 2)
-    if not many:
+    if not many or isinstance(value, _Vector):
         return value
     if isinstance(value, types.Float):
         return F8
@@ -509,3 +510,97 @@ _define(
     _emit_set_lane,
     4,
 )
+
+
+# --- many arrays as one argument -------------------------------------------------------------
+
+
+class ArrayTable:
+    """Addresses and sizes of C-contiguous arrays, which a kernel takes as one argument.
+
+    To hand an array to compiled code costs as much as some hundred operations; `floats_at` and the
+    others make it of its address there.  The table keeps the arrays alive; each has to stay where
+    it is.
+
+    `entries` (2 k,) int64, address and number of elements of each.
+    """
+
+    def __init__(self, arrays: Sequence[np.ndarray[Any, Any]]) -> None:
+        for array in arrays:
+            if not array.flags.c_contiguous:
+                raise ValueError("the arrays of a table must be C-contiguous")
+        self.arrays = tuple(arrays)
+        pairs = [(array.ctypes.data, array.size) for array in arrays]
+        self.entries = np.array(pairs, dtype=np.int64).ravel()
+
+
+def _array(entries: Any, index: int, dtype: type, many: bool = False) -> Any:
+    size, kind = int(entries[2 * index + 1]), np.ctypeslib.as_ctypes_type(dtype)
+    flat = np.ctypeslib.as_array((kind * size).from_address(int(entries[2 * index])))
+    return flat.reshape(-1, LANES) if many else flat
+
+
+def floats_at(entries: Any, index: int) -> Any:
+    """Array of a table, (N,) float64."""
+    return _array(entries, index, np.float64)
+
+
+def integers_at(entries: Any, index: int) -> Any:
+    """Array of a table, (N,) int64."""
+    return _array(entries, index, np.int64)
+
+
+def flags_at(entries: Any, index: int) -> Any:
+    """Array of a table, (N,) bool."""
+    return _array(entries, index, np.bool_)
+
+
+def rows_at(entries: Any, index: int, like: Any) -> Any:
+    """Lane array of a table, float64, as wide as `like`."""
+    return _array(entries, index, np.float64, like.ndim == 2)
+
+
+def words_at(entries: Any, index: int, like: Any) -> Any:
+    """Lane array of a table, uint64, as wide as `like`."""
+    return _array(entries, index, np.uint64, like.ndim == 2)
+
+
+def _define_reader(function: Callable[..., Any], element: types.Type, arity: int) -> None:
+    def kind_of(*given: types.Type) -> types.Array:
+        return types.Array(element, given[2].ndim if arity == 3 else 1, "C")
+
+    def emit(context: Any, builder: Any, given: Any, values: Any) -> Any:
+        def number(value: int) -> Any:
+            return ir.Constant(ir.IntType(64), value)
+
+        kind = kind_of(*given)
+        data = _data(context, builder, given[0], values[0])
+        index = context.cast(builder, values[1], given[1], types.intp)
+        place = builder.mul(index, number(2))
+        address = builder.load(builder.gep(data, [place]))
+        size = builder.load(builder.gep(data, [builder.add(place, number(1))]))
+        item = context.get_data_type(element)
+        width = number(context.get_abi_sizeof(item))
+        shape, strides = [size], [width]
+        if kind.ndim == 2:
+            lanes = number(LANES)
+            shape, strides = [builder.udiv(size, lanes), lanes], [builder.mul(width, lanes), width]
+        array = context.make_array(kind)(context, builder)
+        populate_array(
+            array,
+            data=builder.inttoptr(address, item.as_pointer()),
+            shape=cgutils.pack_array(builder, shape),
+            strides=cgutils.pack_array(builder, strides),
+            itemsize=width,
+            meminfo=None,
+        )
+        return array._getvalue()
+
+    _define(function, kind_of, emit, arity)
+
+
+_define_reader(floats_at, types.float64, 2)
+_define_reader(integers_at, types.int64, 2)
+_define_reader(flags_at, types.boolean, 2)
+_define_reader(rows_at, types.float64, 3)
+_define_reader(words_at, types.uint64, 3)

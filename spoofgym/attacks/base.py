@@ -260,6 +260,7 @@ class Attack(ABC):
         self.memory.declare("onset", np.zeros(context.receivers, dtype=np.int64))
         self.memory.declare("key", np.zeros((context.receivers, 2), dtype=np.uint64))
         self._equipment = self.equipment
+        self.is_perfect = self._equipment.perfect
         self._equipment.declare(self.memory, context.world.channels)
 
     def begin(

@@ -139,13 +139,9 @@ class Ewma(Detector):
         self._quantile = two_sided_quantile(self.false_alarm)
         self._longest = longest_exclusion(self.max_exclusion_s, context.epoch_interval_s)
 
+        self.limits_exclusions = self.max_exclusion_s is not None or self.min_satellites > 0
         scale = 1.0 if self.weight_scale is None else self.weight_scale
         self.kernel_settings = np.array([self.smoothing, self._quantile, scale])
-
-    @property
-    def limits_exclusions(self) -> bool:
-        """Whether weights are limited in time or in number."""
-        return self.max_exclusion_s is not None or self.min_satellites > 0
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Judge one epoch.

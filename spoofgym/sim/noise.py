@@ -17,9 +17,12 @@ from numpy.typing import NDArray
 
 from .._jit import inlined, njit
 from .._simd import (
+    LANES,
     bits_of,
     floor,
     from_bits,
+    lanes_of,
+    load,
     rotate_left,
     select,
     splat,
@@ -45,6 +48,7 @@ _QUADRANT_MASK = np.uint64(0x3FFFFFFF)
 _ODD = np.uint64(1)
 _UPPER = np.uint64(2)
 
+_COUNTERS = np.arange(LANES, dtype=np.uint64).reshape(1, LANES)
 BLOCK = 64
 """Deviates come in multiples of this many, so that a vectorized loop has no remainder."""
 
@@ -157,6 +161,19 @@ def whole_number(x: float) -> np.uint64:
     return bits_of(x + 2.0**52) & _MANTISSA
 
 
+@inlined
+def _fill(counter, k0, k1, epoch, q, n, both, out):
+    """Write the deviates of a counter, or of eight, into rows q, n + q, 2 n + q and 3 n + q."""
+    x, y = threefry(counter, epoch, k0, k1)
+    a, b = normal_pair(x)
+    store(out, q, a)
+    store(out, n + q, b)
+    if both:
+        a, b = normal_pair(y)
+        store(out, 2 * n + q, a)
+        store(out, 3 * n + q, b)
+
+
 @njit
 def deviates(
     k0: np.uint64, k1: np.uint64, epoch: np.uint64, size: int, count: int, out: NDArray[np.float64]
@@ -168,15 +185,15 @@ def deviates(
     are wanted; rows behind them may be written, too.
     """
     n = size // 4
-    for q in range(min(n, count)):
-        x, y = threefry(splat(np.uint64(q), k0), epoch, k0, k1)
-        a, b = normal_pair(x)
-        store(out, q, a)
-        store(out, n + q, b)
-        if count > 2 * n:
-            a, b = normal_pair(y)
-            store(out, 2 * n + q, a)
-            store(out, 3 * n + q, b)
+    if lanes_of(out) == 1:  # eight counters side by side
+        rows = out.reshape((out.shape[0] // LANES, LANES))
+        k0, k1, epoch = splat(k0, rows), splat(k1, rows), splat(epoch, rows)
+        for q in range(-(-min(n, count) // LANES)):
+            counter = splat(np.uint64(LANES * q), rows) + load(_COUNTERS, 0)
+            _fill(counter, k0, k1, epoch, q, n // LANES, count > 2 * n, rows)
+    else:
+        for q in range(min(n, count)):
+            _fill(splat(np.uint64(q), k0), k0, k1, epoch, q, n, count > 2 * n, out)
 
 
 @njit

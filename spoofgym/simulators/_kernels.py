@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from .._jit import njit
-from .._simd import lanes_of
+from .._simd import flags_at, floats_at, integers_at, lanes_of, rows_at, words_at
 from ..attacks._kernels import false_position, per_channel
 from ..detectors.ewma import judge_channels
 from ..detectors.verdicts import is_sound
@@ -19,49 +19,60 @@ from ..receiver._kernels import (
     update_group,
 )
 
+TABLE = (
+    *("x", "out", "places", "visible", "coasting", "sensors", "keys", "epochs", "range_offset"),
+    *("rate_offset", "authentic", "run", "epoch_time", "epoch_end", "satellites", "rules"),
+    *("position_e", "velocity_e", "captured", "slots", "attack_settings"),
+)
+"""Arrays that stay where they are: as in `Arrays`; of `World`; channels that are the spoofer's;
+whether rates are commanded, what an action of 1 commands, the limit of the rate, and whether range
+rates are coherent."""
+(
+    X,
+    OUT,
+    PLACES,
+    VISIBLE,
+    COASTING,
+    SENSORS,
+    KEYS,
+    EPOCHS,
+    RANGE_OFFSET,
+    RATE_OFFSET,
+    AUTHENTIC,
+    RUN,
+    EPOCH_TIME,
+    EPOCH_END,
+    SATELLITES,
+    RULES,
+    POSITION_E,
+    VELOCITY_E,
+    CAPTURED,
+    SLOTS,
+    ATTACK_SETTINGS,
+) = range(len(TABLE))
 ATTACK, JUDGE = 16, 32
 NO_FORM, FALSE_POSITION, PER_CHANNEL = range(3)
-EWMA, PASSIVE_EWMA = 1, 2
+EWMA, PASSIVE_EWMA, NEVER = 1, 2, 3
 
 
 @njit
 def run_epochs(
-    x,
-    out,
-    places,
-    visible,
-    coasting,
-    sensors,
-    keys,
-    epochs,
-    range_offset,
-    rate_offset,
-    authentic,
-    run,
-    epoch_time,
-    epoch_end,
-    satellites,
-    rules,
-    position_e,
-    velocity_e,
-    attack,
-    hold,
+    table,
     action,
     displacement,
     rate,
     to_ecef,
     target_error,
-    captured,
-    slots,
-    attack_settings,
-    detector,
+    detector_settings,
     average,
     decay,
-    detector_settings,
     statistic,
     threshold,
     weights,
     work,
+    attack,
+    hold,
+    detector,
     what,
     count,
     lo,
@@ -72,33 +83,46 @@ def run_epochs(
     All that a tightly coupled simulator does between two commands: `ATTACK` moves the counterfeit,
     then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them.
 
-    `x` to `rules`: as in `Arrays`; `position_e`, `velocity_e`: of `World`; `attack`, `detector`:
-    their compiled forms, by number, with the arguments of these; `attack_settings`: whether rates
-    are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
-    coherent; `weights` (B, 2n) on the columns of the gain, written by `JUDGE`; `work`: lane array,
-    scratch memory of the calling thread; returns whether all verdicts are sound.
+    `table`: of `TABLE`; `action` to `target_error`: as attacks take them; `detector_settings`
+    to `threshold`: as `judge_channels` takes them; `weights` (B, 2n) on the columns of the
+    gain, written by `JUDGE`; `work`: lane array, scratch memory of the calling
+    thread; `attack`, `detector`: their compiled forms, by number; `hold`: whether the attack holds
+    its rate; returns whether all verdicts are sound.
     """
+    epoch_time, places = floats_at(table, EPOCH_TIME), integers_at(table, PLACES)
+    out, epochs = floats_at(table, OUT), integers_at(table, EPOCHS)
+    receivers, epoch_count = epochs.shape[0], epoch_time.shape[0]
+    m = weights.shape[1]
+    n = m // 2
+    run = floats_at(table, RUN)
+    range_offset = floats_at(table, RANGE_OFFSET).reshape((receivers, n))
+    rate_offset = floats_at(table, RATE_OFFSET).reshape((receivers, n))
+    satellites = floats_at(table, SATELLITES).reshape((epoch_count, n, 8))
+    position_e = floats_at(table, POSITION_E).reshape((epoch_count, 3))
+    velocity_e = floats_at(table, VELOCITY_E).reshape((epoch_count, 3))
+    visible = flags_at(table, VISIBLE).reshape((receivers, n))
+    captured, slots = flags_at(table, CAPTURED), integers_at(table, SLOTS)
+    attack_settings = floats_at(table, ATTACK_SETTINGS)
     a = Arrays(
-        x,
+        rows_at(table, X, work),
         out,
         places,
         visible,
-        coasting,
-        sensors,
-        keys,
+        flags_at(table, COASTING),
+        rows_at(table, SENSORS, work),
+        words_at(table, KEYS, work),
         epochs,
         range_offset,
         rate_offset,
-        authentic,
-        run,
+        floats_at(table, AUTHENTIC).reshape((receivers, m)),
+        run.reshape((8, run.shape[0] // 8)),
         epoch_time,
-        epoch_end,
+        integers_at(table, EPOCH_END),
         satellites,
-        rules,
+        integers_at(table, RULES),
     )
     w = name_scratch(a, work)
-    (receivers, n), lanes = visible.shape, lanes_of(x)
-    m = 2 * n
+    lanes = lanes_of(work)
     innovation = out[places[0] : places[0] + receivers * m].reshape((receivers, m))
     variance = out[places[1] : places[1] + receivers * m].reshape((receivers, m))
     sound = True
@@ -148,7 +172,7 @@ def run_epochs(
                     e,
                 )
             predict_group(a, w, group, what)
-            if what & JUDGE:
+            if what & JUDGE and detector != NEVER:
                 judge_channels(
                     innovation[b:e],
                     variance[b:e],

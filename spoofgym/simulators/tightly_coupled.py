@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from .._registry import build_record, check_choice
-from .._simd import LANES
+from .._simd import LANES, ArrayTable
 from ..attacks import Attack, AttackContext, make_attack
 from ..attacks.false_position import FalsePosition
 from ..attacks.per_channel import PerChannel
 from ..detectors import Detector, DetectorContext, Verdict
 from ..detectors.ewma import Ewma
+from ..detectors.never import Never
 from ..detectors.verdicts import checked
 from ..receiver import TightlyCoupled
 from ..receiver import _kernels as _kernels_of_receiver
@@ -51,6 +52,7 @@ MEASURE, UPDATE, SHOW = (
     _kernels_of_receiver.UPDATE,
     _kernels_of_receiver.SHOW,
 )
+JUDGE = _kernels.JUDGE
 ADVANCE = MEASURE + _kernels_of_receiver.PREDICT
 ATTACK_FORMS: dict[type, int] = {
     FalsePosition: _kernels.FALSE_POSITION,
@@ -214,10 +216,10 @@ class TightlyCoupledSimulator(Simulator):
         self._is_sound = True
         self._everyone = np.arange(receivers)
         self._serial = receivers <= LANES
-        self._hold_arguments()
         self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
         self.attack = copy.deepcopy(self.setup.attack)
         self.attack.bind(AttackContext(receivers, world))
+        self._hold_arguments()
 
     def _hold_arguments(self) -> None:
         """Collect what the kernel takes: what stays the same, and what stands for nothing."""
@@ -227,29 +229,33 @@ class TightlyCoupledSimulator(Simulator):
         rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
         self._work_rows = _kernels_of_receiver.work_rows(world.channels, *sizes)
         self._spare: list[FloatArray] = []
-        self._arrays = (
-            buffers.fields.data,
-            buffers.seen_floats,
-            buffers.places,
-            buffers.visible,
-            buffers.coasting,
-            sensors.fields.data,
-            sensors.words.data,
-            sensors.epoch,
-            sensors.range_offset,
-            sensors.rate_offset,
-            sensors.authentic,
-            world.run,
-            world.epoch_time,
-            world.epoch_end,
-            world.satellites,
-            np.array(rules, dtype=np.int64),
-            world.position_e,
-            world.velocity_e,
-        )
-        nowhere = np.zeros((1, 1, 3)), one, np.zeros(1, dtype=np.bool_), np.zeros(1, dtype=np.int64)
-        self._no_attack = (_kernels.NO_FORM, True, one, one, one, *nowhere, np.zeros(4))
-        self._no_detector = (_kernels.NO_FORM, one, one, np.zeros(3), one, one)
+        attack = self.attack
+        given: dict[str, NDArray[Any]] = {
+            "x": buffers.fields.data,
+            "out": buffers.seen_floats,
+            "places": buffers.places,
+            "visible": buffers.visible,
+            "coasting": buffers.coasting,
+            "sensors": sensors.fields.data,
+            "keys": sensors.words.data,
+            "epochs": sensors.epoch,
+            "range_offset": sensors.range_offset,
+            "rate_offset": sensors.rate_offset,
+            "authentic": sensors.authentic,
+            "run": world.run,
+            "epoch_time": world.epoch_time,
+            "epoch_end": world.epoch_end,
+            "satellites": world.satellites,
+            "rules": np.array(rules, dtype=np.int64),
+            "position_e": world.position_e,
+            "velocity_e": world.velocity_e,
+            "captured": attack.mask,
+            "slots": attack.slots,
+            "attack_settings": attack.kernel_settings,
+        }
+        self._table = ArrayTable([given[name] for name in _kernels.TABLE])
+        self._no_attack = one, one, one, np.zeros((1, 1, 3)), one
+        self._no_detector = np.zeros(3), one, one, one, one
 
     def _context(self) -> DetectorContext:
         setup = self.setup
@@ -259,7 +265,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def __getstate__(self) -> dict[str, Any]:
         """State without views of the buffers, which a copy makes of its own."""
-        views = ("epoch", "_arrays", "_spare")
+        views = ("epoch", "_table", "_spare")
         return {name: value for name, value in self.__dict__.items() if name not in views}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -339,7 +345,6 @@ class TightlyCoupledSimulator(Simulator):
         count: int = 1,
         attack: tuple[Any, ...] | None = None,
         detector: tuple[Any, ...] | None = None,
-        weights: FloatArray | None = None,
     ) -> None:
         """Call the kernel for a slice, with scratch memory that no other thread has."""
         try:
@@ -347,11 +352,14 @@ class TightlyCoupledSimulator(Simulator):
         except IndexError:
             work = self.buffers.fields.scratch(self._work_rows)
         sound = _kernels.run_epochs(
-            *self._arrays,
-            *(self._no_attack if attack is None else attack),
-            *(self._no_detector if detector is None else detector),
-            self.weights if weights is None else weights,
+            self._table.entries,
+            *(self._no_attack if attack is None else attack[2:]),
+            *(self._no_detector if detector is None else detector[1:]),
+            self.weights,
             work,
+            _kernels.NO_FORM if attack is None else attack[0],
+            attack is None or attack[1],
+            _kernels.NO_FORM if detector is None else detector[0],
             what,
             count,
             lo,
@@ -371,24 +379,20 @@ class TightlyCoupledSimulator(Simulator):
         """Arguments of an attack that the kernel itself makes, else None."""
         attack = self.attack
         form = ATTACK_FORMS.get(type(attack), _kernels.NO_FORM)
-        if form == _kernels.NO_FORM or self.clean is not None or not attack.equipment.perfect:
+        if form == _kernels.NO_FORM or self.clean is not None or not attack.is_perfect:
             return None
         memory = attack.memory
         hold = command is None
         if command is None or command.dtype != np.float64 or not command.flags.carray:
             command = attack.idle if command is None else np.array(command, dtype=np.float64)
-        nowhere = self._no_attack[5]
         return (
             form,
             hold,
             command,
             memory["displacement"],
             memory["rate"],
-            memory.get("to_ecef", nowhere),
+            memory.get("to_ecef", self._no_attack[3]),
             memory["target_error"],
-            attack.mask,
-            attack.slots,
-            attack.kernel_settings,
         )
 
     def _attack(self, command: FloatArray | None, lo: int, hi: int) -> None:
@@ -414,19 +418,23 @@ class TightlyCoupledSimulator(Simulator):
         self._in_slices(partial(self._epochs, UPDATE))
 
     def _first_half(
-        self, what: int, command: FloatArray | None, attacked: bool, **more: Any
+        self,
+        what: int,
+        command: FloatArray | None,
+        attacked: bool,
+        detector: tuple[Any, ...] | None = None,
     ) -> None:
         """Run kernels that begin with an attack, or none."""
         attack = self._compiled_attack(command) if attacked else None
         if attack is not None:
             what += _kernels.ATTACK
-        part = partial(self._epochs, what, attack=attack, **more)
+        in_python = attacked and attack is None
 
         def work(lo: int, hi: int) -> None:
             """Attack in Python first, where it has no compiled form."""
-            if attacked and attack is None:
+            if in_python:
                 self._attack(command, lo, hi)
-            part(lo, hi)
+            self._epochs(what, lo, hi, attack=attack, detector=detector)
 
         self._in_slices(work)
 
@@ -442,27 +450,33 @@ class TightlyCoupledSimulator(Simulator):
 
     def step(self, command: FloatArray | None = None, *, attacked: bool = True) -> Verdict:
         """Both halves of an epoch, in one kernel where nothing in Python comes between."""
-        detector = self.detector
-        if type(detector) is not Ewma or detector.limits_exclusions or self.monitors:
+        judge = self._compiled_detector()
+        if judge is None:
             return super().step(command, attacked=attacked)
-        memory, shape = detector.memory, self.buffers.visible.shape
-        statistic, threshold, weights = np.empty(shape), np.empty(shape), np.empty(self.ones.shape)
-        form = _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
-        judge = (
-            form,
-            memory["average"],
-            memory["decay"],
-            detector.kernel_settings,
-            statistic,
-            threshold,
-        )
-        self._is_sound, self.weights = True, weights
-        what = ADVANCE + SHOW + _kernels.JUDGE + UPDATE
-        self._first_half(what, command, attacked, detector=judge)
-        in_loop = None if detector.weight_scale is None else weights
+        self._is_sound = True
+        self._first_half(ADVANCE + SHOW + JUDGE + UPDATE, command, attacked, detector=judge)
+        statistic, threshold, detector = judge[4], judge[5], self.detector
+        in_loop = self.weights if judge[0] == _kernels.EWMA else None
         verdict = Verdict(statistic, threshold, statistic > threshold, in_loop)
         self.verdict = verdict if self._is_sound else checked(verdict, detector, self.epoch)
         return self.verdict
+
+    def _compiled_detector(self) -> tuple[Any, ...] | None:
+        """Arguments of a detector that the kernel itself asks, else None; sets the weights."""
+        detector = self.detector
+        if self.monitors:
+            return None
+        if type(detector) is Never:
+            self.weights, (settings, one, *_) = self.ones, self._no_detector
+            shape = self.receivers, 1
+            return _kernels.NEVER, settings, one, one, np.zeros(shape), np.ones(shape)
+        if type(detector) is not Ewma or detector.limits_exclusions:
+            return None
+        memory, shape = detector.memory, self.buffers.visible.shape
+        self.weights = np.empty(self.ones.shape)
+        form = _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
+        charts = detector.kernel_settings, memory["average"], memory["decay"]
+        return form, *charts, np.empty(shape), np.empty(shape)
 
     def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
         """Run clean epochs without a detector, several in one kernel call."""
