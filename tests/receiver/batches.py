@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spoofgym._simd import ArrayTable
 from spoofgym.earth.frames import geodetic_to_ecef
 from spoofgym.receiver import _kernels
 from spoofgym.receiver._kernels import PREDICT, SHOW, UPDATE
@@ -20,7 +21,7 @@ from spoofgym.sim.gnss import GnssErrors
 from spoofgym.sim.imu import IMU_GRADES, ImuGrade
 from spoofgym.sim.noise import padded
 from spoofgym.sim.sensors import SensorBuffers
-from spoofgym.simulators._kernels import NO_FORM, run_epochs
+from spoofgym.simulators._kernels import NO_FORM, TABLE, run_epochs
 
 from .test_kalman import covariance, measured, sky
 
@@ -160,30 +161,35 @@ class Batch:
         sizes = padded(6 * MOST), padded(2 * N)
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
         work[:] = np.nan  # so that nothing is read of it that has not been written
-        one, nobody = np.zeros((1, 1)), (np.zeros(1, dtype=np.bool_), np.zeros(1, dtype=np.int64))
+        given = {
+            "x": buffers.fields.data,
+            "out": buffers.seen_floats,
+            "places": buffers.places,
+            "visible": buffers.visible,
+            "coasting": buffers.coasting,
+            "sensors": sensors.fields.data,
+            "keys": sensors.words.data,
+            "epochs": sensors.epoch,
+            "range_offset": sensors.range_offset,
+            "rate_offset": sensors.rate_offset,
+            "authentic": sensors.authentic,
+            **vars(world),
+            "rules": np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
+            "position_e": np.zeros((EPOCHS + 1, 3)),
+            "velocity_e": np.zeros((EPOCHS + 1, 3)),
+            "captured": np.zeros(N, dtype=np.bool_),
+            "slots": np.zeros(1, dtype=np.int64),
+            "attack_settings": np.zeros(4),
+        }
+        table, one = ArrayTable([given[name] for name in TABLE]), np.zeros((1, 1))
         with np.errstate(all="ignore"):  # of which compiled code says nothing
             sound = run_epochs(
-                buffers.fields.data,
-                buffers.seen_floats,
-                buffers.places,
-                buffers.visible,
-                buffers.coasting,
-                sensors.fields.data,
-                sensors.words.data,
-                sensors.epoch,
-                sensors.range_offset,
-                sensors.rate_offset,
-                sensors.authentic,
-                world.run,
-                world.epoch_time,
-                world.epoch_end,
-                world.satellites,
-                np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
-                *np.zeros((2, EPOCHS + 1, 3)),
-                *(NO_FORM, True, one, one, one, np.zeros((1, 1, 3)), one, *nobody, np.zeros(4)),
-                *(NO_FORM, one, one, np.zeros(3), one, one),
+                table.entries,
+                *(one, one, one, np.zeros((1, 1, 3)), one),
+                *(np.zeros(3), one, one, one, one),
                 self.weights if weights is None else weights,
                 work,
+                *(NO_FORM, True, NO_FORM),
                 what,
                 count,
                 lo,
