@@ -104,6 +104,6 @@ class LaneFields:
 
 def _aligned(size: int, dtype: type) -> NDArray[Any]:
     """Zeros that start where a vector may."""
-    memory = np.zeros(size + ALIGNMENT // 8, dtype=dtype)
+    memory: NDArray[Any] = np.zeros(size + ALIGNMENT // 8, dtype=dtype)
     first = (ALIGNMENT - memory.ctypes.data % ALIGNMENT) % ALIGNMENT // 8
     return memory[first : first + size]

@@ -149,10 +149,10 @@ def _binary(
 
     def kind_of(x: types.Type, y: types.Type) -> types.Type | None:
         kind = _common(x, y)
-        return None if kind not in emits else (result or kind)
+        return None if kind is None or kind not in emits else (result or kind)
 
     def emit(context: Any, builder: Any, given: Any, values: Any) -> Any:
-        kind = _common(*given)
+        kind: Any = _common(*given)
         operands = [_cast(context, builder, v, t, kind) for v, t in zip(values, given, strict=True)]
         name, _, predicate = emits[kind].partition(" ")
         method = getattr(builder, name)
@@ -219,7 +219,7 @@ def _row_address(context: Any, builder: Any, given: Any, values: Any) -> Any:
     return builder.bitcast(pointer, _LLVM[kind].as_pointer())
 
 
-class _Lanes(np.ndarray):  # type: ignore[type-arg]
+class _Lanes(np.ndarray):
     """A vector without compilation: like a number, none that ``+=`` changes in place."""
 
     __iadd__: Any = np.ndarray.__add__

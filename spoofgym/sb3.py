@@ -70,9 +70,10 @@ class SpoofVecEnv(VecEnv):
     threads : int, optional
         Threads of the engine; all useful cores by default.
     prefetch : bool
-        Whether one more thread warms up the next episodes while the policy learns, also with
-        ``threads=1``.  The bits are the same, unless those of the detector depend on the size of
-        the batch: runs with such a one are then not reproducible; see `Engine`.
+        Whether the next episodes are warmed up in the spare time of the threads, while the policy
+        learns, with ``threads=1`` by one thread more.  The bits are the same, unless those of the
+        detector depend on the size of the batch: runs with such a one are then not reproducible;
+        see `Engine`.
     torch_threads : int or None
         Threads of torch, for the whole process; None leaves them as they are.  Two of them fought
         with other threads over two processors at a seventieth of the speed of one.

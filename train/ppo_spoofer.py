@@ -137,6 +137,8 @@ class Arguments:
     """Command phase of an episode, in seconds."""
     warmup_s: float = 200.0
     """Clean run before the attack, in seconds; its last 60 s, or all of it, with the detector."""
+    warm_pool: int | None = None
+    """Warm-ups that all episodes of the training start from; by default each has its own."""
     steps: int = 2_500_000
     """Steps of all receivers together."""
     num_envs: int = 128
@@ -262,11 +264,13 @@ class Arguments:
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """What `gymnasium.make` takes."""
+        pool = {} if self.warm_pool is None else {"warm_pool": self.warm_pool}
         if self.task:
             task = task_of(self.task)
-            whom = {"detector": task.detector, "knowledge": self.knowledge}
+            whom = {"detector": task.detector, "knowledge": self.knowledge, **pool}
             return {"target_heading_deg": self.heading_deg, **task.world_kwargs, **whom}
         return {
+            **pool,
             "scenario": parse_spec(self.scenario),
             "detector": detector_entry(parse_spec(self.detector)).spec,
             "attack": parse_spec(self.attack),
@@ -282,7 +286,8 @@ class Arguments:
     @property
     def suite(self) -> Suite:
         """Campaign of the same preset, for its runs and for tuning the ramps."""
-        world = {k: v for k, v in self.env_kwargs.items() if k not in ("detector", "knowledge")}
+        own = ("detector", "knowledge", "warm_pool")
+        world = {k: v for k, v in self.env_kwargs.items() if k not in own}
         return Suite(
             **world,
             detectors=[self.env_kwargs["detector"]],

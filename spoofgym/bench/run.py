@@ -90,7 +90,6 @@ class WarmStart:
         part.simulator.copy_rows(np.arange(len(rows)), engine.simulator, rows)
         if engine.simulator.clean is not None:
             part.simulator.clean = engine.simulator.clean[rows]
-        part.warmup_alarm = engine.warmup_alarm[rows]
         return part
 
 

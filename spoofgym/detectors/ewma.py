@@ -151,11 +151,14 @@ class Ewma(Detector):
         shape = epoch.visible.shape
         size, threshold = np.empty(shape), np.empty(shape)
         weights = np.empty(epoch.innovation.shape)
+        smoothing, quantile, scale = self.kernel_settings.tolist()
         judge_channels(
             epoch.innovation,
             epoch.innovation_variance,
             epoch.visible,
-            *self.kernel_settings,
+            smoothing,
+            quantile,
+            scale,
             self.memory["average"],
             self.memory["decay"],
             size,

@@ -7,6 +7,7 @@ Navigation Systems", 2nd edition, section 2.4 (`groves2013` in references.bib).
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from .._jit import inlined
 from .._simd import select, sqrt
@@ -51,7 +52,7 @@ def radii_of_curvature(latitude: float) -> tuple[float, float]:
 
 
 @inlined
-def geocentric_surface_radius(x: float, y: float, z: float) -> float:
+def geocentric_surface_radius(x: Any, y: Any, z: Any) -> Any:
     r"""Distance from the centre of the Earth to the surface below a point, r_eS.
 
     .. math::

@@ -92,7 +92,7 @@ class SpoofCore:
         B.
     setup : Setup
         Of any victim.
-    threads, prefetch : optional
+    threads, prefetch, warm_pool : optional
         As in `Engine`; all others as in `SpoofEnv`.
 
     Attributes
@@ -125,6 +125,7 @@ class SpoofCore:
         alarm_penalty_m: float = DEFAULT_PENALTY_M,
         end_at_alarm: bool = True,
         twin: bool = False,
+        warm_pool: int | None = None,
         threads: int | None = None,
         prefetch: bool = False,
     ) -> None:
@@ -150,6 +151,7 @@ class SpoofCore:
             "alarm_penalty_m": alarm_penalty_m,
             "end_at_alarm": end_at_alarm,
             "twin": twin,
+            "warm_pool": warm_pool,
             "threads": threads,
             "prefetch": prefetch,
         }
@@ -163,7 +165,14 @@ class SpoofCore:
             monitors.append(self._passive.monitor)
             self.reset_names += self._passive.reset_names
         self.setup = setup.altered(monitors=monitors)
-        self.engine = Engine(receivers, self.setup, threads=threads, prefetch=prefetch, twin=twin)
+        self.engine = Engine(
+            receivers,
+            self.setup,
+            threads=threads,
+            prefetch=prefetch,
+            twin=twin,
+            warm_pool=warm_pool,
+        )
         self.receivers, self.episode_steps = receivers, setup.steps // setup.repeat
         self.observer = Observer(seen, self.setup)
         self.observation_names = self.observer.names

@@ -49,12 +49,15 @@ class EpochRecorder:
                 self._episode[row] = max(self._episode[row], int(found[2]) + 1)
         self._rows: list[dict[str, list[Array]]] = [{} for _ in range(receivers)]
         self._satellites: tuple[str, ...] = ()
+        self._pool: dict[str, int] = {}
 
     def __call__(self, core: SpoofCore, state: EpochState, verdict: Verdict) -> None:
         """Take down an epoch of all receivers whose episodes are not over."""
         simulator = state.snapshot.simulator
         epoch = simulator.epoch
         self._satellites = getattr(core.setup.world, "satellite_ids", ())
+        pool = core.engine.warm_pool
+        self._pool = {} if pool is None else {"warm_pool": pool}
         columns: dict[str, Array] = {
             "time_s": epoch.time,
             "step": state.snapshot.step,
@@ -84,6 +87,7 @@ class EpochRecorder:
                 "episode": int(self._episode[row]),
                 "complete": complete,
                 "satellite_ids": list(self._satellites),
+                **self._pool,
             }
             write_file(self.folder / name, as_parquet(self._rows[row], head))
             written.append(self.folder / name)

@@ -154,6 +154,10 @@ class SpoofEnv(VictimEnv):
     twin : bool
         Whether a clean twin of the victim runs, too, and displacement is the distance from it
         instead of the error less that at the onset.  It takes up to twice the time.
+    warm_pool : int, optional
+        Start all episodes as copies of so many receivers that are warmed up once, picked by the
+        seed of the episode, with fresh noise from the onset on; by default each has a warm-up of
+        its own.  See `Engine`.
     render_mode : {"human", "rgb_array"}, optional
         Whether a window shows the episode, or `render` returns pictures of it.
 
@@ -198,9 +202,10 @@ class SpoofVectorEnv(VictimVectorEnv):
     threads : int, optional
         Threads of the engine; all useful cores by default.
     prefetch : bool
-        Whether one more thread warms up every receiver's next episode while the present one runs,
-        also with ``threads=1``.  The bits are the same, unless those of the detector depend on the
-        size of the batch: runs with such a one are then not reproducible; see `Engine`.
+        Whether every receiver's next episodes are warmed up in the spare time of the threads while
+        the present one runs, with ``threads=1`` by one thread more.  The bits are the same, unless
+        those of the detector depend on the size of the batch: runs with such a one are then not
+        reproducible; see `Engine`.
     render_mode : None
         There is nothing to render.
     max_episode_steps : int, optional

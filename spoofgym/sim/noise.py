@@ -11,6 +11,7 @@ below 1e-12.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +102,7 @@ def threefry(
 
 
 @inlined
-def natural_log(x: float) -> float:
+def natural_log(x: Any) -> Any:
     r"""Logarithm of a positive normal number.
 
     With :math:`x = 2^e m`, :math:`m \in [\sqrt{1/2}, \sqrt2)` and :math:`s = (m - 1)/(m + 1)`,
@@ -156,13 +157,15 @@ def normal_pair(word: np.uint64) -> tuple[float, float]:
 
 
 @inlined
-def whole_number(x: float) -> np.uint64:
+def whole_number(x: Any) -> Any:
     """The unsigned integer that a whole number from 0 to 2^52 is."""
     return bits_of(x + 2.0**52) & _MANTISSA
 
 
 @inlined
-def _fill(counter, k0, k1, epoch, q, n, both, out):
+def _fill(
+    counter: Any, k0: Any, k1: Any, epoch: Any, q: int, n: int, both: bool, out: NDArray[np.float64]
+) -> None:
     """Write the deviates of a counter, or of eight, into rows q, n + q, 2 n + q and 3 n + q."""
     x, y = threefry(counter, epoch, k0, k1)
     a, b = normal_pair(x)
@@ -206,7 +209,7 @@ def normals(k0: np.uint64, k1: np.uint64, epoch: int, out: NDArray[np.float64]) 
 
 
 @inlined
-def exponential(x: float) -> float:
+def exponential(x: Any) -> Any:
     r"""Exponential function of a number that is not above 0; 0 below -708.
 
     With :math:`x = k \ln 2 + r`, :math:`|r| \le \ln 2 / 2`: the Taylor series of :math:`e^r` up to

@@ -93,12 +93,20 @@ class SensorBuffers:
         source a key, so that no source depends on how much another draws, or on when the last
         episode ended.
         """
-        drawn = []
-        for rng in rngs:
-            episode = rng.bit_generator.seed_seq.spawn(1)[0]  # type: ignore[attr-defined]
-            drawn.append(episode.generate_state(2 * len(SOURCES), np.uint64))
-        for k, source in enumerate(SOURCES):
-            self.words.put(source, rows, np.array(drawn)[:, 2 * k : 2 * k + 2])
+        spawned = [rng.bit_generator.seed_seq.spawn(1) for rng in rngs]  # type: ignore[attr-defined]
+        self.put_keys(rows, [episode for (episode,) in spawned])
+
+    def put_keys(
+        self,
+        rows: NDArray[np.intp],
+        episodes: Sequence[np.random.SeedSequence],
+        sources: Sequence[str] = SOURCES,
+    ) -> None:
+        """Take the keys of some sources from the seeds of episodes."""
+        drawn = np.array([seed.generate_state(2 * len(SOURCES), np.uint64) for seed in episodes])
+        for source in sources:
+            k = 2 * SOURCES.index(source)
+            self.words.put(source, rows, drawn[:, k : k + 2])
 
     def begin(
         self,

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import copy
 import math
+import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -51,7 +52,7 @@ class Simulator(ABC):
       and `Setup.fields`; the others are None;
     - `memory`: ``first`` and ``onset`` (B,) epochs at which the episode starts, and after which the
       attack does; ``heading`` (B,) and ``direction`` (B, 2) of the target; ``key`` (B, 2) of the
-      episode's domain; and the victim's;
+      episode's domain; ``warmup_alarm`` (B,), whether the warm-up alarmed; and the victim's;
     - `detector`: in the loop, bound; `monitors`: what looks at every epoch that is judged;
     - `verdict`: of the last epoch that was judged in these episodes, or None;
     - `weights` (B, m) of the last update;
@@ -72,6 +73,7 @@ class Simulator(ABC):
         self.memory.declare("heading", np.zeros(receivers))
         self.memory.declare("key", np.zeros((receivers, 2), dtype=np.uint64))
         self.memory.declare("direction", np.zeros((receivers, 2)))
+        self.memory.declare("warmup_alarm", np.zeros(receivers, dtype=np.bool_))
         readers = setup.detector, *setup.monitors
         self.fields = setup.fields.union(*map(check_needs, readers))
         self._allocate()
@@ -102,6 +104,10 @@ class Simulator(ABC):
     @abstractmethod
     def _start(self, choice: Choice) -> None:
         """Draw the errors of the chosen episodes, and initialize the filters."""
+
+    @abstractmethod
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        """Take the noise of other episodes from here on; what has been drawn before stays."""
 
     @abstractmethod
     def _measure(self, command: FloatArray | None) -> None:
@@ -292,38 +298,52 @@ class Simulator(ABC):
         self.update(verdict.weights)
         return verdict
 
-    def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
-        """Run clean epochs without a detector; `between` is called before some, and may wait."""
+    def quiet_epochs(self, count: int) -> None:
+        """Run clean epochs without a detector."""
         self.weights = self.ones
         for _ in range(count):
-            if between is not None:
-                between()
             self._measure(None)
             self._correct(None)
 
-    def live_epochs(
-        self, count: int, *, holding: bool = False, between: Callable[[], None] | None = None
-    ) -> NDArray[np.bool_]:
+    def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
         """Run epochs with the detector and without commands; (count, B) bool alarms.
 
         `holding` says that the attack holds its rate; if not, it has not started.
         """
         alarms = np.zeros((count, self.receivers), dtype=np.bool_)
         for k in range(count):
-            if between is not None:
-                between()
             alarms[k] = self.step(attacked=holding).alarm.any(axis=1)
         return alarms
 
-    def warm_up(
-        self, rngs: Rngs, between: Callable[[], None] | None = None, given: Given | None = None
-    ) -> NDArray[np.bool_]:
+    def warm_up(self, rngs: Rngs, given: Given | None = None) -> NDArray[np.bool_]:
         """Start new episodes, and run them to the onset; (B,) bool, who alarmed."""
+        for _ in self.warming(rngs, given):
+            pass
+        return self.memory["warmup_alarm"]
+
+    def warming(
+        self, rngs: Rngs, given: Given | None = None, piece: int = sys.maxsize
+    ) -> Iterator[None]:
+        """`warm_up` that stops after pieces of some epochs of single receivers."""
         self.begin(rngs, given)
-        self.quiet_epochs(self.setup.quiet, between=between)
-        alarms = self.live_epochs(self.setup.live, between=between)
-        alarmed: NDArray[np.bool_] = np.logical_or.reduce(alarms, axis=0)
-        return alarmed
+        alarmed, each = np.zeros(self.receivers, dtype=np.bool_), max(1, piece // self.receivers)
+        for start in range(0, self.setup.quiet, each):
+            yield
+            self.quiet_epochs(min(each, self.setup.quiet - start))
+        for _ in range(self.setup.live):
+            yield
+            alarmed |= self.live_epochs(1)[0]
+        self.memory["warmup_alarm"] = alarmed
+
+    def start_from(self, pool: Self, rows: Rows, rngs: Rngs) -> None:
+        """Let some receivers start new episodes as copies of a pool's that have come to the onset.
+
+        The seed of an episode picks the copy, and gives all noise after the onset.
+        """
+        episodes = episode_seeds(rngs)
+        picked = domain_keys(episodes)[:, 0] % np.uint64(pool.receivers)
+        self.copy_rows(rows, pool, picked.astype(np.intp))
+        self._renew(rows, episodes)
 
     def layout(self) -> EpisodeLayout:
         """What stays the same in a picture of the first receiver's episode."""

@@ -3,37 +3,40 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .._registry import whole_number
 from .._simd import LANES
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
 from .base import Given, Rngs, Rows, Simulator, run_serially
 from .domain import draw, given_choice
-from .prefetch import STOCK, NextEpisodes
+from .prefetch import PIECE, STOCK, NextEpisodes
 from .setup import Setup
 from .threads import Workers
 
 FloatArray = NDArray[np.float64]
 T = TypeVar("T")
 RECEIVERS_PER_THREAD = 16
-NOBODY_WAITS = nullcontext()
+SLICES_PER_THREAD, LEAST_SLICE = 4, 32
+"""Slices of a step: several a thread, so that none waits long, of no fewer receivers than this."""
+POOL_SEED = 0x9A57
+"""Receiver k of every pool is seeded ``SeedSequence(POOL_SEED, spawn_key=(k,))``."""
 KEPT = 8
 """Largest size of the simulators that are kept for the time to alert of a few receivers."""
 
 
-def _warmed_up(
-    setup: Setup, rngs: Rngs, between: Callable[[], None]
-) -> tuple[Simulator, NDArray[np.bool_]]:
-    """Receivers at the onset, by one thread."""
+def _warming(setup: Setup, rngs: Rngs) -> Iterator[Simulator]:
+    """Receivers on their way to the onset, in pieces."""
     simulator: Simulator = setup.simulator(len(rngs), run_serially)
-    return simulator, simulator.warm_up(rngs, between)
+    yield simulator
+    for _ in simulator.warming(rngs, piece=PIECE):
+        yield simulator
 
 
 class Engine:
@@ -49,14 +52,21 @@ class Engine:
         Threads for the compiled halves; by default all useful cores, with at least
         `RECEIVERS_PER_THREAD` receivers each.  A victim without threads uses one.
     prefetch : bool
-        Whether to warm up every receiver's next episodes while the present one runs.  They have the
-        same bits, but for a detector whose bits depend on the size of the batch: which receivers
-        are warmed up together depends on timing, so its runs cannot be reproduced
-        (`check_detector` checks that it is none).  One thread more than `threads` computes, also
-        with ``threads=1``.
+        Whether to warm up every receiver's next episodes while the present one runs, in the spare
+        time of the same threads; with ``threads=1`` by one more, which does nothing else.  They
+        have the same bits, but for a detector whose bits depend on the size of the batch: which
+        receivers are warmed up together depends on timing, so its runs cannot be reproduced
+        (`check_detector` checks that it is none).
     twin : bool
         Whether a clean twin of every receiver runs, too: the same flight, noise and detector, but
         no attack.  It shares the warm-up.
+    warm_pool : int, optional
+        Warm up only so many receivers M, once, of seeds that are the same for every engine
+        (`POOL_SEED`): each episode starts as a copy of the one that its seed picks, satellite
+        biases, domain and ``warmup_alarm`` included, and has noise of its own from the onset on.
+        So there are M pasts instead of a new one for every episode, and the bits are others than
+        without; they are the same for the same M and seed in any batch.  There is nothing to
+        `prefetch` then, and nothing of an episode can be given.
 
     Attributes
     ----------
@@ -64,8 +74,6 @@ class Engine:
         The receivers.
     twin : Simulator or None
         The same receivers, not attacked.
-    warmup_alarm : ndarray
-        (B,) bool, whether the detector alarmed before the attack: a false alarm.
     """
 
     def __init__(
@@ -76,6 +84,7 @@ class Engine:
         threads: int | None = None,
         prefetch: bool = False,
         twin: bool = False,
+        warm_pool: int | None = None,
     ) -> None:
         if receivers < 1:
             raise ValueError(f"`receivers` must be at least 1, got {receivers}")
@@ -84,32 +93,37 @@ class Engine:
         self.receivers, self.setup = receivers, setup
         useful = available_threads(receivers) if threads is None else threads
         self.threads = useful if setup.threaded else 1
-        self._workers = Workers(self.threads - 1)
+        self.warm_pool = None if warm_pool is None else whole_number("`warm_pool`", warm_pool, 1)
+        prefetch = prefetch and warm_pool is None
+        self._workers = Workers(max(self.threads - 1, int(prefetch)))
         self.simulator: Simulator = setup.simulator(receivers, self._run)
         self.twin: Simulator | None = (
             setup.altered(monitors=()).simulator(receivers, self._run) if twin else None
         )
-        self.warmup_alarm: NDArray[np.bool_] = np.zeros(receivers, dtype=np.bool_)
         self._everyone = np.arange(receivers)
         self._few: dict[tuple[bool, int], Simulator] = {}
+        self._pool: Simulator | None = None
         self._next: NextEpisodes | None = None
         if prefetch:
             waiting = setup.simulator(STOCK * receivers, run_serially)
-            self._next = NextEpisodes(waiting, partial(_warmed_up, setup))
+            self._next = NextEpisodes(waiting, partial(_warming, setup), self._workers)
+
+    @property
+    def warmup_alarm(self) -> NDArray[np.bool_]:
+        """(B,) bool, whether the detector alarmed before the attack: a false alarm."""
+        return self.simulator.memory["warmup_alarm"]
 
     def close(self) -> None:
         """End the threads; they are started again when they are needed."""
         self._workers.close()
-        if self._next is not None:
-            self._next.close()
 
     def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
         """Call ``work(lo, hi)`` over slices of whole lanes."""
-        if self.threads == 1 or receivers <= LANES:
+        parts = min(SLICES_PER_THREAD * self.threads, receivers // LEAST_SLICE)
+        if self.threads == 1 or parts < 2:
             work(0, receivers)
             return
         groups = -(-receivers // LANES)
-        parts = min(self.threads, groups)
         bounds = [LANES * ((groups * part) // parts) for part in range(parts)] + [receivers]
         self._workers.run(work, bounds)
 
@@ -121,6 +135,11 @@ class Engine:
         """
         self._workers.settle()
         where = self._everyone if rows is None else rows
+        if given and self.warm_pool is not None:
+            raise ValueError(
+                f"with `warm_pool` {self.warm_pool} the circumstances of an episode are those of "
+                f"the pool: {', '.join(given)} can't be given"
+            )
         if given:
             # refused before any episode has been started
             setup = self.setup
@@ -138,6 +157,10 @@ class Engine:
             self.twin.copy_rows(where, self.simulator, where)
 
     def _reset(self, rngs: Rngs, where: Rows, given: Given | None) -> None:
+        if self.warm_pool is not None:
+            self._pool = self._pool or self._warmed_pool(self.warm_pool)
+            self.simulator.start_from(self._pool, where, rngs)
+            return
         if self._next is None:
             self._begin(rngs, where, given)
             return
@@ -147,8 +170,7 @@ class Engine:
             return
         prepared = self._next.prepared(where, rngs)
         if prepared.any():
-            ready = where[prepared]
-            self.warmup_alarm[ready] = self._next.take(ready, self.simulator)
+            self._next.take(where[prepared], self.simulator)
         if not prepared.all():
             others = [rng for rng, ready in zip(rngs, prepared, strict=True) if not ready]
             self._begin(others, where[~prepared])
@@ -157,11 +179,18 @@ class Engine:
     def _begin(self, rngs: Rngs, rows: Rows, given: Given | None = None) -> None:
         """Start new episodes and run their warm-up here and now."""
         if len(rows) == self.receivers:
-            self.warmup_alarm = self.simulator.warm_up(rngs, given=given)
+            self.simulator.warm_up(rngs, given)
             return
         part: Simulator = self.setup.simulator(len(rngs), self._run)
-        self.warmup_alarm[rows] = part.warm_up(rngs, given=given)
+        part.warm_up(rngs, given)
         self.simulator.copy_rows(rows, part, np.arange(len(rows)))
+
+    def _warmed_pool(self, receivers: int) -> Simulator:
+        """Receivers at the onset, of whom all episodes are copies."""
+        seeds = (np.random.SeedSequence(POOL_SEED, spawn_key=(k,)) for k in range(receivers))
+        pool: Simulator = self.setup.simulator(receivers, self._run)
+        pool.warm_up([np.random.default_rng(seed) for seed in seeds])
+        return pool
 
     def predict(self, command: FloatArray | None) -> Epoch:
         """First half of a step; `command` (B, a) in [-1, 1], None holds the present rates."""
@@ -177,10 +206,9 @@ class Engine:
 
     def step(self, command: FloatArray | None) -> Verdict:
         """Both halves with the engine's own detector; the twins follow."""
-        with NOBODY_WAITS if self._next is None else self._next.kept_waiting():
-            verdict = self.simulator.step(command)
-            if self.twin is not None:
-                self.step_twin()
+        verdict = self.simulator.step(command)
+        if self.twin is not None:
+            self.step_twin()
         return verdict
 
     def step_twin(self) -> Verdict:

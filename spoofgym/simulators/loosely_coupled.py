@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,6 +16,7 @@ from ..sim.loose_world import SOURCES, InertialErrors, first_errors, flown_world
 from ..sim.noise import padded
 from ..sim.position_error import PositionErrors
 from ..sim.scenario import at_rate
+from .base import Rows
 from .domain import Choice, Domain
 from .rates import RateSimulator
 from .setup import RateCommands, Run, Setup, Timeline
@@ -139,6 +140,10 @@ class LooselyCoupledSimulator(RateSimulator):
     def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
         state = episode.generate_state(2 * SOURCES, np.uint64)
         self.memory["keys"][row] = state.reshape(-1, 2)
+
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        for row, episode in zip(rows.tolist(), episodes, strict=True):
+            self._seed(row, episode)
 
     def _start(self, choice: Choice) -> None:
         memory, setup, first = self.memory, self.setup, self.memory["first"]

@@ -1,8 +1,8 @@
-"""The next episodes of every receiver, warmed up in the background while the present one runs.
+"""The next episodes of every receiver, warmed up in spare time while the present one runs.
 
 The warm-up is clean, and its noise depends on the seed and the number of the episode alone.  So it
 can be run at any time before the episode starts, with the same bits.  Between two epochs under
-attack a learner computes in Python or in one thread; a second processor does this meanwhile.
+attack a learner computes in Python or in one thread; the engine's other threads do this meanwhile.
 
 Episodes without an alarm all end together, and an alarm soon afterwards would have to wait for all
 the others.  So every receiver that has come to its second episode keeps `STOCK` of them.
@@ -13,14 +13,8 @@ the detector do not depend on the size of the batch, as `spoofgym.testing.check_
 
 from __future__ import annotations
 
-import os
-import sys
 import threading
-import weakref
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from functools import partial
-from queue import SimpleQueue
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,162 +22,115 @@ from numpy.typing import NDArray
 
 from .. import _threads
 from .base import Rngs, Simulator
+from .threads import Workers
 
-WarmUp = Callable[
-    [Sequence[np.random.Generator], Callable[[], Any]], "tuple[Simulator, NDArray[np.bool_]]"
-]
+WarmUp = Callable[[Sequence[np.random.Generator]], Iterator[Simulator]]
 LEAST_TOGETHER, MOST_TOGETHER = 16, 64
-"""Receivers of one piece of work: enough to be worth it, unless they are waited for, and not so
-many that one waits for the others."""
+"""Receivers of a group: enough to be worth it, and not so many that one waits for the others."""
 STOCK = 2
 """Episodes that wait for every receiver."""
-JOIN_S = 5.0
-"""How long a thread that has been stopped is waited for.  It ends within a millisecond or so, if no
-detector holds it up."""
-LOOK_S = 0.1
-"""How often a thread that may not compute looks whether it has been stopped."""
+PIECE = 64
+"""Epochs of single receivers in one piece of a warm-up: some 0.1 ms."""
 
 
-class StoppedError(Exception):
-    """The thread has been stopped within its work."""
+class Group:
+    """Some receivers on their way to the onset, in pieces that any thread may do.
 
-
-class Background:
-    """One thread, and what it shares with its owner; used once, and in one process.
-
-    A forked process inherits no thread, and locks that may be held.  `wake` gets True for new work,
-    False for the end; `change` is held by who writes what both use; the thread computes while it is
-    `free`, writes nothing any more when `stopped`, and leaves its `failure` until that is raised;
-    `urgent` says that the owner waits.
+    `slots` and `episodes` are where they go to and their generators; `failure` is what the warm-up
+    raised; it is `over` with that, or with `batch`.
     """
 
-    def __init__(self) -> None:
-        self.process = os.getpid()
-        self.wake: SimpleQueue[bool] = SimpleQueue()
-        self.change = threading.Condition()
-        self.free = threading.Event()
-        self.free.set()
-        self.urgent = self.stopped = False
+    batch: Simulator
+
+    def __init__(
+        self, slots: list[int], episodes: list[np.random.Generator], warm_up: WarmUp
+    ) -> None:
+        self.slots, self.episodes = slots, episodes
         self.failure: BaseException | None = None
-        self._thread: threading.Thread | None = None
+        self.over = self._wanted = False
+        self._pieces = warm_up([copy_of(rng) for rng in episodes])
+        self._turn = threading.Lock()
 
-    def start(self, target: Callable[..., None], *args: Any) -> None:
-        """Start the thread, unless it has been."""
-        if self._thread is None:
-            self._thread = _threads.start(partial(target, *args), self.stop, "spoofgym-next")
+    def __call__(self) -> bool:
+        """Do the next piece, unless another thread does it; whether there was one to do."""
+        if self.over or self._wanted or not self._turn.acquire(blocking=False):
+            return False
+        try:
+            self._go_on()
+        finally:
+            self._turn.release()
+        return True
 
-    def pause(self) -> None:
-        """Wait as long as the processors are needed elsewhere; `StoppedError` at the end."""
-        # an interrupt of the owner may have left it not free
-        while not (self.stopped or self.free.wait(LOOK_S)):
-            pass
-        if self.stopped:
-            raise StoppedError
+    def finish(self) -> None:
+        """Do all that is left, after the piece that another thread may be at."""
+        self._wanted = True
+        with self._turn:
+            while not self.over:
+                self._go_on()
 
-    def stop(self) -> None:
-        """Have the thread end soon; takes no lock, since a collection of garbage may call it."""
-        if self.process == os.getpid():
-            self.stopped = True
-            self.wake.put(False)
-
-    def join(self) -> None:
-        """Wait for the thread, which has been stopped."""
-        thread = self._thread
-        # no thread waits for itself, and none runs on while the interpreter ends
-        if thread is None or thread is threading.current_thread() or sys.is_finalizing():
-            return
-        thread.join(JOIN_S)
+    def _go_on(self) -> None:
+        try:
+            self.batch = next(self._pieces)
+        except StopIteration:
+            self.over = True
+        except BaseException as error:  # raised to who needs it
+            self.failure, self.over = error, True
 
 
 class NextEpisodes:
     """Receivers that wait at the onset of their next episodes.
 
     `waiting` has `STOCK` times the B receivers of the engine, in slots ``row`` and ``row + B`` in
-    turn.  ``warm_up(rngs, between)`` returns a batch at the onset, and (b,) bool, alarms of its
-    warm-up; called in another thread, it calls ``between()`` every millisecond or so, which waits
-    as long as the processors are needed for the present episodes.
+    turn.  ``warm_up(rngs)`` makes a batch, and stops between pieces of its warm-up.  Threads do no
+    more than such pieces; the books are the owner's alone.
     """
 
-    def __init__(self, waiting: Simulator, warm_up: WarmUp) -> None:
-        self._waiting, self._warm_up = waiting, warm_up
+    def __init__(self, waiting: Simulator, warm_up: WarmUp, workers: Workers) -> None:
+        self._waiting, self._warm_up, self._workers = waiting, warm_up, workers
         slots = waiting.receivers
         self._receivers = slots // STOCK
-        self._alarm = np.zeros(slots, dtype=np.bool_)
         self._ready = np.zeros(slots, dtype=np.bool_)
-        self._episodes: list[np.random.Generator | None] = [None] * slots
+        self._episodes: dict[int, np.random.Generator] = {}
         self._sources: list[np.random.Generator | None] = [None] * self._receivers
         self._taken = np.zeros(self._receivers, dtype=np.int64)
         self._stock = np.zeros(self._receivers, dtype=np.int64)
-        self._asked: list[int] = []
-        self._background = Background()
-
-    @contextmanager
-    def kept_waiting(self) -> Iterator[None]:
-        """Leave the processors to the present episodes meanwhile."""
-        free = self._own().free
-        try:
-            free.clear()
-            yield
-        finally:
-            free.set()
-
-    def _own(self) -> Background:
-        """Thread of this process; another one after a fork, and when it has been stopped."""
-        if self._background.stopped or self._background.process != os.getpid():
-            self._background = Background()
-        return self._background
-
-    def _started(self) -> Background:
-        """The same, running."""
-        background = self._own()
-        background.start(_serve, weakref.ref(self), background)
-        return background
-
-    def close(self) -> None:
-        """End the thread, within a warm-up too; it is started again when it is needed."""
-        background = self._own()
-        background.stop()
-        background.join()
-        self._background = Background()
+        self._asked: dict[int, None] = {}
+        self._groups: list[Group] = []
+        self._generation = _threads.generation()
 
     def forget(self) -> None:
         """Throw away all that has been asked for; the generators go on from where they are."""
-        self.close()
-        self._asked, self._sources = [], [None] * self._receivers
+        self._ask_again(self._groups)
+        self._asked, self._sources = {}, [None] * self._receivers
 
-    def __del__(self) -> None:
-        """End the thread with its owner."""
-        if hasattr(self, "_background"):
-            self._background.stop()
+    def _ask_again(self, groups: Iterable[Group]) -> None:
+        """Take groups apart."""
+        self._asked = {**self._open(groups), **self._asked}
+        self._groups = [group for group in self._groups if group not in groups]
+        self._workers.pieces[:] = self._groups
+
+    def _open(self, groups: Iterable[Group]) -> dict[int, None]:
+        """Slots of groups for which nothing else has been asked meanwhile."""
+        pairs = ((group.slots[i], i, group) for group in groups for i in range(len(group.slots)))
+        return {
+            slot: None for slot, i, group in pairs if self._episodes.get(slot) is group.episodes[i]
+        }
+
+    def _drop_unwanted(self) -> None:
+        """Stop groups of which no episode is wanted any more."""
+        self._groups = [group for group in self._groups if self._open([group])]
+        self._workers.pieces[:] = self._groups
+
+    def _check_fork(self) -> None:
+        """Take all groups apart in a forked process, which has no thread that goes on with them."""
+        if self._generation is not _threads.generation():
+            self._ask_again(self._groups)
+            self._generation = _threads.generation()
 
     def __getstate__(self) -> dict[str, Any]:
-        """State without the thread, after it has done what it was asked for."""
-        self._wait(lambda: not self._asked)
-        return {name: value for name, value in self.__dict__.items() if name != "_background"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over the state; a thread is started when it is needed."""
-        self.__dict__.update(state)
-        self._background = Background()
-
-    def _wait(self, until: Callable[[], bool]) -> None:
-        """Have the thread work on until something holds; or raise, once, what it failed with."""
-        if until():
-            return
-        background = self._started()
-        with background.change:
-            background.urgent = True
-            try:
-                if background.failure is None:
-                    background.wake.put(True)
-                background.change.wait_for(lambda: background.failure is not None or until())
-            finally:
-                background.urgent = False
-            if until():
-                return
-            failure, background.failure = background.failure, None
-        if failure is not None:
-            raise failure
+        """State in which all that is not ready has yet to be started."""
+        asked = {**self._open(self._groups), **self._asked}
+        return {**self.__dict__, "_asked": asked, "_groups": [], "_generation": None}
 
     def _slots(self, rows: NDArray[np.intp], ahead: NDArray[np.int64] | int) -> NDArray[np.intp]:
         """Where the episodes lie that some receivers come to after some others."""
@@ -195,21 +142,35 @@ class NextEpisodes:
         One is asked for where that is new, and what waited there is thrown away; else as many as
         are missing.
         """
-        background = self._started()
-        with background.change:
-            known = self.prepared(rows, rngs, least=0)
-            self._stock[rows[~known]] = 0
-            wanted = np.where(known, STOCK, 1)
-            for ahead in range(STOCK):
-                lacking = (self._stock[rows] <= ahead) & (ahead < wanted)
-                slots = self._slots(rows[lacking], ahead).tolist()
-                for i, slot in zip(np.flatnonzero(lacking).tolist(), slots, strict=True):
-                    self._ready[slot], self._episodes[slot] = False, take_episode(rngs[i])
-                    if slot not in self._asked:
-                        self._asked.append(slot)
-                    self._sources[int(rows[i])] = rngs[i]
-                    self._stock[rows[i]] += 1
-        background.wake.put(True)
+        self._check_fork()
+        known = self.prepared(rows, rngs, least=0)
+        self._stock[rows[~known]] = 0
+        wanted = np.where(known, STOCK, 1)
+        for ahead in range(STOCK):
+            lacking = (self._stock[rows] <= ahead) & (ahead < wanted)
+            slots = self._slots(rows[lacking], ahead).tolist()
+            for i, slot in zip(np.flatnonzero(lacking).tolist(), slots, strict=True):
+                self._ready[slot], self._episodes[slot] = False, take_episode(rngs[i])
+                self._asked[slot] = None
+                self._sources[int(rows[i])] = rngs[i]
+                self._stock[rows[i]] += 1
+        if not known.all():
+            self._drop_unwanted()
+        count = len(self._asked)
+        if not all(group.over for group in self._groups):
+            count -= count % MOST_TOGETHER  # more may join the rest while the threads are busy
+        if count >= min(LEAST_TOGETHER, self._receivers):
+            self._group(list(self._asked)[:count])
+            self._workers.pieces[:] = self._groups
+            self._workers.wake()
+
+    def _group(self, slots: list[int]) -> None:
+        """Make groups of what has been asked for."""
+        for part in np.array_split(slots, -(-len(slots) // MOST_TOGETHER)):
+            episodes = [self._episodes[slot] for slot in part.tolist()]
+            self._groups.append(Group(part.tolist(), episodes, self._warm_up))
+        for slot in slots:
+            del self._asked[slot]
 
     def prepared(self, rows: NDArray[np.intp], rngs: Rngs, least: int = 1) -> NDArray[np.bool_]:
         """Whether the next episodes of these generators have been asked for."""
@@ -217,80 +178,57 @@ class NextEpisodes:
         same = np.array([self._sources[row] is rng for row, rng in pairs], dtype=np.bool_)
         return same & (self._stock[rows] >= least)
 
-    def take(self, rows: NDArray[np.intp], into: Simulator) -> NDArray[np.bool_]:
-        """Let some receivers start the episodes that wait for them; (b,) alarms of warm-ups."""
-        background = self._started()
+    def take(self, rows: NDArray[np.intp], into: Simulator) -> None:
+        """Let some receivers start the episodes that wait for them."""
         slots = self._slots(rows, 0)
-        with background.change:
-            # what is waited for comes first
-            urgent = [slot for slot in slots.tolist() if not self._ready[slot]]
-            self._asked = urgent + [slot for slot in self._asked if slot not in urgent]
-        self._wait(lambda: bool(self._ready[slots].all()))
-        with background.change:
-            into.copy_rows(rows, self._waiting, slots)
-            self._taken[rows] += 1
-            self._stock[rows] -= 1
-            return self._alarm[slots]
+        self._finish([slot for slot in slots.tolist() if not self._ready[slot]])
+        into.copy_rows(rows, self._waiting, slots)
+        self._taken[rows] += 1
+        self._stock[rows] -= 1
+
+    def _finish(self, slots: list[int]) -> None:
+        """Warm up what is not ready, together with the threads."""
+        if not slots:
+            return
+        self._check_fork()
+        lacking = [slot for slot in slots if slot in self._asked]
+        if lacking:  # a few more cost next to nothing
+            others = [slot for slot in self._asked if slot not in lacking]
+            self._group([*lacking, *others[: max(LEAST_TOGETHER - len(lacking), 0)]])
+        urgent = [
+            group for group in self._groups if not self._open([group]).keys().isdisjoint(slots)
+        ]
+        self._workers.pieces[:] = [*urgent, *self._groups]
+        self._workers.wake()
+        for group in urgent:
+            group.finish()
+            self._collect(group)
+
+    def _collect(self, group: Group) -> None:
+        """Let a group wait at the onset, or raise, once, what it failed with."""
+        if group.failure is not None:
+            self._ask_again([group])
+            raise group.failure
+        open_ = self._open([group])
+        here = [i for i, slot in enumerate(group.slots) if slot in open_]
+        to = np.array([group.slots[i] for i in here], dtype=np.intp)
+        self._waiting.copy_rows(to, group.batch, np.array(here, dtype=np.intp))
+        self._ready[to] = True
+        self._groups.remove(group)
+        self._workers.pieces[:] = self._groups
 
     def instead(self, rows: NDArray[np.intp], rngs: Rngs) -> list[np.random.Generator]:
         """Give up the next episodes of some receivers, which are to start otherwise."""
-        background = self._started()
-        with background.change:
-            known = self.prepared(rows, rngs)
-            slots = self._slots(rows, 0).tolist()
-            instead = list(rngs)
-            for i in np.flatnonzero(known).tolist():
-                waiting = self._episodes[slots[i]]
-                if waiting is not None:
-                    instead[i] = copy_of(waiting)
-                self._asked = [slot for slot in self._asked if slot != slots[i]]
-                self._taken[rows[i]] += 1
-                self._stock[rows[i]] -= 1
-            return instead
-
-    def serve(self, background: Background) -> None:
-        """Do what has been asked for, as long as it is worth a piece of work."""
-        try:
-            while self._piece(background):
-                pass
-        except StoppedError:
-            return
-        except BaseException as error:  # handed to who waits
-            with background.change:
-                background.failure = error
-                background.change.notify_all()
-
-    def _piece(self, background: Background) -> bool:
-        """Warm up some receivers; False if there is nothing to do."""
-        least = min(LEAST_TOGETHER, self._receivers)
-        with background.change:
-            if background.stopped or background.failure is not None:  # to be raised first
-                return False
-            if len(self._asked) < (1 if background.urgent else least):
-                return False
-            slots = self._asked[:MOST_TOGETHER]
-            episodes = [self._episodes[slot] for slot in slots]
-        batch, alarm = self._warm_up(
-            [copy_of(rng) for rng in episodes if rng is not None], background.pause
-        )
-        with background.change:
-            if background.stopped:
-                return False
-            # what has been asked for again meanwhile is another episode
-            still = [i for i, slot in enumerate(slots) if self._episodes[slot] is episodes[i]]
-            to = np.array([slots[i] for i in still], dtype=np.intp)
-            self._waiting.copy_rows(to, batch, np.array(still, dtype=np.intp))
-            self._alarm[to], self._ready[to] = alarm[still], True
-            done = set(to.tolist())
-            self._asked = [slot for slot in self._asked if slot not in done]
-            background.change.notify_all()
-        return True
-
-
-def _serve(owner: weakref.ref[NextEpisodes], background: Background) -> None:
-    while background.wake.get() and (episodes := owner()) is not None:
-        episodes.serve(background)
-        del episodes
+        known = self.prepared(rows, rngs)
+        slots = self._slots(rows, 0).tolist()
+        instead = list(rngs)
+        for i in np.flatnonzero(known).tolist():
+            instead[i] = copy_of(self._episodes.pop(slots[i]))
+            self._asked.pop(slots[i], None)
+            self._taken[rows[i]] += 1
+            self._stock[rows[i]] -= 1
+        self._drop_unwanted()
+        return instead
 
 
 def take_episode(rng: np.random.Generator) -> np.random.Generator:

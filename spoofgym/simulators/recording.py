@@ -96,7 +96,8 @@ def _next_samples(victim: TightlyCoupledSimulator) -> FloatArray:
     first, end = world.epoch_end[k : k + 2].tolist()
     samples, dt = np.empty(padded(6 * world.most_samples)), np.empty(world.most_samples)
     count, kept = end - first, sensors.fields.data.copy()
-    deviates(*sensors.words["imu"][0], np.uint64(k + 1), len(samples), 6 * count, samples)
+    key0, key1 = sensors.words["imu"][0]
+    deviates(key0, key1, np.uint64(k + 1), len(samples), 6 * count, samples)
     truth, active = np.empty(8 * CHUNK), np.ones(1)
     sense(world.run, np.array([first]), count, kept, 0, samples, dt, truth, active)
     return samples[: 6 * count].reshape(6, -1).T.copy()

@@ -19,7 +19,7 @@ from ..receiver.least_squares import FIXED, fix_receivers
 from ..receiver.snapshot_positioning import EXPECTED_CLOCK_SD_M, EXPECTED_POSITION_SD_M, expect
 from ..sim.constellation import CircularConstellation
 from ..sim.sky import chain_skies, make_sky, measure, scratch
-from .base import Written
+from .base import Rows, Written
 from .domain import Choice, Domain
 from .frame import SkyData
 from .rates import RateSimulator
@@ -217,6 +217,9 @@ class SnapshotSimulator(RateSimulator):
         if isinstance(slots, int):
             slots = rng.permutation(len(self.setup.weight_names))[:slots].tolist()
         memory["spoofed"][row, slots] = True
+
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        self.memory["keys"][rows] = [each.generate_state(2, np.uint64) for each in episodes]
 
     def _start(self, choice: Choice) -> None:
         self.memory["epoch"][:] = self.memory["first"]

@@ -44,9 +44,9 @@ RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in ("pap
 """Victims by name: the noise that they assume as the papers print it, or as the world has it."""
 FIRST_FIX = 4
 """Satellites that a first fix takes."""
-PIECE = 64
-"""Epochs of single receivers that are run between two chances to wait: less than a millisecond."""
 AXES = ("north", "east", "down")
+AFTER_ONSET = ("imu", "clock", "gnss", "spoofer", "correlated")
+"""Sources whose noise goes on after the onset."""
 MEASURE, UPDATE, SHOW = (
     _kernels_of_receiver.MEASURE,
     _kernels_of_receiver.UPDATE,
@@ -254,8 +254,9 @@ class TightlyCoupledSimulator(Simulator):
             "attack_settings": attack.kernel_settings,
         }
         self._table = ArrayTable([given[name] for name in _kernels.TABLE])
-        self._no_attack = one, one, one, np.zeros((1, 1, 3)), one
-        self._no_detector = np.zeros(3), one, one, one, one
+        nothing = _kernels.NO_FORM
+        self._no_attack = nothing, True, one, one, one, np.zeros((1, 1, 3)), one
+        self._no_detector = nothing, np.zeros(3), one, one, one, one
 
     def _context(self) -> DetectorContext:
         setup = self.setup
@@ -306,6 +307,10 @@ class TightlyCoupledSimulator(Simulator):
         keys: NDArray[np.uint64] = self.sensors.words["domain"]
         return keys
 
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        self.sensors.put_keys(rows, episodes, AFTER_ONSET)
+        self.attack.begin(rows, self.sensors.words.get("spoofer", rows), self.onset[rows])
+
     def _start(self, choice: Choice) -> None:
         """Draw the errors; first fix, attitude, empty memories."""
         setup, b, first = self.setup, self.receivers, self.memory["first"]
@@ -351,20 +356,12 @@ class TightlyCoupledSimulator(Simulator):
             work = self._spare.pop()
         except IndexError:
             work = self.buffers.fields.scratch(self._work_rows)
-        sound = _kernels.run_epochs(
-            self._table.entries,
-            *(self._no_attack if attack is None else attack[2:]),
-            *(self._no_detector if detector is None else detector[1:]),
-            self.weights,
-            work,
-            _kernels.NO_FORM if attack is None else attack[0],
-            attack is None or attack[1],
-            _kernels.NO_FORM if detector is None else detector[0],
-            what,
-            count,
-            lo,
-            hi,
-        )
+        attack_form, hold, *moved = self._no_attack if attack is None else attack
+        detector_form, *judged = self._no_detector if detector is None else detector
+        arrays = self._table.entries, *moved, *judged, self.weights, work
+        rest = attack_form, hold, detector_form, what, count, lo, hi
+        given: tuple[Any, ...] = (*arrays, *rest)
+        sound = _kernels.run_epochs(*given)
         self._spare.append(work)
         if not sound:
             self._is_sound = False
@@ -391,7 +388,7 @@ class TightlyCoupledSimulator(Simulator):
             command,
             memory["displacement"],
             memory["rate"],
-            memory.get("to_ecef", self._no_attack[3]),
+            memory.get("to_ecef", self._no_attack[5]),
             memory["target_error"],
         )
 
@@ -467,7 +464,7 @@ class TightlyCoupledSimulator(Simulator):
         if self.monitors:
             return None
         if type(detector) is Never:
-            self.weights, (settings, one, *_) = self.ones, self._no_detector
+            self.weights, (_, settings, one, *_) = self.ones, self._no_detector
             shape = self.receivers, 1
             return _kernels.NEVER, settings, one, one, np.zeros(shape), np.ones(shape)
         if type(detector) is not Ewma or detector.limits_exclusions:
@@ -478,15 +475,10 @@ class TightlyCoupledSimulator(Simulator):
         charts = detector.kernel_settings, memory["average"], memory["decay"]
         return form, *charts, np.empty(shape), np.empty(shape)
 
-    def quiet_epochs(self, count: int, *, between: Callable[[], None] | None = None) -> None:
-        """Run clean epochs without a detector, several in one kernel call."""
+    def quiet_epochs(self, count: int) -> None:
+        """Run clean epochs without a detector, in one kernel call."""
         self.weights = self.ones
-        piece = count if between is None else max(1, PIECE // self.receivers)
-        for start in range(0, count, max(piece, 1)):
-            if between is not None:
-                between()
-            part = partial(self._epochs, ADVANCE + UPDATE, count=min(piece, count - start))
-            self._run(part, self.receivers)
+        self._run(partial(self._epochs, ADVANCE + UPDATE, count=count), self.receivers)
 
     def error_n(self) -> FloatArray:
         """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""

@@ -30,7 +30,7 @@ from ..sim.odometry import (
     measure_odometry,
 )
 from ..sim.robot_track import RobotLoop
-from .base import Written
+from .base import Rows, Written
 from .domain import Choice, Domain
 from .rates import RateSimulator
 from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
@@ -201,6 +201,9 @@ class WheeledRobotSimulator(RateSimulator):
 
     def _seed(self, row: int, episode: np.random.SeedSequence) -> None:
         self.memory["keys"][row], self.memory["phase"][row] = episode_keys(episode)
+
+    def _renew(self, rows: Rows, episodes: Sequence[np.random.SeedSequence]) -> None:
+        self.memory["keys"][rows] = [episode_keys(episode)[0] for episode in episodes]
 
     def _start(self, choice: Choice) -> None:
         self.memory["epoch"][:] = self.memory["first"]

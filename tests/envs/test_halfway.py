@@ -92,7 +92,8 @@ def test_an_interrupted_environment_refuses_to_go_on_until_reset(form, within, m
     restart(env)
     act(env)
     simulator = SnapshotSimulator if form == "small" else TightlyCoupledSimulator
-    interrupt_once(monkeypatch, simulator, {"step": "predict", "reset": "begin"}[within])
+    half = "predict" if form == "small" else "_first_half"
+    interrupt_once(monkeypatch, simulator, {"step": half, "reset": "begin"}[within])
     if form == "duel" and within == "step":
         act(env)  # the detector's half; the next is the spoofer's
     go_on = act if within == "step" else restart
@@ -112,7 +113,7 @@ def test_an_interrupted_environment_refuses_to_go_on_until_reset(form, within, m
 def test_some_receivers_are_not_enough_for_the_reset_after_an_interrupt(monkeypatch):
     env = FORMS["disabled"]()
     env.reset(seed=5)
-    interrupt_once(monkeypatch, TightlyCoupledSimulator, "update")
+    interrupt_once(monkeypatch, TightlyCoupledSimulator, "step")
     with pytest.raises(KeyboardInterrupt):
         act(env)
     with pytest.raises(ValueError, match="must be that of all receivers"):

@@ -35,6 +35,13 @@ SHORT: dict[str, dict[str, Any]] = {
     },
 }
 """Settings of a short episode by victim, as JSON has them."""
+DOMAINS: dict[str, dict[str, Any]] = {
+    "tightly-coupled": {"start_s": (5.0, 40.0), "constellation_time_s": (0.0, 9e3), "worlds": 2},
+    "loose": {"start_s": (1.0, 30.0)},
+    "snapshot": {"turned_deg": (0.0, 360.0), "constellation_time_s": (0.0, 2e3), "worlds": 3},
+    "robot": {"start_s": (3.0, None)},
+}
+"""Something to be drawn for every episode."""
 SETUPS: dict[str, type[Setup]] = {
     "tightly-coupled": TightlyCoupledSetup,
     "loose": LooselyCoupledSetup,

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from spoofgym.envs import SpoofCore, SpoofVectorEnv, TightlyCoupledSetup
-from spoofgym.simulators.prefetch import copy_of, take_episode
+from spoofgym.simulators.prefetch import Group, copy_of, take_episode
 
 PATIENCE_S = 900.0
 """After which a thread or a process counts as hanging, however busy the machine."""
@@ -26,8 +26,8 @@ def setup():
     return TightlyCoupledSetup(detector={"name": "ewma", "false_alarm": 0.3}, timeline=TIMELINE)
 
 
-def core_of(setup, prefetch, receivers=9):
-    return SpoofCore(receivers, setup, knowledge="oracle", threads=1, prefetch=prefetch)
+def core_of(setup, prefetch, receivers=9, threads=1):
+    return SpoofCore(receivers, setup, knowledge="oracle", threads=threads, prefetch=prefetch)
 
 
 def generators(receivers=9, seed=0):
@@ -64,6 +64,20 @@ def test_same_bits_over_autoresets(setup):
     plain = played(setup, prefetch=False)
     assert plain[2].any()  # some warm-ups alarm
     assert_same(plain, played(setup, prefetch=True))
+
+
+@pytest.mark.parametrize("prefetch", [False, True])
+def test_any_number_of_threads_gives_the_same_bits(setup, prefetch, monkeypatch):
+    monkeypatch.setattr("spoofgym.simulators.engine.LEAST_SLICE", 8)
+    courses = []
+    for threads in (1, 2, 3):
+        core, rngs = core_of(setup, prefetch, 70, threads), generators(70)
+        core.reset(rngs)
+        courses.append(course(core, rngs, 40, np.random.default_rng(1)))
+        core.close()
+    assert courses[0][2].any()
+    assert_same(courses[0], courses[1])
+    assert_same(courses[0], courses[2])
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
@@ -141,24 +155,18 @@ def test_a_forked_child_goes_on_with_the_same_bits(setup):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # a fork in a process with threads
 @pytest.mark.parametrize("steps", [0, 1])
-def test_a_fork_while_locks_are_held(setup, steps):
+def test_a_fork_within_a_piece(setup, monkeypatch, steps):
     core, rngs = core_of(setup, True), generators()
+    pieces = Held(core.engine._next._warm_up)
+    monkeypatch.setattr(core.engine._next, "_warm_up", pieces)
     core.reset(rngs)
-    link, held, forked = core.engine._next._background, threading.Event(), threading.Event()
-
-    def hold():
-        with link.change, link.free._cond:
-            held.set()
-            forked.wait()
-
-    holder = threading.Thread(target=hold)
-    holder.start()
-    held.wait()
+    assert pieces.begun.wait(PATIENCE_S)
     child = os.fork()
     if child == 0:  # pragma: no cover
         signal.alarm(int(PATIENCE_S))  # ends a child that hangs
         status = 1
         try:
+            pieces.go_on.set()
             for _ in range(steps):
                 core.step(np.zeros((core.receivers, 2)))
             core.reset(rngs)
@@ -166,9 +174,21 @@ def test_a_fork_while_locks_are_held(setup, steps):
             status = 0
         finally:
             os._exit(status)
-    forked.set()
-    holder.join()
+    pieces.go_on.set()
     assert os.waitpid(child, 0)[1] == 0
+    core.close()
+
+
+class Held:
+    """Warm-ups whose first piece waits until it may go on."""
+
+    def __init__(self, warm_up):
+        self.warm_up, self.begun, self.go_on = warm_up, threading.Event(), threading.Event()
+
+    def __call__(self, rngs):
+        self.begun.set()
+        self.go_on.wait(PATIENCE_S)
+        yield from self.warm_up(rngs)
 
 
 def fail_once(monkeypatch, owner, name):
@@ -185,82 +205,108 @@ def fail_once(monkeypatch, owner, name):
     return calls
 
 
+def failing_once(warm_up):
+    """Warm-ups of which the first fails within its pieces."""
+    left = [1]
+
+    def failing(rngs):
+        pieces = warm_up(rngs)
+        yield next(pieces)
+        if left:
+            left.pop()
+            raise MemoryError("for once")
+        yield from pieces
+
+    return failing
+
+
 @pytest.mark.parametrize("where", ["warm_up", "writing"])
-def test_what_goes_wrong_in_the_background_is_raised_once(setup, monkeypatch, where):
+def test_what_goes_wrong_ahead_of_time_is_raised_once(setup, monkeypatch, where):
     core, rngs = core_of(setup, True), generators()
     episodes = core.engine._next
-    owner, name = {
-        "warm_up": (episodes, "_warm_up"),
-        "writing": (episodes._waiting, "copy_rows"),
-    }[where]
-    calls = fail_once(monkeypatch, owner, name)
+    if where == "writing":
+        fail_once(monkeypatch, episodes._waiting, "copy_rows")
+    else:
+        monkeypatch.setattr(episodes, "_warm_up", failing_once(episodes._warm_up))
     core.reset(rngs)
     with pytest.raises(MemoryError, match="for once"):
         core.reset(rngs)
     core.reset(rngs)
-    assert len(calls) > 1
     plain, other = core_of(setup, False), generators()
     plain.reset(other)
     plain.reset(other)
     assert np.array_equal(core.observe(), plain.observe())
 
 
-def test_nothing_is_begun_before_a_failure_has_been_told(setup, monkeypatch):
-    """A second call for work may be waiting already, and would have covered it up."""
+def test_an_interrupted_wait_leaves_nothing_behind(setup, monkeypatch):
     core, rngs = core_of(setup, True), generators()
     episodes = core.engine._next
-    calls = fail_once(monkeypatch, episodes, "_warm_up")
+    pieces = Held(episodes._warm_up)
+    monkeypatch.setattr(episodes, "_warm_up", pieces)
     core.reset(rngs)
-    link = episodes._background
-    with link.change:
-        assert link.change.wait_for(lambda: link.failure is not None, timeout=PATIENCE_S)
-    episodes.serve(link)
-    assert len(calls) == 1
-    with pytest.raises(MemoryError, match="for once"):
-        core.reset(rngs)
-    core.reset(rngs)
+    assert pieces.begun.wait(PATIENCE_S)
 
-
-def test_an_interrupted_wait_leaves_no_urgency(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulators.prefetch.JOIN_S", 0.01)
-    core, rngs = core_of(setup, True), generators()
-    go_on = threading.Event()
-    episodes = core.engine._next
-    warm_up = episodes._warm_up
-
-    def slow(*args):
-        go_on.wait()
-        return warm_up(*args)
-
-    def interrupted(until):
+    def interrupted(group):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(episodes, "_warm_up", slow)
-    core.reset(rngs)
     with monkeypatch.context() as patch:
-        patch.setattr(episodes._background.change, "wait_for", interrupted)
+        patch.setattr(Group, "finish", interrupted)
         with pytest.raises(KeyboardInterrupt):
             core.reset(rngs)
-    assert not episodes._background.urgent
-    go_on.set()
+    pieces.go_on.set()
+    rngs = generators()
     core.reset(rngs)
+    assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
+
+
+def test_the_owner_helps_with_what_it_needs(setup, monkeypatch):
+    core, rngs = core_of(setup, True, receivers=40), generators(40)
+    episodes, here = core.engine._next, threading.get_ident()
+    warm_up, others = episodes._warm_up, []
+
+    def counted(rngs):
+        for batch in warm_up(rngs):
+            if threading.get_ident() != here:
+                others.append(None)
+            yield batch
+
+    monkeypatch.setattr(episodes, "_warm_up", counted)
+    monkeypatch.setattr(core.engine._workers, "wake", lambda: None)  # no thread comes to help
+    core.reset(rngs)
+    core.reset(rngs)
+    assert not others
+    plain, other = core_of(setup, False, receivers=40), generators(40)
+    plain.reset(other)
+    plain.reset(other)
+    assert np.array_equal(core.observe(), plain.observe())
+
+
+@pytest.mark.parametrize("given", [None, {"start_s": 0.0}])
+def test_what_nobody_wants_any_more_is_dropped(setup, given):
+    core, rngs = core_of(setup, True), generators()
+    for seed in range(12):
+        core.reset(rngs if given else generators(seed=seed), given=given)
+        groups = core.engine._next._groups
+        assert len(groups) <= 2
+        assert core.engine._workers.pieces == groups
+    core.close()
 
 
 def running():
-    return {thread for thread in threading.enumerate() if thread.name == "spoofgym-next"}
+    return {thread for thread in threading.enumerate() if thread.name.startswith("spoofgym-")}
 
 
 def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulators.prefetch.JOIN_S", PATIENCE_S)
+    monkeypatch.setattr("spoofgym.simulators.threads.JOIN_S", PATIENCE_S)
     before = running()
     core, rngs = core_of(setup, True), generators()
     begun = threading.Event()
 
-    def endless(rngs, between):
-        begun.set()
+    def endless(rngs):
         while True:
-            between()
+            begun.set()
             time.sleep(1e-3)
+            yield core.engine.simulator
 
     with monkeypatch.context() as patch:
         patch.setattr(core.engine._next, "_warm_up", endless)
@@ -269,32 +315,27 @@ def test_a_game_is_closed_within_a_long_warm_up(setup, monkeypatch):
         (thread,) = running() - before
         core.close()
         assert not thread.is_alive()
+        core.engine._next.forget()
+    rngs = generators()
+    core.reset(rngs)
     assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
 
 
-def test_a_thread_that_ends_late_writes_nothing(setup, monkeypatch):
-    monkeypatch.setattr("spoofgym.simulators.prefetch.JOIN_S", 0.01)
+def test_a_thread_that_ends_late_leaves_its_receivers_to_the_owner(setup, monkeypatch):
+    monkeypatch.setattr("spoofgym.simulators.threads.JOIN_S", 0.01)
     before = running()
     core, rngs = core_of(setup, True), generators()
-    episodes = core.engine._next
-    begun, go_on = threading.Event(), threading.Event()
-
-    def held_up(rngs, between):
-        begun.set()
-        go_on.wait()
-        return episodes._waiting, np.ones(len(rngs), dtype=np.bool_)
-
+    pieces = Held(core.engine._next._warm_up)
     with monkeypatch.context() as patch:
-        patch.setattr(episodes, "_warm_up", held_up)
+        patch.setattr(core.engine._next, "_warm_up", pieces)
         core.reset(rngs)
-        assert begun.wait(PATIENCE_S)
+        assert pieces.begun.wait(PATIENCE_S)
         (thread,) = running() - before
         core.close()
     assert thread.is_alive()
-    go_on.set()
+    pieces.go_on.set()
     thread.join(timeout=PATIENCE_S)
     assert not thread.is_alive()
-    assert not episodes._ready.any()
     assert_same(played(setup, prefetch=False), course(core, rngs, 40, np.random.default_rng(1)))
 
 
@@ -303,10 +344,10 @@ def test_a_thread_may_close_its_owner(setup):
     before = running()
     closed = threading.Event()
 
-    def closing(rngs, between):
+    def closing(rngs):
         core.close()
         closed.set()
-        between()
+        yield core.engine.simulator
 
     core.engine._next._warm_up = closing
     core.reset(rngs)

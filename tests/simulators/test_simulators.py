@@ -12,14 +12,8 @@ import pytest
 from spoofgym.detectors import Never
 from spoofgym.simulators import Engine
 
-from .support import SETUPS, SHORT, rngs, setup_of, step, warm
+from .support import DOMAINS, SETUPS, SHORT, rngs, setup_of, step, warm
 
-DOMAINS = {
-    "tightly-coupled": {"start_s": (5.0, 40.0), "constellation_time_s": (0.0, 9e3), "worlds": 2},
-    "loose": {"start_s": (1.0, 30.0)},
-    "snapshot": {"turned_deg": (0.0, 360.0), "constellation_time_s": (0.0, 2e3), "worlds": 3},
-    "robot": {"start_s": (3.0, None)},
-}
 every_victim = pytest.mark.parametrize("kind", SETUPS)
 
 

@@ -12,7 +12,7 @@ from queue import SimpleQueue
 import pytest
 
 from spoofgym.simulators import threads as module
-from spoofgym.simulators.threads import Workers
+from spoofgym.simulators.threads import Slices, Workers
 
 SLICES = 3
 BOUNDS = (0, 1, 2, 3)
@@ -27,14 +27,15 @@ def _no_hanging():
     faulthandler.cancel_dump_traceback_later()
 
 
-class Slices:
+class Work:
     """Work that says which of its slices run, and which have ended."""
 
     def __init__(self, lasting_s=0.0, failing=()):
         self.lasting_s, self.failing = lasting_s, failing
-        self.running, self.ended = set(), set()
+        self.running, self.ended, self.calls = set(), set(), []
 
     def __call__(self, lo, hi):
+        self.calls.append((lo, hi))
         self.running.add(lo)
         time.sleep(self.lasting_s * lo)
         self.ended.add(lo)
@@ -50,7 +51,7 @@ class Interrupted:
 
     def __init__(self):
         self.queue = SimpleQueue()
-        self.put = self.queue.put
+        self.put, self.empty = self.queue.put, self.queue.empty
 
     def get(self):
         taken = self.queue.get()
@@ -68,8 +69,9 @@ def workers():
 
 
 def assert_whole(workers):
-    work = Slices(1e-3)
+    work = Work(1e-3)
     workers.run(work, BOUNDS)
+    assert sorted(work.calls) == [(0, 1), (1, 2), (2, 3)]
     assert work.ended == {0, 1, 2}
 
 
@@ -77,7 +79,7 @@ def assert_whole(workers):
 def test_a_completion_that_an_interrupt_loses_is_not_waited_for(workers, monkeypatch, times):
     monkeypatch.setattr(module, "SimpleQueue", Interrupted)
     monkeypatch.setattr(Interrupted, "left", times)
-    work = Slices(0.02)
+    work = Work(0.02)
     with pytest.raises(KeyboardInterrupt):
         workers.run(work, BOUNDS)
     assert not work.running
@@ -86,7 +88,7 @@ def test_a_completion_that_an_interrupt_loses_is_not_waited_for(workers, monkeyp
 
 
 def interrupted_at(workers, work, moment, code):
-    """Run with an interrupt at one bytecode of `run`; whether there was such a one."""
+    """Run with an interrupt at one bytecode of some code in this thread, if there is such a one."""
     left = moment
 
     def trace(frame, event, _):
@@ -107,15 +109,16 @@ def interrupted_at(workers, work, moment, code):
         sys.settrace(None)
 
 
-def test_an_interrupt_at_any_bytecode_leaves_no_slice_behind(workers):
+@pytest.mark.parametrize(("function", "least"), [(Workers.run, 50), (Slices.__call__, 20)])
+def test_an_interrupt_at_any_bytecode_leaves_no_slice_behind(workers, function, least):
     assert_whole(workers)
     moment, before = 0, sys.gettrace()
     try:
         while True:
             moment += 1
-            work = Slices(2e-3)
+            work = Work(2e-3)
             try:
-                interrupted_at(workers, work, moment, Workers.run.__code__)
+                interrupted_at(workers, work, moment, function.__code__)
             except KeyboardInterrupt:
                 assert not work.running, moment
                 ended = set(work.ended)
@@ -125,16 +128,68 @@ def test_an_interrupt_at_any_bytecode_leaves_no_slice_behind(workers):
                 break
     finally:
         sys.settrace(before)
-    assert moment > 50  # it was a trace of all of it
+    assert moment > least  # it was a trace of all of it
 
 
 def test_what_a_slice_fails_with_is_raised_when_all_have_ended(workers):
     for failing in range(SLICES):
-        work = Slices(5e-3, [failing])
+        work = Work(5e-3, [failing])
         with pytest.raises(ArithmeticError, match=f"slice {failing}"):
             workers.run(work, BOUNDS)
+        assert sorted(work.calls) == [(0, 1), (1, 2), (2, 3)]
         assert work.ended == {0, 1, 2}
         assert_whole(workers)
+
+
+def test_every_slice_is_run_once_by_whoever_comes_first(workers):
+    for _ in range(200):
+        calls, threads = [], set()
+
+        def work(lo, hi, calls=calls, threads=threads):
+            calls.append((lo, hi))
+            threads.add(threading.get_ident())
+            time.sleep(1e-5)
+
+        workers.run(work, range(41))
+        assert sorted(calls) == [(k, k + 1) for k in range(40)]
+    assert 1 <= len(threads) <= SLICES
+
+
+def test_nobody_waits_for_a_thread_that_is_busy_with_a_piece(workers):
+    begun, go_on = threading.Event(), threading.Event()
+
+    def piece():
+        begun.set()
+        go_on.wait(PATIENCE_S)
+        return False
+
+    workers.pieces[:] = [piece]
+    workers.wake()
+    assert begun.wait(PATIENCE_S)
+    try:
+        assert_whole(workers)  # by the caller alone
+    finally:
+        go_on.set()
+    workers.pieces.clear()
+    assert_whole(workers)
+
+
+def test_threads_do_pieces_while_there_are_some_and_end_within_one(workers):
+    calls, done = [], threading.Event()
+
+    def piece():
+        calls.append(None)
+        if len(calls) == 30:
+            done.set()
+        return True
+
+    workers.pieces[:] = [lambda: False, piece]
+    workers.wake()
+    assert done.wait(PATIENCE_S)
+    assert_whole(workers)
+    threads = list(workers._threads)
+    workers.close()
+    assert not any(thread.is_alive() for thread in threads)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")

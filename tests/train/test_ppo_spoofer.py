@@ -315,6 +315,12 @@ def test_the_best_policy_comes_back_with_the_checkpoint(trained, tmp_path):
     assert OnnxPolicy(str(best)).card.name == "tiny"
 
 
+def test_a_pool_of_warm_ups_is_for_training_alone(trained):
+    pooled = replace(trained, warm_pool=7)
+    assert pooled.env_kwargs == {**trained.env_kwargs, "warm_pool": 7}  # what is on the card
+    assert pooled.suite == trained.suite  # whose runs are warmed up one by one
+
+
 def test_the_budget_is_that_of_the_benchmark(trained):
     assert trained.suite.tuning.budget == trained.budget == Suite().tuning.budget
     assert trained.suite.tuning.margin == trained.margin == Suite().tuning.margin
