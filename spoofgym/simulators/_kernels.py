@@ -12,6 +12,9 @@ from ..attacks._kernels import false_position, per_channel
 from ..detectors.ewma import judge_channels
 from ..detectors.verdicts import is_sound
 from ..receiver._kernels import (
+    MEASURE,
+    PREDICT,
+    SHOW,
     UPDATE,
     Arrays,
     name_scratch,
@@ -81,7 +84,8 @@ def run_epochs(
     """Do some of what an epoch is made of, for some epochs of receivers lo to hi, group by group.
 
     All that a tightly coupled simulator does between two commands: `ATTACK` moves the counterfeit,
-    then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them.
+    then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them; `SHOW`
+    shows the last epoch.
 
     `table`: of `TABLE`; `action` to `target_error`: as attacks take them; `detector_settings`
     to `threshold`: as `judge_channels` takes them; `weights` (B, 2n) on the columns of the
@@ -129,7 +133,7 @@ def run_epochs(
     by_rate, coherent = attack_settings[0] > 0.0, attack_settings[3] > 0.0
     for group in range(lo // lanes, -(-hi // lanes)):
         b, e = group * lanes, min((group + 1) * lanes, receivers)
-        for _ in range(count):
+        for k in range(count):
             if what & ATTACK and attack == FALSE_POSITION:
                 false_position(
                     action,
@@ -171,7 +175,8 @@ def run_epochs(
                     b,
                     e,
                 )
-            predict_group(a, w, group, what)
+            if what & (MEASURE | PREDICT):
+                predict_group(a, w, group, what if k == count - 1 else what & ~SHOW)
             if what & JUDGE and detector != NEVER:
                 judge_channels(
                     innovation[b:e],
