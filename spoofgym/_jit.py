@@ -79,6 +79,20 @@ class _Notice(event.Listener):  # type: ignore[misc]
 event.register("numba:compile", _Notice())
 
 
+def is_disabled() -> bool:
+    """Whether nothing is compiled, as ``NUMBA_DISABLE_JIT=1`` has it."""
+    return bool(numba.config.DISABLE_JIT)
+
+
+@contextmanager
+def compiled_functions() -> Iterator[list[Any]]:
+    """Functions that are compiled meanwhile; those loaded from the cache are not among them."""
+    with event.install_recorder("numba:compile") as recorder:
+        found: list[Any] = []
+        yield found
+        found += [each for _, each in recorder.buffer if each.is_start]
+
+
 def layer_of(module: str) -> int:
     """Place of a module in `COMPILED_LAYERS`."""
     parts = module.split(".")

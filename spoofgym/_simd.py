@@ -515,6 +515,10 @@ _define(
 # --- many arrays as one argument -------------------------------------------------------------
 
 
+_READ = tuple(np.dtype(each).str for each in (np.float64, np.int64, np.uint64, np.bool_))
+"""Types of elements that the functions below read."""
+
+
 class ArrayTable:
     """Addresses and sizes of C-contiguous arrays, which a kernel takes as one argument.
 
@@ -527,8 +531,11 @@ class ArrayTable:
 
     def __init__(self, arrays: Sequence[np.ndarray[Any, Any]]) -> None:
         for array in arrays:
-            if not array.flags.c_contiguous:
-                raise ValueError("the arrays of a table must be C-contiguous")
+            if not array.flags.c_contiguous or array.dtype.str not in _READ:
+                raise ValueError(
+                    f"the arrays of a table must be C-contiguous and of type {', '.join(_READ)}; "
+                    f"got {array.dtype.name} {array.dtype.str} with strides {array.strides}"
+                )
         self.arrays = tuple(arrays)
         pairs = [(array.ctypes.data, array.size) for array in arrays]
         self.entries = np.array(pairs, dtype=np.int64).ravel()

@@ -12,21 +12,27 @@ from numba.core.errors import TypingError
 from spoofgym._jit import njit
 from spoofgym._simd import (
     LANES,
+    ArrayTable,
     absolute,
     any_lane,
     bits_of,
+    flags_at,
+    floats_at,
     floor,
     from_bits,
+    integers_at,
     lane,
     lanes_of,
     load,
     rotate_left,
+    rows_at,
     select,
     set_lane,
     splat,
     sqrt,
     store,
     to_float,
+    words_at,
 )
 
 REALS = np.array(
@@ -466,6 +472,66 @@ def test_a_loaded_row_does_not_follow_the_array():
     store(x, 0, row)
     row += 1.0
     np.testing.assert_array_equal(x[0], np.arange(LANES, 2.0 * LANES) + 1.0)
+
+
+# --- many arrays as one argument -------------------------------------------------------------
+
+
+@njit
+def read_table(table, like, out):
+    floats, integers, flags = floats_at(table, 0), integers_at(table, 1), flags_at(table, 2)
+    rows, keys = rows_at(table, 3, like), words_at(table, 4, like)
+    out[0], out[1] = floats.shape[0], floats[2]
+    out[2], out[3] = integers.shape[0], integers[1]
+    out[4], out[5] = flags.shape[0], 1.0 if flags[1] and not flags[0] else 0.0
+    out[6], out[7], out[8] = rows.shape[0], lane(rows, 1, 0), lanes_of(rows)
+    set_lane(keys, 0, 0, lane(keys, 0, 0) & np.uint64(2**32 - 1))
+    out[9], out[10] = keys.shape[0], lane(keys, 0, 0)
+    store(rows, 0, load(rows, 1) + 1.0)
+    floats[0] = 5.0
+    integers[0] = -7
+    flags[0] = True
+    table_of_two = floats.reshape((2, 2))
+    table_of_two[1, 1] = 9.0
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("lanes", [LANES, 1])
+def test_a_table_gives_the_arrays_themselves(compiled, lanes):
+    kernel = read_table if compiled else getattr(read_table, "py_func", read_table)
+    floats, integers, flags = np.arange(4.0), np.array([3, -(2**40)]), np.array([False, True, True])
+    rows = np.arange(3.0 * lanes).reshape((3, lanes) if lanes > 1 else 3)
+    keys = np.full((2, lanes) if lanes > 1 else 2, 2**63 + 17, dtype=np.uint64)
+    held = ArrayTable([floats, integers, flags, rows, keys])
+    like, out = np.zeros((1, LANES) if lanes > 1 else 1), np.zeros(11)
+    kernel(held.entries, like, out)
+    np.testing.assert_array_equal(out, [4, 2, 2, -(2**40), 3, 1, 3, lanes, lanes, 2, 17])
+    np.testing.assert_array_equal(rows[0], rows[1] + 1.0)
+    np.testing.assert_array_equal(floats, [5.0, 1.0, 2.0, 9.0])
+    np.testing.assert_array_equal(integers, [-7, -(2**40)])
+    assert flags.all()
+
+
+def test_a_table_keeps_its_arrays_alive():
+    array = np.zeros(100_000)
+    address, held = array.ctypes.data, ArrayTable([array])
+    del array
+    assert held.arrays[0].ctypes.data == address == held.entries[0]
+
+
+@pytest.mark.parametrize(
+    ("array", "said"),
+    [
+        (np.zeros((4, 6))[:, ::2], "C-contiguous"),
+        (np.zeros((4, 6)).T, "C-contiguous"),
+        (np.zeros(3, dtype=np.float32), "float32"),
+        (np.zeros(3, dtype=np.int32), "int32"),
+        (np.zeros(3, dtype=">f8"), ">f8"),
+    ],
+)
+def test_what_a_table_could_not_read_is_refused(array, said):
+    with pytest.raises(ValueError, match=said):
+        ArrayTable([np.zeros(3), array])
 
 
 # --- what does not fit -----------------------------------------------------------------------

@@ -13,7 +13,7 @@ import numpy as np
 
 from .._jit import njit
 from ..sim.clock import advance_clock
-from ..sim.noise import normals
+from ..sim.noise import exponential, normals
 
 MOVING = 64
 """Deviates of an epoch for what moves: three axes of two, and two of the clock."""
@@ -46,7 +46,7 @@ def wander_step(state, sd, beta, tau, first, second):
     `state` (2,) value and rate, overwritten; `tau`: interval [s].
     """
     x = beta * tau
-    a = math.exp(-x)
+    a = exponential(-x)
     a2 = a * a
     q11 = sd * sd * (1.0 - a2 * ((1.0 + x) * (1.0 + x) + x * x))
     q12 = 2.0 * sd * sd * beta * a2 * x * x

@@ -51,6 +51,36 @@ def shrink(first, factor, second, limit):
 
 
 @njit
+def add_displaced(shift, satellites, position_e, velocity_e, captured, coherent, d_range, d_rate):
+    """Add the offsets that make captured ranges those of a displaced antenna.
+
+    The true ranges in `satellites` come from the same instructions; without displacement and rate
+    the offset is exactly zero.
+
+    `shift` (6,) displacement and its rate, ECEF [m], [m/s]; `satellites` (n, 8) truth of the epoch;
+    `position_e`, `velocity_e` (3,) true antenna; `captured` (n,) bool, which channels are the
+    spoofer's; `d_range`, `d_rate` (n,), added to [m], [m/s].
+    """
+    still = True
+    for i in range(6):
+        still = still and shift[i] == 0.0
+    if still:
+        return
+    rx, ry, rz = position_e[0] + shift[0], position_e[1] + shift[1], position_e[2] + shift[2]
+    vx, vy, vz = velocity_e[0] + shift[3], velocity_e[1] + shift[4], velocity_e[2] + shift[5]
+    for s in range(captured.shape[0]):
+        p = satellites[s]
+        if not captured[s] or p[6] == 0.0:
+            continue
+        rho, change, _, _, _ = range_and_rate(
+            p[0], p[1], p[2], p[3], p[4], p[5], rx, ry, rz, vx, vy, vz
+        )
+        d_range[s] += rho - p[6]
+        if coherent:
+            d_rate[s] += change - p[7]
+
+
+@njit
 def false_position(
     action,
     hold,
@@ -75,56 +105,36 @@ def false_position(
 ):
     """Command a displaced antenna, and write the offsets that make captured ranges its ranges.
 
-    Both ranges are computed by the same instructions; without displacement and rate the offset is
-    exactly zero.
-
     `to_ecef` (B, a, 3) commanded axes in ECEF axes; `target_error` (B, 6) what the spoofer's idea
     of the true antenna is wrong by, ECEF [m], [m/s]; `epochs` (B,) epoch that each receiver is at;
     the next one is measured; `captured` (n,) bool, which channels are the spoofer's; `d_range`,
     `d_rate` (B, n), written: offsets [m], [m/s].
     """
+    shift = np.empty(6)
     for b in range(lo, hi):
         k = epochs[b] + 1
         tau = epoch_time[k] - epoch_time[k - 1]
         kinematic_step(
             action[b], hold, tau, True, by_rate, unit_scale, rate_limit, displacement[b], rate[b]
         )
-        wrong = target_error[b]
-        dx, dy, dz, ex, ey, ez = wrong[0], wrong[1], wrong[2], wrong[3], wrong[4], wrong[5]
-        still = True
-        for i in range(6):
-            still = still and wrong[i] == 0.0
-        for i in range(displacement.shape[1]):
-            d, e = displacement[b, i], rate[b, i]
-            still = still and d == 0.0 and e == 0.0
-            axis = to_ecef[b, i]
-            dx, dy, dz = dx + d * axis[0], dy + d * axis[1], dz + d * axis[2]
-            ex, ey, ez = ex + e * axis[0], ey + e * axis[1], ez + e * axis[2]
+        for i in range(3):
+            shift[i], shift[3 + i] = target_error[b, i], target_error[b, 3 + i]
+            for axis in range(displacement.shape[1]):
+                shift[i] += displacement[b, axis] * to_ecef[b, axis, i]
+                shift[3 + i] += rate[b, axis] * to_ecef[b, axis, i]
         for s in range(captured.shape[0]):
             d_range[b, s] = 0.0
             d_rate[b, s] = 0.0
-            p = satellites[k, s]
-            if still or not captured[s] or p[6] == 0.0:
-                continue
-            for counterfeit in range(2):
-                f = float(counterfeit)
-                rho, change, _, _, _ = range_and_rate(
-                    p[0],
-                    p[1],
-                    p[2],
-                    p[3],
-                    p[4],
-                    p[5],
-                    position_e[k, 0] + f * dx,
-                    position_e[k, 1] + f * dy,
-                    position_e[k, 2] + f * dz,
-                    velocity_e[k, 0] + f * ex,
-                    velocity_e[k, 1] + f * ey,
-                    velocity_e[k, 2] + f * ez,
-                )
-                d_range[b, s] += (2.0 * f - 1.0) * rho
-                if coherent:
-                    d_rate[b, s] += (2.0 * f - 1.0) * change
+        add_displaced(
+            shift,
+            satellites[k],
+            position_e[k],
+            velocity_e[k],
+            captured,
+            coherent,
+            d_range[b],
+            d_rate[b],
+        )
 
 
 @njit
@@ -164,47 +174,6 @@ def per_channel(
             d_range[b, slots[i]] = displacement[b, i]
             if coherent:
                 d_rate[b, slots[i]] = rate[b, i]
-
-
-@njit
-def add_displaced(shift, satellites, position_e, velocity_e, captured, coherent, d_range, d_rate):
-    """Add the offsets that make captured ranges those of a displaced antenna.
-
-    Both ranges are computed by the same instructions; without displacement and rate the offset is
-    exactly zero.
-
-    `shift` (6,) displacement and its rate, ECEF [m], [m/s]; `satellites` (n, 8) truth of the epoch;
-    `position_e`, `velocity_e` (3,) true antenna; `captured` (n,) bool, which channels are the
-    spoofer's; `d_range`, `d_rate` (n,), added to [m], [m/s].
-    """
-    still = True
-    for i in range(6):
-        still = still and shift[i] == 0.0
-    if still:
-        return
-    for s in range(captured.shape[0]):
-        p = satellites[s]
-        if not captured[s] or p[6] == 0.0:
-            continue
-        for counterfeit in range(2):
-            f = float(counterfeit)
-            rho, change, _, _, _ = range_and_rate(
-                p[0],
-                p[1],
-                p[2],
-                p[3],
-                p[4],
-                p[5],
-                position_e[0] + f * shift[0],
-                position_e[1] + f * shift[1],
-                position_e[2] + f * shift[2],
-                velocity_e[0] + f * shift[3],
-                velocity_e[1] + f * shift[4],
-                velocity_e[2] + f * shift[5],
-            )
-            d_range[s] += (2.0 * f - 1.0) * rho
-            if coherent:
-                d_rate[s] += (2.0 * f - 1.0) * change
 
 
 @njit

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
@@ -30,12 +28,11 @@ def warmup(
     kept for all later processes, until spoofgym or numba changes.
     """
     import gymnasium as gym
-    import numba
 
     from .. import _jit
     from .._registry import check_choice
 
-    if numba.config.DISABLE_JIT:
+    if _jit.is_disabled():
         raise ValueError("nothing can be compiled where NUMBA_DISABLE_JIT is set; unset it")
     known = sorted(name for name in gym.registry if name.startswith(PREFIX))
     wanted = [name if name.startswith(PREFIX) else PREFIX + name for name in ids or known]
@@ -47,7 +44,7 @@ def warmup(
             for form, receivers in FORMS.items():
                 shown.advance(0.0, "")
                 start = time.perf_counter()
-                with _compiled() as functions:
+                with _jit.compiled_functions() as functions:
                     _play(name, receivers)
                 seconds = round(time.perf_counter() - start, 3)
                 rows.append(
@@ -64,17 +61,6 @@ def warmup(
         "first episodes", heads, [(*c[:3], c[3] if c[3] != "0" else "cached") for c in cells]
     )
     print_lines([f"compiled code is in {cache}"])
-
-
-@contextmanager
-def _compiled() -> Iterator[list[Any]]:
-    """Functions that are compiled meanwhile; those loaded from the cache are not among them."""
-    from numba.core import event
-
-    with event.install_recorder("numba:compile") as recorder:
-        found: list[Any] = []
-        yield found
-        found += [each for _, each in recorder.buffer if each.is_start]
 
 
 def _play(name: str, receivers: int | None) -> None:

@@ -12,6 +12,9 @@ from ..attacks._kernels import false_position, per_channel
 from ..detectors.ewma import judge_channels
 from ..detectors.verdicts import is_sound
 from ..receiver._kernels import (
+    MEASURE,
+    PREDICT,
+    SHOW,
     UPDATE,
     Arrays,
     name_scratch,
@@ -81,7 +84,8 @@ def run_epochs(
     """Do some of what an epoch is made of, for some epochs of receivers lo to hi, group by group.
 
     All that a tightly coupled simulator does between two commands: `ATTACK` moves the counterfeit,
-    then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them.
+    then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them; `SHOW`
+    shows the last epoch.
 
     `table`: of `TABLE`; `action` to `target_error`: as attacks take them; `detector_settings`
     to `threshold`: as `judge_channels` takes them; `weights` (B, 2n) on the columns of the
@@ -129,7 +133,7 @@ def run_epochs(
     by_rate, coherent = attack_settings[0] > 0.0, attack_settings[3] > 0.0
     for group in range(lo // lanes, -(-hi // lanes)):
         b, e = group * lanes, min((group + 1) * lanes, receivers)
-        for _ in range(count):
+        for k in range(count):
             if what & ATTACK and attack == FALSE_POSITION:
                 false_position(
                     action,
@@ -171,7 +175,8 @@ def run_epochs(
                     b,
                     e,
                 )
-            predict_group(a, w, group, what)
+            if what & (MEASURE | PREDICT):
+                predict_group(a, w, group, what if k == count - 1 else what & ~SHOW)
             if what & JUDGE and detector != NEVER:
                 judge_channels(
                     innovation[b:e],
@@ -197,19 +202,16 @@ def run_epochs(
 
 
 @njit
-def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin, displacement):
+def displace(position_e, reference_e, rows, C_en, onset, direction, worst, origin, displacement):
     """Displacements along the target direction, in the local axes at the onset.
 
     `position_e`, `reference_e` (B, 3) estimated, and (K, 3) what it is compared to, ECEF [m];
     `C_en` (K, 3, 3) local axes at all epochs; `onset` (B,) epoch after which each receiver's attack
-    begins; `heading` (B,) direction in which displacement counts, clockwise from north [rad];
+    begins; `direction` (B, 2) unit vector, north and east, in which displacement counts;
     `origin` (B, 2) north and east difference at the onset, which does not count [m]; `displacement`
     (B,), written [m].
     """
-    cosine, sine = 1.0, 0.0
     for b in range(displacement.shape[0]):
-        if b == 0 or heading[b] != heading[b - 1]:
-            cosine, sine = math.cos(heading[b]), math.sin(heading[b])
         north, east = -origin[b, 0], -origin[b, 1]
         axes = C_en[onset[b]]
         for i in range(3):
@@ -219,7 +221,7 @@ def displace(position_e, reference_e, rows, C_en, onset, heading, worst, origin,
         if worst:
             displacement[b] = math.sqrt(north * north + east * east)
         else:
-            displacement[b] = cosine * north + sine * east
+            displacement[b] = direction[b, 0] * north + direction[b, 1] * east
 
 
 @njit

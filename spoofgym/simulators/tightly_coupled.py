@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Self
@@ -366,12 +366,6 @@ class TightlyCoupledSimulator(Simulator):
         if not sound:
             self._is_sound = False
 
-    def _in_slices(self, work: Callable[[int, int], None]) -> None:
-        if self._serial:
-            work(0, self.receivers)
-        else:
-            self._run(work, self.receivers)
-
     def _compiled_attack(self, command: FloatArray | None) -> tuple[Any, ...] | None:
         """Arguments of an attack that the kernel itself makes, else None."""
         attack = self.attack
@@ -412,7 +406,10 @@ class TightlyCoupledSimulator(Simulator):
         return self.epoch
 
     def _correct(self, weights: FloatArray | None) -> None:
-        self._in_slices(partial(self._epochs, UPDATE))
+        if self._serial:
+            self._epochs(UPDATE, 0, self.receivers)
+        else:
+            self._run(partial(self._epochs, UPDATE), self.receivers)
 
     def _first_half(
         self,
@@ -433,7 +430,12 @@ class TightlyCoupledSimulator(Simulator):
                 self._attack(command, lo, hi)
             self._epochs(what, lo, hi, attack=attack, detector=detector)
 
-        self._in_slices(work)
+        if self._serial and not in_python:
+            self._epochs(what, 0, self.receivers, attack=attack, detector=detector)
+        elif self._serial:
+            work(0, self.receivers)
+        else:
+            self._run(work, self.receivers)
 
     def predict(self, command: FloatArray | None) -> Epoch:
         """First half of an epoch under attack; the epoch's arrays follow the buffers."""
@@ -478,7 +480,8 @@ class TightlyCoupledSimulator(Simulator):
     def quiet_epochs(self, count: int) -> None:
         """Run clean epochs without a detector, in one kernel call."""
         self.weights = self.ones
-        self._run(partial(self._epochs, ADVANCE + UPDATE, count=count), self.receivers)
+        part = partial(self._epochs, ADVANCE + UPDATE + SHOW, count=count)
+        self._run(part, self.receivers)
 
     def error_n(self) -> FloatArray:
         """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""
@@ -494,7 +497,7 @@ class TightlyCoupledSimulator(Simulator):
         reference = (setup.true_position, self.sensors.epoch)
         if twin is not None:
             reference = (twin.buffers.position_e, self._everyone)
-        aim = memory["onset"], memory["heading"], setup.target_heading_deg == "worst"
+        aim = memory["onset"], memory["direction"], setup.target_heading_deg == "worst"
         displace(self.buffers.position_e, *reference, setup.C_en, *aim, origin, out)
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import ast
+from pathlib import Path
 
 import pytest
 
 from spoofgym._jit import COMPILED_LAYERS, layer_of
+from spoofgym._jit import FOUNDATION as FOUNDATION_FILES
 
 from . import sources
 
-PLAIN = {"_describe", "_files", "_jit", "_memory", "_pictures", "_registry", "_threads"}
-"""Modules below all packages; they hold nothing that a kernel could take in but `_jit`'s own."""
+PLAIN = {"_describe", "_files", "_memory", "_pictures", "_registry", "_threads"}
+"""Modules below all packages; they hold nothing that a kernel could take in."""
+FOUNDATION = {Path(name).stem for name in FOUNDATION_FILES}
+"""Modules below all packages that are in every digest."""
+OF_NUMBA = {"_jit.py", "_simd.py"}
+"""The decorator, and the types of vectors."""
 BRIDGES = {"envs/spoofer_binding.py": ("spoofgym.envs", "spoofer_binding")}
 """Files of compiled layers that may know of other packages, since nothing compiled imports them."""
 
@@ -39,7 +45,7 @@ def test_imports_are_told_by_their_absolute_names():
 def test_numba_is_used_by_the_one_decorator_alone(source):
     tree = sources.tree_of(source)
     used = [name for name, _ in sources.imported(tree, source) if name.split(".")[0] == "numba"]
-    assert sources.name_of(source) == "_jit.py" or not used
+    assert sources.name_of(source) in OF_NUMBA or not used
 
 
 def test_compiled_functions_stand_in_compiled_layers(source):
@@ -48,15 +54,18 @@ def test_compiled_functions_stand_in_compiled_layers(source):
     takes = [
         (module, names)
         for module, names in sources.imported(tree, source)
-        if module == "spoofgym._jit" or "_jit" in names
+        if module == "spoofgym._jit"
     ]
-    if parts == ("_jit.py",) or not takes:
+    decorators = {"njit", "inlined"}
+    for name in decorators:
+        assert f"_jit.{name}" not in source.read_text().replace("spoofgym._jit", ""), "by its name"
+    if parts == ("_jit.py",) or not any(decorators & set(names) for _, names in takes):
         return
     assert len(parts) > 1, "only packages are compiled"
     assert parts[0] in COMPILED_LAYERS, f"{parts[0]} must be named in `_jit.COMPILED_LAYERS`"
     for module, names in takes:
         assert module == "spoofgym._jit", "import the decorator itself, so that its use shows"
-        assert set(names) <= {"njit", "inlined"}
+        assert set(names) <= decorators
 
 
 def test_decorators_are_bare(source):
@@ -81,7 +90,9 @@ def test_compiled_layers_import_only_from_those_whose_sources_count(source):
         if path[0] != "spoofgym":
             continue
         for package in path[1:2] or names:
-            assert package in PLAIN or package in counted, f"{package} is not in its digest"
+            assert package in PLAIN | FOUNDATION or package in counted, (
+                f"{package} is not in its digest"
+            )
 
 
 def test_no_module_of_a_compiled_layer_imports_a_bridge(source):

@@ -90,7 +90,7 @@ def test_the_detector_observes_no_truth():
     agent.look(batch.epoch)
     first = agent.memory["observation"].copy()
     agent.reset()
-    batch.sensors.floats[:] = np.nan
+    batch.sensors.fields.data[:] = np.nan
     agent.look(batch.epoch)
     np.testing.assert_array_equal(agent.memory["observation"], first)
     assert np.isfinite(seen).all()

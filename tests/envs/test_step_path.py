@@ -52,7 +52,7 @@ def test_a_step_takes_few_calls():
         env.step(action)
     calls = calls_of(lambda: env.step(action))
     assert calls[0] == "envs/env.py:CoreEnv.step"
-    assert any(call.endswith("TightlyCoupledSimulator.predict") for call in calls)
+    assert any(call.endswith("TightlyCoupledSimulator.step") for call in calls)
     assert len(calls) <= MOST_CALLS, "\n".join(calls)
 
 

@@ -101,8 +101,9 @@ class Batch:
         self.buffers = ReceiverBuffers(count, N, wanted)
         self.sensors = SensorBuffers(count, N)
         self.weights = np.ones((count, 2 * N))
-        for row, number in enumerate(self.numbers):
-            self._fill(row, number)
+        with np.errstate(over="ignore"):  # unsigned words wrap around
+            for row, number in enumerate(self.numbers):
+                self._fill(row, number)
 
     @property
     def fields(self):
@@ -160,7 +161,6 @@ class Batch:
         sizes = padded(6 * MOST), padded(2 * N)
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
         work[:] = np.nan  # so that nothing is read of it that has not been written
-        one = np.zeros((1, 1))
         given = {
             "x": buffers.fields.data,
             "out": buffers.seen_floats,
@@ -173,30 +173,28 @@ class Batch:
             "range_offset": sensors.range_offset,
             "rate_offset": sensors.rate_offset,
             "authentic": sensors.authentic,
-            "run": world.run,
-            "epoch_time": world.epoch_time,
-            "epoch_end": world.epoch_end,
-            "satellites": world.satellites,
+            **vars(world),
             "rules": np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
             "position_e": np.zeros((EPOCHS + 1, 3)),
             "velocity_e": np.zeros((EPOCHS + 1, 3)),
-            "captured": np.zeros(1, dtype=np.bool_),
+            "captured": np.zeros(N, dtype=np.bool_),
             "slots": np.zeros(1, dtype=np.int64),
             "attack_settings": np.zeros(4),
         }
-        table = ArrayTable([given[name] for name in TABLE])
-        sound = run_epochs(
-            table.entries,
-            *(one, one, one, np.zeros((1, 1, 3)), one),
-            *(np.zeros(3), one, one, one, one),
-            self.weights if weights is None else weights,
-            work,
-            *(NO_FORM, True, NO_FORM),
-            what,
-            count,
-            lo,
-            buffers.receivers if hi is None else hi,
-        )
+        table, one = ArrayTable([given[name] for name in TABLE]), np.zeros((1, 1))
+        with np.errstate(all="ignore"):  # of which compiled code says nothing
+            sound = run_epochs(
+                table.entries,
+                *(one, one, one, np.zeros((1, 1, 3)), one),
+                *(np.zeros(3), one, one, one, one),
+                self.weights if weights is None else weights,
+                work,
+                *(NO_FORM, True, NO_FORM),
+                what,
+                count,
+                lo,
+                buffers.receivers if hi is None else hi,
+            )
         assert sound
 
     def predict(self, lo=0, hi=None):

@@ -19,6 +19,7 @@ from spoofgym.sim.noise import (
     normals,
     padded,
     threefry,
+    whole_number,
 )
 
 from ..lanes import in_all_lanes
@@ -230,9 +231,25 @@ def test_eight_receivers_draw_the_streams_of_their_own(size, count):
     def kernel(keys, epoch, out):
         draw_group(keys, epoch, size, count, out)
 
-    in_all_lanes(kernel, keys, epoch, out)
+    in_all_lanes(kernel, keys, epoch, out, scratch=1)  # rows behind those may be written or not
     for i in range(LANES):
+        alone = np.full(size, np.nan)
+        draw_group(keys[:, i].copy(), epoch[:, i].copy(), size, count, alone)
+        np.testing.assert_array_equal(out[:count, i], alone[:count])
         np.testing.assert_array_equal(out[:count, i], draw(keys[:, i], epoch[0, i], size)[:count])
+
+
+@njit
+def words_of(numbers, out):
+    store(out, 0, from_bits(whole_number(load(numbers, 0))))
+
+
+@pytest.mark.nojit
+@given(st.lists(st.integers(0, 2**52 - 1), min_size=LANES, max_size=LANES))
+def test_whole_numbers_become_words(given):
+    numbers, out = np.array([given], dtype=np.float64), np.zeros((1, LANES))
+    in_all_lanes(words_of, numbers, out)
+    assert out[0].view(np.uint64).tolist() == given
 
 
 @given(st.integers(0, 10_000))

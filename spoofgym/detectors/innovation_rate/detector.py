@@ -54,6 +54,7 @@ from numpy.typing import NDArray
 
 from ..._jit import njit
 from ...receiver.epoch import Epoch
+from ...sim.noise import exponential
 from ..base import Detector, DetectorContext, Verdict
 from ..lockout import check_limits, readmit_nearest
 from ..thresholds import check_probability, igg3_weight, two_sided_quantile
@@ -108,7 +109,7 @@ def judge_rates(
         seen = 0
         for j in range(channels):
             seen += visible[b, j]
-        growth = math.exp(interval[b] / memory_s)
+        growth = 1.0 / exponential(-interval[b] / memory_s)
         for j in range(channels):
             x, P = state[b, j], covariance[b, j]
             if not visible[b, j]:

@@ -20,12 +20,11 @@ read so, the filter has no gain.  Here the equation is integrated over the inter
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..._jit import inlined, njit
+from ...sim.noise import exponential
 
 FloatArray = NDArray[np.float64]
 FIRST_COVARIANCE = (2.0, 0.0, 0.0, 1.0, 0.0, 1.0)
@@ -63,7 +62,7 @@ def advance(
     overwritten; `interval`: T [s]; `correlation`, `noise`: alpha [1/s] and epsilon [1/s^3];
     `growth`: Gamma, at least 1: how much of the past is forgotten.
     """
-    e = math.exp(-correlation * interval)
+    e = exponential(-correlation * interval)
     g = (1.0 - e) / correlation
     r = (interval - g) / correlation
     s = state[0] + g * state[1] + r * state[2]
