@@ -22,14 +22,14 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import platformdirs
-from numba.core import event
+from numba.core import event, types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -239,7 +239,14 @@ class _CheckedCache(FunctionCache):  # type: ignore[misc]
         self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
 
 
-def _compile(function: F, inline: str) -> F:
+def _template_of_types(compiled: Any, given: Any, named: Any) -> Any:
+    """How a call is compiled: by the types of its arguments, not once more for every constant."""
+    plain = tuple(map(types.unliteral, given))
+    named = {name: types.unliteral(kind) for name, kind in named.items()}
+    return type(compiled).get_call_template(compiled, plain, named)
+
+
+def _compile(function: F, **how: Any) -> F:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache_folder(layer_of(function.__module__)))
     try:
@@ -247,10 +254,11 @@ def _compile(function: F, inline: str) -> F:
             nogil=True,
             error_model="numpy",
             boundscheck=False,
-            inline=inline,
+            **how,
         )(function)
         if compiled is not function:  # as it is under NUMBA_DISABLE_JIT=1
             compiled._cache = _CheckedCache(function)
+            compiled.get_call_template = partial(_template_of_types, compiled)
     finally:
         numba.config.CACHE_DIR = before
     return cast(F, compiled)
@@ -280,13 +288,20 @@ def njit(function: F) -> F:
     There is no ``parallel``: after a parallel region of GNU
     OpenMP a forked child dies, and Gymnasium's ``AsyncVectorEnv`` with it.
     """
-    return _compile(function, inline="never")
+    return _compile(function)
 
 
 def inlined(function: F) -> F:
-    """Compile as `njit` does, as a part of every caller: for a few operations.
+    """Compile as `njit` does, and let every caller take the body in.
 
-    What is compiled within another function takes no time of its own, and a loop with a call in it
-    is not vectorized.
+    For physics of a few numbers: a loop with a call in it is not vectorized.
+    """
+    return _compile(function, forceinline=True)
+
+
+def joined(function: F) -> F:
+    """Compile within its callers alone: for the parts of a large kernel, each called once.
+
+    A function that is compiled by itself costs time of its own, and again in every caller.
     """
     return _compile(function, inline="always")

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._jit import inlined, njit
+from .._jit import inlined, joined, njit
 from .._lanes import first_rows
 from .._simd import (
     any_lane,
@@ -123,7 +123,7 @@ def mechanize(x, base, samples, dt, count, active, force):
     _put(force, 0, now, f[0], f[1], f[2])
 
 
-@inlined
+@joined
 def propagate(x, base, force, tau, terms, product):
     """Propagate a group's covariance over one interval."""
     C = (
@@ -192,7 +192,7 @@ def innovate(x, base, n, tau, sky):
         store(x, u + 2, select(visible, uz, 0.0))
 
 
-@inlined
+@joined
 def correct(x, base, n, weights, rules, work, precision):
     """Update a group's state and covariance; lanes with too few satellites stay as they are.
 
@@ -270,7 +270,7 @@ def spread(x, row, count, out, place, first, lanes):
             out[o + i] = lane(x, row + i, index)
 
 
-@inlined
+@joined
 def show_position(a, base, b, some):
     """Write the estimated position and velocity of a group, receiver by receiver."""
     receivers = a.visible.shape[0]
@@ -278,7 +278,7 @@ def show_position(a, base, b, some):
     spread(a.x, base + VELOCITY, 3, a.out, 5 * receivers, b, some)
 
 
-@inlined
+@joined
 def show(a, w, base, b, some):
     """Write what is looked at of a group's predicted epoch, receiver by receiver (`state.SEEN`)."""
     (receivers, n), x, out, places = a.visible.shape, a.x, a.out, a.places
@@ -363,7 +363,7 @@ def show_transition(terms, tau, index, Phi):
     Phi[17 * 15 + 16] = tau
 
 
-@inlined
+@joined
 def sample(a, w, sensor_base, key_row, epoch, measured, base):
     """Measure a group's inertial samples of one interval, and mechanize them.
 
@@ -448,7 +448,7 @@ def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
     return fixed + gnss_size + (SKY + 6) * n + max(imu_size + imu_size // 6 + 8 * CHUNK, 4 * n * n)
 
 
-@inlined
+@joined
 def name_scratch(a, work):
     """Name the parts of a lane array of `work_rows`."""
     n = a.visible.shape[1]
@@ -465,7 +465,7 @@ def name_scratch(a, work):
     )
 
 
-@inlined
+@joined
 def predict_group(a, w, group, what):
     """First half of an epoch of one group: measure, mechanize, propagate, innovate.
 
@@ -509,7 +509,7 @@ def predict_group(a, w, group, what):
         show(a, w, base, b, some)
 
 
-@inlined
+@joined
 def update_group(a, w, group, weights):
     """Second half of an epoch of one group; `weights` (B, 2n) on the columns of the gain."""
     receivers, n = a.visible.shape

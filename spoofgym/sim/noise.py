@@ -22,7 +22,6 @@ from .._simd import (
     bits_of,
     floor,
     from_bits,
-    lanes_of,
     load,
     rotate_left,
     select,
@@ -188,7 +187,7 @@ def deviates(
     are wanted; rows behind them may be written, too.
     """
     n = size // 4
-    if lanes_of(out) == 1:  # eight counters side by side
+    if out.ndim == 1:  # eight counters side by side
         rows = out.reshape((out.shape[0] // LANES, LANES))
         k0, k1, epoch = splat(k0, rows), splat(k1, rows), splat(epoch, rows)
         for q in range(-(-min(n, count) // LANES)):
