@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from .._jit import njit
+from .._simd import LANES, load, store
 from ..earth.ranging import range_and_rate
 
 
@@ -51,15 +52,17 @@ def shrink(first, factor, second, limit):
 
 
 @njit
-def add_displaced(shift, satellites, position_e, velocity_e, captured, coherent, d_range, d_rate):
+def add_displaced(
+    shift, satellites, position_e, velocity_e, captured, coherent, d_range, d_rate, work
+):
     """Add the offsets that make captured ranges those of a displaced antenna.
 
-    The true ranges in `satellites` come from the same instructions; without displacement and rate
-    the offset is exactly zero.
+    The true ranges in `satellites` come from the same operations; without displacement and rate
+    the offset is exactly zero.  Eight satellites are computed side by side.
 
     `shift` (6,) displacement and its rate, ECEF [m], [m/s]; `satellites` (n, 8) truth of the epoch;
     `position_e`, `velocity_e` (3,) true antenna; `captured` (n,) bool, which channels are the
-    spoofer's; `d_range`, `d_rate` (n,), added to [m], [m/s].
+    spoofer's; `d_range`, `d_rate` (n,), added to [m], [m/s]; `work` (8, 8) scratch memory.
     """
     still = True
     for i in range(6):
@@ -68,16 +71,24 @@ def add_displaced(shift, satellites, position_e, velocity_e, captured, coherent,
         return
     rx, ry, rz = position_e[0] + shift[0], position_e[1] + shift[1], position_e[2] + shift[2]
     vx, vy, vz = velocity_e[0] + shift[3], velocity_e[1] + shift[4], velocity_e[2] + shift[5]
-    for s in range(captured.shape[0]):
-        p = satellites[s]
-        if not captured[s] or p[6] == 0.0:
-            continue
+    n = captured.shape[0]
+    for first in range(0, n, LANES):
+        for lane in range(LANES):
+            s = min(first + lane, n - 1)
+            for i in range(6):
+                work[i, lane] = satellites[s, i]
+        p = load(work, 0), load(work, 1), load(work, 2)
+        v = load(work, 3), load(work, 4), load(work, 5)
         rho, change, _, _, _ = range_and_rate(
-            p[0], p[1], p[2], p[3], p[4], p[5], rx, ry, rz, vx, vy, vz
+            p[0], p[1], p[2], v[0], v[1], v[2], rx, ry, rz, vx, vy, vz
         )
-        d_range[s] += rho - p[6]
-        if coherent:
-            d_rate[s] += change - p[7]
+        store(work, 6, rho)
+        store(work, 7, change)
+        for s in range(first, min(first + LANES, n)):
+            if captured[s] and satellites[s, 6] != 0.0:
+                d_range[s] += work[6, s - first] - satellites[s, 6]
+                if coherent:
+                    d_rate[s] += work[7, s - first] - satellites[s, 7]
 
 
 @njit
@@ -110,7 +121,7 @@ def false_position(
     the next one is measured; `captured` (n,) bool, which channels are the spoofer's; `d_range`,
     `d_rate` (B, n), written: offsets [m], [m/s].
     """
-    shift = np.empty(6)
+    shift, work = np.empty(6), np.empty((8, LANES))
     for b in range(lo, hi):
         k = epochs[b] + 1
         tau = epoch_time[k] - epoch_time[k - 1]
@@ -134,6 +145,7 @@ def false_position(
             coherent,
             d_range[b],
             d_rate[b],
+            work,
         )
 
 
@@ -196,6 +208,7 @@ def displaced_ranges(
     receiver is at; the next one is measured; `captured` (n,) bool, which channels are the
     spoofer's; `d_range`, `d_rate` (B, n), added to [m], [m/s].
     """
+    work = np.empty((8, LANES))
     for b in range(lo, hi):
         k = epochs[b] + 1
         add_displaced(
@@ -207,6 +220,7 @@ def displaced_ranges(
             coherent,
             d_range[b],
             d_rate[b],
+            work,
         )
 
 
@@ -267,7 +281,7 @@ def meaconer(
     `captured` (n,) bool, which channels are the spoofer's; `d_range`, `d_rate` (B, n), written:
     offsets [m], [m/s].
     """
-    shift = np.zeros(6)
+    shift, work = np.zeros(6), np.empty((8, LANES))
     for b in range(lo, hi):
         k = epochs[b] + 1
         tau = epoch_time[k] - epoch_time[k - 1]
@@ -297,4 +311,5 @@ def meaconer(
             coherent,
             d_range[b],
             d_rate[b],
+            work,
         )
