@@ -29,8 +29,9 @@ from typing import Any, TypeVar, cast
 
 import numba
 import platformdirs
-from numba.core import event, types
+from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.types.misc import unliteral
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -241,8 +242,8 @@ class _CheckedCache(FunctionCache):  # type: ignore[misc]
 
 def _template_of_types(compiled: Any, given: Any, named: Any) -> Any:
     """How a call is compiled: by the types of its arguments, not once more for every constant."""
-    plain = tuple(map(types.unliteral, given))
-    named = {name: types.unliteral(kind) for name, kind in named.items()}
+    plain = tuple(map(unliteral, given))
+    named = {name: unliteral(kind) for name, kind in named.items()}
     return type(compiled).get_call_template(compiled, plain, named)
 
 

@@ -155,11 +155,11 @@ def test_the_member_of_a_pool_is_named():
         check_detector(pool)
 
 
-@pytest.mark.parametrize("needs", [frozenset({"desing", "design"}), {"design"}, ["design"], None])
+@pytest.mark.parametrize("needs", [frozenset({"designs", "design"}), {"design"}, ["design"], None])
 def test_needs_are_checked(needs):
     detector, script = Never(), trying_script()
     detector.needs = needs
-    wrong = r"\['desing'\]" if isinstance(needs, frozenset) else ""
+    wrong = r"\['designs'\]" if isinstance(needs, frozenset) else ""
     message = rf"`Never.needs` must be a frozenset of optional .*cn0_dbhz\), got .*{wrong}"
     with pytest.raises(ValueError, match=message):
         detector.bind(script.context)

@@ -165,5 +165,5 @@ def test_fields_are_known_before_the_first_epoch(monitor, message):
 
 @pytest.mark.parametrize("how", ["detector", "watch"])
 def test_unknown_needs_are_refused(how):
-    with pytest.raises(ValueError, match=r"`Reader.needs` must be .* not valid: \['desing'\]"):
-        gym.make(ID, timeline=SHORT, **{how: Reader("desing")})
+    with pytest.raises(ValueError, match=r"`Reader.needs` must be .* not valid: \['designs'\]"):
+        gym.make(ID, timeline=SHORT, **{how: Reader("designs")})
