@@ -20,14 +20,13 @@ from typing import Any
 
 import numpy as np
 from llvmlite import binding
-from numba import config
 
 from .. import __version__
 from .._lanes import LaneFields
 from .._simd import LANES
 from ..envs.core import SpoofCore
 from ..sim.noise import padded
-from . import _perf_kernels as kernels
+from ..simulators import _perf_kernels as kernels
 from .campaign import Progress, Silent
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
@@ -293,7 +292,7 @@ def machine() -> dict[str, Any]:
         "processors": len(
             getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))(0)
         ),
-        "processor": config.CPU_NAME or binding.get_host_cpu_name(),
+        "processor": os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name(),
         "vectors": next((name for key, name in VECTORS.items() if features.get(key)), "none"),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),

@@ -56,7 +56,7 @@ def test_compiled_functions_stand_in_compiled_layers(source):
         for module, names in sources.imported(tree, source)
         if module == "spoofgym._jit"
     ]
-    decorators = {"njit", "inlined"}
+    decorators = {"njit", "inlined", "joined"}
     for name in decorators:
         assert f"_jit.{name}" not in source.read_text().replace("spoofgym._jit", ""), "by its name"
     if parts == ("_jit.py",) or not any(decorators & set(names) for _, names in takes):
@@ -75,7 +75,7 @@ def test_decorators_are_bare(source):
         if isinstance(node, ast.FunctionDef):
             for decorator in node.decorator_list:
                 called = isinstance(decorator, ast.Call) and ast.unparse(decorator.func)
-                assert called not in {"njit", "inlined"}, node.name
+                assert called not in {"njit", "inlined", "joined"}, node.name
 
 
 def test_compiled_layers_import_only_from_those_whose_sources_count(source):
