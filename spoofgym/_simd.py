@@ -3,7 +3,7 @@
 A *lane array* is C-contiguous, with a row for every quantity.  One of shape (rows, 8) holds eight
 receivers, and `load` gives a vector of its eight values; one of shape (rows,) holds a single
 receiver, and `load` gives a number.  A function that is written with the operators and functions
-below takes either, so that a formula stands in the source once, and is compiled for both.
+below takes either, so that a formula is written once, and compiled for both.
 
 In compiled code a vector is a value of LLVM's type ``<8 x double>``, ``<8 x i64>`` or ``<8 x i1>``
 and every operation a single instruction of its intermediate code, lane by lane, without relaxed

@@ -10,13 +10,18 @@ from .._jit import inlined, joined, njit
 from .._lanes import first_rows
 from .._simd import (
     any_lane,
+    flags_at,
+    floats_at,
+    integers_at,
     lane,
     lanes_of,
     load,
+    rows_at,
     select,
     set_lane,
     splat,
     store,
+    words_at,
 )
 from ..earth.ranging import range_and_rate
 from ..earth.wgs84 import EARTH_RATE
@@ -524,47 +529,35 @@ def update_group(a, w, group, weights):
     show_position(a, base, b, some)
 
 
-@njit
-def run_epoch(
-    x,
-    out,
-    places,
-    visible,
-    coasting,
-    sensors,
-    keys,
-    epochs,
-    range_offset,
-    rate_offset,
-    authentic,
-    run,
-    epoch_time,
-    epoch_end,
-    satellites,
-    rules,
-    work,
-    weights,
-    what,
-):
-    """Run one half of an epoch, or both, of a single group, as a replay does (`Arrays`)."""
-    a = Arrays(
-        x,
-        out,
-        places,
-        visible,
-        coasting,
-        sensors,
-        keys,
+@joined
+def arrays_at(table, work, channels):
+    """Name the arrays of a table that begins with those of `Arrays` (`state.kernel_table`)."""
+    n, epochs, epoch_time = channels, integers_at(table, 7), floats_at(table, 12)
+    receivers, run = epochs.shape[0], floats_at(table, 11)
+    return Arrays(
+        rows_at(table, 0, work),
+        floats_at(table, 1),
+        integers_at(table, 2),
+        flags_at(table, 3).reshape((receivers, n)),
+        flags_at(table, 4),
+        rows_at(table, 5, work),
+        words_at(table, 6, work),
         epochs,
-        range_offset,
-        rate_offset,
-        authentic,
-        run,
+        floats_at(table, 8).reshape((receivers, n)),
+        floats_at(table, 9).reshape((receivers, n)),
+        floats_at(table, 10).reshape((receivers, 2 * n)),
+        run.reshape((8, run.shape[0] // 8)),
         epoch_time,
-        epoch_end,
-        satellites,
-        rules,
+        integers_at(table, 13),
+        floats_at(table, 14).reshape((epoch_time.shape[0], n, SKY)),
+        integers_at(table, 15),
     )
+
+
+@njit
+def run_epoch(table, work, weights, what):
+    """Run one half of an epoch, or both, of a single group, as a replay does (`arrays_at`)."""
+    a = arrays_at(table, work, weights.shape[1] // 2)
     w = name_scratch(a, work)
     if what & PREDICT:
         predict_group(a, w, 0, what)

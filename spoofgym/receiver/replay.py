@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..sim.noise import padded
 from ..sim.sensors import SensorBuffers
 from . import _kernels
-from .state import ReceiverBuffers
+from .state import ReceiverBuffers, kernel_table
 from .strapdown import LARGEST_ROTATION
 from .tight import NavState, TightlyCoupled
 
@@ -260,7 +260,7 @@ def replay(
     imu_time = np.asarray(recording.imu_time)
     samples = [recording.specific_force_b, recording.angular_rate_b]
     lengths = np.diff(imu_time, prepend=0.0)
-    run = np.vstack([np.hstack(samples).T, lengths, lengths**-0.5])
+    run = np.ascontiguousarray(np.vstack([np.hstack(samples).T, lengths, lengths**-0.5]))
     # epoch 0 is time zero, where nothing is measured; range and range rate are in what is measured
     satellites = np.zeros((epochs + 1, n, 8))
     satellites[1:, :, :3] = np.where(visible[:, :, None], position, 0.0)
@@ -281,26 +281,12 @@ def replay(
             padded(2 * n),
         ]
     )
-    given = (
-        buffers.fields.data,
-        buffers.seen_floats,
-        buffers.places,
-        buffers.visible,
-        buffers.coasting,
-        sensors.fields.data,
-        sensors.words.data,
-        sensors.epoch,
-        sensors.range_offset,
-        sensors.rate_offset,
-        sensors.authentic,
-        run,
-        np.concatenate([[0.0], np.asarray(recording.gnss_time)]),
-        np.concatenate([[0], ends]),
-        satellites,
-        rules,
-        buffers.fields.scratch(_kernels.work_rows(n, *rules[3:].tolist())),
-        np.ones((1, 2 * n)),
+    times = np.concatenate([[0.0], np.asarray(recording.gnss_time)])
+    table = kernel_table(
+        buffers, sensors, run, times, np.concatenate([[0], ends]), satellites, rules
     )
+    work = buffers.fields.scratch(_kernels.work_rows(n, *rules[3:].tolist()))
+    given = table.entries, work, np.ones((1, 2 * n))
     kept: list[tuple[NDArray[np.float64], ...]] = []
     coasting = np.zeros(epochs, dtype=np.bool_)
     fields = buffers.fields

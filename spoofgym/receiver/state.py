@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._lanes import LaneFields
+from .._simd import ArrayTable
+from ..sim.sensors import SensorBuffers
 from .error_model import INDEX, PACKED, STATES
 
 FloatArray = NDArray[np.float64]
@@ -139,3 +142,29 @@ class ReceiverBuffers:
         for name, mine in self.seen.items():
             if name in other.seen:
                 mine[to] = other.seen[name][rows]
+
+
+def kernel_table(
+    buffers: ReceiverBuffers, sensors: SensorBuffers, *more: NDArray[Any]
+) -> ArrayTable:
+    """Arrays of `_kernels.Arrays` as one argument of a kernel.
+
+    `more`: `run`, `epoch_time`, `epoch_end`, `satellites` and `rules` there, then what else a
+    kernel takes.
+    """
+    return ArrayTable(
+        [
+            buffers.fields.data,
+            buffers.seen_floats,
+            buffers.places,
+            buffers.visible,
+            buffers.coasting,
+            sensors.fields.data,
+            sensors.words.data,
+            sensors.epoch,
+            sensors.range_offset,
+            sensors.rate_offset,
+            sensors.authentic,
+            *more,
+        ]
+    )

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from .._jit import njit
-from .._simd import flags_at, floats_at, integers_at, lanes_of, rows_at, words_at
+from .._simd import flags_at, floats_at, integers_at, lanes_of
 from ..attacks._kernels import false_position, per_channel
 from ..detectors.ewma import judge_channels
 from ..detectors.verdicts import is_sound
@@ -17,42 +17,18 @@ from ..receiver._kernels import (
     SHOW,
     UPDATE,
     Arrays,
+    arrays_at,
     name_scratch,
     predict_group,
     update_group,
 )
 
-TABLE = (
-    *("x", "out", "places", "visible", "coasting", "sensors", "keys", "epochs", "range_offset"),
-    *("rate_offset", "authentic", "run", "epoch_time", "epoch_end", "satellites", "rules"),
-    *("position_e", "velocity_e", "captured", "slots", "attack_settings"),
+POSITION_E, VELOCITY_E, CAPTURED, SLOTS, ATTACK_SETTINGS = range(
+    len(Arrays._fields), len(Arrays._fields) + 5
 )
-"""Arrays that stay where they are: as in `Arrays`; of `World`; channels that are the spoofer's;
-whether rates are commanded, what an action of 1 commands, the limit of the rate, and whether range
-rates are coherent."""
-(
-    X,
-    OUT,
-    PLACES,
-    VISIBLE,
-    COASTING,
-    SENSORS,
-    KEYS,
-    EPOCHS,
-    RANGE_OFFSET,
-    RATE_OFFSET,
-    AUTHENTIC,
-    RUN,
-    EPOCH_TIME,
-    EPOCH_END,
-    SATELLITES,
-    RULES,
-    POSITION_E,
-    VELOCITY_E,
-    CAPTURED,
-    SLOTS,
-    ATTACK_SETTINGS,
-) = range(len(TABLE))
+"""Places in the table behind `Arrays`: of `World`; channels that are the spoofer's; whether rates
+are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
+coherent."""
 ATTACK, JUDGE = 16, 32
 NO_FORM, FALSE_POSITION, PER_CHANNEL = range(3)
 EWMA, PASSIVE_EWMA, NEVER = 1, 2, 3
@@ -87,48 +63,23 @@ def run_epochs(
     then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them; `SHOW`
     shows the last epoch.
 
-    `table`: of `TABLE`; `action` to `target_error`: as attacks take them; `detector_settings`
-    to `threshold`: as `judge_channels` takes them; `weights` (B, 2n) on the columns of the
-    gain, written by `JUDGE`; `work`: lane array, scratch memory of the calling
-    thread; `attack`, `detector`: their compiled forms, by number; `hold`: whether the attack holds
-    its rate; returns whether all verdicts are sound.
+    `table`: of `kernel_table`, with what is named above behind it; `action` to `target_error`: as
+    attacks take them; `detector_settings` to `threshold`: as `judge_channels` takes them; `weights`
+    (B, 2n) on the columns of the gain, written by `JUDGE`; `work`: lane array, scratch memory of
+    the calling thread; `attack`, `detector`: their compiled forms, by number; `hold`: whether the
+    attack holds its rate; returns whether all verdicts are sound.
     """
-    epoch_time, places = floats_at(table, EPOCH_TIME), integers_at(table, PLACES)
-    out, epochs = floats_at(table, OUT), integers_at(table, EPOCHS)
-    receivers, epoch_count = epochs.shape[0], epoch_time.shape[0]
     m = weights.shape[1]
-    n = m // 2
-    run = floats_at(table, RUN)
-    range_offset = floats_at(table, RANGE_OFFSET).reshape((receivers, n))
-    rate_offset = floats_at(table, RATE_OFFSET).reshape((receivers, n))
-    satellites = floats_at(table, SATELLITES).reshape((epoch_count, n, 8))
+    a = arrays_at(table, work, m // 2)
+    receivers, epoch_count = a.visible.shape[0], a.epoch_time.shape[0]
     position_e = floats_at(table, POSITION_E).reshape((epoch_count, 3))
     velocity_e = floats_at(table, VELOCITY_E).reshape((epoch_count, 3))
-    visible = flags_at(table, VISIBLE).reshape((receivers, n))
     captured, slots = flags_at(table, CAPTURED), integers_at(table, SLOTS)
     attack_settings = floats_at(table, ATTACK_SETTINGS)
-    a = Arrays(
-        rows_at(table, X, work),
-        out,
-        places,
-        visible,
-        flags_at(table, COASTING),
-        rows_at(table, SENSORS, work),
-        words_at(table, KEYS, work),
-        epochs,
-        range_offset,
-        rate_offset,
-        floats_at(table, AUTHENTIC).reshape((receivers, m)),
-        run.reshape((8, run.shape[0] // 8)),
-        epoch_time,
-        integers_at(table, EPOCH_END),
-        satellites,
-        integers_at(table, RULES),
-    )
     w = name_scratch(a, work)
     lanes = lanes_of(work)
-    innovation = out[places[0] : places[0] + receivers * m].reshape((receivers, m))
-    variance = out[places[1] : places[1] + receivers * m].reshape((receivers, m))
+    innovation = a.out[a.places[0] : a.places[0] + receivers * m].reshape((receivers, m))
+    variance = a.out[a.places[1] : a.places[1] + receivers * m].reshape((receivers, m))
     sound = True
     by_rate, coherent = attack_settings[0] > 0.0, attack_settings[3] > 0.0
     for group in range(lo // lanes, -(-hi // lanes)):
@@ -146,14 +97,14 @@ def run_epochs(
                     to_ecef,
                     target_error,
                     coherent,
-                    epochs,
-                    epoch_time,
-                    satellites,
+                    a.epochs,
+                    a.epoch_time,
+                    a.satellites,
                     position_e,
                     velocity_e,
                     captured,
-                    range_offset,
-                    rate_offset,
+                    a.range_offset,
+                    a.rate_offset,
                     b,
                     e,
                 )
@@ -168,10 +119,10 @@ def run_epochs(
                     rate,
                     slots,
                     coherent,
-                    epochs,
-                    epoch_time,
-                    range_offset,
-                    rate_offset,
+                    a.epochs,
+                    a.epoch_time,
+                    a.range_offset,
+                    a.rate_offset,
                     b,
                     e,
                 )
@@ -181,7 +132,7 @@ def run_epochs(
                 judge_channels(
                     innovation[b:e],
                     variance[b:e],
-                    visible[b:e],
+                    a.visible[b:e],
                     detector_settings[0],
                     detector_settings[1],
                     detector_settings[2],
@@ -194,8 +145,8 @@ def run_epochs(
                 sound = is_sound(statistic[b:e], threshold[b:e], weights[b:e]) and sound
                 if detector == PASSIVE_EWMA:
                     for r in range(b, e):
-                        for k in range(m):
-                            weights[r, k] = 1.0
+                        for row in range(m):
+                            weights[r, row] = 1.0
             if what & UPDATE:
                 update_group(a, w, group, weights)
     return sound

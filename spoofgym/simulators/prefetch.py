@@ -139,8 +139,8 @@ class NextEpisodes:
     def prepare(self, rows: NDArray[np.intp], rngs: Rngs) -> None:
         """Ask for the next episodes of some receivers, each from its generator.
 
-        One is asked for where that is new, and what waited there is thrown away; else as many as
-        are missing.
+        A generator that is new gets one, in place of what waited for the receiver before; a known
+        one as many as it lacks of its stock.
         """
         self._check_fork()
         known = self.prepared(rows, rngs, least=0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from .._registry import build_record, check_choice
-from .._simd import LANES, ArrayTable
+from .._simd import LANES
 from ..attacks import Attack, AttackContext, make_attack
 from ..attacks.false_position import FalsePosition
 from ..attacks.per_channel import PerChannel
@@ -24,7 +24,7 @@ from ..detectors.verdicts import checked
 from ..receiver import TightlyCoupled
 from ..receiver import _kernels as _kernels_of_receiver
 from ..receiver.epoch import Epoch, epoch_view
-from ..receiver.state import ReceiverBuffers
+from ..receiver.state import ReceiverBuffers, kernel_table
 from ..sim.noise import padded
 from ..sim.scenario import Scenario, make_scenario
 from ..sim.sensors import SensorBuffers
@@ -230,30 +230,20 @@ class TightlyCoupledSimulator(Simulator):
         self._work_rows = _kernels_of_receiver.work_rows(world.channels, *sizes)
         self._spare: list[FloatArray] = []
         attack = self.attack
-        given: dict[str, NDArray[Any]] = {
-            "x": buffers.fields.data,
-            "out": buffers.seen_floats,
-            "places": buffers.places,
-            "visible": buffers.visible,
-            "coasting": buffers.coasting,
-            "sensors": sensors.fields.data,
-            "keys": sensors.words.data,
-            "epochs": sensors.epoch,
-            "range_offset": sensors.range_offset,
-            "rate_offset": sensors.rate_offset,
-            "authentic": sensors.authentic,
-            "run": world.run,
-            "epoch_time": world.epoch_time,
-            "epoch_end": world.epoch_end,
-            "satellites": world.satellites,
-            "rules": np.array(rules, dtype=np.int64),
-            "position_e": world.position_e,
-            "velocity_e": world.velocity_e,
-            "captured": attack.mask,
-            "slots": attack.slots,
-            "attack_settings": attack.kernel_settings,
-        }
-        self._table = ArrayTable([given[name] for name in _kernels.TABLE])
+        self._table = kernel_table(
+            buffers,
+            sensors,
+            world.run,
+            world.epoch_time,
+            world.epoch_end,
+            world.satellites,
+            np.array(rules, dtype=np.int64),
+            world.position_e,
+            world.velocity_e,
+            attack.mask,
+            attack.slots,
+            attack.kernel_settings,
+        )
         nothing = _kernels.NO_FORM
         self._no_attack = nothing, True, one, one, one, np.zeros((1, 1, 3)), one
         self._no_detector = nothing, np.zeros(3), one, one, one, one

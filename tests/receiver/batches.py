@@ -10,18 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spoofgym._simd import ArrayTable
 from spoofgym.earth.frames import geodetic_to_ecef
 from spoofgym.receiver import _kernels
 from spoofgym.receiver._kernels import PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
-from spoofgym.receiver.state import SEEN, ReceiverBuffers
+from spoofgym.receiver.state import SEEN, ReceiverBuffers, kernel_table
 from spoofgym.sim.clock import TCXO, ReceiverClock
 from spoofgym.sim.gnss import GnssErrors
 from spoofgym.sim.imu import IMU_GRADES, ImuGrade
 from spoofgym.sim.noise import padded
 from spoofgym.sim.sensors import SensorBuffers
-from spoofgym.simulators._kernels import NO_FORM, TABLE, run_epochs
+from spoofgym.simulators._kernels import NO_FORM, run_epochs
 
 from .test_kalman import covariance, measured, sky
 
@@ -161,40 +160,32 @@ class Batch:
         sizes = padded(6 * MOST), padded(2 * N)
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
         work[:] = np.nan  # so that nothing is read of it that has not been written
-        given = {
-            "x": buffers.fields.data,
-            "out": buffers.seen_floats,
-            "places": buffers.places,
-            "visible": buffers.visible,
-            "coasting": buffers.coasting,
-            "sensors": sensors.fields.data,
-            "keys": sensors.words.data,
-            "epochs": sensors.epoch,
-            "range_offset": sensors.range_offset,
-            "rate_offset": sensors.rate_offset,
-            "authentic": sensors.authentic,
-            **vars(world),
-            "rules": np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
-            "position_e": np.zeros((EPOCHS + 1, 3)),
-            "velocity_e": np.zeros((EPOCHS + 1, 3)),
-            "captured": np.zeros(N, dtype=np.bool_),
-            "slots": np.zeros(1, dtype=np.int64),
-            "attack_settings": np.zeros(4),
-        }
-        table, one = ArrayTable([given[name] for name in TABLE]), np.zeros((1, 1))
-        with np.errstate(all="ignore"):  # of which compiled code says nothing
-            sound = run_epochs(
-                table.entries,
-                *(one, one, one, np.zeros((1, 1, 3)), one),
-                *(np.zeros(3), one, one, one, one),
-                self.weights if weights is None else weights,
-                work,
-                *(NO_FORM, True, NO_FORM),
-                what,
-                count,
-                lo,
-                buffers.receivers if hi is None else hi,
-            )
+        one = np.zeros((1, 1))
+        table = kernel_table(
+            buffers,
+            sensors,
+            world.run,
+            world.epoch_time,
+            world.epoch_end,
+            world.satellites,
+            np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
+            *np.zeros((2, EPOCHS + 1, 3)),
+            np.zeros(1, dtype=np.bool_),
+            np.zeros(1, dtype=np.int64),
+            np.zeros(4),
+        )
+        sound = run_epochs(
+            table.entries,
+            *(one, one, one, np.zeros((1, 1, 3)), one),
+            *(np.zeros(3), one, one, one, one),
+            self.weights if weights is None else weights,
+            work,
+            *(NO_FORM, True, NO_FORM),
+            what,
+            count,
+            lo,
+            buffers.receivers if hi is None else hi,
+        )
         assert sound
 
     def predict(self, lo=0, hi=None):
