@@ -90,7 +90,7 @@ def demonstrations(
     observation = envs.reset()
     for _ in range(decisions):
         wanted = rates[envs.core.step_count // setup.repeat]
-        rate = observation[:, own] @ direction * attack.rate_limit_mps
+        rate = observation[:, own] @ direction * setup.rate_scale_mps
         command = np.clip((wanted - rate) / most, -1.0, 1.0)[:, None]
         seen.append(observation)
         told.append(command.astype(np.float32))

@@ -22,10 +22,10 @@ from typing import Annotated, Any
 
 import typer
 
-from spoofgym.bench.budget import BUDGET, MARGIN
+from spoofgym.bench.budget import BUDGET
 from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.suite import Suite, Tuning
-from spoofgym.bench.tuning_table import EXCESS_HEAD, excess_texts
+from spoofgym.bench.tuning_table import ALARMS_HEAD, alarm_texts
 from spoofgym.cli import INTERRUPTED, clear_errors
 from spoofgym.simulators import Timeline
 from spoofgym.tasks import task_of
@@ -93,13 +93,9 @@ def main(
     budget: Annotated[
         float,
         typer.Option(
-            help="How much more often than without attack an alarm may come, as a part of the runs."
+            help="Largest P(alarm | silent without attack), which its upper 95 % limit keeps."
         ),
     ] = BUDGET,
-    margin: Annotated[
-        float,
-        typer.Option(help="Distance of the choice from the budget, in standard errors."),
-    ] = MARGIN,
     restarts: Annotated[
         int, typer.Option(help="How often a search that has converged begins again.")
     ] = 0,
@@ -134,7 +130,6 @@ def main(
         ),
         runs=runs,
         select_runs=select_runs,
-        margin=margin,
     )
     if task is None:
         world: dict[str, Any] = {
@@ -157,9 +152,7 @@ def main(
             {"name": "accelerating-ramp", "acceleration_mps2": "tuned", "heading_deg": heading},
         ],
         entropy=seed,
-        tuning=Tuning(
-            runs=select_runs, sift_runs=max(select_runs // 16, 1), budget=budget, margin=margin
-        ),
+        tuning=Tuning(runs=select_runs, sift_runs=max(select_runs // 16, 1), budget=budget),
     )
     bounds = Bounds.of(seconds, generations)
     run = ProfileRun(suite, settings, out, start=start, threads=threads, resume=resume)
@@ -241,22 +234,19 @@ def _print_table(run: ProfileRun, choice: Choice) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=120)
-    clean = run.ramps[0].clean_alarm_rate
-    margin = run.settings.margin
     title = (
-        f"{run.settings.select_runs} training runs against {run.detector.label}, "
-        f"{100 * clean:.1f} % alarm without attack; at most {100 * run.budget:g} points more, "
-        f"after a margin of {margin:g} standard errors"
+        f"{run.settings.select_runs} training runs against {run.detector.label}, of which "
+        f"{choice.fit.counted} are silent without attack; of these at most {100 * run.budget:g} % "
+        "may alarm, by the upper 95 % limit"
     )
     table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD)
-    for name in ("spoofer", "alarm rate [%]", *EXCESS_HEAD, "undetected displacement [m]"):
+    for name in ("spoofer", *ALARMS_HEAD, "stealthy displacement [m]"):
         table.add_column(Text(name))
     for row in rivals(run, choice):
         table.add_row(
             str(row["spoofer"]) + ("" if row["within_budget"] else " (beyond the budget)"),
-            f"{100 * row['alarm_rate']:.1f}",
-            *excess_texts(row, margin),
-            f"{row['undetected_displacement_m']:.2f}",
+            *alarm_texts(row),
+            f"{row['stealthy_displacement_m']:.2f}",
         )
     console.print(table)
 

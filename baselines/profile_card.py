@@ -6,9 +6,7 @@ from dataclasses import asdict, replace
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
-
-from spoofgym.bench.metrics import bootstrap_mean, resamples
+from spoofgym.bench.metrics import bootstrap_mean, resamples_of
 from spoofgym.bench.specs import describe
 from spoofgym.bench.suite import spoofer_context, versions
 from spoofgym.bench.tune import Trial
@@ -95,7 +93,7 @@ def _training(run: ProfileRun, choice: Choice, command: str) -> dict[str, Any]:
         "command": command,
         "seed": settings.seed,
         "arguments": asdict(run.settings),
-        "aimed_excess": run.aim,
+        "aimed_alarm_rate": run.aim,
         "generations": len(run.generations),
         "steps": len(run.generations) * each,
         "wall_s": round(run.elapsed_s, 1),
@@ -106,13 +104,13 @@ def _training(run: ProfileRun, choice: Choice, command: str) -> dict[str, Any]:
 def _score(run: ProfileRun, choice: Choice) -> dict[str, Any]:
     """What the profile reached on the runs of the choice."""
     runs = run.settings.select_runs
-    seeds = np.random.default_rng([run.suite.entropy, runs])
-    mean = bootstrap_mean(choice.displacement_m, resamples(runs, seeds))
+    mean = bootstrap_mean(choice.displacement_m, resamples_of(choice.fit.counted))
     return {
         "detector": run.detector.label,
         "split": "training",
         "entropy": run.suite.entropy,
         "runs": runs,
+        "counted": choice.fit.counted,
         "undetected_displacement_m": mean.value,
         "low": mean.low,
         "high": mean.high,
@@ -135,7 +133,7 @@ def rivals(run: ProfileRun, choice: Choice) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        ``spoofer``, ``alarm_rate``, ``excess``, ``excess_error``, ``undetected_displacement_m``,
+        ``spoofer``, ``alarm_rate``, ``alarm_limit``, ``stealthy_displacement_m``,
         ``within_budget`` and tables.
     """
     found: list[dict[str, Any]] = []
@@ -150,8 +148,7 @@ def _numbers(tried: Trial | Fit) -> dict[str, Any]:
     """What a spoofer did on the runs of the choice."""
     return {
         "alarm_rate": tried.alarm_rate,
-        "excess": tried.excess,
-        "excess_error": tried.excess_error,
-        "undetected_displacement_m": tried.undetected_displacement_m,
+        "alarm_limit": tried.alarm_limit,
+        "stealthy_displacement_m": tried.stealthy_displacement_m,
         "within_budget": tried.within_budget,
     }

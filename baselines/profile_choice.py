@@ -1,23 +1,19 @@
-r"""The choice at the end of a search: the fastest curve that keeps the alarm budget on other runs.
+"""The choice at the end of a search: the fastest curve that keeps the alarm budget on other runs.
 
 For every shape that the search offers, the factor on its rates is fitted on runs that the search
-has not seen.  A curve keeps the budget b with a margin of c standard errors of the paired
-difference of alarms over R runs,
-
-.. math:: \bar\Delta + c \sqrt{\operatorname{var}(\Delta) / R} \le b
-
-so that it also keeps it, most likely, on runs that decided nothing.
+has not seen, by the upper limit of its alarm rate on those that count, as the benchmark tunes its
+spoofers (`spoofgym.bench.budget`).
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.bench.budget import excess_of, largest_within
+from spoofgym.bench.budget import largest_within
+from spoofgym.bench.scores import stealth_of
 from spoofgym.spoofers import Profile
 
 from .profile_search import ProfileSearch
@@ -26,7 +22,7 @@ from .runs import RunPool
 FloatArray = NDArray[np.float64]
 WIDE, NARROW = (1.1, 3), (1.03, 1)
 """Step and halvings of `largest_within`: for the first shape, and for the others, which begin at
-its factor.  Both find the edge to about 1.5 %, as the tuning of the ramps does."""
+its factor.  Both find the edge to about 2 %, as the tuning of the ramps does."""
 WALKS = 6
 """Most steps."""
 
@@ -41,24 +37,24 @@ class Fit:
         Which one.
     scale : float
         Factor on its rates.
-    undetected_displacement_m : float
-        Mean over all runs.
+    counted : int
+        Runs that count.
+    stealthy_displacement_m : float
+        Mean over them.
     alarm_rate : float
-        Part of the runs with an alarm.
-    excess : float
-        How much that is above the clean rate of the same runs.
-    excess_error : float
-        Standard error of the excess.
+        Part of them with an alarm.
+    alarm_limit : float
+        Its upper 95 % limit.
     within_budget : bool
-        Whether the budget is kept, with the margin.
+        Whether the budget is kept by that limit.
     """
 
     shape: str
     scale: float
-    undetected_displacement_m: float
+    counted: int
+    stealthy_displacement_m: float
     alarm_rate: float
-    excess: float
-    excess_error: float
+    alarm_limit: float
     within_budget: bool
 
 
@@ -73,7 +69,7 @@ class Choice:
     fit : Fit
         What it does on the runs of the choice.
     displacement_m : ndarray
-        (R,) of these runs.
+        (R',) of those of these runs that count.
     fits : tuple of Fit
         All that were tried.
     """
@@ -87,7 +83,7 @@ class Choice:
 _Tried = tuple[Fit, Profile, FloatArray]
 
 
-def choose(search: ProfileSearch, pool: RunPool, budget: float, margin: float) -> Choice:
+def choose(search: ProfileSearch, pool: RunPool, budget: float) -> Choice:
     """The largest displacement within the budget among the shapes of a search.
 
     Parameters
@@ -97,9 +93,7 @@ def choose(search: ProfileSearch, pool: RunPool, budget: float, margin: float) -
     pool : RunPool
         Runs that it has not seen.
     budget : float
-        How much more often than without attack an alarm may come.
-    margin : float
-        Distance that is kept from it, in standard errors, at least 0.
+        Largest P(alarm | silent twin), which its upper limit keeps.
 
     Returns
     -------
@@ -111,12 +105,10 @@ def choose(search: ProfileSearch, pool: RunPool, budget: float, margin: float) -
     ValueError
         When no factor that was tried is within the budget.
     """
-    if not (math.isfinite(margin) and margin >= 0.0):
-        raise ValueError(f"`margin` must be finite and >= 0, got {margin}")
     tried: list[_Tried] = []
     at, (step, halvings) = 1.0, WIDE
     for name, point in search.shapes().items():
-        fitting = _Fitting(search, pool, name, point, budget, margin)
+        fitting = _Fitting(search, pool, name, point, budget)
         largest_within(fitting.keeps, at, step=step, walks=WALKS, halvings=halvings)
         tried += fitting.tried
         at = max((item[0].scale for item in fitting.tried if item[0].within_budget), default=at)
@@ -124,13 +116,14 @@ def choose(search: ProfileSearch, pool: RunPool, budget: float, margin: float) -
     kept = [item for item in tried if item[0].within_budget]
     fits = tuple(item[0] for item in tried)
     if not kept:
-        least = min(fits, key=lambda fit: fit.excess)
+        least = min(fits, key=lambda fit: fit.alarm_rate)
         raise ValueError(
             f"no profile of the search is within the alarm budget: the slowest one alarms in "
-            f"{100 * least.excess:.1f} % more of the runs than without attack, with a standard "
-            f"error of {100 * least.excess_error:.1f} %; choose a larger budget or a smaller margin"
+            f"{100 * least.alarm_rate:.1f} % of the {least.counted} runs that are silent without "
+            f"attack, which may be {100 * least.alarm_limit:.1f} %; choose a larger budget or more "
+            "runs"
         )
-    fit, profile, displacement = max(kept, key=lambda item: item[0].undetected_displacement_m)
+    fit, profile, displacement = max(kept, key=lambda item: item[0].stealthy_displacement_m)
     return Choice(profile, fit, displacement, fits)
 
 
@@ -144,26 +137,26 @@ class _Fitting:
         name: str,
         point: FloatArray,
         budget: float,
-        margin: float,
     ) -> None:
         self.search, self.pool = search, pool
-        self.name, self.point, self.budget, self.margin = name, point, budget, margin
+        self.name, self.point, self.budget = name, point, budget
         self.tried: list[_Tried] = []
 
     def keeps(self, scale: float) -> bool:
         """Try a factor."""
         profile = self.search.profile(self.point, scale)
         outcome = self.pool.play([profile])
-        displacement = outcome.displacement_m[0]
-        excess = excess_of(outcome.alarm[0], outcome.clean_alarm)
+        displacement, counts = outcome.displacement_m[0], outcome.counts
+        found = stealth_of(displacement, outcome.alarm[0], counts)
+        known = found.runs > 0
         fit = Fit(
             self.name,
             scale,
-            float(displacement.mean()),
-            float(outcome.alarm[0].mean()),
-            excess.value,
-            excess.error,
-            excess.keeps(self.budget, self.margin),
+            found.runs,
+            found.displacement_m if known else 0.0,
+            found.alarm_rate if known else 1.0,
+            found.alarm_limit,
+            found.keeps(self.budget),
         )
-        self.tried.append((fit, profile, displacement))
+        self.tried.append((fit, profile, displacement[counts]))
         return fit.within_budget

@@ -14,7 +14,7 @@ import numpy as np
 
 from spoofgym._describe import differences
 from spoofgym._files import write_file
-from spoofgym.bench.budget import MARGIN, reach
+from spoofgym.bench.budget import aim
 from spoofgym.bench.suite import Suite
 from spoofgym.bench.tune import TuningResult, tune
 from spoofgym.spoofers.card import NAME, Card
@@ -41,14 +41,11 @@ class RunSettings:
         Training runs of the search.
     select_runs : int
         Other training runs, of the choice and of the ramps.
-    margin : float
-        Distance of the choice from the budget, in standard errors.
     """
 
     search: SearchSettings
     runs: int = 128
     select_runs: int = 512
-    margin: float = MARGIN
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -58,8 +55,6 @@ class RunSettings:
             )
         if self.select_runs < 2:
             raise ValueError(f"`select_runs` must be at least 2, got {self.select_runs}")
-        if not 0.0 <= self.margin < float("inf"):
-            raise ValueError(f"`margin` must be finite and >= 0, got {self.margin}")
 
 
 @dataclass(frozen=True)
@@ -203,11 +198,8 @@ class ProfileRun:
 
     @property
     def aim(self) -> float:
-        """Excess of alarms that the search aims at; known once the ramps are tuned."""
-        margin = self.settings.margin
-        trials = [t for ramp in self.ramps for t in ramp.trials if t.runs == ramp.runs]
-        edge = min(trials, key=lambda t: abs(t.excess + margin * t.excess_error - self.budget))
-        return reach(self.budget, margin, edge.excess_error)
+        """Alarm rate that the search aims at; known once the ramps are tuned."""
+        return aim(min(ramp.counted for ramp in self.ramps), self.budget)
 
     def _load(self) -> None:
         """Take up the record of an interrupted search."""
@@ -266,7 +258,7 @@ class ProfileRun:
         self._tune(chosen, tell)
         search = self._search(pool, bounds, tell)
         tell(1.0, "choosing")
-        return choose(search, chosen, self.budget, self.settings.margin)
+        return choose(search, chosen, self.budget)
 
     def _tune(self, chosen: RunPool, tell: Tell) -> None:
         """Tune the ramps."""
@@ -311,7 +303,7 @@ def _now(search: ProfileSearch) -> str:
     last = search.generations[-1]
     return (
         f"generation {len(search.generations)}: {last.displacement_m:.1f} m, "
-        f"{100 * last.excess:+.1f} % alarms"
+        f"{100 * last.alarm_rate:.1f} % alarms"
     )
 
 

@@ -5,14 +5,14 @@ search starts at.  Every generation plays all its candidates on the same part of
 next generation on another part, so that the mean of the search distribution does not learn the
 noise of a few runs by heart.  What is maximised is a Lagrangian,
 
-.. math:: L(x) = \bar D_u(x) - \lambda (\bar A(x) - \bar A_0)
+.. math:: L(x) = \bar D_u(x) - \lambda \bar A(x)
 
-with the mean undetected displacement, and the excess of the alarms over those of the same runs
-without attack.  Counted alarms are coarse on a few runs: a run without alarm counts for
+with the mean undetected displacement and the alarm rate, both over the runs that count, which are
+silent without attack.  Counted alarms are coarse on a few runs: a run without alarm counts for
 :math:`\exp(-(1 - p) / w)` where its peak ratio p came close to 1, and what that adds on the
 average is taken off again.  The price follows the alarms, by a moving average over generations,
 
-.. math:: \lambda = \lambda_0 \exp(\kappa (\bar A - \bar A_0 - b) / b)
+.. math:: \lambda = \lambda_0 \exp(\kappa (\bar A - b) / b)
 
 so that the search stays near the budget b; how fast the curve may be in the end is decided
 afterwards, on other runs (`profile_choice`).  CMA-ES is that of `hansen2006`.
@@ -86,7 +86,7 @@ class ProfileSearch:
         self.pool, self.settings, self.start = pool, settings, start
         self.generations: list[Generation] = []
         self.finished, self._left = False, settings.restarts
-        self._excess, self._softness = settings.budget, 0.0
+        self._alarms, self._softness = settings.budget, 0.0
         self._cma = begin(settings, start, start_point(settings, start), settings.seed)
         self._means: list[FloatArray] = []
         for past in record:
@@ -95,7 +95,7 @@ class ProfileSearch:
     @property
     def price(self) -> float:
         """Displacement that an alarm in every run costs [m]."""
-        beyond = np.clip(self._excess / self.settings.budget - 1.0, -4.0, 4.0)
+        beyond = np.clip(self._alarms / self.settings.budget - 1.0, -4.0, 4.0)
         return float(PRICE * self.start.displacement_m * np.exp(GAIN * beyond))
 
     def rows(self) -> NDArray[np.intp]:
@@ -134,8 +134,8 @@ class ProfileSearch:
         """
         points = [self._cma.ask() for _ in range(self.settings.population)]
         outcome = self.pool.play([self.profile(point) for point in points], self.rows())
-        counted, soft = outcome.excess.mean(axis=1), soft_excess(outcome)
-        displacement = outcome.displacement_m.mean(axis=1)
+        counted, soft = outcome.alarm_rate, soft_alarms(outcome)
+        displacement = outcome.mean_m
         self._follow(float(counted.mean()), float(soft.mean()))
         losses = self.price * (soft - self._softness) - displacement
         done = Generation(
@@ -152,7 +152,7 @@ class ProfileSearch:
         """Moving averages of the alarms, and of what runs that came close add to them."""
         weight = FOLLOW if self.generations else 1.0
         self._softness += weight * (soft - counted - self._softness)
-        self._excess += FOLLOW * (counted - self._excess)
+        self._alarms += FOLLOW * (counted - self._alarms)
 
     def _learn(self, points: list[FloatArray], done: Generation) -> None:
         """Tell CMA-ES, and keep the record."""
@@ -174,7 +174,7 @@ class ProfileSearch:
                 f"generation {len(self.generations)} of the record is not what this search "
                 "would have tried: it comes from other settings, or from another machine"
             )
-        self._follow(past.excess, past.soft_excess)
+        self._follow(past.alarm_rate, past.soft_alarms)
         self._learn(points, past)
 
     def shapes(self) -> dict[str, FloatArray]:
@@ -197,8 +197,8 @@ class ProfileSearch:
         }
 
 
-def soft_excess(outcome: Outcome) -> FloatArray:
-    """Excess of alarms, in which runs that came close count in part.
+def soft_alarms(outcome: Outcome) -> FloatArray:
+    """Alarm rate in which runs that came close count in part.
 
     Parameters
     ----------
@@ -208,15 +208,11 @@ def soft_excess(outcome: Outcome) -> FloatArray:
     Returns
     -------
     ndarray
-        (P,) mean over the runs.
+        (P,) mean over the runs that count.
     """
-
-    def part(alarm: NDArray[np.bool_], peak: FloatArray) -> FloatArray:
-        """1 for an alarm, less the farther the peak is from it."""
-        return np.where(alarm, 1.0, np.exp(-np.maximum(1.0 - peak, 0.0) / CLOSE))
-
-    clean = part(outcome.clean_alarm, outcome.clean_peak)
-    return np.asarray((part(outcome.alarm, outcome.peak) - clean).mean(axis=1))
+    close = np.exp(-np.maximum(1.0 - outcome.peak, 0.0) / CLOSE)
+    part = np.where(outcome.alarm, 1.0, close)
+    return np.asarray(part[:, outcome.counts].mean(axis=1))
 
 
 def start_point(settings: SearchSettings, start: Start) -> FloatArray:

@@ -98,12 +98,12 @@ class Generation:
         Minus their Lagrangians, which CMA-ES was told.
     displacement_m : float
         Mean undetected displacement over all candidates.
-    excess, soft_excess : float
-        Their mean excess of alarms, counted, and with runs that came close.
+    alarm_rate, soft_alarms : float
+        Their mean alarm rate, counted, and with runs that came close.
     """
 
     points: list[list[float]]
     losses: list[float]
     displacement_m: float
-    excess: float
-    soft_excess: float
+    alarm_rate: float
+    soft_alarms: float

@@ -73,8 +73,8 @@ def best_start(pool: RunPool, settings: SearchSettings, curves: Sequence[FloatAr
     limit = pool.setup.attack.rate_limit_mps
     profiles = [profile_at(settings, curve, limit) for curve in curves]
     outcome = pool.play(profiles, np.arange(min(pool.runs, 2 * settings.batch)))
-    displacement = outcome.displacement_m.mean(axis=1)
-    beyond = np.maximum(outcome.excess.mean(axis=1) - settings.budget, 0.0)
+    displacement = outcome.mean_m
+    beyond = np.maximum(outcome.alarm_rate - settings.budget, 0.0)
     best = int(np.argmax(displacement * (1.0 - PRICE * beyond)))
     start = Start(list(profiles[best].rates_mps), float(displacement[best]))
     rows = np.arange(min(pool.runs, settings.batch))
@@ -83,7 +83,7 @@ def best_start(pool: RunPool, settings: SearchSettings, curves: Sequence[FloatAr
         cma = begin(settings, start, start_point(settings, start), settings.seed)
         points = [cma.ask() * start.unit_mps for _ in range(settings.population)]
         tried = pool.play([profile_at(settings, point, limit) for point in points], rows)
-        if tried.displacement_m.mean() >= KEPT * start.displacement_m:
+        if tried.mean_m.mean() >= KEPT * start.displacement_m:
             break
     return start
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spoofgym.bench.run import WarmStart, displacement_of, play
+from spoofgym.bench.scores import counted
 from spoofgym.simulators import Setup
 from spoofgym.spoofers import Profile, SpooferContext
 from spoofgym.spoofers.profile import sampled
@@ -30,22 +31,24 @@ class Outcome(NamedTuple):
         (P, R) bool, whether the run alarmed.
     peak : ndarray
         (P, R) largest ratio of a statistic to its threshold; of an alarmed run above 1.
-    clean_alarm : ndarray
-        (R,) bool, the same runs without attack.
-    clean_peak : ndarray
-        (R,) the same.
+    counts : ndarray
+        (R,) bool, which runs count: silent before the onset and without attack.
     """
 
     displacement_m: FloatArray
     alarm: NDArray[np.bool_]
     peak: FloatArray
-    clean_alarm: NDArray[np.bool_]
-    clean_peak: FloatArray
+    counts: NDArray[np.bool_]
 
     @property
-    def excess(self) -> FloatArray:
-        """(P, R) alarm under attack less alarm without it: 1, 0 or -1."""
-        return self.alarm.astype(np.float64) - self.clean_alarm
+    def alarm_rate(self) -> FloatArray:
+        """(P,) part of the runs that count with an alarm."""
+        return np.asarray(self.alarm[:, self.counts].mean(axis=1))
+
+    @property
+    def mean_m(self) -> FloatArray:
+        """(P,) mean undetected displacement over the runs that count [m]."""
+        return np.asarray(self.displacement_m[:, self.counts].mean(axis=1))
 
 
 @dataclass(kw_only=True)
@@ -157,9 +160,13 @@ class RunPool:
             for first in range(0, len(profiles), share)
         ]
         displacement, alarm, peak = (np.concatenate(column) for column in zip(*parts, strict=True))
-        clean = self.clean.take(rows)
-        clean_alarm = np.asarray(clean.alarm.any(axis=0))
-        return Outcome(displacement, alarm, peak, clean_alarm, clean.peak)
+        counts = counted(self.start.warmup_alarm[rows], self.clean.first_alarm[rows])
+        if not counts.any():
+            raise ValueError(
+                f"none of {len(rows)} runs is silent without attack: nothing can be learned of how "
+                "an attack is noticed; give the detector another rate of false alarms"
+            )
+        return Outcome(displacement, alarm, peak, counts)
 
     def _play(
         self, profiles: Sequence[Profile], rows: NDArray[np.intp]

@@ -32,8 +32,8 @@ docs/learning
 docs/duel
 docs/tasks
 docs/threats
+docs/worlds
 docs/rendering
-docs/learned_spoofers
 ```
 ```{toctree}
 :hidden:

@@ -20,7 +20,7 @@ duel_v0    what is public of the duel, for PettingZoo and Gymnasium
 tasks      the tasks of `spoofgym-bench-v1`, and the papers' scenarios
 bench      campaigns: detectors x spoofers x paired seeds, and their scores
 testing    check_detector, check_attack, check_spoofer
-cli        spoofgym list | run | tune | bench | perf | report | warmup
+cli        spoofgym list | calibrate | run | tune | bench | perf | report | warmup
 
 **Frames**
 

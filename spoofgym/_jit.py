@@ -22,7 +22,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache, lru_cache, partial
+from functools import cache, lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -31,14 +31,15 @@ import numba
 import platformdirs
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
-from numba.core.types.misc import unliteral
+
+from ._compiled import Function, is_part
 
 F = TypeVar("F", bound=Callable[..., object])
 
 CACHE_VARIABLE = "SPOOFGYM_CACHE_DIR"
 COMPILED_LAYERS = ("earth", "sim", "attacks", "receiver", "detectors", "simulators", "envs")
 """Packages with compiled code, each of which calls only those before it (import-linter's order)."""
-FOUNDATION = ("_jit.py", "_simd.py", "_lanes.py")
+FOUNDATION = ("_jit.py", "_compiled.py", "_simd.py", "_lanes.py")
 """Modules that the code of every layer may come from."""
 KEPT_DIGESTS = 16
 CHECKSUM_SIZE = 16
@@ -239,30 +240,23 @@ class _CheckedCache(FunctionCache):  # type: ignore[misc]
         stamp = self._impl.locator.get_source_stamp()
         self._cache_file = _CheckedFiles(self._cache_path, self._impl.filename_base, stamp)
 
-
-def _template_of_types(compiled: Any, given: Any, named: Any) -> Any:
-    """How a call is compiled: by the types of its arguments, not once more for every constant."""
-    plain = tuple(map(unliteral, given))
-    named = {name: unliteral(kind) for name, kind in named.items()}
-    return type(compiled).get_call_template(compiled, plain, named)
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save what Python can call; its parts are in it."""
+        if not is_part(data):
+            super().save_overload(sig, data)
 
 
 def _compile(function: F, **how: Any) -> F:
+    if is_disabled():
+        return function
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache_folder(layer_of(function.__module__)))
     try:
-        compiled: Any = numba.njit(
-            nogil=True,
-            error_model="numpy",
-            boundscheck=False,
-            **how,
-        )(function)
-        if compiled is not function:  # as it is under NUMBA_DISABLE_JIT=1
-            compiled._cache = _CheckedCache(function)
-            compiled.get_call_template = partial(_template_of_types, compiled)
+        cache = _CheckedCache(function)
     finally:
         numba.config.CACHE_DIR = before
-    return cast(F, compiled)
+    settings = {"nopython": True, "nogil": True, "error_model": "numpy", "boundscheck": False}
+    return cast(F, Function(function, settings | how, cache))
 
 
 def njit(function: F) -> F:
@@ -298,11 +292,3 @@ def inlined(function: F) -> F:
     For physics of a few numbers: a loop with a call in it is not vectorized.
     """
     return _compile(function, forceinline=True)
-
-
-def joined(function: F) -> F:
-    """Compile within its callers alone: for the parts of a large kernel, each called once.
-
-    A function that is compiled by itself costs time of its own, and again in every caller.
-    """
-    return _compile(function, inline="always")

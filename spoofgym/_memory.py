@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import count
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+_STAMPS = count(1)
 
 
 class Memory(dict[str, NDArray[Any]]):
@@ -14,6 +17,8 @@ class Memory(dict[str, NDArray[Any]]):
 
     Declare every array once, with the values that an episode starts with; write into the arrays
     afterwards, or assign new ones of the same shape.
+
+    `stamp`: a number that no other memory has, another one whenever an array is assigned.
 
     Examples
     --------
@@ -26,10 +31,17 @@ class Memory(dict[str, NDArray[Any]]):
     array([0., 1.])
     """
 
+    stamp = 0
+
     def __init__(self, receivers: int = 0) -> None:
         super().__init__()
         self.receivers = receivers
         self._initial: dict[str, NDArray[Any]] = {}
+
+    def __setitem__(self, name: str, array: NDArray[Any]) -> None:
+        """Assign an array."""
+        super().__setitem__(name, array)
+        self.stamp = next(_STAMPS)
 
     @property
     def declared(self) -> Mapping[str, NDArray[Any]]:

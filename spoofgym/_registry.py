@@ -16,10 +16,14 @@ import numpy as np
 T = TypeVar("T")
 
 
-def check_choice(word: str, value: str, valid: Iterable[str]) -> None:
-    """Raise unless a name is one of the valid ones."""
+def check_choice(
+    word: str, value: str, valid: Iterable[str], renamed: Mapping[str, str] | None = None
+) -> None:
+    """Raise unless a name is one of the valid ones; `renamed`: new names by old ones."""
     names = sorted(valid)
     if value not in names:
+        if renamed and value in renamed:
+            raise ValueError(f"{word} {value!r} is now called {renamed[value]!r}")
         near = difflib.get_close_matches(str(value), names, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")

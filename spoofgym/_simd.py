@@ -515,7 +515,9 @@ _define(
 # --- many arrays as one argument -------------------------------------------------------------
 
 
-_READ = tuple(np.dtype(each).str for each in (np.float64, np.int64, np.uint64, np.bool_))
+_READ = tuple(
+    np.dtype(each).str for each in (np.float64, np.float32, np.int64, np.uint64, np.bool_)
+)
 """Types of elements that the functions below read."""
 
 
@@ -550,6 +552,11 @@ def _array(entries: Any, index: int, dtype: type, many: bool = False) -> Any:
 def floats_at(entries: Any, index: int) -> Any:
     """Array of a table, (N,) float64."""
     return _array(entries, index, np.float64)
+
+
+def singles_at(entries: Any, index: int) -> Any:
+    """Array of a table, (N,) float32."""
+    return _array(entries, index, np.float32)
 
 
 def integers_at(entries: Any, index: int) -> Any:
@@ -607,6 +614,7 @@ def _define_reader(function: Callable[..., Any], element: types.Type, arity: int
 
 
 _define_reader(floats_at, types.float64, 2)
+_define_reader(singles_at, types.float32, 2)
 _define_reader(integers_at, types.int64, 2)
 _define_reader(flags_at, types.boolean, 2)
 _define_reader(rows_at, types.float64, 3)

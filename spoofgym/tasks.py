@@ -19,8 +19,8 @@ from ._registry import check_choice
 
 SUITE = "spoofgym-bench-v1"
 """Name of the tasks together; a change of any of them makes another one."""
-ALARM_PENALTY_M = 10.0
-"""What an alarm costs in the reward of the environments, as by default elsewhere [m]."""
+ALARM_PRICE = 1.5
+"""What an alarm costs in the reward of the environments, as by default elsewhere, in lengths."""
 BUDGET = 0.05
 """How much more often than without attack an alarm may come, as a part of the runs."""
 
@@ -62,11 +62,12 @@ class Task:
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of the environment; a copy."""
+        length = {} if self.alert_limit_m is None else {"length_m": self.alert_limit_m}
         if not self.pooled:
-            return {**self.world_kwargs, "detector": self.detector}
+            return {**self.world_kwargs, **length, "detector": self.detector}
         # a view pays no alarm penalty unless it is set to, and all tasks are paid alike
-        pool = {"pool": list(self.detectors), "alarm_penalty_m": ALARM_PENALTY_M}
-        return copy.deepcopy({**self.settings, **pool})
+        pool = {"pool": list(self.detectors), "alarm_price": ALARM_PRICE}
+        return copy.deepcopy({**self.settings, **length, **pool})
 
     @property
     def world_kwargs(self) -> dict[str, Any]:
@@ -88,7 +89,7 @@ EVERYTHING = {
     "constellation_time_s": [0.0, 43_200.0],
     "worlds": 16,
     "imu": ["aviation", "tactical", "consumer"],
-    "errors": ["zhong2025", "groves", "realistic"],
+    "errors": ["zhong2025", "groves", "trolley"],
 }
 
 TASKS: dict[str, Task] = {
@@ -109,7 +110,7 @@ TASKS: dict[str, Task] = {
         Task(
             "T3",
             "matched receiver, range rates tested, target tracked to 1 m",
-            {"scenario": "realistic", "receiver": "matched", "attack": "tracking-1m"},
+            {"scenario": "trolley", "receiver": "matched", "attack": "tracking-1m"},
             # by default its tracking error alone would be seen in three runs of a hundred
             ({**RANGE_RATES, "false_alarm": 1e-7},),
         ),
@@ -117,10 +118,10 @@ TASKS: dict[str, Task] = {
             "T4",
             "tactical sensors, half an hour, alert limit 556 m",
             {
-                "scenario": {"name": "realistic-tactical", "flight": "airway"},
+                "scenario": {"name": "trolley-tactical", "flight": "airway"},
                 "receiver": "matched",
                 "attack": {"name": "tracking-1m", "rate_limit_mps": 50.0},
-                "timeline": {"warmup_s": 200.0, "live_s": 60.0, "attack_s": 1800.0},
+                "timeline": {"warmup_s": 200.0, "live_s": 180.0, "attack_s": 1800.0},
                 "decision_interval_s": 10.0,
                 "between": "linear",
             },
@@ -131,7 +132,7 @@ TASKS: dict[str, Task] = {
             "T5",
             "everything drawn again in every episode",
             {
-                "scenario": "realistic",
+                "scenario": "trolley",
                 "receiver": "matched",
                 "attack": "false-position-ideal",
                 "domain": EVERYTHING,

@@ -34,28 +34,34 @@ MEACONER = {name: each for name, each in EQUIPMENT.items() if name != "tracking"
 RUNS: dict[str, dict[str, Any]] = {
     "default": {"scenario": "zhong2025"},
     "false position, all equipment": {
-        "scenario": "realistic",
+        "scenario": "trolley",
         "attack": {"name": "false-position", "axes": "ned", **EQUIPMENT},
         "receiver": {"tuning": "matched", "conventions": "orthonormal"},
     },
     "per channel, all equipment": {
-        "scenario": "realistic-consumer",
+        "scenario": "trolley-consumer",
         "attack": {"name": "per-channel", **EQUIPMENT},
         "receiver": {"covariance_update": "general"},
     },
     "meaconer, all equipment": {
-        "scenario": "realistic-tactical",
+        "scenario": "trolley-tactical",
         "attack": {"name": "meaconer", "antenna_m": [0.0, 20.0, -5.0], **MEACONER},
         "receiver": {"covariance_update": "plain"},
     },
     "code alone": {"scenario": "groves", "attack": "pseudorange-only"},
     "one of two constellations": {
-        "scenario": "realistic-two-constellations",
+        "scenario": "trolley-two-constellations",
         "attack": "partial-constellation",
     },
     "another flight": {"scenario": "ke2022", "attack": "tracking-1m"},
+    "airborne signals": {
+        "scenario": {"name": "aviation-actual", "imu_rate_hz": 20},
+        "attack": {"name": "false-position", "errors": "quiet"},
+        "receiver": "matched",
+        "domain": {"events": {"clock_step": 1.0, "satellite_loss": 1.0, "front": 1.0}},
+    },
     "drawn worlds": {
-        "scenario": "realistic",
+        "scenario": "trolley",
         "attack": "tracking-1m",
         "domain": {
             "start_s": [0.0, 60.0],
@@ -63,7 +69,7 @@ RUNS: dict[str, dict[str, Any]] = {
             "constellation_time_s": [0.0, 3600.0],
             "worlds": 3,
             "imu": ["aviation", "tactical", "consumer"],
-            "errors": ["realistic", "zhong2025", "white"],
+            "errors": ["trolley", "zhong2025", "white"],
         },
         "target_heading_deg": "random",
     },

@@ -5,6 +5,7 @@ import re
 import numba
 import numpy as np
 import pytest
+from numba.core.caching import NullCache
 
 from spoofgym.attacks import ATTACKS
 from spoofgym.attacks._kernels import false_position
@@ -28,7 +29,7 @@ if numba.config.DISABLE_JIT:
 
 def compiled(kernel, *signatures):
     """Compile a kernel once more: code from the cache can't be looked at."""
-    copy = type(kernel)(kernel.py_func, targetoptions=kernel.targetoptions)
+    copy = type(kernel)(kernel.py_func, kernel.targetoptions, NullCache())
     for signature in signatures or kernel.signatures:
         copy.compile(signature)
     return copy

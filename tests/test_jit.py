@@ -82,7 +82,7 @@ def test_what_is_no_source_does_not_count(tree):
 
 def test_the_decorator_the_vectors_and_numba_s_version_count_for_all(tree, monkeypatch):
     before = digests()
-    for name in ("_jit.py", "_simd.py", "_lanes.py"):
+    for name in ("_jit.py", "_compiled.py", "_simd.py", "_lanes.py"):
         path = tree / name
         path.write_text(path.read_text() + "\n# a comment\n")
         assert changed(before) == list(_jit.COMPILED_LAYERS)
@@ -386,6 +386,51 @@ def test_code_of_this_process_lies_in_the_folder_of_its_layer():
     folder = Path(wgs84.gravity.stats.cache_path)
     assert folder.is_relative_to(_jit.cache_folder(0))
     assert _jit.source_digest(0) in folder.as_posix()
+
+
+PARTS = """
+import numpy as np
+from spoofgym import _jit
+_jit.NOTICE_S = float("inf")
+from spoofgym._compiled import is_part
+from spoofgym.earth import ranging, wgs84
+from spoofgym.sim import _kernels
+
+def forms():
+    return [is_part(each) for each in ranging.range_and_rate.overloads.values()]
+
+satellites, visible = np.zeros((1, 1, 8)), np.ones((1, 1), dtype=np.bool_)
+satellites[0, 0, :6] = 2e7, 3e6, 1e6, 1.0, 2e3, 3e3
+position, velocity = np.array([[6.4e6, 1.0, 2.0]]), np.array([[3.0, 4.0, 5.0]])
+assert forms() == []
+_kernels.fill_ranges(satellites, visible, position, velocity)
+before = forms()
+arguments = [*satellites[0, 0, :6].tolist(), *position[0].tolist(), *velocity[0].tolist()]
+found = ranging.range_and_rate(*arguments)
+assert found[:2] == tuple(satellites[0, 0, 6:].tolist()), found
+_kernels.fill_ranges(satellites.astype(np.float64), visible, position[::1], velocity)
+print(before, forms())
+"""
+
+
+def test_what_only_compiled_code_calls_is_compiled_within_it(tmp_path):
+    """Once Python calls it, it is compiled for that too, saved, and found by later processes."""
+    environment = os.environ | {_jit.CACHE_VARIABLE: str(tmp_path)}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+
+    def run(code):
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        saved = {path.name.split("-")[0] for path in tmp_path.rglob("*.nbi")}
+        return done.stdout.strip(), saved
+
+    kernel, _, _ = PARTS.partition("arguments =")
+    assert run(kernel + "print(before)") == ("[True]", {"_kernels.fill_ranges"})
+    both = {"_kernels.fill_ranges", "ranging.range_and_rate"}
+    assert run(PARTS) == ("[] [False]", both)  # the kernel is loaded, with its parts in it
+    for path in tmp_path.rglob("*.nb[ic]"):
+        path.unlink()
+    assert run(PARTS) == ("[True] [False]", both)
 
 
 UPDATE = """

@@ -24,6 +24,7 @@ from spoofgym.sb3 import RecordEpochs, SpoofVecEnv
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
 SETTINGS = {
+    "action": "full-command",
     "detector": {"name": "ewma", "false_alarm": 0.02},
     "knowledge": "oracle",
     "timeline": TIMELINE,

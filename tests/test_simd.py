@@ -28,6 +28,7 @@ from spoofgym._simd import (
     rows_at,
     select,
     set_lane,
+    singles_at,
     splat,
     sqrt,
     store,
@@ -488,6 +489,9 @@ def read_table(table, like, out):
     set_lane(keys, 0, 0, lane(keys, 0, 0) & np.uint64(2**32 - 1))
     out[9], out[10] = keys.shape[0], lane(keys, 0, 0)
     store(rows, 0, load(rows, 1) + 1.0)
+    singles = singles_at(table, 5)
+    out[11], out[12] = singles.shape[0], singles[1]
+    singles[0] = 0.1
     floats[0] = 5.0
     integers[0] = -7
     flags[0] = True
@@ -502,10 +506,12 @@ def test_a_table_gives_the_arrays_themselves(compiled, lanes):
     floats, integers, flags = np.arange(4.0), np.array([3, -(2**40)]), np.array([False, True, True])
     rows = np.arange(3.0 * lanes).reshape((3, lanes) if lanes > 1 else 3)
     keys = np.full((2, lanes) if lanes > 1 else 2, 2**63 + 17, dtype=np.uint64)
-    held = ArrayTable([floats, integers, flags, rows, keys])
-    like, out = np.zeros((1, LANES) if lanes > 1 else 1), np.zeros(11)
+    singles = np.array([1.0, 0.25, 2.0], dtype=np.float32)
+    held = ArrayTable([floats, integers, flags, rows, keys, singles])
+    like, out = np.zeros((1, LANES) if lanes > 1 else 1), np.zeros(13)
     kernel(held.entries, like, out)
-    np.testing.assert_array_equal(out, [4, 2, 2, -(2**40), 3, 1, 3, lanes, lanes, 2, 17])
+    np.testing.assert_array_equal(out, [4, 2, 2, -(2**40), 3, 1, 3, lanes, lanes, 2, 17, 3, 0.25])
+    np.testing.assert_array_equal(singles, np.array([0.1, 0.25, 2.0], dtype=np.float32))
     np.testing.assert_array_equal(rows[0], rows[1] + 1.0)
     np.testing.assert_array_equal(floats, [5.0, 1.0, 2.0, 9.0])
     np.testing.assert_array_equal(integers, [-7, -(2**40)])
@@ -524,7 +530,7 @@ def test_a_table_keeps_its_arrays_alive():
     [
         (np.zeros((4, 6))[:, ::2], "C-contiguous"),
         (np.zeros((4, 6)).T, "C-contiguous"),
-        (np.zeros(3, dtype=np.float32), "float32"),
+        (np.zeros(3, dtype=np.float16), "float16"),
         (np.zeros(3, dtype=np.int32), "int32"),
         (np.zeros(3, dtype=">f8"), ">f8"),
     ],

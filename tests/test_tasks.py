@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.bench.run import WarmStart, play
 from spoofgym.bench.suite import Suite
-from spoofgym.bench.tables import attacks_head
 from spoofgym.bench.task_scores import stored_scores, task_scores
 from spoofgym.cli import app
 from spoofgym.detectors import make_detector
@@ -51,8 +50,7 @@ def test_the_long_task_has_a_decision_every_ten_seconds():
 def test_the_alert_limit_of_a_task_stands_in_its_table():
     suite = Suite(**TASKS["T4"].suite_kwargs, runs=2)
     assert (suite.alert_limit_m, Suite().alert_limit_m) == (556.0, 40.0)
-    summary = {"alert_limit_m": suite.config["alert_limit_m"]}
-    assert attacks_head(summary)[-1] == "P(> 556 m) [%]"
+    assert suite.config["alert_limit_m"] in suite.alert_limits_m
 
 
 @pytest.mark.parametrize("key", ["T1", "T2", "T3", "T5", "T6"])
@@ -87,31 +85,25 @@ def test_scores_are_normalised_between_ramp_and_profile():
         normalised(15.0, 20.0, 20.0)
 
 
-def cell(spoofer, value, excess):
-    known = {"value": excess} if excess is not None else None
+def cell(spoofer, value, kind):
     return {
         "detector": "snapshot-chi2",
         "spoofer": spoofer,
         "runs": 10,
-        "undetected_displacement_m": {"value": value},
-        "alarm_excess": known,
+        "spoofer_settings": {"name": kind},
+        "stealthy_displacement_m": {"value": value},
+        "alarm_rate": {"value": 0.01},
     }
 
 
 def test_scores_of_a_report():
-    values = {"none": 0.0, "ramp": 10.0, "best": 20.0, "mine": 16.0}
+    values = {"none": 0.0, "ramp": 10.0, "slow": 8.0, "best": 20.0, "mine": 16.0}
+    kinds = {"slow": "accelerating-ramp", "best": "profile", "mine": "onnx-policy"}
     report = {
-        "cells": [cell(name, value, 0.01) for name, value in values.items()],
-        "rivals": [
-            {
-                "detector": "snapshot-chi2",
-                "best_ramp": {"spoofer": "ramp"},
-                "best_profile": {"spoofer": "best"},
-            }
-        ],
+        "cells": [cell(name, x, kinds.get(name, name)) for name, x in values.items()],
     }
     found = task_scores("T1", report, "mine")
-    assert found["undetected_displacement_m"] == {
+    assert found["stealthy_displacement_m"] == {
         "none": 0.0,
         "ramp": 10.0,
         "profile": 20.0,

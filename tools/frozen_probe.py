@@ -39,7 +39,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "oracle": {"knowledge": "oracle", "detector": {"name": "ewma", "false_alarm": 0.05}},
     "worst": {"target_heading_deg": "worst", "twin": True},
     "interval": {"decision_interval_s": 1.0, "between": "linear"},
-    "tracking-1m": {"attack": "tracking-1m", "receiver": "matched", "scenario": "realistic"},
+    "tracking-1m": {"attack": "tracking-1m", "receiver": "matched", "scenario": "groves"},
     "meaconer": {"attack": "meaconer", "detector": {"name": "cusum"}},
 }
 """Settings of the main id that change what is simulated, in short episodes."""
@@ -386,6 +386,7 @@ SPEEDS = {
     "episodes 256, 2 threads": Speed("episodes", 256, threads=2, steps=302),
 }
 SPEED_SETTINGS: dict[str, Any] = {
+    "action": "full-command",  # the same work whatever the default is
     "scenario": {"name": "zhong2025", "epoch_interval_s": 1.0},
     "detector": "ewma",
     "end_at_alarm": False,
@@ -441,10 +442,10 @@ class Stopwatch:
 
 def _engine(env: Any, receivers: int) -> tuple[Any, Any]:
     """Engine of an environment of any tree, and a command that moves nothing."""
-    command = np.zeros((receivers, len(env.action_names)))
     if hasattr(env, "game"):  # as it was before the house was rebuilt
+        command = np.zeros((receivers, len(env.action_names)))
         return env.game.engine, env.game.actor.command(command)
-    return env.core.engine, command
+    return env.core.engine, np.zeros((receivers, len(env.core.setup.action_names)))
 
 
 # --- requests --------------------------------------------------------------------------------

@@ -81,7 +81,8 @@ def play(args: FrontierArguments, console: Console) -> dict[str, Any]:
             card = Card.load(best.with_suffix(".json"))
         rivals = json.loads((run.out / CONFIG).read_text(encoding="utf-8"))["rivals"]
         score = card.scores[1]
-        alarms = wilson(round(score.alarm_rate * score.runs), score.runs)
+        counted = score.counted or score.runs
+        alarms = wilson(round(score.alarm_rate * counted), counted)
         points.append(
             {
                 "penalty": price,
@@ -116,7 +117,7 @@ def ramps_of(rivals: list[dict[str, Any]]) -> list[dict[str, Any]]:
             "spoofer": table["spoofer"],
             table["setting"]: trial["value"],
             "runs": trial["runs"],
-            "undetected_displacement_m": trial["undetected_displacement_m"],
+            "undetected_displacement_m": trial["stealthy_displacement_m"],
             "alarm_rate": trial["alarm_rate"],
         }
         for table in rivals

@@ -22,9 +22,9 @@ goes on from the last checkpoint.
 Deviations from plain PPO of stable-baselines3, and why:
 
 1. gamma is 1: the return is what is scored, and an episode has an end.
-2. The policy has one action, the push along the heading in which displacement is rewarded; ramps
-   and profiles push along it, too.  With one for each axis it drifted across, where nothing pulls
-   it back but alarms.
+2. The policy has one action, the acceleration along the heading in which displacement is rewarded,
+   not the environments' wanted rate; ramps and profiles push along it, too.  With one for each
+   axis it drifted across, where nothing pulls it back but alarms.
 3. It begins as the tuned ramp of its kind: the bias of its last layer is that ramp's command.  From
    nothing it may as well begin to push the other way, where nothing is rewarded.  With `--imitate`
    it begins as an optimised profile: alarms by chance drown what PPO would have to learn of a shape
@@ -79,26 +79,18 @@ from agents.record import TrainingRecord
 from spoofgym._describe import unlike
 from spoofgym._files import remove_stale_parts, write_file
 from spoofgym._registry import check_choice
-from spoofgym.attacks import Attack
-from spoofgym.bench.budget import (
-    BUDGET,
-    MARGIN,
-    Excess,
-    excess_of,
-    largest_within,
-    reach,
-)
+from spoofgym.bench.budget import BUDGET, aim, largest_within
 from spoofgym.bench.campaign import Silent, training_start
 from spoofgym.bench.entries import detector_entry
-from spoofgym.bench.metrics import bootstrap_mean, resamples
+from spoofgym.bench.metrics import bootstrap_mean, resamples_of
 from spoofgym.bench.run import WarmStart, displacement_of, play
+from spoofgym.bench.scores import Stealth, counted, stealth_of
 from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.suite import Suite, Tuning, versions
 from spoofgym.bench.tune import Trial, TuningResult, tune
 from spoofgym.detectors import DETECTORS
 from spoofgym.envs import Observer, Setup, default_terms
 from spoofgym.envs.spoofer_binding import spoofer_context
-from spoofgym.envs.terms.observation import OwnCommand
 from spoofgym.envs.terms.reward import (
     AlarmPenalty,
     DisplacementGain,
@@ -164,9 +156,7 @@ class Arguments:
     width: int = 64
     """Units of each of the two hidden layers."""
     budget: float = BUDGET
-    """How much more often than without attack an alarm may come, as a part of the runs."""
-    margin: float = MARGIN
-    """Distance that the choice keeps from the budget, in standard errors."""
+    """Largest P(alarm | silent without attack), which its upper 95 % limit keeps."""
     penalty: float = 10.0
     """Price of an alarm at first, in displacements of the best ramp."""
     penalty_limit: float = 3.0
@@ -219,7 +209,6 @@ class Arguments:
             ("gamma", 0.0, 1.0),
             ("learning_rate", 0.0, math.inf),
             ("log_std_init", -20.0, 2.0),
-            ("margin", 0.0, math.inf),
             ("penalty", 0.0, math.inf),
             ("penalty_gain", 0.0, math.inf),
             ("penalty_limit", 0.0, math.inf),
@@ -268,9 +257,11 @@ class Arguments:
         if self.task:
             task = task_of(self.task)
             whom = {"detector": task.detector, "knowledge": self.knowledge, **pool}
-            return {"target_heading_deg": self.heading_deg, **task.world_kwargs, **whom}
+            given = {"target_heading_deg": self.heading_deg, "action": "full-command"}
+            return {**given, **task.world_kwargs, **whom}
         return {
             **pool,
+            "action": "full-command",
             "scenario": parse_spec(self.scenario),
             "detector": detector_entry(parse_spec(self.detector)).spec,
             "attack": parse_spec(self.attack),
@@ -286,7 +277,7 @@ class Arguments:
     @property
     def suite(self) -> Suite:
         """Campaign of the same preset, for its runs and for tuning the ramps."""
-        own = ("detector", "knowledge", "warm_pool")
+        own = ("detector", "knowledge", "warm_pool", "action")
         world = {k: v for k, v in self.env_kwargs.items() if k not in own}
         return Suite(
             **world,
@@ -304,7 +295,6 @@ class Arguments:
                 runs=self.tuning_runs,
                 sift_runs=max(self.tuning_runs // 16, 1),
                 budget=self.budget,
-                margin=self.margin,
             ),
         )
 
@@ -341,18 +331,23 @@ class Evaluation:
     """(R,) undetected displacement."""
     alarm: np.ndarray
     """(R,) bool."""
-    clean_alarm: np.ndarray
-    """(R,) bool, of the same runs without attack."""
+    counts: np.ndarray
+    """(R,) bool, which runs count: silent before the onset and without attack."""
+
+    @property
+    def stealth(self) -> Stealth:
+        """Score over the runs that count."""
+        return stealth_of(self.displacement_m, self.alarm, self.counts)
 
     @property
     def mean_m(self) -> float:
-        """Mean undetected displacement over all runs."""
-        return float(self.displacement_m.mean())
+        """Stealthy displacement; 0 where no run counts."""
+        return self.stealth.displacement_m if self.counts.any() else 0.0
 
     @property
-    def excess(self) -> Excess:
-        """How much more often than without attack it alarmed."""
-        return excess_of(self.alarm, self.clean_alarm)
+    def alarm_rate(self) -> float:
+        """P(alarm | silent twin); 1 where no run counts."""
+        return self.stealth.alarm_rate if self.counts.any() else 1.0
 
 
 class Judge:
@@ -370,31 +365,41 @@ class Judge:
     @property
     def clean_alarm(self) -> np.ndarray:
         """(R,) bool, alarms without attack."""
-        return self.clean.alarm.any(axis=0)
+        return self.clean.first_alarm > 0
+
+    @property
+    def counts(self) -> np.ndarray:
+        """(R,) bool, which runs count."""
+        return counted(self.start.warmup_alarm, self.clean_alarm)
 
     def evaluate(self, policy: Path) -> Evaluation:
         """Let an ONNX file play all runs."""
         attacked = play(self.start, OnnxPolicy(str(policy)), drop_alarmed=True)
         return Evaluation(
             displacement_of(self.setup, attacked, self.clean),
-            attacked.alarm.any(axis=0),
-            self.clean_alarm,
+            attacked.first_alarm > 0,
+            self.counts,
         )
 
     def score(self, found: Evaluation, budget: float) -> dict[str, Any]:
         """Entry of the card."""
-        samples = resamples(len(found.alarm), np.random.default_rng(0))
-        mean = bootstrap_mean(found.displacement_m, samples)
+        counts = int(found.counts.sum())
+        if not counts:
+            raise ValueError(
+                f"none of the {len(found.counts)} runs is silent without attack: there is no score"
+            )
+        mean = bootstrap_mean(found.displacement_m[found.counts], resamples_of(counts))
         return {
             "detector": self.label,
             "split": self.split,
             "entropy": self.entropy,
             "runs": len(found.alarm),
+            "counted": counts,
             "undetected_displacement_m": round(mean.value, 4),
             "low": round(mean.low, 4),
             "high": round(mean.high, 4),
-            "alarm_rate": round(float(found.alarm.mean()), 6),
-            "clean_alarm_rate": round(float(found.clean_alarm.mean()), 6),
+            "alarm_rate": round(found.alarm_rate, 6),
+            "clean_alarm_rate": round(float(self.clean_alarm.mean()), 6),
             "budget": budget,
         }
 
@@ -415,7 +420,7 @@ def tuned_ramps(args: Arguments, console: Console) -> list[dict[str, Any]]:
 def best_ramp(tables: list[dict[str, Any]]) -> Trial:
     """What the ramp that gets farthest did on its tuning runs."""
     chosen = [TuningResult.from_dict(table).chosen for table in tables]
-    return max(chosen, key=lambda trial: trial.undetected_displacement_m)
+    return max(chosen, key=lambda trial: trial.stealthy_displacement_m)
 
 
 def rewards(args: Arguments, scale_m: float, factor: float) -> tuple[RewardTerm, ...]:
@@ -448,14 +453,14 @@ class Scales:
         return cls(
             values[own] / attack.unit_scale,
             min(fastest, attack.rate_limit_mps),
-            best_ramp(tables).undetected_displacement_m,
+            best_ramp(tables).stealthy_displacement_m,
         )
 
-    def factors(self, observer: Observer, attack: Attack) -> list[float]:
+    def factors(self, observer: Observer, setup: Setup) -> list[float]:
         """Factors on observations, by which the own command is of the order of 1."""
         of_kind = {
-            "own_rate": attack.rate_limit_mps / self.rate_mps,
-            "own_displacement": OwnCommand().scale_m / self.displacement_m,
+            "own_rate": setup.rate_scale_mps / self.rate_mps,
+            "own_displacement": setup.scales["length_m"] / self.displacement_m,
         }
         kinds = [name.rsplit("_", 1)[0] for name in observer.names]
         return [of_kind.get(kind, 1.0) for kind in kinds]
@@ -483,7 +488,7 @@ def make_model(args: Arguments, env: AlongHeading, scales: Scales = Scales()) ->
         gae_lambda=args.gae_lambda,
         clip_range=args.clip_range,
         policy_kwargs=shape.policy_kwargs()
-        | {"seen": len(observer.names), "scale": scales.factors(core.observer, core.setup.attack)},
+        | {"seen": len(observer.names), "scale": scales.factors(core.observer, core.setup)},
         seed=args.seed,
         device="cpu",
     )
@@ -519,12 +524,12 @@ class Run(BaseCallback):
         self.name = args.out.name
         self.judge = Judge(args, "training", args.evaluation_runs, args.seed)
         ramp = best_ramp(rivals)
-        self.scale_m = max(ramp.undetected_displacement_m, 1e-3)
+        self.scale_m = max(ramp.stealthy_displacement_m, 1e-3)
         self.factor = 1.0
-        self.clean_rate = float(self.judge.clean_alarm.mean())
-        self.aim = self.alarm_rate = self.clean_rate + reach(
-            args.budget, args.margin, ramp.excess_error
-        )
+        # training sees alarms by chance, too, which a run without attack would have
+        chance = float(self.judge.clean_alarm.mean())
+        own = aim(int(self.judge.counts.sum()), args.budget)
+        self.aim = self.alarm_rate = chance + (1.0 - chance) * own
         self.best_m, self.best_step = -math.inf, -1
         self.rollout, self.next_step, self.evaluated = 0, 0, -1
         self.latest: dict[str, float] = {}
@@ -620,13 +625,13 @@ class Run(BaseCallback):
 
     def _keeps(self, found: Evaluation) -> bool:
         priced = self.args.choose == "price"
-        return priced or found.excess.keeps(self.args.budget, self.args.margin)
+        return priced or found.stealth.keeps(self.args.budget)
 
     def _worth_m(self, found: Evaluation) -> float:
         """What a policy is chosen by: how far it gets, or that less the price of its alarms."""
         if self.args.choose == "budget":
             return found.mean_m
-        return found.mean_m - self.args.penalty * self.scale_m * float(found.alarm.mean())
+        return found.mean_m - self.args.penalty * self.scale_m * found.alarm_rate
 
     def _played(self) -> list[tuple[float, Evaluation]]:
         """The policy with some amplitudes around what the budget allows, the first one first."""
@@ -651,16 +656,15 @@ class Run(BaseCallback):
             **self.latest,
             "amplitude": amplitude,
             "eval_undetected_m": found.mean_m,
-            "eval_alarm_rate": float(found.alarm.mean()),
-            "eval_excess": found.excess.value,
+            "eval_alarm_rate": found.alarm_rate,
             "within_budget": within,
         }
         self.record.append(self.num_timesteps, round(self.wall_s, 2), **values)
-        for key in ("eval_undetected_m", "eval_excess", "amplitude"):
+        for key in ("eval_undetected_m", "eval_alarm_rate", "amplitude"):
             self.logger.record(f"spoofer/{key}", values[key])
         self.bar.console.print(
             f"{self.num_timesteps:>9,d} steps {self.wall_s:5.0f} s   "
-            f"undetected {found.mean_m:7.2f} m   alarms {100 * found.excess.value:+5.1f} %   "
+            f"undetected {found.mean_m:7.2f} m   alarms {100 * found.alarm_rate:5.1f} %   "
             f"amplitude {amplitude:4.2f}{'' if within else '  over budget'}"
             f"{'  best' if self.best_step == self.num_timesteps else ''}",
             soft_wrap=True,
@@ -855,7 +859,7 @@ def begin(
 ) -> dict[str, Any]:
     """Tune the ramps, unless they are, and write the configuration of a new run."""
     rivals = tuned_ramps(args, console) if rivals is None else rivals
-    reached = best_ramp(rivals).undetected_displacement_m
+    reached = best_ramp(rivals).stealthy_displacement_m
     if reached < LEAST_M:
         raise SystemExit(
             f"the ramps displace the victim by no more than {reached:.2g} m: no scale for a reward "

@@ -1,7 +1,7 @@
 """Reproduce the tables of the five papers: ``python -m baselines.papers KEY``.
 
 Every part of the work runs in a process of its own and is stored when it is done; the same command
-goes on where it was interrupted.  A value outside its band is a finding, not an error.
+goes on where it was interrupted.  A value that is not met is a finding, not an error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from spoofgym.cli import INTERRUPTED, clear_errors
 
 from .frame import Settings
 from .paper import ALL, KEYS, load_paper
-from .run import PaperRun, Reproduction, Tick, run_papers
+from .run import PaperRun, Tick, run_papers
 from .tables import print_tables
 
 app = typer.Typer(
@@ -48,7 +48,7 @@ def main(
         "results/papers"
     ),
 ) -> None:
-    """Reproduce a paper: its tables with our values, bands, and notes."""
+    """Reproduce a paper: its tables with our values, bands, and where these come from."""
     settings = Settings(quick=quick, seed=seed)
     if key != ALL:
         load_paper(key)
@@ -73,21 +73,11 @@ def main(
         typer.echo(json.dumps(records if key == ALL else records[0], indent=1, allow_nan=False))
     else:
         for each, record in zip(found, records, strict=True):
-            print_tables(each.paper.TITLE, record["rows"])
+            print_tables(each.paper.TITLE, record)
     if figures is not None:
         for each in found:
-            _draw(each, figures)
-
-
-def _draw(reproduction: Reproduction, folder: Path) -> None:
-    """Draw the figures of a paper into a folder of its own."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    folder = folder / reproduction.key
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in reproduction.paper.figures(reproduction.data, folder):
-        typer.echo(f"drawn: {path}", err=True)
+            for path in each.draw(figures / each.key):
+                typer.echo(f"drawn: {path}", err=True)
 
 
 @contextmanager

@@ -2,15 +2,22 @@
 
 A module ``baselines.papers.<key>`` names its parts, each a function with its settings that runs in
 a process of its own.  From what all parts return it makes rows, one per published figure, with the
-paper's value, ours and the band in which ours should lie.
+paper's value, ours, and a band that says where it comes from.  What a row says of the two values,
+`Row.printed_inside` and `Row.agrees`, follows here and nowhere else.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
+
+from spoofgym._registry import check_choice
+
+Kind = Literal["tolerance", "independent", "bound"]
+KINDS: tuple[Kind, ...] = ("tolerance", "independent", "bound")
+"""What a band is made from, see `Origin`."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +60,59 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Origin:
+    """Where a band comes from, and so what it says when a value lies inside.
+
+    Attributes
+    ----------
+    kind : {"tolerance", "independent", "bound"}
+        How far a reproduction may be from the paper: a margin around the printed value, or the
+        spread of our runs; what a second, separately written program found; or a limit from
+        theory or of our own.
+    text : str
+        In full: whose runs, how many, which seeds, what varies between them, how wide and why.
+        White space is that of running text.
+    """
+
+    kind: Kind
+    text: str
+
+    def __post_init__(self) -> None:
+        check_choice("kind", self.kind, KINDS)
+        object.__setattr__(self, "text", " ".join(self.text.split()))
+        if not self.text:
+            raise ValueError(f"`text` of a band of kind {self.kind!r} must say where it comes from")
+
+
+@dataclass(frozen=True)
+class Band:
+    """Range of values, ends included.
+
+    Attributes
+    ----------
+    low, high : float or None
+        Its ends; None where it is open, on one side at most.
+    origin : Origin
+        Where it comes from.
+    """
+
+    low: float | None
+    high: float | None
+    origin: Origin
+
+    def __post_init__(self) -> None:
+        if self.low is None and self.high is None:
+            raise ValueError("a band must have `low` or `high`, got neither")
+
+    def holds(self, value: float | None) -> bool:
+        """Whether a value lies in the band; False where there is none."""
+        if value is None:
+            return False
+        above = self.low is None or self.low <= value
+        return above and (self.high is None or value <= self.high)
+
+
+@dataclass(frozen=True)
 class Row:
     """One figure of a paper beside ours.
 
@@ -63,13 +123,14 @@ class Row:
     row : str
         Row of the table, such as ``"EWMA, experiment 1"``.
     quantity : str
-        What is told, with its unit.
+        What is given, with its unit.
     paper, ours : float or None
-        Published and measured value; None where there is none.
-    low, high : float or None
-        Band in which ours should lie, ends included; None where there is none.
+        Published and measured value; None where there is none.  What the paper claims in words of
+        all or of none is a share of 1 or 0.
+    band : Band or None
+        What the values are held against; None where nothing can be said.
     note : str
-        Why the paper cannot be met, or where the band comes from.
+        Why there is no band, why the paper cannot be met, or what else a reader should know.
     """
 
     table: str
@@ -77,19 +138,59 @@ class Row:
     quantity: str
     paper: float | None
     ours: float | None
-    low: float | None
-    high: float | None
+    band: Band | None = None
     note: str = ""
 
     @property
-    def inside(self) -> bool | None:
-        """Whether ours lies in the band; None where there is no band."""
-        if self.low is None and self.high is None:
+    def printed_inside(self) -> bool | None:
+        """Whether the printed value and ours both lie in the band; None where one is missing.
+
+        A band that excludes the printed value is never met, wherever ours lies.
+        """
+        if self.paper is None or self.band is None:
             return None
-        if self.ours is None:
-            return False
-        above = self.low is None or self.low <= self.ours
-        return above and (self.high is None or self.ours <= self.high)
+        return self.band.holds(self.paper) and self.band.holds(self.ours)
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether ours lies in the band of an independent implementation; None without one."""
+        return self._inside("independent")
+
+    @property
+    def kept(self) -> bool | None:
+        """Whether ours keeps a limit from theory or of our own; None without one."""
+        return self._inside("bound")
+
+    def _inside(self, kind: Kind) -> bool | None:
+        if self.band is None or self.band.origin.kind != kind:
+            return None
+        return self.band.holds(self.ours)
+
+
+def fill_origins(rows: Iterable[Row], **values: Any) -> list[Row]:
+    """Rows whose origins of bands name the runs of this reproduction.
+
+    Parameters
+    ----------
+    rows : iterable of Row
+        With texts that have ``{name}`` where a value belongs.
+    **values : dict
+        By name, such as the seed and numbers of runs.
+
+    Returns
+    -------
+    list of Row
+        In their order.
+    """
+
+    def filled(row: Row) -> Row:
+        if row.band is None:
+            return row
+        origin = row.band.origin
+        said = replace(origin, text=origin.text.format(**values))
+        return replace(row, band=replace(row.band, origin=said))
+
+    return [filled(row) for row in rows]
 
 
 class Paper(Protocol):

@@ -1,26 +1,41 @@
 """Pages of the papers in docs: ``python -m baselines.papers.page``.
 
-A page is made of the texts of a paper's module and of the JSON file beside it, which is made of a
-stored full run: ``python -m baselines.papers all`` first.
+A page is made of the texts of a paper's module, and of the JSON file and the pictures with it,
+which are made from a stored full run: ``python -m baselines.papers all`` first.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from spoofgym._files import write_file
+from spoofgym._files import whole_file, write_file
 from spoofgym.cli import clear_errors
 
 from .frame import Paper, Settings
 from .paper import ALL, KEYS, load_paper
 from .run import PaperRun, Reproduction, versions
-from .tables import HEAD, by_table, cells, verdict
+from .tables import HEAD, by_table, cells, counts_text
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "papers"
+FIGURES = "figures"
+"""Folder of the pictures, within that of the pages."""
+LEGEND = """\
+Every band says where it comes from, by its letter. A *tolerance* is a margin around the printed
+value, or the spread of our own runs; an *independent* band is what a second program found, which
+was written separately from the same paper and is not part of this repository; a *bound* is a limit
+from theory or of our own.
+
+- *printed inside*: the printed value and ours both lie in the band. Where the band excludes the
+  printed value it is NO, wherever ours lies.
+- *agrees*: ours lies in the band of the independent implementation.
+- *kept*: ours lies within the bound.
+
+Under *paper*, 1 and 0 stand for what the paper claims of all or of none in words."""
 
 app = typer.Typer(
     add_completion=False,
@@ -53,7 +68,9 @@ def main(
             stored = json.loads(path.read_text(encoding="utf-8"))
         else:
             run = PaperRun(each, Settings(quick=False, seed=seed), out)
-            stored = page_record(run.result())
+            reproduction = run.result()
+            pictures = [small_picture(path) for path in reproduction.draw(docs / FIGURES)]
+            stored = page_record(reproduction, [path.name for path in pictures])
             content = json.dumps(stored, indent=1, allow_nan=False) + "\n"
             write_file(path, content.encode())
         page = path.with_suffix(".md")
@@ -61,24 +78,51 @@ def main(
         typer.echo(f"written: {page}")
 
 
-def page_record(reproduction: Reproduction) -> dict[str, Any]:
+def small_picture(path: Path, colours: int = 64) -> Path:
+    """Store a picture of lines with few colours, at a quarter of its size.
+
+    Parameters
+    ----------
+    path : Path
+        A PNG file, which is replaced.
+    colours : int
+        How many are kept.
+
+    Returns
+    -------
+    Path
+        The same.
+    """
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        few = picture.convert("RGB").quantize(colours, dither=Image.Dither.NONE)
+    with whole_file(path) as part:
+        few.save(part, format="PNG", optimize=True)
+    return path
+
+
+def page_record(reproduction: Reproduction, pictures: list[str]) -> dict[str, Any]:
     """What a page tells of a run.
 
     Parameters
     ----------
     reproduction : Reproduction
         A full one.
+    pictures : list of str
+        Names of the files in the folder of the figures.
 
     Returns
     -------
     dict
-        As `Reproduction.record`, with versions, parts and their processor time.
+        As `Reproduction.record`, with pictures, versions, parts and their processor time.
     """
     told = [each["versions"] for each in reproduction.told]
     names = sorted({name for each in told for name in each})
     found = {name: sorted({each[name] for each in told if name in each}) for name in names}
     return {
         **reproduction.record(),
+        "pictures": pictures,
         "versions": {name: ", ".join(found[name]) for name in versions()},
         "parts": len(reproduction.parts),
         "seconds": round(sum(each["seconds"] for each in reproduction.told)),
@@ -118,11 +162,20 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         "",
         paper.FOUND.strip(),
         "",
-        verdict(rows),
+        *(f"- {line}" for line in counts_text(rows)),
         "",
         "## Readings",
         "",
         paper.READINGS.strip(),
+        "",
+        "## Where the bands come from",
+        "",
+        LEGEND,
+        "",
+        *(
+            f"- **{letter}** ({origin['kind']}): {origin['text']}"
+            for letter, origin in stored["origins"].items()
+        ),
         "",
         "## Tables",
         "",
@@ -131,6 +184,9 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         lines += [f"### {_cell(name)}", "", _line(HEAD), _line(["---"] * len(HEAD))]
         lines += [_line(map(_cell, cells(row))) for row in members]
         lines.append("")
+    lines += ["## Figures", "", "Drawn from our runs; the numbers are those of the paper.", ""]
+    for name in stored["pictures"]:
+        lines += [f"![{picture_title(name)}]({FIGURES}/{name})", ""]
     lines += [
         "## How it was run",
         "",
@@ -142,6 +198,11 @@ def page_text(paper: Paper, stored: dict[str, Any]) -> str:
         f"{stored['seconds']} s of one core; {computed}.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def picture_title(name: str) -> str:
+    """Words for a picture, from the number in the name of its file."""
+    return f"Figure {int(re.findall(r'[0-9]+', name)[-1])}, drawn from our runs"
 
 
 def _line(texts: Any) -> str:

@@ -7,17 +7,19 @@ import inspect
 import json
 import math
 import numbers
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, cast
 
 from spoofgym._registry import check_choice
 
-from .frame import Paper, Part, Row, Settings
+from .frame import Band, Origin, Paper, Part, Row, Settings
 
 KEYS = ("ke2022", "shadmehri2025", "song2021", "wu2024", "zhong2025")
 ALL = "all"
 NAMES = ("TITLE", "CLAIMS", "FOUND", "READINGS", "parts", "rows", "figures")
-NUMBERS = ("paper", "ours", "low", "high")
+VERDICTS = ("printed_inside", "agrees", "kept")
+"""What a row says of its values."""
 
 
 def load_paper(key: str) -> Paper:
@@ -137,38 +139,80 @@ def check_rows(rows: Sequence[Row]) -> None:
         if key in seen:
             raise ValueError(f"{where}: stands there twice")
         seen.add(key)
-        for name in NUMBERS:
-            value = getattr(row, name)
+        for name, value in numbers_of(row).items():
             number = isinstance(value, numbers.Real) and not isinstance(value, bool)
             if value is not None and not (number and math.isfinite(value)):
                 raise ValueError(f"{where}: `{name}` must be a finite number or None, got {value}")
-        if row.low is not None and row.high is not None and row.low > row.high:
-            raise ValueError(f"{where}: its band is empty, from {row.low} to {row.high}")
+        band = row.band
+        if band is None:
+            continue
+        if band.low is not None and band.high is not None and band.low > band.high:
+            raise ValueError(f"{where}: its band is empty, from {band.low} to {band.high}")
 
 
-def row_record(row: Row) -> dict[str, Any]:
-    """Row as JSON.
+def numbers_of(row: Row) -> dict[str, float | None]:
+    """Numbers of a row by name: the two values, then the ends of the band."""
+    band = row.band
+    ends = {"low": band and band.low, "high": band and band.high}
+    return {"paper": row.paper, "ours": row.ours, **ends}
+
+
+def rows_record(rows: Sequence[Row]) -> dict[str, Any]:
+    """Rows as JSON, with every origin of a band once.
 
     Parameters
     ----------
-    row : Row
+    rows : sequence of Row
         Checked.
 
     Returns
     -------
     dict
-        Its fields, and whether ours lies inside the band.
+        ``origins``: kind and text by a letter; ``rows``: fields, ends of the band, the letter of
+        its origin, and the verdicts.
     """
-    told = {name: getattr(row, name) for name in NUMBERS}
-    values = {name: None if value is None else float(value) for name, value in told.items()}
+    letters = {row.band.origin: "" for row in rows if row.band is not None}
+    letters = {origin: letter_of(number) for number, origin in enumerate(letters)}
     return {
-        "table": row.table,
-        "row": row.row,
-        "quantity": row.quantity,
-        **values,
-        "inside": None if row.inside is None else bool(row.inside),
-        "note": row.note,
+        "origins": {letter: asdict(origin) for origin, letter in letters.items()},
+        "rows": [
+            {
+                "table": row.table,
+                "row": row.row,
+                "quantity": row.quantity,
+                **{
+                    name: None if value is None else float(value)
+                    for name, value in numbers_of(row).items()
+                },
+                "origin": None if row.band is None else letters[row.band.origin],
+                **{name: _plain_bool(getattr(row, name)) for name in VERDICTS},
+                "note": row.note,
+            }
+            for row in rows
+        ],
     }
+
+
+def rows_from_record(record: Mapping[str, Any]) -> list[Row]:
+    """Rows of `rows_record`, so that what a stored row says can be derived again."""
+    origins = {letter: Origin(**origin) for letter, origin in record["origins"].items()}
+    rows = []
+    for told in record["rows"]:
+        origin = told["origin"]
+        band = None if origin is None else Band(told["low"], told["high"], origins[origin])
+        values = (told[name] for name in ("table", "row", "quantity", "paper", "ours"))
+        rows.append(Row(*values, band, told["note"]))
+    return rows
+
+
+def letter_of(number: int) -> str:
+    """A to Z, then AA, AB and so on."""
+    first, last = divmod(number, 26)
+    return (letter_of(first - 1) if first else "") + chr(ord("A") + last)
+
+
+def _plain_bool(value: bool | None) -> bool | None:
+    return None if value is None else bool(value)
 
 
 def runs_of(parts: Sequence[Part], data: dict[str, dict[str, Any]]) -> int:

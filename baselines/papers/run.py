@@ -19,7 +19,7 @@ import scipy
 import spoofgym
 
 from .frame import Paper, Part, Row, Settings
-from .paper import load_paper, parts_of, row_record, rows_of, runs_of
+from .paper import load_paper, parts_of, rows_of, rows_record, runs_of
 from .sources import digest_of_modules
 from .store import Store
 from .work import end_with_parent, work
@@ -79,14 +79,33 @@ class Reproduction:
         Returns
         -------
         dict
-            ``paper``, ``runs``, ``seed`` and ``rows``.
+            ``paper``, ``runs``, ``seed``, and what `rows_record` gives.
         """
         return {
             "paper": self.key,
             "runs": runs_of(self.parts, self.data),
             "seed": self.settings.seed,
-            "rows": [row_record(row) for row in self.rows()],
+            **rows_record(self.rows()),
         }
+
+    def draw(self, folder: Path) -> list[Path]:
+        """The paper's figures, drawn from our runs.
+
+        Parameters
+        ----------
+        folder : Path
+            Where the pictures go; made where it is missing.
+
+        Returns
+        -------
+        list of Path
+            PNG files.
+        """
+        import matplotlib
+
+        matplotlib.use("Agg")
+        folder.mkdir(parents=True, exist_ok=True)
+        return self.paper.figures(self.data, folder)
 
 
 def versions() -> dict[str, str]:

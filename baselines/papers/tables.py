@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-HEAD = ("row", "quantity", "paper", "ours", "band", "inside", "note")
+HEAD = (
+    *("row", "quantity", "paper", "ours", "band", "from"),
+    *("printed inside", "agrees", "kept", "note"),
+)
+COUNTS = {
+    "printed_inside": "{yes} of {all} printed values lie inside the tolerance of the reproduction",
+    "agrees": "{yes} of {all} of our values agree with an independent implementation",
+    "kept": "{yes} of {all} keep a limit from theory or of our own",
+}
+"""What is counted, by the verdict of a row."""
 
 
 def number_text(value: float | None) -> str:
@@ -46,20 +55,20 @@ def band_text(low: float | None, high: float | None) -> str:
     return f"{number_text(low)} to {number_text(high)}"
 
 
-def inside_text(inside: bool | None) -> str:
-    """Whether a value lies in its band.
+def verdict_text(verdict: bool | None) -> str:
+    """A row's verdict.
 
     Parameters
     ----------
-    inside : bool or None
-        None where there is no band.
+    verdict : bool or None
+        None where there is none.
 
     Returns
     -------
     str
-        ``"yes"``, ``"no"`` or ``"-"``.
+        ``"yes"``, ``"NO"`` or ``"-"``.
     """
-    return {True: "yes", False: "NO", None: "-"}[inside]
+    return {True: "yes", False: "NO", None: "-"}[verdict]
 
 
 def cells(row: Mapping[str, Any]) -> list[str]:
@@ -81,7 +90,8 @@ def cells(row: Mapping[str, Any]) -> list[str]:
         number_text(row["paper"]),
         number_text(row["ours"]),
         band_text(row["low"], row["high"]),
-        inside_text(row["inside"]),
+        row["origin"] or "-",
+        *(verdict_text(row[name]) for name in COUNTS),
         row["note"],
     ]
 
@@ -105,8 +115,27 @@ def by_table(rows: Iterable[Mapping[str, Any]]) -> dict[str, list[Mapping[str, A
     return tables
 
 
-def verdict(rows: Sequence[Mapping[str, Any]]) -> str:
-    """How many values lie in their bands.
+def count(rows: Sequence[Mapping[str, Any]], verdict: str) -> tuple[int, int]:
+    """How many rows say yes, of how many that say anything.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        As JSON has them.
+    verdict : str
+        A key of `COUNTS`.
+
+    Returns
+    -------
+    yes, all : int
+        Numbers of rows.
+    """
+    told = [row[verdict] for row in rows if row[verdict] is not None]
+    return sum(told), len(told)
+
+
+def counts_text(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What the rows of a paper say in all; a row may be in more than one count.
 
     Parameters
     ----------
@@ -115,24 +144,27 @@ def verdict(rows: Sequence[Mapping[str, Any]]) -> str:
 
     Returns
     -------
-    str
-        A sentence.
+    list of str
+        A sentence for each count that has rows, and one for the rows without a band.
     """
-    banded = [row for row in rows if row["inside"] is not None]
-    inside = sum(row["inside"] for row in banded)
-    rest = len(rows) - len(banded)
-    return f"{inside} of {len(banded)} values lie in their bands; {rest} have none."
+    lines = []
+    for verdict, text in COUNTS.items():
+        yes, every = count(rows, verdict)
+        if every:
+            lines.append(f"{text.format(yes=yes, all=every)}.")
+    rest = sum(row["origin"] is None for row in rows)
+    return [*lines, f"{rest} of {len(rows)} rows have no band."]
 
 
-def print_tables(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
+def print_tables(title: str, record: Mapping[str, Any]) -> None:
     """Print a reproduction.
 
     Parameters
     ----------
     title : str
         Of the paper.
-    rows : sequence of mapping
-        As JSON has them.
+    record : mapping
+        As JSON has it.
     """
     from rich import box
     from rich.console import Console
@@ -142,7 +174,7 @@ def print_tables(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     console = Console()
     if not console.is_terminal:
         console = Console(width=180)
-    for name, members in by_table(rows).items():
+    for name, members in by_table(record["rows"]).items():
         # as Text, since rich takes a unit in brackets for a style
         heading = Text(f"{title}, {name}")
         table = Table(title=heading, title_justify="left", box=box.SIMPLE_HEAD)
@@ -150,7 +182,9 @@ def print_tables(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
             numeric = column in HEAD[2:5]
             table.add_column(Text(column), justify="right" if numeric else "left", overflow="fold")
         for row in members:
-            style = "bold red" if row["inside"] is False else ""
+            style = "bold red" if any(row[name] is False for name in COUNTS) else ""
             table.add_row(*map(Text, cells(row)), style=style)
         console.print(table)
-    console.print(Text(f"{title}: {verdict(rows)}"))
+    for letter, origin in record["origins"].items():
+        console.print(Text(f"Bands {letter} ({origin['kind']}): {origin['text']}"))
+    console.print(Text(f"{title}: {' '.join(counts_text(record['rows']))}"))

@@ -102,6 +102,8 @@ def advance(
     phase_psd,
     frequency_psd,
     bias,
+    C_en,
+    axes_turning,
     wander,
     clock,
     target_error,
@@ -111,9 +113,10 @@ def advance(
     """Error of the known position and clock of every spoofer at the coming epoch.
 
     `keys` (B, 2) of the attack's noise; `epochs` (B,) epoch that each receiver is at; `sd`, `beta`,
-    `delay`: of the tracking error [m], [1/s], [s]; `bias` (B, 3) constant error, ECEF [m]; `wander`
-    (B, 3, 2) wandering error and its rate, ECEF; advanced; `clock` (B, 2) offset [m] and drift
-    [m/s]; advanced; `target_error` (B, 6), written: position [m] and velocity [m/s], ECEF.
+    `delay`: of the tracking error [m], [1/s], [s]; `bias` (3,) constant error in the local axes
+    [m], which are `C_en`, `axes_turning` (K, 3, 3) at all epochs, with their rate of change;
+    `wander` (B, 3, 2) wandering error and its rate, ECEF; advanced; `clock` (B, 2) offset [m] and
+    drift [m/s]; advanced; `target_error` (B, 6), written: position [m] and velocity [m/s], ECEF.
     """
     noise = np.empty(MOVING)
     for b in range(lo, hi):
@@ -127,8 +130,12 @@ def advance(
             error[:] = 0.0
         for i in range(3):
             wander_step(wander[b, i], sd, beta, tau, noise[2 * i], noise[2 * i + 1])
-            error[i] += bias[b, i] + wander[b, i, 0]
-            error[3 + i] += wander[b, i, 1]
+            constant, turning = 0.0, 0.0
+            for j in range(3):
+                constant += C_en[k, i, j] * bias[j]
+                turning += axes_turning[k, i, j] * bias[j]
+            error[i] += constant + wander[b, i, 0]
+            error[3 + i] += turning + wander[b, i, 1]
         clock[b, 0], clock[b, 1] = advance_clock(
             clock[b, 0], clock[b, 1], tau, phase_psd, frequency_psd, noise[6], noise[7]
         )
@@ -147,11 +154,12 @@ def transmit(
     alignment,
     clock,
     replaced,
-    code_sd,
-    rate_sd,
+    sds,
+    blend,
     bias,
     size,
     captured,
+    capture_time,
     authentic,
     d_range,
     d_rate,
@@ -162,9 +170,11 @@ def transmit(
 
     `keys`, `onsets`, `epochs` (B, 2) of the attack's noise, (B,) epochs of the onset, (B,) of the
     receivers; `chosen` (n,) bool, channels that are counterfeited; `clock` (B, 2) of the spoofer;
-    `bias` (B, n) their constants [m]; `captured` (B, n) bool, which channels follow the counterfeit
-    signal; advanced; `authentic` (B, 2n), written: part of the authentic errors that stays;
-    `d_range`, `d_rate` (B, n), overwritten.
+    `sds` (2,) of noise of pseudoranges and range rates, below 0 for the receiver's own; `blend`:
+    time in which the authentic errors fade [s]; `bias` (B, n) their constants [m]; `captured`,
+    `capture_time` (B, n) bool, which channels follow the counterfeit signal, and since when [s];
+    advanced; `authentic` (B, 2n), written: part of the authentic errors that stays, -1 where the
+    receiver's own noise goes, too; `d_range`, `d_rate` (B, n), overwritten.
     """
     noise = np.zeros(size)
     n = chosen.shape[0]
@@ -177,11 +187,18 @@ def transmit(
             present = chosen[s] and satellites[k, s, 6] > 0.0
             offset = d_range[b, s] + clock[b, 0]
             if due and present and abs(offset) <= alignment:
+                if not captured[b, s]:
+                    capture_time[b, s] = epoch_time[k]
                 captured[b, s] = True
             taken = present and captured[b, s]
-            stays = 0.0 if taken and replaced else 1.0
-            authentic[b, s] = stays
-            authentic[b, n + s] = stays if coherent else 1.0
+            stays = 1.0
+            if taken and replaced:
+                age = epoch_time[k] - capture_time[b, s]
+                stays = 1.0 - age / blend if age < blend else 0.0
+            authentic[b, s] = -1.0 if taken and replaced and sds[0] >= 0.0 else stays
+            authentic[b, n + s] = 1.0
+            if coherent:
+                authentic[b, n + s] = -1.0 if taken and replaced and sds[1] >= 0.0 else stays
             if not taken:
                 d_range[b, s] = 0.0
                 d_rate[b, s] = 0.0
@@ -190,6 +207,6 @@ def transmit(
             if coherent:
                 d_rate[b, s] += clock[b, 1]
             if replaced:
-                d_range[b, s] += bias[b, s] + code_sd * noise[s]
+                d_range[b, s] += (1.0 - stays) * bias[b, s] + max(sds[0], 0.0) * noise[s]
                 if coherent:
-                    d_rate[b, s] += rate_sd * noise[n + s]
+                    d_rate[b, s] += max(sds[1], 0.0) * noise[n + s]

@@ -100,7 +100,7 @@ def false_position(
     rate_limit,
     displacement,
     rate,
-    to_ecef,
+    axes_e,
     target_error,
     coherent,
     epochs,
@@ -116,10 +116,10 @@ def false_position(
 ):
     """Command a displaced antenna, and write the offsets that make captured ranges its ranges.
 
-    `to_ecef` (B, a, 3) commanded axes in ECEF axes; `target_error` (B, 6) what the spoofer's idea
-    of the true antenna is wrong by, ECEF [m], [m/s]; `epochs` (B,) epoch that each receiver is at;
-    the next one is measured; `captured` (n,) bool, which channels are the spoofer's; `d_range`,
-    `d_rate` (B, n), written: offsets [m], [m/s].
+    `axes_e` (K, a, 6) commanded axes at every epoch in ECEF axes, and their rates of change [1/s];
+    `target_error` (B, 6) what the spoofer's idea of the true antenna is wrong by, ECEF [m], [m/s];
+    `epochs` (B,) epoch that each receiver is at; the next one is measured; `captured` (n,) bool,
+    which channels are the spoofer's; `d_range`, `d_rate` (B, n), written: offsets [m], [m/s].
     """
     shift, work = np.empty(6), np.empty((8, LANES))
     for b in range(lo, hi):
@@ -131,8 +131,9 @@ def false_position(
         for i in range(3):
             shift[i], shift[3 + i] = target_error[b, i], target_error[b, 3 + i]
             for axis in range(displacement.shape[1]):
-                shift[i] += displacement[b, axis] * to_ecef[b, axis, i]
-                shift[3 + i] += rate[b, axis] * to_ecef[b, axis, i]
+                shift[i] += displacement[b, axis] * axes_e[k, axis, i]
+                shift[3 + i] += rate[b, axis] * axes_e[k, axis, i]
+                shift[3 + i] += displacement[b, axis] * axes_e[k, axis, 3 + i]
         for s in range(captured.shape[0]):
             d_range[b, s] = 0.0
             d_rate[b, s] = 0.0
@@ -260,6 +261,7 @@ def meaconer(
     displacement,
     rate,
     antenna,
+    antenna_rate,
     follows,
     coherent,
     onsets,
@@ -276,8 +278,9 @@ def meaconer(
 ):
     """Command the delay of a replay, and write the offsets of the meaconer's antenna and its delay.
 
-    `antenna` (B, 3) from the target's to the meaconer's antenna at the onset, ECEF [m]; `onsets`,
-    `epochs` (B,) epoch of the onset, and epoch that each receiver is at; the next one is measured;
+    `antenna`, `antenna_rate` (B, 3) from the target's to the meaconer's antenna, ECEF [m], and its
+    rate [m/s], where it follows; where it was at the onset, and 0, where not; `onsets`, `epochs`
+    (B,) epoch of the onset, and epoch that each receiver is at; the next one is measured;
     `captured` (n,) bool, which channels are the spoofer's; `d_range`, `d_rate` (B, n), written:
     offsets [m], [m/s].
     """
@@ -290,7 +293,7 @@ def meaconer(
         )
         square, closing = 0.0, 0.0
         for i in range(3):
-            shift[i] = antenna[b, i]
+            shift[i], shift[3 + i] = antenna[b, i], antenna_rate[b, i]
             if not follows:
                 shift[i] += position_e[onsets[b], i] - position_e[k, i]
                 shift[3 + i] = -velocity_e[k, i]

@@ -16,11 +16,15 @@ from .._memory import Memory
 from .._registry import build_record, check_choice
 from ..sim.world import World
 from .equipment import Equipment
-from .options import Capture, CounterfeitErrors, SpooferClock, TrackingError
+from .options import QUIET, REPLACED, Capture, CounterfeitErrors, SpooferClock, TrackingError
 
 FloatArray = NDArray[np.float64]
 CONTROLS = ("rate", "acceleration")
-ERRORS = ("inherited", "replaced")
+ERRORS: dict[str, CounterfeitErrors | None] = {
+    "inherited": None,
+    "replaced": REPLACED,
+    "quiet": QUIET,
+}
 
 
 class AttackContext(NamedTuple):
@@ -70,9 +74,11 @@ class Attack(ABC):
     channels : "all", str or tuple of str
         Which satellites are counterfeited: ids, or patterns such as ``"E*"`` for a whole
         constellation.
-    errors : {"inherited", "replaced"}, mapping or CounterfeitErrors
-        ``"inherited"``: the authentic errors stay in the counterfeit measurements; else settings of
-        what takes their place at the capture, ``"replaced"`` for the default ones.
+    errors : {"inherited", "replaced", "quiet"}, mapping or CounterfeitErrors
+        ``"inherited"``: the authentic errors stay in the counterfeit measurements, which is
+        idealised; ``"replaced"``: at the capture the noise of the receiver alone takes their place;
+        ``"quiet"``: the same, blended in over 30 s, which a test for too large innovations never
+        sees; else settings of what takes their place.
     tracking : mapping or TrackingError, optional
         How badly the spoofer knows the target's position; perfectly by default.
     spoofer_clock : mapping or SpooferClock, optional
@@ -128,8 +134,7 @@ class Attack(ABC):
         """Make records of the options."""
         if isinstance(self.errors, str):
             check_choice("`errors`", self.errors, ERRORS)
-            if self.errors == "replaced":
-                self.errors = CounterfeitErrors()
+            self.errors = ERRORS[self.errors] or "inherited"
         else:
             self.errors = _record("errors", CounterfeitErrors, self.errors)
         for name, kind in (
@@ -152,7 +157,8 @@ class Attack(ABC):
         name = self.threat or self.kind + ("" if self.channels == "all" else "-partial")
         if not self.threat:
             options = {
-                "replaced": self.errors != "inherited",
+                "quiet": self.errors == QUIET,
+                "replaced": self.errors not in ("inherited", QUIET),
                 "tracking": self.tracking is not None,
                 "clock": self.spoofer_clock is not None,
                 "capture": self.capture is not None,

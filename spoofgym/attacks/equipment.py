@@ -15,6 +15,8 @@ from . import _equipment_kernels as kernels
 from .options import Capture, CounterfeitErrors, SpooferClock, TrackingError
 
 FloatArray = NDArray[np.float64]
+_OWN = -1.0
+"""As a standard deviation: noise of the receiver itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +25,7 @@ class Equipment:
 
     The memory holds ``target_error`` (B, 6), what the spoofer's idea of the target's position and
     velocity is wrong by, in ECEF axes; ``captured`` (B, n) bool; ``authentic`` (B, 2n), the part
-    of the authentic errors that stays, pseudoranges first; and what these are made of.
+    of the authentic errors that stays, as in `SensorBuffers`; and what these are made of.
 
     - `errors`: None where the authentic errors stay;
     - `tracking`: None for a spoofer that knows;
@@ -48,10 +50,10 @@ class Equipment:
         if self.perfect:
             return
         memory.declare("wander", np.zeros((b, 3, 2)))
-        memory.declare("target_bias", np.zeros((b, 3)))
         memory.declare("spoofer_clock", np.zeros((b, 2)))
         memory.declare("counterfeit_bias", np.zeros((b, channels)))
         memory.declare("captured", np.zeros((b, channels), dtype=np.bool_))
+        memory.declare("capture_time", np.zeros((b, channels)))
         memory.declare("authentic", np.ones((b, 2 * channels)))
 
     def begin(
@@ -73,8 +75,6 @@ class Equipment:
         kernels.first_deviates(keys, onsets, padded(drawn.shape[1]), drawn)
         for axis in range(3):
             memory["wander"][rows, axis] = drawn[:, 2 * axis : 2 * axis + 2] * sds
-        bias = (world.C_en[onsets] * np.array(tracking.bias_m)).sum(axis=2)
-        memory["target_bias"][rows] = bias
         mean, sd = (clock.offset_m, clock.drift_mps), (clock.offset_sd_m, clock.drift_sd_mps)
         memory["spoofer_clock"][rows] = np.array(mean) + drawn[:, 6:8] * sd
         memory["counterfeit_bias"][rows] = errors.bias_sd_m * drawn[:, 8:]
@@ -101,7 +101,9 @@ class Equipment:
             tracking.delay_s,
             clock.phase_psd,
             clock.frequency_psd,
-            memory["target_bias"],
+            np.array(tracking.bias_m),
+            world.C_en,
+            world.axes_turning,
             memory["wander"],
             memory["spoofer_clock"],
             memory["target_error"],
@@ -130,6 +132,7 @@ class Equipment:
             return
         capture = self.capture if self.capture is not None else Capture(alignment_m=None)
         errors = self.errors if self.errors is not None else CounterfeitErrors()
+        sds = errors.code_sd_m, errors.range_rate_sd_mps
         kernels.transmit(
             memory["key"],
             memory["onset"],
@@ -142,11 +145,12 @@ class Equipment:
             math.inf if capture.alignment_m is None else capture.alignment_m,
             memory["spoofer_clock"],
             self.errors is not None,
-            errors.code_sd_m,
-            errors.range_rate_sd_mps,
+            np.array([_OWN if sd is None else sd for sd in sds]),
+            errors.blend_s,
             memory["counterfeit_bias"],
             padded(2 * world.channels),
             memory["captured"],
+            memory["capture_time"],
             memory["authentic"],
             d_range,
             d_rate,

@@ -22,8 +22,11 @@ class FalsePosition(Attack):
         \Delta\dot\rho_j = \dot\rho_j(r + D, v + \dot D) - \dot\rho_j(r, v)
 
     The true position is what the spoofer takes for it: with `tracking`, its error is added to D.
-    The displacement D is commanded in the north-east-down axes at the true position when the attack
-    begins; the limits apply to the size of the vector.
+    The displacement D is commanded in the north-east-down axes at the true position of the epoch,
+    which move with the target: a displacement to the east that is held keeps its height, however
+    far the target flies.  The velocity of the counterfeit has the turning of the axes in it, so
+    that range rates remain the derivatives of the ranges.  The limits apply to the size of the
+    vector.
 
     Parameters
     ----------
@@ -58,16 +61,10 @@ class FalsePosition(Attack):
     def bind(self, context: AttackContext) -> None:
         """Prepare for a batch of receivers."""
         super().bind(context)
-        self._columns = ["ned".index(letter) for letter in self.axes]
-        self.memory.declare("to_ecef", np.zeros((context.receivers, len(self.axes), 3)))
-
-    def begin(
-        self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
-    ) -> None:
-        """Take the axes at the true position when the attack begins."""
-        super().begin(rows, keys, onsets)
-        axes = self.world.C_en[onsets][:, :, self._columns]
-        self.memory["to_ecef"][rows] = axes.transpose(0, 2, 1)
+        columns = ["ned".index(letter) for letter in self.axes]
+        axes = context.world.C_en, context.world.axes_turning
+        self.axes_e = np.concatenate([each[:, :, columns] for each in axes], axis=1)
+        self.axes_e = np.ascontiguousarray(self.axes_e.transpose(0, 2, 1))
 
     def command(
         self,
@@ -93,7 +90,7 @@ class FalsePosition(Attack):
             self.rate_limit_mps,
             self.memory["displacement"],
             self.memory["rate"],
-            self.memory["to_ecef"],
+            self.axes_e,
             self.memory["target_error"],
             self.coherent,
             epochs,

@@ -36,7 +36,8 @@ class Meaconer(Attack):
     antenna_m : tuple of float
         (3,) north, east, down from the target's to the meaconer's antenna at the onset.
     follows : bool
-        Whether the antenna stays at the target's side; if not, it stays where it was on the Earth.
+        Whether the antenna stays there, in the axes at the target's true position; if not, it stays
+        where it was on the Earth.
     """
 
     one_sided: ClassVar[bool] = True
@@ -70,6 +71,7 @@ class Meaconer(Attack):
         """Prepare for a batch of receivers."""
         super().bind(context)
         self.memory.declare("antenna", np.zeros((context.receivers, 3)))
+        self.memory.declare("antenna_rate", np.zeros((context.receivers, 3)))
 
     def begin(
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
@@ -95,6 +97,12 @@ class Meaconer(Attack):
         """
         world, memory = self.world, self.memory
         self._prepare(epochs, lo, hi)
+        if self.follows:
+            coming = epochs[lo:hi] + 1
+            memory["antenna"][lo:hi] = (world.C_en[coming] * self.antenna_m).sum(axis=2)
+            memory["antenna_rate"][lo:hi] = (world.axes_turning[coming] * self.antenna_m).sum(
+                axis=2
+            )
         meaconer(
             self.idle if action is None else action,
             action is None,
@@ -104,6 +112,7 @@ class Meaconer(Attack):
             memory["displacement"],
             memory["rate"],
             memory["antenna"],
+            memory["antenna_rate"],
             self.follows,
             self.coherent,
             memory["onset"],

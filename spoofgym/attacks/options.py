@@ -21,26 +21,43 @@ def _check_not_negative(record: object, *skip: str) -> None:
 class CounterfeitErrors:
     """Errors of the counterfeit signals, in place of the authentic ones.
 
-    A counterfeit signal passes neither the ionosphere nor the satellite's orbit error, so that at
-    the capture the satellite biases and the correlated errors of the authentic signals go, which is
-    a step of their size.  What comes is noise of the receiver at the counterfeit signal, and what
-    the spoofer does not know of each satellite.
+    A counterfeit signal passes neither the ionosphere nor the satellite's orbit error, nor is it
+    reflected where the authentic one was: constants of satellites, and errors that wander, go with
+    the capture.  What is left is the noise of the receiver itself, which is that of its world, and
+    what the spoofer does not know of each satellite.
 
     Parameters
     ----------
-    code_sd_m, range_rate_sd_mps : float
-        White noise of pseudoranges and range rates.
+    code_sd_m, range_rate_sd_mps : float or None
+        White noise of pseudoranges and range rates in place of the receiver's own; None leaves that
+        as the world has it.
     bias_sd_m : float
         Constant of every channel for an episode.
+    blend_s : float
+        Time from the capture of a channel in which the authentic errors fade linearly, and that
+        constant comes; 0 for a step of their size.  It takes the receiver's own noise.
     """
 
-    code_sd_m: float = 0.5
-    range_rate_sd_mps: float = 0.08
+    code_sd_m: float | None = None
+    range_rate_sd_mps: float | None = None
     bias_sd_m: float = 0.0
+    blend_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the values."""
-        _check_not_negative(self)
+        unset = [item.name for item in fields(self) if getattr(self, item.name) is None]
+        _check_not_negative(self, *unset)
+        if self.blend_s > 0.0 and len(unset) < 2:
+            raise ValueError(
+                f"`blend_s` {self.blend_s} takes the receiver's own noise: leave out `code_sd_m` "
+                "and `range_rate_sd_mps`"
+            )
+
+
+REPLACED = CounterfeitErrors()
+"""A step at the capture, to the noise of the receiver alone."""
+QUIET = CounterfeitErrors(blend_s=30.0)
+"""The same, blended in: no step, and measurements that are better than authentic ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +81,7 @@ class TrackingError:
     delay_s : float
         Age of the position that the spoofer takes for the present one, at most 10 s.
     bias_m : tuple of float
-        (3,) constant error, north, east, down.
+        (3,) constant error, north, east, down at the true position of the epoch.
     """
 
     sd_m: float = 0.0

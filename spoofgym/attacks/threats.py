@@ -31,7 +31,7 @@ THREATS: dict[str, dict[str, Any]] = {
     A false position by a spoofer that tracks its target to 1 m along each axis.
 ``partial-constellation``
     A false position by one of two constellations, that whose ids begin with E; it needs a world
-    that has it, such as ``realistic-two-constellations``.
+    that has it, such as ``trolley-two-constellations``.
 ``meaconer``
     Record and replay by an antenna at the target's side, 20 m east of it.
 """

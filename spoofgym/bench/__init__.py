@@ -4,8 +4,12 @@ suite      what is run, with a digest of everything that results depend on
 victims    the four kinds of victim, with the detectors that suit each
 decisions  a spoofer in front of an engine, from decision to decision
 run        one cell: all runs side by side, from a warm-up that all spoofers share
+scores     what a run, a spoofer and a detector are worth, each defined once
+budget     how often a spoofer may be noticed where chance alone would be silent
 tune       the strongest attack of a family within an alarm budget
-metrics    proportions, delays, displacements and their intervals
+attack_suite   whom every detector meets, a name and a version
+protection     the worst attack of the suite, chosen on runs of its own
+metrics    proportions and means with their intervals
 campaign   all cells, each kept as soon as it is finished
 summary    the scores of a campaign, read from its folder
 """

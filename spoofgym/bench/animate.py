@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from .._registry import whole_number
 from ..envs.core import SpoofCore
 from ..envs.rendering import CoreRecorder, Screen
+from ..envs.spoofer_binding import commands_of
 from .decisions import Attacker
-from .entries import Entry
+from .entries import Entry, build_spoofer
 from .suite import Suite
 
 
@@ -24,7 +25,8 @@ def play_frames(
     """
     run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
     setup = suite.setup(detector)
-    core = SpoofCore(1, setup, end_at_alarm=False, threads=1)
+    action = commands_of(build_spoofer(spoofer.spec), setup).terms
+    core = SpoofCore(1, setup, action=action, end_at_alarm=False, threads=1)
     screen = Screen("rgb_array", CoreRecorder(core))
     core.reset(suite.generators("evaluation", run + 1, run))
     attacker = Attacker(spoofer.spec, core.engine)

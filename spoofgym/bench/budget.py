@@ -1,58 +1,56 @@
-r"""The alarm budget: how much more often than without attack an alarm may come.
+r"""The alarm budget: how often a spoofer may be noticed where chance alone would be silent.
 
-Runs are paired: the same seeds with and without attack.  Over R runs with alarms
-:math:`a_r, c_r \in \{0, 1\}` the excess and its standard error are
+What counts are runs that are silent without the spoofer (`scores.counted`).  With k alarms in n of
+them, the largest probability of an alarm that is not refuted at the level :math:`\alpha` is
+(one-sided, `clopper1934`)
 
-.. math:: \bar\Delta = \frac1R \sum_r (a_r - c_r), \qquad
-    s = \sqrt{\operatorname{var}(a_r - c_r) / R}
+.. math:: \bar p = B_{1 - \alpha}(k + 1, n - k)
 
-and who is chosen on these runs keeps the budget b with a margin of c standard errors,
-
-.. math:: \bar\Delta + c s \le b,
-
-so that other runs, most likely, keep it too.
+a quantile of the beta distribution, and who is chosen on these runs keeps the budget b where
+:math:`\bar p \le b`, so that other runs, most likely, keep it too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike
+from scipy import special
 
-BUDGET, MARGIN = 0.05, 2.0
-"""Defaults: five points more runs with an alarm, with two standard errors of distance."""
-
-
-class Excess(NamedTuple):
-    """How much more often than without attack an alarm came.  `value`: as a part of the runs."""
-
-    value: float
-    error: float
-
-    def keeps(self, budget: float, margin: float) -> bool:
-        """Whether a budget is kept."""
-        return self.value + margin * self.error <= budget + 1e-9
+BUDGET = 0.05
+"""Default: an alarm in at most five of a hundred runs that are silent without the spoofer."""
+LEVEL = 0.05
+"""Probability with which the limit of an alarm rate is too low."""
 
 
-def excess_of(alarm: ArrayLike, clean_alarm: ArrayLike) -> Excess:
-    """Excess of alarms over those without attack.
+def alarm_limit(alarms: int, runs: int) -> float:
+    """Upper 95 % limit of the probability of an alarm; 1 where no run counts."""
+    if alarms >= runs:
+        return 1.0
+    return float(special.betaincinv(alarms + 1.0, runs - alarms, 1.0 - LEVEL))
 
-    `alarm`, `clean_alarm` (R,) bool, of the same runs.
+
+def keeps(alarms: int, runs: int, budget: float) -> bool:
+    """Whether the limit is within a budget."""
+    return alarm_limit(alarms, runs) <= budget + 1e-9
+
+
+def fewest_runs(budget: float) -> int:
+    """Runs without any alarm that it takes to keep a budget."""
+    return math.ceil(math.log(LEVEL) / math.log1p(-budget) - 1e-9)
+
+
+def most_alarms(runs: int, budget: float) -> int:
+    """Alarms with which so many runs keep a budget; -1 where they are too few."""
+    return next((k for k in range(runs, -1, -1) if keeps(k, runs, budget)), -1)
+
+
+def aim(runs: int, budget: float) -> float:
+    """Alarm rate that a search or a training aims at, so that its choice on so many runs keeps it.
+
+    At least a fifth of the budget, since there is nothing to find far below it.
     """
-    paired = np.asarray(alarm, dtype=np.float64) - np.asarray(clean_alarm, dtype=np.float64)
-    return Excess(float(paired.mean()), float(paired.std()) / math.sqrt(len(paired)))
-
-
-def reach(budget: float, margin: float, error: float) -> float:
-    """Excess that a search or a training aims at, so that what is chosen from it keeps the margin.
-
-    `error`: standard error of an excess near the budget, on as many runs as the choice will be made
-    on; returns at least a fifth of the budget, since there is nothing to find far below it.
-    """
-    return max(budget - margin * error, 0.2 * budget)
+    return max(most_alarms(runs, budget) / max(runs, 1), 0.2 * budget)
 
 
 def largest_within(

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
-from ..simulators.setup import Setup
-from .cells import make_cell
-from .entries import Entry, build_spoofer
+import numpy as np
+from numpy.typing import NDArray
+
+from ..envs.spoofer_binding import spoofer_context
+from ..simulators.clean_runs import Progress as Progress
+from ..simulators.clean_runs import Silent
+from .cells import Cell, make_cell
+from .entries import Entry
+from .knowledge import knowledge_of
+from .protection import Aim, Protection, Search, Winner, measured
 from .run import Runs, WarmStart, play
-from .shipped import card_behind, transferred
+from .scores import counted
 from .store import ResultsFolder
 from .suite import Suite
 from .tune import TuningResult, tune
@@ -17,31 +24,22 @@ WARMUP_SHARE = 1.0
 """Work of a warm-up, in cells."""
 
 
-class Progress(Protocol):
-    """Shows how far a campaign is."""
-
-    def advance(self, amount: float, now: str) -> None:
-        """Some work is done."""
-
-
-class Silent:
-    """Shows nothing."""
-
-    def advance(self, amount: float, now: str) -> None:
-        """Ignore it."""
-
-
 def expected_work(suite: Suite, folder: ResultsFolder) -> float:
     """Work that is left, roughly."""
     total = 0.0
     for detector in suite.detector_entries:
-        cells, searches = _open(suite, folder, detector)
-        if cells:
+        cells, searches, protect = _open(suite, folder, detector)
+        if cells or protect:
             total += suite.runs * (1.0 + WARMUP_SHARE)
             total += suite.runs * sum(entry.label != "none" for entry in cells)
         if searches:
             total += suite.tuning.runs * (1.0 + WARMUP_SHARE)
             total += len(searches) * search_work(suite)
+        if protect:
+            total += protection_work(suite)
+    for published in suite.published_entries:
+        left = _left_of_published(suite, folder, published)
+        total += suite.runs * (2.0 + WARMUP_SHARE) if left else 0.0
     return total
 
 
@@ -51,8 +49,19 @@ def search_work(suite: Suite) -> float:
     return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
 
 
-def _open(suite: Suite, folder: ResultsFolder, detector: Entry) -> tuple[list[Entry], list[Entry]]:
-    """Spoofers whose cell is not finished, and those among them that are not tuned yet."""
+def protection_work(suite: Suite) -> float:
+    """Work of the search for the worst attacks on a detector, and of those, roughly."""
+    settings = suite.selection
+    if settings is None:
+        return 0.0
+    sifting = len(suite.members) * settings.values * settings.sift_runs
+    return sifting + (12.0 + 1.0 + WARMUP_SHARE) * settings.runs + 5.0 * suite.runs
+
+
+def _open(
+    suite: Suite, folder: ResultsFolder, detector: Entry
+) -> tuple[list[Entry], list[Entry], bool]:
+    """Spoofers whose cell is not finished, those that are not tuned, whether to play the suite."""
     cells = [
         entry for entry in suite.spoofer_entries if not folder.has_cell(detector.label, entry.label)
     ]
@@ -61,7 +70,8 @@ def _open(suite: Suite, folder: ResultsFolder, detector: Entry) -> tuple[list[En
         for entry in cells
         if entry.tuned and folder.tuning(detector.label, entry.label) is None
     ]
-    return cells, searches
+    protect = suite.selection is not None and folder.protection(detector.label) is None
+    return cells, searches, protect
 
 
 def run_campaign(
@@ -86,13 +96,16 @@ def run_campaign(
     progress : Progress, optional
         Shows how far it is.
     """
-    progress = progress or Silent()
+    shown = progress or Silent()
     for detector in suite.detector_entries:
-        cells, searches = _open(suite, folder, detector)
+        cells, searches, protect = _open(suite, folder, detector)
         if searches:
-            _search(suite, folder, detector, searches, threads, progress)
-        if cells:
-            _cells(suite, folder, detector, cells, threads, progress)
+            _search(suite, folder, detector, searches, threads, shown)
+        winners = _worst(suite, detector, threads, shown) if protect else None
+        if cells or winners is not None:
+            _cells(suite, folder, detector, cells, winners, threads, shown)
+    for detector in suite.published_entries:
+        _published(suite, folder, detector, threads, shown)
 
 
 def _search(
@@ -112,13 +125,35 @@ def training_start(
     suite: Suite, detector: Entry, threads: int | None, progress: Progress
 ) -> tuple[WarmStart, Runs]:
     """Training runs of a detector at the onset, and what they do without attack."""
-    runs = suite.tuning.runs
-    now = f"{detector.label}: training runs"
+    return _start(suite, detector, "training", suite.tuning.runs, threads, progress)
+
+
+def _start(
+    suite: Suite, detector: Entry, split: str, runs: int, threads: int | None, progress: Progress
+) -> tuple[WarmStart, Runs]:
+    """Runs of a split at the onset, and what they do without attack."""
+    now = f"{detector.label}: {split} runs"
     progress.advance(0.0, now)
-    setup = suite.setup(detector)
-    start = WarmStart(setup, suite.generators("training", runs), threads=threads)
+    start = WarmStart(suite.setup(detector), suite.generators(split, runs), threads=threads)
     progress.advance(runs * WARMUP_SHARE, now)
     return start, play(start, "none", tick=lambda part: progress.advance(runs * part, now))
+
+
+class _Left:
+    """Shows work, but no more of it than was expected, and the rest at the end."""
+
+    def __init__(self, progress: Progress, expected: float, now: str) -> None:
+        self._progress, self._left, self._now = progress, expected, now
+
+    def tick(self, amount: float) -> None:
+        """Show it."""
+        amount = min(amount, self._left)
+        self._left -= amount
+        self._progress.advance(amount, self._now)
+
+    def end(self) -> None:
+        """Show what is left."""
+        self.tick(self._left)
 
 
 def search(
@@ -130,19 +165,31 @@ def search(
     progress: Progress,
 ) -> TuningResult:
     """Search for the setting of one spoofer."""
-    now = f"{detector.label}: tuning {entry.label}"
-    left = search_work(suite)
-
-    def tick(amount: float) -> None:
-        """Show it, but no more than was expected."""
-        nonlocal left
-        amount = min(amount, left)
-        left -= amount
-        progress.advance(amount, now)
-
-    result = tune(start, clean, entry, detector.label, suite.tuning, tick=tick)
-    progress.advance(left, now)
+    left = _Left(progress, search_work(suite), f"{detector.label}: tuning {entry.label}")
+    result = tune(start, clean, entry, detector.label, suite.tuning, tick=left.tick)
+    left.end()
     return result
+
+
+class _Worst(NamedTuple):
+    """The worst attacks on a detector: by member and value, each with its aims, and the skies."""
+
+    found: dict[tuple[int, float], list[Aim]]
+    skies: NDArray[np.int64] | None
+    left: _Left
+
+
+def _worst(suite: Suite, detector: Entry, threads: int | None, progress: Progress) -> _Worst:
+    """Look for the worst attacks on runs of the selection."""
+    assert suite.selection is not None  # as `_open` has seen
+    runs = suite.selection.runs
+    start, clean = _start(suite, detector, "selection", runs, threads, progress)
+    expected = protection_work(suite) - runs * (1.0 + WARMUP_SHARE)
+    left = _Left(progress, expected, f"{detector.label}: worst attack")
+    context = spoofer_context(start.setup)
+    looked = Search(start, clean, suite.members, context, suite.selection, left.tick)
+    found = looked.winners(suite.alert_limits_m)
+    return _Worst(found, looked.skies, left)
 
 
 def _cells(
@@ -150,57 +197,97 @@ def _cells(
     folder: ResultsFolder,
     detector: Entry,
     cells: list[Entry],
+    worst: _Worst | None,
     threads: int | None,
     progress: Progress,
 ) -> None:
-    now = f"{detector.label}: evaluation runs"
-    progress.advance(0.0, now)
-    setup = suite.setup(detector)
-    start = WarmStart(setup, suite.generators("evaluation", suite.runs), threads=threads)
-    progress.advance(suite.runs * WARMUP_SHARE, now)
-
-    def tick_of(label: str) -> Any:
-        return lambda part: progress.advance(suite.runs * part, f"{detector.label}: {label}")
-
-    twin = play(start, "none", tick=tick_of("none"))
+    start, twin = _start(suite, detector, "evaluation", suite.runs, threads, progress)
     for entry in cells:
         tuning = folder.tuning(detector.label, entry.label) if entry.tuned else None
         spec = entry.spec if tuning is None else entry.with_value(tuning.value)
-        attacked = twin if entry.label == "none" else play(start, spec, tick=tick_of(entry.label))
-        head = {
-            "detector": detector.label,
-            "spoofer": entry.label,
-            "detector_settings": detector.spec,
-            "spoofer_settings": spec,
-            "knowledge": knowledge_of(entry, setup, detector),
-            "attack": setup.attack.label,
-            "tuned_within_budget": None if tuning is None else tuning.within_budget,
-            "runs": suite.runs,
-            "entropy": suite.entropy,
-            "campaign": suite.digest,
-        }
-        folder.put_cell(make_cell(setup, head, start.warmup_alarm, attacked, twin))
+        within = None if tuning is None else tuning.within_budget
+        folder.put_cell(_cell(suite, detector, entry, spec, within, start, twin, progress))
+    if worst is not None:
+        folder.put_protection(_protection(suite, detector, worst, start, twin))
+        worst.left.end()
 
 
-def knowledge_of(entry: Entry, setup: Setup, detector: Entry) -> dict[str, Any]:
-    """What a spoofer knows: while it attacks, and when it was designed.
-
-    Returns ``run_time``; ``design_time``; ``detector``, the label of the one that it was made for,
-    None where it was made for none, or has no card that says so; ``transfer``, what is another one
-    here than where it was made.
-    """
-    spoofer = build_spoofer(entry.untuned)
-    known: dict[str, Any] = {
-        "run_time": spoofer.knowledge,
-        "design_time": spoofer.designed_on,
-        "detector": None,
-        "transfer": [],
+def _cell(
+    suite: Suite,
+    detector: Entry,
+    entry: Entry,
+    spec: dict[str, Any],
+    within_budget: bool | None,
+    start: WarmStart,
+    twin: Runs,
+    progress: Progress,
+) -> Cell:
+    """Play one cell."""
+    now = f"{detector.label}: {entry.label}"
+    attacked = twin
+    if entry.label != "none":
+        attacked = play(start, spec, tick=lambda part: progress.advance(suite.runs * part, now))
+    head = {
+        "detector": detector.label,
+        "spoofer": entry.label,
+        "detector_settings": detector.spec,
+        "spoofer_settings": spec,
+        "knowledge": knowledge_of(entry, start.setup, detector),
+        "attack": start.setup.attack.label,
+        "tuned_within_budget": within_budget,
+        "runs": suite.runs,
+        "entropy": suite.entropy,
+        "campaign": suite.digest,
     }
-    if entry.tuned:
-        designed = "detector, receiver and scenario, by tuning"
-        return {**known, "design_time": designed, "detector": detector.label}
-    card = card_behind(spoofer)
-    if card is None:
-        return known
-    made_for, differences = transferred(card, setup, detector)
-    return {**known, "detector": made_for, "transfer": differences}
+    return make_cell(start.setup, head, start.warmup_alarm, attacked, twin, suite.alert_limit_m)
+
+
+def _protection(
+    suite: Suite, detector: Entry, worst: _Worst, start: WarmStart, twin: Runs
+) -> Protection:
+    """Let the worst attacks play the evaluation runs."""
+    winners = []
+    for (number, value), aims in worst.found.items():
+        member = suite.members[number]
+        spec = member.entry.with_value(value)
+        attacked = play(
+            start, spec, drop_alarmed=True, tick=lambda part: worst.left.tick(suite.runs * part)
+        )
+        winners.append(
+            Winner(
+                letter=member.letter,
+                spoofer=member.entry.label,
+                setting=str(member.entry.tuned),
+                value=value,
+                spec=spec,
+                aims=tuple(aims),
+                displacement=measured(start.setup, attacked, twin),
+            )
+        )
+    head = {
+        "detector": detector.label,
+        "attack_suite": suite.config["attack_suite"],
+        "entropy": suite.entropy,
+        "campaign": suite.digest,
+    }
+    counts = counted(start.warmup_alarm, twin.first_alarm)
+    sky = twin.onset // start.setup.epochs_each
+    return Protection(head, tuple(winners), counts, sky, worst.skies)
+
+
+def _published(
+    suite: Suite, folder: ResultsFolder, detector: Entry, threads: int | None, progress: Progress
+) -> None:
+    """Play a detector with its thresholds as published, without attack and against one ramp."""
+    left = _left_of_published(suite, folder, detector)
+    if not left:
+        return
+    start, twin = _start(suite, detector, "evaluation", suite.runs, threads, progress)
+    for entry in left:
+        folder.put_cell(_cell(suite, detector, entry, entry.spec, None, start, twin, progress))
+
+
+def _left_of_published(suite: Suite, folder: ResultsFolder, detector: Entry) -> list[Entry]:
+    """Spoofers of the table `as published` whose cell is not finished."""
+    entries = suite.published_spoofers
+    return [entry for entry in entries if not folder.has_cell(detector.label, entry.label)]

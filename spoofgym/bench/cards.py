@@ -11,12 +11,12 @@ from ..spoofers.zoo import card_of
 
 SCORES_HEAD = (
     "detector",
-    "runs",
+    "runs, counted",
     "split, entropy",
     "undetected displacement [m]",
     "alarm rate [%]",
     "without attack [%]",
-    "budget, points",
+    "budget [%]",
 )
 SHOWN = 60
 """Letters of a long list or text that are shown."""
@@ -45,7 +45,7 @@ def score_rows(card: Card) -> list[tuple[str, ...]]:
     return [
         (
             score.detector,
-            str(score.runs),
+            str(score.runs) if score.counted is None else f"{score.runs}, {score.counted}",
             f"{score.split}, {score.entropy}",
             f"{score.undetected_displacement_m:.1f} ({score.low:.1f} to {score.high:.1f})",
             f"{100 * score.alarm_rate:.1f}",
@@ -60,7 +60,7 @@ def card_rows(card: Card) -> list[tuple[str, str]]:
     """What else is on a card, field by field."""
     conditions, file = card.conditions, card.file
     limits = f"{conditions.rate_limit_mps:g} m/s"
-    if conditions.control == "acceleration":
+    if conditions.control != "rate":
         limits = f"{conditions.acceleration_limit_mps2:g} m/s^2 and {limits}"
     rows = [
         ("kind", card.kind),

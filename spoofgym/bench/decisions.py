@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..envs.observer import Observer
-from ..envs.spoofer_binding import spoofer_context
-from ..envs.terms.observation import default_terms
+from ..envs.spoofer_binding import bound_spoofer
+from ..envs.terms.action import CommandMap
 from ..simulators.engine import Engine
 from ..simulators.setup import Setup
 from ..spoofers import Spoofer
@@ -18,13 +18,15 @@ from .entries import build_spoofer
 FloatArray = NDArray[np.float64]
 
 
-def make_bound_spoofer(spec: Any, setup: Setup, receivers: int) -> tuple[Spoofer, Observer]:
-    """Spoofer that is ready for a batch, and what it observes."""
+def make_bound_spoofer(
+    spec: Any, setup: Setup, receivers: int
+) -> tuple[Spoofer, Observer, CommandMap]:
+    """Spoofer that is ready for a batch, what it observes, and what its actions command."""
     spoofer = build_spoofer(spec)
-    observer = Observer(default_terms(setup, spoofer.knowledge), setup)
-    spoofer.bind(spoofer_context(setup, receivers, observer))
+    context, observer, commands = bound_spoofer(spoofer, setup, receivers)
+    spoofer.bind(context)
     spoofer.reset()
-    return spoofer, observer
+    return spoofer, observer, commands
 
 
 class Attacker:
@@ -36,10 +38,12 @@ class Attacker:
 
     def __init__(self, spec: Any, engine: Engine) -> None:
         self._spec, self.engine, self.setup = spec, engine, engine.setup
-        self.spoofer, self._observer = make_bound_spoofer(spec, engine.setup, engine.receivers)
+        made = make_bound_spoofer(spec, engine.setup, engine.receivers)
+        self.spoofer, self._observer, self._commands = made
+        self._commands.aim(engine.simulator.heading)
         if not self.spoofer.transmits:
             engine.simulator.clean = np.ones(engine.receivers, dtype=np.bool_)
-        self._before = self._decided = np.zeros((engine.receivers, len(self.setup.action_names)))
+        self._before = self._decided = np.zeros((engine.receivers, len(self._commands.names)))
 
     def command(self, epoch: int) -> FloatArray | None:
         """Command (B, a) of an epoch, counted from the onset on; None after the last one.
@@ -52,10 +56,11 @@ class Attacker:
         since = epoch % setup.repeat
         if since == 0:
             self._before, self._decided = self._decided, self.decide(epoch)
-        return setup.command(self._before, self._decided, since)
+        action = setup.command(self._before, self._decided, since)
+        return self._commands.command(action, self.engine.simulator.commanded_rate)
 
     def decide(self, epoch: int) -> FloatArray:
-        """Action of the spoofer, checked: (B, a) float64, C-contiguous."""
+        """Action of the spoofer, checked: (B, k) float64, C-contiguous."""
         receivers, word = self.engine.receivers, type(self.spoofer).__name__
         seen = self._observer(self.engine, epoch)
         action = np.ascontiguousarray(self.spoofer.act(seen), dtype=np.float64)
@@ -72,7 +77,8 @@ class Attacker:
 
     def go_on_with(self, engine: Engine, rows: NDArray[np.intp]) -> None:
         """Command an engine of some of the receivers from now on."""
-        spoofer, _ = make_bound_spoofer(self._spec, self.setup, len(rows))
+        spoofer, _, self._commands = make_bound_spoofer(self._spec, self.setup, len(rows))
+        self._commands.aim(engine.simulator.heading)
         spoofer.memory.copy_rows(np.arange(len(rows)), self.spoofer.memory, rows)
         self.engine, self.spoofer = engine, spoofer
         self._before, self._decided = self._before[rows], self._decided[rows]

@@ -7,20 +7,37 @@ from dataclasses import dataclass
 from typing import Any
 
 from .._registry import check_choice
-from ..detectors import DETECTORS, Detector
+from ..detectors import DETECTORS, Calibrated, Detector
+from ..detectors.calibrated import asked_by_default
 from ..spoofers import SPOOFERS, Spoofer, resolve, shipped
-from .specs import Spec, label_of, make, slug, spec_of
+from ..spoofers.scaled import AMPLITUDE, Scaled, split_amplitude, with_amplitude
+from .specs import Spec, label_of, make, make_judge, slug, spec_of, spec_of_judge
 
 TUNED = "tuned"
 """Value of a spoofer's setting that is to be searched for."""
 DEFAULT_DETECTORS: tuple[Spec, ...] = ({"name": "snapshot-chi2"}, {"name": "ewma"})
 DEFAULT_SPOOFERS: tuple[Spec, ...] = (
     {"name": "none"},
-    {"name": "step"},
+    {"name": "step", AMPLITUDE: TUNED},
     {"name": "ramp", "rate_mps": TUNED},
     {"name": "accelerating-ramp", "acceleration_mps2": TUNED},
 )
 """With them, a campaign plays the shipped spoofers that fit it."""
+
+
+def fitted(spec: Any) -> Spec:
+    """A spoofer's spec with one setting to be fitted to the alarm budget, where it has none yet.
+
+    That is the usual one of `DEFAULT_SPOOFERS` for a name without settings, and else the amplitude
+    of its commands; an amplitude that is given stays.
+    """
+    given: Spec = {"name": spec} if isinstance(spec, str) else dict(spec)
+    usual = {each["name"]: each for each in DEFAULT_SPOOFERS}
+    if len(given) == 1 and given["name"] in usual:
+        return dict(usual[given["name"]])
+    if AMPLITUDE in given or TUNED in given.values() or given["name"] == "none":
+        return given
+    return {**given, AMPLITUDE: TUNED}
 
 
 @dataclass(frozen=True)
@@ -47,19 +64,41 @@ class Entry:
 
 def build_spoofer(spec: Any) -> Spoofer:
     """Spoofer of a campaign, not bound yet."""
-    resolved = resolve(spec)
+    plain, amplitude = split_amplitude(spec)
+    resolved = resolve(plain)
     name = resolved["name"] if isinstance(resolved, Mapping) and "name" in resolved else resolved
     if isinstance(name, str) and ":" not in name:
         check_choice("spoofer", name, [*SPOOFERS, *shipped()])
     spoofer: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolved)
-    return spoofer
+    return with_amplitude(spoofer, amplitude)
+
+
+def spec_of_spoofer(spoofer: Spoofer) -> Spec:
+    """Name and all settings of a spoofer, and its amplitude where it has one."""
+    if isinstance(spoofer, Scaled):
+        return {**spec_of_spoofer(spoofer.spoofer), AMPLITUDE: spoofer.amplitude}
+    return spec_of("spoofer", SPOOFERS, spoofer)
 
 
 def detector_entry(spec: str | Mapping[str, Any] | Detector) -> Entry:
-    """Detector of a campaign."""
-    detector: Detector = make("detector", DETECTORS, Detector, spec)
-    full = spec_of("detector", DETECTORS, detector)
-    return Entry(label_of(full, _default("detector", DETECTORS, type(detector))), full)
+    """Detector of a campaign, at the default rate of false alarms where it asks for nothing."""
+    detector = make_judge(spec)
+    full = spec_of_judge(detector)
+    inner = detector.detector if isinstance(detector, Calibrated) else detector
+    default = _default("detector", DETECTORS, type(inner))
+    if default is not None:
+        default |= asked_by_default()
+    return Entry(label_of(full, default), full)
+
+
+def nominal_entry(entry: Entry) -> Entry | None:
+    """A calibrated detector with its thresholds as published; None for one that is not."""
+    judge = make_judge(entry.spec)
+    if not isinstance(judge, Calibrated):
+        return None
+    spec = spec_of_judge(judge.detector)
+    plain = detector_entry(spec).label
+    return Entry(f"{plain}, as published", spec)
 
 
 def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
@@ -71,16 +110,25 @@ def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
     for key in tuned:
         del settings[key]
     spoofer = build_spoofer(settings)
+    valid = [name for name in (spoofer.tunable, AMPLITUDE) if name and spoofer.transmits]
     for key in tuned:
-        if key != spoofer.tunable:
+        if key not in valid:
             raise ValueError(
                 f"`{key}` of spoofer {settings['name']!r} can't be tuned; tunable: "
-                f"{spoofer.tunable or 'nothing'}"
+                f"{', '.join(valid) or 'nothing'}"
             )
-    full = {**spec_of("spoofer", SPOOFERS, spoofer), **dict.fromkeys(tuned, TUNED)}
+    if len(tuned) > 1:
+        raise ValueError(f"one setting of a spoofer can be tuned, got {', '.join(tuned)}")
+    full = {**spec_of_spoofer(spoofer), **dict.fromkeys(tuned, TUNED)}
     if spoofer.label is not None:
-        return Entry(spoofer.label, full)
-    return Entry(label_of(full, _default("spoofer", SPOOFERS, type(spoofer))), full)
+        fixed = full.get(AMPLITUDE, TUNED)
+        word = "" if fixed == TUNED else f"(amplitude={fixed:g})"
+        return Entry(f"{spoofer.label}{word}", full)
+    inner = spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer
+    default = _default("spoofer", SPOOFERS, type(inner))
+    if default is not None:
+        default |= {AMPLITUDE: TUNED}
+    return Entry(label_of(full, default), full)
 
 
 def _default(word: str, kinds: Mapping[str, type[Any]], kind: type[Any]) -> Spec | None:
@@ -93,7 +141,7 @@ def _default(word: str, kinds: Mapping[str, type[Any]], kind: type[Any]) -> Spec
 
 def oracle_labels(entries: tuple[Entry, ...]) -> list[str]:
     """Labels of the detectors that know the attack."""
-    made = [(entry, make("detector", DETECTORS, Detector, entry.spec)) for entry in entries]
+    made = [(entry, make_judge(entry.spec)) for entry in entries]
     return [entry.label for entry, detector in made if detector.oracle]
 
 

@@ -16,8 +16,8 @@ from ..spoofers.aim import AXES
 from .decisions import Attacker
 from .entries import Entry
 from .intervals import Interval, spoofing_intervals
-from .metrics import undetected_displacement
 from .run import epochs_of, to_local
+from .scores import undetected_displacement
 from .suite import Suite
 
 FloatArray = NDArray[np.float64]

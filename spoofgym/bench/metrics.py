@@ -1,20 +1,19 @@
-r"""Scores of a campaign, from arrays over runs: proportions, delays, displacements, intervals.
+r"""Statistics of arrays over runs: proportions and means with their intervals.
 
 Intervals are two-sided with 95 % confidence unless another one is asked for.  Sources, keys in
 references.bib: `wilson1927` (proportions), `clopper1934` (exact, for rare alarms), `korn1998`
-(epochs that come in runs), `kaplan1958` (delays with missed runs), `efron1979` (bootstrap).
+(epochs that come in runs), `efron1979` (bootstrap).
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special, stats
-
-from ..envs import _kernels
 
 FloatArray = NDArray[np.float64]
 CONFIDENCE = 0.95
@@ -40,27 +39,6 @@ class Estimate(NamedTuple):
 
 
 NOTHING = Estimate(math.nan, math.nan, math.nan)
-
-
-def undetected_displacement(
-    error: ArrayLike, first_alarm: ArrayLike, time_to_alert: int
-) -> FloatArray:
-    r"""Largest induced error with no alarm up to the time to alert after it.
-
-    .. math:: D_u = \max_{0 \le k < a - h} e_k, \qquad e_0 = 0
-
-    with the first alarm at epoch a and h epochs to alert: what was induced within h epochs before
-    the alarm, or at it, does not count.
-
-    `error` (K, R) induced error at the epochs 1 to K after the onset [m]; what comes after the
-    alarm may be NaN; `first_alarm` (R,) epoch of the first alarm after the onset, from 1 on; 0
-    where there is none up to epoch K + h; returns (R,) [m].
-    """
-    e = np.asarray(error, dtype=np.float64)
-    largest = np.maximum.accumulate(np.concatenate([np.zeros((1, e.shape[1])), e]))
-    return np.asarray(
-        _kernels.undetected_displacement(largest, np.asarray(first_alarm), time_to_alert)
-    )
 
 
 def wilson(events: int, trials: int, confidence: float = CONFIDENCE) -> Estimate:
@@ -121,38 +99,6 @@ def clustered_proportion(
     return Estimate(p, interval.low, interval.high)
 
 
-def restricted_mean_delay(
-    delay: ArrayLike, detected: ArrayLike, horizon: float, weights: ArrayLike | None = None
-) -> FloatArray:
-    r"""Mean delay up to a horizon, with runs that were missed, by the Kaplan-Meier estimate.
-
-    .. math:: \int_0^H S(t) \, dt, \qquad
-        S(t) = \prod_{t_i \le t} \left(1 - \frac{d_i}{n_i}\right)
-
-    with d detections at time :math:`t_i` among the n runs that were still undetected and observed;
-    S is the part of the runs that has not been detected yet.
-
-    `delay` (R,) time of the detection, or the time up to which the run was observed; `detected`
-    (R,) bool, which of the two it is; `horizon`: H, a delay counts as at most this; `weights`
-    (..., R) how often each run counts, such as `counts_of` bootstrap samples; once by default;
-    returns (...,) in the unit of the delays; NaN where no run counts.
-    """
-    t = np.minimum(np.asarray(delay, dtype=np.float64), horizon)
-    seen = np.asarray(detected, dtype=np.bool_)
-    w = np.ones(len(t)) if weights is None else np.asarray(weights, dtype=np.float64)
-    # where times are equal, detections come before those that are observed no longer
-    order = np.lexsort((~seen, t))
-    t, seen, w = t[order], seen[order], w[..., order]
-    at_risk = np.cumsum(w[..., ::-1], axis=-1)[..., ::-1]
-    leaving = np.where(seen, w, 0.0) / np.maximum(at_risk, 1.0)
-    survival = np.cumprod(1.0 - leaving, axis=-1)
-    ones = np.ones((*w.shape[:-1], 1))
-    before = np.concatenate([ones, survival], axis=-1)
-    spans = np.diff(np.concatenate([[0.0], t, [horizon]]))
-    mean = (before * spans).sum(axis=-1)
-    return np.asarray(np.where(w.sum(axis=-1) > 0.0, mean, np.nan))
-
-
 def resamples(runs: int, rng: np.random.Generator, count: int = RESAMPLES) -> NDArray[np.int64]:
     """Bootstrap samples of runs; the same for all cells of a campaign, so that they stay paired.
 
@@ -161,14 +107,13 @@ def resamples(runs: int, rng: np.random.Generator, count: int = RESAMPLES) -> ND
     return rng.integers(0, runs, size=(count, runs))
 
 
-def counts_of(samples: NDArray[np.int64]) -> FloatArray:
-    """How often each run is in each bootstrap sample.
+@lru_cache(maxsize=16)
+def resamples_of(runs: int, count: int = RESAMPLES) -> NDArray[np.int64]:
+    """Bootstrap samples of some runs of a campaign, such as those that count; (S, R).
 
-    `samples` (S, R) of `resamples`; returns (S, R).
+    They depend on how many these are alone, so that what has as many runs stays paired.
     """
-    rows, runs = samples.shape
-    flat = samples + runs * np.arange(rows)[:, None]
-    return np.bincount(flat.ravel(), minlength=rows * runs).reshape(rows, runs).astype(np.float64)
+    return resamples(runs, np.random.default_rng(runs), count)
 
 
 def bootstrap_mean(

@@ -10,12 +10,13 @@ import numpy as np
 
 from .._pictures import COLOURS, GREY, style
 from .cells import Cell
-from .rivals import PROFILE, SCRIPTED
 from .tables import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+PROFILE, SCRIPTED = "profile", ("none", "step", "accelerating-ramp", "ramp")
+"""Kinds of spoofers with a marker of their own."""
 SMALLEST_M = 0.05
 """Displacements below it lie on the edge of the picture."""
 
@@ -77,9 +78,9 @@ def draw_means(ax: Axes, scores: dict[str, dict[str, Any]], look: dict[str, Look
     style(ax)
     names = list(look)
     for row, name in enumerate(names):
-        if name not in scores:
+        if name not in scores or scores[name]["stealthy_displacement_m"]["value"] is None:
             continue
-        mean = scores[name]["undetected_displacement_m"]
+        mean = scores[name]["stealthy_displacement_m"]
         spread = [[mean["value"] - mean["low"]], [mean["high"] - mean["value"]]]
         ax.errorbar(mean["value"], row, xerr=spread, capsize=2, **_point(look[name], scores[name]))
         ax.annotate(
@@ -92,9 +93,10 @@ def draw_means(ax: Axes, scores: dict[str, dict[str, Any]], look: dict[str, Look
         )
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.4, -0.6)
-    top = max((score["undetected_displacement_m"]["high"] for score in scores.values()), default=0)
+    highs = (score["stealthy_displacement_m"]["high"] for score in scores.values())
+    top = max((high for high in highs if high is not None), default=0)
     ax.set_xlim(0.0, 1.18 * max(top, SMALLEST_M))
-    ax.set_xlabel("mean undetected displacement [m] (hollow: over budget)")
+    ax.set_xlabel("stealthy displacement [m] (hollow: over budget)")
 
 
 def _point(look: Look, score: dict[str, Any]) -> dict[str, Any]:
@@ -120,13 +122,8 @@ def draw_trade(
 ) -> None:
     """Mean displacement against the alarm rate: points of the cells, lines of the searches."""
     style(ax)
-    clean = scores.get("none")
-    if clean is not None:
-        rate = clean["alarm_rate"]
-        ax.axvspan(100 * rate["low"], 100 * rate["high"], color=GREY, alpha=0.15, lw=0)
-        ax.axvline(100 * rate["value"], color=GREY, lw=1.2)
-        ax.axvline(100 * (rate["value"] + budget), color=GREY, lw=1, ls=":")
-        _note(ax, "no attack", 100 * rate["value"], (4, 0))
+    ax.axvline(100 * budget, color=GREY, lw=1, ls=":")
+    _note(ax, "budget", 100 * budget, (4, 0))
     for search in searches:
         trials = [trial for trial in search["trials"] if trial["runs"] == search["runs"]]
         trials += [
@@ -136,12 +133,12 @@ def draw_trade(
         ]
         trials.sort(key=lambda trial: trial["value"])
         x = [100 * trial["alarm_rate"] for trial in trials]
-        y = [max(trial["undetected_displacement_m"], SMALLEST_M) for trial in trials]
+        y = [max(trial["stealthy_displacement_m"], SMALLEST_M) for trial in trials]
         ax.plot(x, y, ".-", color=look[search["spoofer"]].colour, lw=1, ms=4, alpha=0.45, zorder=2)
     for label, score in scores.items():
-        if label == "none":
+        x, y = score["alarm_rate"], score["stealthy_displacement_m"]
+        if label == "none" or y["value"] is None:
             continue
-        x, y = score["alarm_rate"], score["undetected_displacement_m"]
         middle = max(y["value"], SMALLEST_M)
         ax.errorbar(
             100 * x["value"],
@@ -153,7 +150,7 @@ def draw_trade(
         )
     ax.set_xlim(-3, 103)
     _log_metres(ax)
-    ax.set_xlabel("runs with an alarm [%] (hollow: over budget)")
+    ax.set_xlabel("P(alarm | silent twin) [%] (hollow: over budget)")
 
 
 def draw_exceedance(
@@ -163,12 +160,12 @@ def draw_exceedance(
     style(ax)
     ax.axvline(limit_m, color=GREY, lw=1, ls=":")
     _note(ax, f"{limit_m:g} m", limit_m, (3, -10), top=True)
-    far = [float(cell.records["undetected_displacement_m"].max()) for cell in cells.values()]
+    far = [float(cell.displacement_m.max()) for cell in cells.values()]
     decades = max(math.ceil(math.log10(max(*far, 1000.0))), 3) if far else 3
     limits = np.geomspace(1.0, 10.0**decades, 400)
     for label, cell in cells.items():
-        x = cell.records["undetected_displacement_m"]
-        part = (x[None, :] > limits[:, None]).mean(axis=1)
+        x = cell.displacement_m[cell.counts]
+        part = (x[None, :] > limits[:, None]).sum(axis=1) / max(len(x), 1)
         drawn = look[label]
         ax.plot(limits, part, drawn.dashes, color=drawn.colour, lw=drawn.width)
     ax.set_xscale("log")

@@ -27,7 +27,7 @@ from .._simd import LANES
 from ..envs.core import SpoofCore
 from ..sim.noise import padded
 from ..simulators import _perf_kernels as kernels
-from .campaign import Progress, Silent
+from ..simulators.clean_runs import Progress, Silent
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 ENV = "spoofgym/TightlyCoupled-v0"
@@ -79,7 +79,7 @@ class Rig:
         self.core, self.engine = self.env.core, self.env.core.engine
         self.steps: int = self.core.setup.steps
         self.action = np.full(self.env.action_space.shape, COMMAND, dtype=np.float32)
-        self.command = np.full((receivers, len(self.env.action_names)), COMMAND)
+        self.command = np.full((receivers, len(self.core.setup.action_names)), COMMAND)
         groups = -(-receivers // LANES)
         bounds = [LANES * (groups * k // threads) for k in range(threads)] + [receivers]
         self._ends = list(pairwise(bounds))
@@ -110,7 +110,7 @@ class Rig:
         attack, sensors = simulator.attack, simulator.sensors
         by_rate, scale = attack.control == "rate", attack.unit_scale
         settings = self.command, False, by_rate, scale, attack.rate_limit_mps
-        memory = (attack.memory[name] for name in ("displacement", "rate", "to_ecef"))
+        memory = attack.memory["displacement"], attack.memory["rate"], attack.axes_e
         truth = sensors.epoch, world.epoch_time, world.satellites, world.position_e
         offsets = world.velocity_e, attack.mask, sensors.range_offset, sensors.rate_offset
         wrong = attack.memory["target_error"], attack.coherent

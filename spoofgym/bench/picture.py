@@ -21,7 +21,7 @@ COLUMNS = 4
 ROWS_IN = (3.2, 3.2, 3.2)
 """Heights of the panels below the one of the means, in inches."""
 LABELS = (
-    "undetected displacement [m], mean",
+    "stealthy displacement [m]",
     "P(undetected displacement > limit)",
     "distance from the clean twin [m]",
 )

@@ -6,19 +6,15 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from .tables import (
-    CLEAN_HEAD,
-    KNOWLEDGE_HEAD,
-    RIVALS_HEAD,
-    attack_rows,
-    attacks_head,
-    clean_rows,
-    interval,
-    knowledge_rows,
-    reference_lines,
-    rival_rows,
-)
+from . import tables
+from .attack_suite import FAMILIES
 from .tuning_table import tuning_head, tuning_rows
+
+PUBLISHED_NOTE = (
+    "Thresholds as the papers or their defaults have them. The rates of false alarms differ, so "
+    "that nothing here compares one detector with another; by name, no one is the best. The ramp "
+    "is the same for all, and fitted to nobody."
+)
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -37,34 +33,26 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
     lines = [f"# Campaign: {summary['scenario']}", "", *_setting(config, summary), ""]
     if summary["missing"]:
         lines += [f"**Not finished**: {', '.join(summary['missing'])}.", ""]
-    lines += ["## Attacks", "", *markdown_table(attacks_head(summary), attack_rows(summary)), ""]
-    lines += [*_reading(config, summary), ""]
-    if summary["rivals"]:
-        lines += ["## Spoofers compared, run by run", "", *_rivals(summary), ""]
-    lines += ["## Without attack", "", *markdown_table(CLEAN_HEAD, clean_rows(summary)), ""]
-    lines += [
-        "False alarms are counted in the window of the attack, by the same runs without attack. "
-        "Intervals are exact (Clopper-Pearson); those per epoch are for as many independent epochs "
-        "as the correlated ones of a run are worth, and for the number of runs where there was no "
-        "alarm.",
-        "",
-    ]
-    if summary["differences"]:
-        lines += ["## Detectors compared, run by run", ""]
-        rows: list[tuple[str, ...]] = [
-            (
-                row["spoofer"],
-                f"{row['detector']} less {row['reference']}",
-                interval(row["undetected_displacement_m"]),
-            )
-            for row in summary["differences"]
-        ]
-        lines += markdown_table(("spoofer", "detectors", "undetected displacement [m]"), rows)
-        lines += ["", "A tuned spoofer is set for every detector by itself.", ""]
+    for group in tables.groups(summary):
+        detectors = tables.detector_rows(summary, group)
+        attacks, clean = tables.attack_rows(summary, group), tables.clean_rows(summary, group)
+        lines += [f"## Detectors {group.title}", ""]
+        lines += [*markdown_table(tables.DETECTORS_HEAD, detectors), ""]
+        if attacks:
+            lines += ["### Stealthy attacks", ""]
+            lines += [*markdown_table(tables.ATTACKS_HEAD, attacks), ""]
+        lines += ["### Price", "", *markdown_table(tables.CLEAN_HEAD, clean), ""]
+    if summary["published"]:
+        lines += ["## As published", ""]
+        lines += markdown_table(tables.PUBLISHED_HEAD, tables.published_rows(summary))
+        lines += ["", PUBLISHED_NOTE, ""]
+    lines += ["## How to read it", "", *_reading(config, summary), ""]
+    if summary["comparisons"]:
+        lines += ["## Compared with the controls, run by run", "", *_comparisons(summary), ""]
     lines += [
         "## What the spoofers know",
         "",
-        *markdown_table(KNOWLEDGE_HEAD, knowledge_rows(summary)),
+        *markdown_table(tables.KNOWLEDGE_HEAD, tables.knowledge_rows(summary)),
         "",
     ]
     if summary["tuning"]:
@@ -114,39 +102,57 @@ def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
 
 def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
     """How the numbers are meant."""
-    alert = config["timeline"]["time_to_alert_s"]
-    horizon = summary["cells"][0]["delay_horizon_s"] if summary["cells"] else 0.0
-    excluded = {cell["detector"]: cell["delay_excluded"] for cell in summary["cells"]}
-    counts = ", ".join(f"{count} with {detector}" for detector, count in excluded.items())
+    alert, budget = config["timeline"]["time_to_alert_s"], 100 * summary["budget"]
+    lines = [
+        "In brackets: 95 % intervals. A run *counts* where nothing but the attack can have raised "
+        "an alarm: it is silent before the onset, and so is its clean twin (same seed, same "
+        "detector, no attack) in the judged window. *Undetected displacement* of a run: largest "
+        f"horizontal distance from the twin with no alarm up to {alert:g} s after it. *Stealthy "
+        "displacement*: its mean over the runs that count (bootstrap), of a spoofer whose P(alarm "
+        f"| silent twin) is at most {budget:g} %, which the upper 95 % limit (Clopper-Pearson, "
+        "one-sided) keeps on the training runs; every spoofer has an amplitude that is fitted to "
+        "that. *Over budget*: the rate is above it on these runs. *Alarmed as 0*: the same mean, "
+        "runs with an alarm counted 0. *Missed*: of the runs whose error crosses "
+        f"{summary['alert_limit_m']:g} m, those without an alarm up to {alert:g} s after. "
+        "*Delay*: median from the onset to an alarm that the attack raised, not to one by chance, "
+        "which the twin has by then, too. *Made for*: the detector that a spoofer was tuned, "
+        "optimised or trained against; with another detector, receiver, scenario, timeline or "
+        "attack it is a transfer.",
+        "",
+        "False alarms are counted in the window of the attack, by the same runs without attack "
+        "(exact intervals, Clopper-Pearson); *availability lost*: epochs with an alarm.",
+    ]
+    suite = summary["attack_suite"]
+    if suite is None:
+        return lines
+    letters = ", ".join(f"({letter}) {what}" for letter, what in FAMILIES.items())
     return [
-        f"In brackets: 95 % intervals. *Alarm rate*: runs with an alarm within {horizon:g} s of "
-        "the onset (Wilson), under attack the detection probability. *Delay*: from the onset to "
-        f"the first alarm, restricted mean with horizon {horizon:g} s, missed runs censored "
-        "(Kaplan-Meier, bootstrap); runs with a false alarm in the warm-up are excluded "
-        f"({counts}). *Undetected displacement*: largest "
-        "horizontal distance from the clean twin (same seed, same detector, no attack) with no "
-        f"alarm up to {alert:g} s after it, mean over all runs, alarmed ones with what they had "
-        "until then (bootstrap, paired over runs). *Over budget*: the alarm rate exceeds that of "
-        f"the same runs without attack by more than {100 * summary['budget']:g} points. *Made "
-        "for*: the detector that a spoofer was tuned, optimised or trained against; with another "
-        "detector, receiver, scenario, timeline or attack it is a transfer.",
+        *lines,
+        "",
+        f"*Exceeded*: the displacement that the worst attack of the suite {suite['name']} "
+        f"{suite['version']} ({letters}) exceeds in that share of the runs that count, without an "
+        f"alarm budget. The worst one was chosen on {suite['runs']} runs of its own. It is a "
+        "floor: another attack may come farther. *Worst skies*: of the tenth of the skies in "
+        "which most was displaced on those runs.",
     ]
 
 
-def _rivals(summary: dict[str, Any]) -> list[str]:
-    """Spoofers against the best ramp and the best profile, and how these were chosen."""
+def _comparisons(summary: dict[str, Any]) -> list[str]:
+    """Detectors less controls."""
+    rows = [
+        (
+            row["score"] if row["spoofer"] is None else f"{row['score']}, {row['spoofer']}",
+            f"{row['detector']} less {row['control']}",
+            tables.interval(row["difference_m"]) + (", above" if row["above"] else ""),
+        )
+        for row in summary["comparisons"]
+    ]
     return [
-        *markdown_table(RIVALS_HEAD, rival_rows(summary)),
+        *markdown_table(("score", "detectors", "difference [m]"), rows),
         "",
-        *(f"- {line}" for line in reference_lines(summary)),
-        "",
-        "Ratio and difference of the mean undetected displacements, with 95 % intervals by the "
-        "paired bootstrap over runs, the same resamples for all. *Best ramp*: of the ramps whose "
-        "search found a value within the budget on training runs, the one with the larger mean on "
-        "these evaluation runs, which favours the ramps. *Best profile*: of the profiles that were "
-        "made for the detector and all else here, the one with the larger mean; where there is "
-        "none, of the others whose alarm rate on these runs keeps the budget. A comparison with a "
-        "spoofer over the budget is not on equal footing.",
+        "`never` does not alarm, and `lottery` does by chance. A detector whose interval lies "
+        "above 0 is worse than they are, and is marked. A tuned spoofer is set for every detector "
+        "by itself.",
     ]
 
 
@@ -161,12 +167,9 @@ def _tunings(searches: list[dict[str, Any]]) -> list[str]:
         lines += [
             f"### {search['detector']} / {search['spoofer']}",
             "",
-            f"Chosen: {chosen}. Budget: alarm rate at most {100 * search['budget']:g} % of the "
-            f"runs above the clean one, which is {100 * search['clean_alarm_rate']:.1f} % of "
-            f"{runs} training runs; none is excluded, {search['warmup_alarms']} of them had a "
-            "false alarm in the warm-up. So that other runs keep it too, the excess counts with a "
-            f"margin of {search['margin']:g} of its standard errors; fewer runs only sift, without "
-            "a margin.",
+            f"Chosen: {chosen}. Budget: P(alarm | silent twin) at most "
+            f"{100 * search['budget']:g} %, by its upper 95 % limit on the {search['counted']} of "
+            f"{runs} training runs that count; fewer runs only sift, by the rate itself.",
             "",
             *markdown_table(tuning_head(search), tuning_rows(search)),
             "",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..simulators.engine import Engine
 from ..simulators.setup import Setup
 from .decisions import Attacker
-from .metrics import undetected_displacement
+from .scores import undetected_displacement
 
 FloatArray = NDArray[np.float64]
 DROP_EVERY, DROP_PART = 10, 0.25
@@ -27,13 +27,19 @@ class Runs(NamedTuple):
       once a run has been dropped;
     - `alarm` (K, R) bool, whether any channel alarmed;
     - `peak` (R,) largest ratio of a statistic to its threshold;
-    - `onset` (R,) epoch of `Setup.epoch_time` after which the attack began.
+    - `onset` (R,) epoch of `Setup.epoch_time` after which the attack began;
+    - `heading` (R,) direction of the target, clockwise from north [rad];
+    - `coasting` (K, R) bool, whether the epoch had no update for want of measurements;
+    - `blamed` (R,) channels that were blamed, summed over the epochs.
     """
 
     position: FloatArray
     alarm: NDArray[np.bool_]
     peak: FloatArray
     onset: NDArray[np.int64]
+    heading: FloatArray
+    coasting: NDArray[np.bool_]
+    blamed: NDArray[np.int64]
 
     def first(self, count: int) -> Runs:
         """Some of the runs."""
@@ -41,7 +47,15 @@ class Runs(NamedTuple):
 
     def take(self, rows: NDArray[np.intp]) -> Runs:
         """Chosen runs, some of them more than once if so wanted."""
-        return Runs(self.position[:, rows], self.alarm[:, rows], self.peak[rows], self.onset[rows])
+        return Runs(
+            position=self.position[:, rows],
+            alarm=self.alarm[:, rows],
+            peak=self.peak[rows],
+            onset=self.onset[rows],
+            heading=self.heading[rows],
+            coasting=self.coasting[:, rows],
+            blamed=self.blamed[rows],
+        )
 
     @property
     def first_alarm(self) -> NDArray[np.int64]:
@@ -104,16 +118,20 @@ def play(
     setup = start.setup
     epochs, everyone = setup.steps + setup.hold, start.receivers
     alarm = np.zeros((epochs, everyone), dtype=np.bool_)
+    coasting, blamed = np.zeros_like(alarm), np.zeros(everyone, dtype=np.int64)
     peak = np.zeros(everyone)
     rows = np.arange(everyone)
     attacker = Attacker(spec, start.engine())
     position = np.full((epochs, *attacker.engine.simulator.position.shape), np.nan)
     onset = attacker.engine.simulator.onset.copy()
+    heading = attacker.engine.simulator.heading.copy()
     for k in range(epochs):
         verdict = attacker.engine.step(attacker.command(k))
-        position[k, rows] = attacker.engine.simulator.position
+        simulator = attacker.engine.simulator
+        position[k, rows], coasting[k, rows] = simulator.position, simulator.coasting
         alarm[k, rows] = verdict.alarm.any(axis=1)
-        peak[rows] = np.maximum(peak[rows], attacker.engine.simulator.ratio())
+        blamed[rows] += verdict.alarm.sum(axis=1)
+        peak[rows] = np.maximum(peak[rows], simulator.ratio())
         if tick is not None:
             tick(1.0 / epochs)
         if drop_alarmed and (k + 1) % DROP_EVERY == 0:
@@ -126,7 +144,7 @@ def play(
                 kept = np.flatnonzero(open_)
                 attacker.go_on_with(start.extract(attacker.engine, kept), kept)
                 rows = rows[kept]
-    return Runs(position, alarm, peak, onset)
+    return Runs(position, alarm, peak, onset, heading, coasting, blamed)
 
 
 def epochs_of(setup: Setup, onset: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -150,22 +168,26 @@ def to_local(vector: FloatArray, frames: FloatArray) -> FloatArray:
     return np.asarray(functools.reduce(np.add, parts))
 
 
-def _horizontal(setup: Setup, apart: FloatArray, epochs: NDArray[np.int64]) -> FloatArray:
-    """Length of the horizontal part of differences of positions at epochs: (K, R) [m]."""
-    local = to_local(apart, setup.C_en[epochs])
+def induced(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
+    """The attacked solution less its clean twin: (K, R, d) north, east (and down) [m]."""
+    apart = attacked.position - twin.position
+    return to_local(apart, setup.C_en[epochs_of(setup, twin.onset)])
+
+
+def off_truth(setup: Setup, runs: Runs) -> FloatArray:
+    """The solution less the truth: (K, R, d) north, east (and down) [m]."""
+    epochs = epochs_of(setup, runs.onset)
+    return to_local(runs.position - setup.true_position[epochs], setup.C_en[epochs])
+
+
+def horizontal(local: FloatArray) -> FloatArray:
+    """Length of the horizontal part of vectors (K, R, d): (K, R) [m]."""
     return np.hypot(local[..., 0], local[..., 1])
 
 
 def induced_error(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:
     """Horizontal distance of the attacked solution from its clean twin: (K, R) [m]."""
-    apart = attacked.position - twin.position
-    return _horizontal(setup, apart, epochs_of(setup, twin.onset))
-
-
-def navigation_error(setup: Setup, runs: Runs) -> FloatArray:
-    """Horizontal distance of the solution from the truth: (K, R) [m]."""
-    epochs = epochs_of(setup, runs.onset)
-    return _horizontal(setup, runs.position - setup.true_position[epochs], epochs)
+    return horizontal(induced(setup, attacked, twin))
 
 
 def displacement_of(setup: Setup, attacked: Runs, twin: Runs) -> FloatArray:

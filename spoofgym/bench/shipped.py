@@ -7,10 +7,11 @@ from collections.abc import Callable
 from ..attacks import ATTACKS
 from ..envs.spoofer_binding import setup_of_card
 from ..simulators.setup import Setup
-from ..spoofers import SPOOFERS, Spoofer, SpooferContext
+from ..spoofers import Spoofer, SpooferContext
 from ..spoofers.card import Card
+from ..spoofers.scaled import split_amplitude
 from ..spoofers.zoo import card_of, shipped
-from .entries import Entry, build_spoofer, detector_entry
+from .entries import Entry, build_spoofer, detector_entry, spec_of_spoofer
 from .specs import describe, spec_of
 
 
@@ -39,9 +40,9 @@ def card_behind(spoofer: Spoofer) -> Card | None:
     card = getattr(spoofer, "card", None)
     if isinstance(card, Card):
         return card
-    settings = spec_of("spoofer", SPOOFERS, spoofer)
+    settings, _ = split_amplitude(spec_of_spoofer(spoofer))
     for name in shipped():
-        if spoofer.label == name and settings == spec_of("spoofer", SPOOFERS, build_spoofer(name)):
+        if spoofer.label == name and settings == spec_of_spoofer(build_spoofer(name)):
             return card_of(name)
     return None
 

@@ -7,11 +7,13 @@ import inspect
 import json
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, TypeVar, cast
 
 from .._describe import describe as describe
 from .._describe import digest_of as digest_of
 from .._registry import build
+from ..detectors import DETECTORS, Detector, calibrated
 
 T = TypeVar("T")
 Spec = dict[str, Any]
@@ -107,6 +109,20 @@ def make(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: 
         except TypeError as error:
             raise ValueError(f"{word} {spec['name']!r}: {error}") from error
     return build(word, kinds, base, spec)
+
+
+def make_judge(spec: Any) -> Detector:
+    """Detector of a campaign, which may ask for its thresholds; the name may be ``module:Class``.
+
+    One that asks for nothing has those of the default rate.
+    """
+    made = partial(make, "detector", DETECTORS, Detector)
+    return calibrated.made_by(made, spec, calibrated.DEFAULT_RATE)
+
+
+def spec_of_judge(detector: Detector) -> Spec:
+    """Name and all settings of a detector, and what it asks of its thresholds."""
+    return calibrated.spec_with_thresholds(detector, partial(spec_of, "detector", DETECTORS))
 
 
 def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:

@@ -16,13 +16,15 @@ from .._describe import differences
 from .._files import remove_stale_parts, write_file
 from .cells import Cell
 from .entries import TUNED
+from .protection import Protection
 from .specs import digest_of, slug
 from .suite import Suite
 from .tune import TuningResult
 
 CONFIG, TABLE, SUMMARY, PICTURE = "config.json", "results.md", "summary.json", "campaign.png"
-CELLS, TUNINGS = "cells", "tuning"
-OWN = (CELLS, TUNINGS, TABLE, SUMMARY, PICTURE, CONFIG)
+CELLS, TUNINGS, PROTECTIONS = "cells", "tuning", "protection"
+FOLDERS = (CELLS, TUNINGS, PROTECTIONS)
+OWN = (*FOLDERS, TABLE, SUMMARY, PICTURE, CONFIG)
 """In the order in which they are removed: what says whose results they are comes last."""
 
 
@@ -43,7 +45,7 @@ class ResultsFolder:
         """Begin a campaign, or go on with it."""
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"{self.path} is not a folder; choose another one with --out")
-        for folder in (self.path, self.path / CELLS, self.path / TUNINGS):
+        for folder in (self.path, *(self.path / name for name in FOLDERS)):
             remove_stale_parts(folder)
         config = self.path / CONFIG
         leftover = [item for item in self._content() if not item.name.endswith(".part")]
@@ -145,6 +147,26 @@ class ResultsFolder:
         self._check(path, head, detector=detector, spoofer=spoofer)
         return result
 
+    def _protection_path(self, detector: str) -> Path:
+        return self.path / PROTECTIONS / f"{slug(detector)}.json"
+
+    def put_protection(self, found: Protection) -> None:
+        """Write what the attack suite has achieved against a detector."""
+        self._own_config()
+        write_file(self._protection_path(found.detector), found.to_text().encode())
+
+    def protection(self, detector: str) -> Protection | None:
+        """Read what the attack suite has achieved; None where it has not been played."""
+        path = self._protection_path(detector)
+        if not path.is_file():
+            return None
+        try:
+            found = Protection.from_text(path.read_text(encoding="utf-8"))
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{path} is damaged ({error}); delete it and run again") from error
+        self._check(path, found.head, detector=detector)
+        return found
+
     def put_text(self, name: str, text: str) -> Path:
         """Write a report."""
         write_file(self.path / name, text.encode())
@@ -167,7 +189,8 @@ class ResultsFolder:
         if "runs" in head:
             asked["runs"] = config["runs"]
             for kind, label in named.items():
-                specs = {entry["label"]: entry["spec"] for entry in config[f"{kind}s"]}
+                entries = [*config[f"{kind}s"], *config["published"].get(f"{kind}s", [])]
+                specs = {entry["label"]: entry["spec"] for entry in entries}
                 asked[f"{kind}_settings"] = specs.get(label)
         found = [
             f"{name} is {there!r} and not {wanted!r}"

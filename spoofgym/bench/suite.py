@@ -7,7 +7,6 @@ import hashlib
 import math
 import uuid
 import warnings
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,7 +20,8 @@ from .. import __version__
 from .._describe import outside_sources
 from .._registry import check_choice, whole_number
 from ..attacks import ATTACKS, Attack
-from ..detectors import DETECTORS, Detector
+from ..detectors import Calibrated, Detector, OperatingPoint, PooledDetector
+from ..detectors.calibrated import resolve
 from ..envs.factory import make_setup
 from ..envs.observer import Observer
 from ..envs.spoofer_binding import ENV_ID, warn_of_headings
@@ -31,9 +31,12 @@ from ..sim.scenario import Scenario
 from ..simulators.base import run_serially
 from ..simulators.domain import Domain
 from ..simulators.setup import Setup, Timeline
+from ..simulators.splits import SPLITS as SPLITS
+from ..simulators.splits import generators_of
+from ..simulators.splits import seed_sequences as seed_sequences
 from ..simulators.tightly_coupled import TightlyCoupledSetup
-from ..spoofers import Spoofer, SpooferContext
-from .budget import BUDGET, MARGIN
+from ..spoofers import Ramp, Scaled, Spoofer, SpooferContext
+from .attack_suite import NAME, VERSION, Member, fitting_members, suite_digest
 from .decisions import make_bound_spoofer
 from .entries import (
     DEFAULT_SPOOFERS,
@@ -41,18 +44,23 @@ from .entries import (
     build_spoofer,
     check_labels,
     detector_entry,
+    fitted,
+    nominal_entry,
     oracle_labels,
     refuse_oracles,
     spoofer_entry,
 )
+from .searches import Selection
+from .searches import Tuning as Tuning
 from .shipped import fitting
-from .specs import describe, digest_of, make, settings_of, spec_of
+from .specs import describe, digest_of, make_judge, settings_of, spec_of
 from .victims import VICTIMS
 
-FORMAT = 4
+FORMAT = 5
 """Of the results; those of another one are not scored."""
-SPLITS = {"training": 0, "calibration": 1, "evaluation": 2, "bootstrap": 3}
-"""First element of the spawn keys; runs of different splits share no noise."""
+ALERT_LIMITS_M = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0, 556.0)
+"""Alert limits of a campaign besides its own; 40 m is the horizontal one of an approach with
+vertical guidance, 556 m that of a non-precision approach (`icao-annex10`)."""
 WORLD = (
     "scenario",
     "receiver",
@@ -64,58 +72,6 @@ WORLD = (
     "between",
 )
 """Settings of a victim that a suite has by name."""
-
-
-def seed_sequences(
-    entropy: int, split: str, scenario: str, runs: int, first: int = 0
-) -> list[np.random.SeedSequence]:
-    """Seeds of the runs of a split; the first ones are the same for any number of runs.
-
-    `entropy`: of the campaign, at least 0; `first`: run to start with.
-    """
-    key = zlib.crc32(scenario.encode())
-    return [
-        np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run))
-        for run in range(first, runs)
-    ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tuning:
-    """How a spoofer's setting is searched for.
-
-    Parameters
-    ----------
-    runs : int
-        Training runs.
-    sift_runs : int
-        How many of them are enough to find the neighbourhood.
-    values : int
-        Log-spaced values over the whole range that are sifted.
-    refined : int
-        Log-spaced values around a peak within the budget, tried on all training runs.
-    budget : float
-        How much more often than without attack an alarm may come, as a part of the runs.
-    margin : float
-        Distance that a choice keeps from the budget, in standard errors of that excess.
-    """
-
-    runs: int = 1024
-    sift_runs: int = 64
-    values: int = 20
-    refined: int = 5
-    budget: float = BUDGET
-    margin: float = MARGIN
-
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        for name, least in (("runs", 2), ("sift_runs", 1), ("values", 3), ("refined", 2)):
-            count = whole_number(f"`tuning.{name}`", getattr(self, name), least)
-            object.__setattr__(self, name, count)
-        if not 0.0 <= self.budget < 1.0:
-            raise ValueError(f"`tuning.budget` must be in [0, 1), got {self.budget}")
-        if not (math.isfinite(self.margin) and self.margin >= 0.0):
-            raise ValueError(f"`tuning.margin` must be finite and >= 0, got {self.margin}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,6 +107,12 @@ class Suite:
         Where the scenario comes from, for the report.
     allow_oracles : bool
         Whether detectors may play that know the attack; the report then says which ones do.
+    selection : Selection, optional
+        Search for the worst attack of the attack suite, by which detectors are protected; None for
+        none.
+    published : bool
+        Whether detectors that are asked for a rate of false alarms are played with their nominal
+        thresholds, too.
     """
 
     env: str = ENV_ID
@@ -171,6 +133,8 @@ class Suite:
     alert_limit_m: float = 40.0
     notes: Sequence[str] = ()
     allow_oracles: bool = False
+    selection: Selection | None = None
+    published: bool = False
 
     def __post_init__(self) -> None:
         """Check names and settings; no receiver is simulated yet."""
@@ -201,6 +165,25 @@ class Suite:
         specs = VICTIMS[self.env].detectors if self.detectors is None else self.detectors
         return tuple(detector_entry(spec) for spec in specs)
 
+    @cached_property
+    def published_entries(self) -> tuple[Entry, ...]:
+        """Detectors that are calibrated, with the thresholds as published."""
+        if not self.published:
+            return ()
+        found = [nominal_entry(entry) for entry in self.detector_entries]
+        return tuple(entry for entry in found if entry is not None)
+
+    @cached_property
+    def published_spoofers(self) -> tuple[Entry, ...]:
+        """Whom the detectors as published meet: nobody, and a ramp that is the same for all."""
+        rate = min(Ramp.rate_mps, Ramp.tuning_range(spoofer_context(self._setup))[1])
+        return spoofer_entry("none"), spoofer_entry({"name": "ramp", "rate_mps": rate})
+
+    @property
+    def alert_limits_m(self) -> list[float]:
+        """Alert limits by which detectors are compared."""
+        return sorted({*ALERT_LIMITS_M, float(self.alert_limit_m)})
+
     @property
     def given(self) -> dict[str, Any]:
         """Settings of the victim that are not its defaults."""
@@ -218,7 +201,7 @@ class Suite:
         """Spoofers in their order, ``none`` first."""
         specs = self.spoofers
         if specs is None:
-            specs = (*DEFAULT_SPOOFERS, *self._shipped[0])
+            specs = (*DEFAULT_SPOOFERS, *map(fitted, self._shipped[0]))
         entries = [spoofer_entry(spec) for spec in specs]
         none = spoofer_entry("none")
         return (none, *(entry for entry in entries if entry != none))
@@ -257,7 +240,8 @@ class Suite:
                 kind = type(build_spoofer(entry.with_value(1.0)))
                 low, _ = kind.tuning_range(spoofer_context(self._setup))
                 spec = entry.with_value(low)
-            bound.append(make_bound_spoofer(spec, self._setup, 1)[0])
+            spoofer = make_bound_spoofer(spec, self._setup, 1)[0]
+            bound.append(spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer)
         warn_of_headings(bound, self._setup)
 
     @cached_property
@@ -266,12 +250,42 @@ class Suite:
 
     def setup(self, detector: Entry) -> Setup:
         """What all receivers share, with one of the detectors; world and all else are the same."""
-        return self._setup.altered(detector=make("detector", DETECTORS, Detector, detector.spec))
+        return self._setup.altered(detector=make_judge(detector.spec))
 
     def generators(self, split: str, runs: int, first: int = 0) -> list[np.random.Generator]:
         """Generators of the runs of a split, from `first` on."""
         seeds = seed_sequences(self.entropy, split, self._setup.name, runs, first)
-        return [np.random.Generator(np.random.PCG64(seed)) for seed in seeds]
+        return generators_of(seeds)
+
+    @cached_property
+    def world(self) -> Setup:
+        """What all receivers share, without a defence: the world of a calibration."""
+        return self._setup
+
+    def points(self, detector: Entry) -> list[OperatingPoint]:
+        """Where a detector works that asks for a rate, or the members of a pool; else nothing."""
+        judge = make_judge(detector.spec)
+        resolve(judge, self._setup)
+        parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
+        found = [part.point for part in parts if isinstance(part, Calibrated)]
+        return [point for point in found if point is not None]
+
+    @cached_property
+    def captions(self) -> tuple[str, ...]:
+        """Where the detectors work that ask for a rate: per hour and per run; a line each."""
+        found = {entry.label: self.points(entry) for entry in self.detector_entries}
+        return tuple(
+            f"{label}: {'; '.join(sorted({str(point) for point in points}))}"
+            for label, points in found.items()
+            if points
+        )
+
+    def _calibrations(self) -> dict[str, Any]:
+        """Scales of the detectors that ask for a rate, for `config`, and who never alarms."""
+        found = {entry.label: self.points(entry) for entry in self.detector_entries}
+        named = {label: [p._asdict() for p in points] for label, points in found.items() if points}
+        never = [e.label for e in self.detector_entries if not make_judge(e.spec).calibrates]
+        return {"calibrations": named, "never_alarm": never}
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -282,7 +296,7 @@ class Suite:
         results; this is warned of.
         """
         setup = self._setup
-        judges = [make("detector", DETECTORS, Detector, e.spec) for e in self.detector_entries]
+        judges = [make_judge(entry.spec) for entry in self.detector_entries]
         players = [build_spoofer(entry.untuned) for entry in self.spoofer_entries]
         parts = [getattr(setup, name) for name in WORLD if hasattr(setup, name)]
         outside = outside_sources(*judges, *players, *parts, *self.given.values())
@@ -306,13 +320,44 @@ class Suite:
             "between": setup.between,
             "detectors": [dataclasses.asdict(entry) for entry in self.detector_entries],
             "spoofers": [dataclasses.asdict(entry) for entry in self.spoofer_entries],
+            **self._calibrations(),
             "runs": self.runs,
             "entropy": self.entropy,
             "splits": dict(SPLITS),
             "tuning": dataclasses.asdict(self.tuning),
+            "attack_suite": self._attack_suite(),
+            "published": self._published(),
             "alert_limit_m": float(self.alert_limit_m),
-            "notes": [*self.notes, *self._oracle_notes, *self.left_out, *unknown],
+            "alert_limits_m": list(ALERT_LIMITS_M),
+            "notes": [
+                *self.notes,
+                *self.captions,
+                *self._oracle_notes,
+                *self.left_out,
+                *unknown,
+            ],
         }
+
+    @cached_property
+    def members(self) -> tuple[Member, ...]:
+        """Attacks of the attack suite that fit the victim."""
+        return fitting_members(self._setup, spoofer_context(self._setup))
+
+    def _published(self) -> dict[str, Any]:
+        """Who plays with thresholds as published, and against whom."""
+        if not self.published_entries:
+            return {"detectors": [], "spoofers": []}
+        return {
+            "detectors": [dataclasses.asdict(entry) for entry in self.published_entries],
+            "spoofers": [dataclasses.asdict(entry) for entry in self.published_spoofers],
+        }
+
+    def _attack_suite(self) -> dict[str, Any] | None:
+        """Name, version and search of the attack suite; None where it is not played."""
+        if self.selection is None:
+            return None
+        named = {"name": NAME, "version": VERSION, "digest": suite_digest(self.members)}
+        return {**named, **dataclasses.asdict(self.selection)}
 
     def _described(self) -> dict[str, Any]:
         """Scenario, receiver and attack, or what the victim has in their place; JSON-able."""

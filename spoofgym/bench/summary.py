@@ -9,24 +9,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cells import Cell
+from .comparisons import compare
 from .metrics import (
     RESAMPLES,
+    Estimate,
     bootstrap_mean,
-    clopper_pearson,
-    clustered_proportion,
-    counts_of,
     exceedance,
     percentiles,
     resamples,
-    restricted_mean_delay,
+    resamples_of,
+    wilson,
 )
-from .rivals import compare_rivals, footing
+from .price import mean_of, number, operating_point, score_detector
+from .protection import Protection
+from .scores import (
+    bootstrap_exceeded,
+    by_chance,
+    missed_in_time,
+    survival,
+)
 from .store import ResultsFolder
 from .suite import FORMAT, seed_sequences
 
-ALERT_LIMITS_M = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0, 556.0)
-"""Levels of the P_HMI curve; 40 m is the horizontal alert limit of an approach with vertical
-guidance, 556 m that of a non-precision approach (`icao-annex10`)."""
+SURVIVAL_TIMES = 8
+"""At how many times the share of undetected attacks is told."""
+FURTHER = ("undetected_along_m", "undetected_vertical_m", "undetected_total_m")
+"""Other displacements whose means are told."""
 
 
 def summarize(folder: ResultsFolder) -> dict[str, Any]:
@@ -40,8 +48,9 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON-able: ``scenario``, ``runs``, ``detectors`` (false alarms), ``cells`` (scores),
-        ``differences`` (paired, between detectors), ``rivals`` (paired, between spoofers),
+        JSON-able: ``scenario``, ``runs``, ``detectors`` (rates of false alarms, price),
+        ``cells`` (spoofers), ``protection`` (detectors), ``comparisons`` (detectors with the
+        negative controls at the same rate, run by run), ``published`` (nominal thresholds),
         ``tuning``, ``missing`` (cells).
 
     Raises
@@ -59,37 +68,44 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
     spoofers = [entry["label"] for entry in config["spoofers"]]
     pairs = [(detector, spoofer) for detector in detectors for spoofer in spoofers]
     cells = {pair: folder.cell(*pair) for pair in pairs if folder.has_cell(*pair)}
-    budget = float(config["tuning"]["budget"])
+    protections = [folder.protection(detector) for detector in detectors]
+    known = [found for found in protections if found is not None]
     samples = bootstrap_samples(config)
-    counts = counts_of(samples)
-    limits = sorted({*ALERT_LIMITS_M, config["alert_limit_m"]})
+    limits = sorted({*config["alert_limits_m"], config["alert_limit_m"]})
     searches = [folder.tuning(*pair) for pair in pairs]
+    points = {label: operating_point(config, label) for label in detectors}
+    played = [label for label in detectors if (label, "none") in cells]
+    unplayed = [] if config["attack_suite"] is None else detectors
     return {
         "campaign": next((cell.head["campaign"] for cell in cells.values()), None),
         "scenario": config["scenario"]["name"],
         "runs": config["runs"],
         "entropy": config["entropy"],
-        "detectors": [
-            score_detector(cells[detector, "none"])
-            for detector in detectors
-            if (detector, "none") in cells
-        ],
-        "budget": budget,
+        "budget": float(config["tuning"]["budget"]),
         "alert_limit_m": config["alert_limit_m"],
+        "attack_suite": config["attack_suite"],
+        "detectors": [
+            {**score_detector(cells[label, "none"]), **points[label]} for label in played
+        ],
         "cells": [
-            {
-                **score_cell(cell, samples, counts, limits),
-                **footing(cell, cells.get((cell.detector, "none")), budget, samples),
-            }
+            score_cell(cell, samples, limits, float(config["tuning"]["budget"]))
             for cell in cells.values()
         ],
-        "differences": _differences(cells, detectors, spoofers, samples),
-        "rivals": compare_rivals(cells.values(), budget, samples),
+        "protection": [score_protection(found, limits) for found in known],
+        "comparisons": compare(
+            list(cells.values()), known, {k: p["footing"] for k, p in points.items()}
+        ),
+        "published": _published(folder, config, samples, limits),
         "tuning": [search.as_dict() for search in searches if search is not None],
         "missing": [
             f"{detector} / {spoofer}"
             for detector, spoofer in pairs
             if (detector, spoofer) not in cells
+        ]
+        + [
+            f"{detector} / attack suite"
+            for detector in unplayed
+            if detector not in {found.detector for found in known}
         ],
     }
 
@@ -100,43 +116,13 @@ def bootstrap_samples(config: dict[str, Any]) -> NDArray[np.int64]:
     return resamples(config["runs"], np.random.Generator(np.random.PCG64(seed)), RESAMPLES)
 
 
-def score_detector(clean: Cell) -> dict[str, Any]:
-    """False alarms of a detector, from its runs without attack.
-
-    Returns per run and per epoch of the window, and in the warm-up; RMS distance from the truth.
-    """
-    records = clean.records
-    warm = int(records["warmup_alarm"].sum())
-    return {
-        "detector": clean.detector,
-        "window_s": clean.window * clean.interval_s,
-        "false_alarm_per_run": clopper_pearson(int(clean.alarmed.sum()), clean.runs).as_json(),
-        "false_alarm_per_epoch": clustered_proportion(
-            records["alarm_epochs"], clean.window
-        ).as_json(),
-        "warmup_alarm_per_run": clopper_pearson(warm, clean.runs).as_json(),
-        "navigation_rms_m": float(np.sqrt(np.mean(records["navigation_rms_m"] ** 2)).round(4)),
-    }
-
-
 def score_cell(
-    cell: Cell,
-    samples: NDArray[np.int64],
-    counts: NDArray[np.float64],
-    limits: Sequence[float] = ALERT_LIMITS_M,
+    cell: Cell, samples: NDArray[np.int64], limits: Sequence[float], budget: float
 ) -> dict[str, Any]:
-    """Scores of one cell.
-
-    `samples`, `counts` (S, R) bootstrap samples, and how often each run is in them; `limits`: of
-    the P_HMI curve [m].
-    """
-    records, horizon = cell.records, cell.window * cell.interval_s
-    displacement = records["undetected_displacement_m"]
-    kept = ~records["warmup_alarm"]
-    delay = np.where(cell.alarmed, records["first_alarm"] * cell.interval_s, horizon)
-    arguments = (delay, cell.alarmed, horizon)
-    mean = float(restricted_mean_delay(*arguments, weights=kept.astype(float)))
-    drawn = restricted_mean_delay(*arguments, weights=counts * kept)
+    """Scores of one cell; `samples` (S, R) bootstrap samples, `limits` of the P_HMI curve [m]."""
+    counts, displacement, stealth = cell.counts, cell.displacement_m, cell.stealth
+    zeroed = np.where(cell.alarmed, 0.0, displacement)
+    kept = displacement[counts]
     return {
         "detector": cell.detector,
         "spoofer": cell.spoofer,
@@ -145,43 +131,125 @@ def score_cell(
         "knowledge": cell.head["knowledge"],
         "attack": cell.head["attack"],
         "runs": cell.runs,
-        "delay_s": percentiles(mean, drawn).as_json(),
-        "delay_horizon_s": horizon,
-        "delay_runs": int(kept.sum()),
-        "delay_excluded": int((~kept).sum()),
-        "undetected_displacement_m": bootstrap_mean(displacement, samples).as_json(),
-        "largest_error_m": float(records["largest_error_m"].mean().round(4)),
+        "counted": stealth.runs,
+        "silent_before_onset": float((~cell.records["warmup_alarm"]).mean().round(6)),
+        "alarm_rate": wilson(stealth.alarms, stealth.runs).as_json(),
+        "within_budget": stealth.seems_to_keep(budget),
+        "stealthy_displacement_m": mean_counted(displacement, counts, samples).as_json(),
+        "median_m": number(np.median(kept)) if len(kept) else None,
+        "alarmed_as_0_m": mean_counted(zeroed, counts, samples).as_json(),
+        "further_m": {
+            name: mean_of(cell.records[name][counts]) for name in FURTHER if name in cell.records
+        },
+        "largest_error_m": float(cell.records["largest_error_m"].mean().round(4)),
         "p_hmi": [
             {"alert_limit_m": limit, **estimate.as_json()}
-            for limit, estimate in zip(limits, exceedance(displacement, limits), strict=True)
+            for limit, estimate in zip(limits, exceedance(kept, limits), strict=True)
         ],
+        **times_of(cell),
     }
 
 
-def _differences(
-    cells: dict[tuple[str, str], Cell],
-    detectors: list[str],
-    spoofers: list[str],
+def mean_counted(x: NDArray[Any], counts: NDArray[np.bool_], samples: NDArray[Any]) -> Estimate:
+    """Mean over the runs that count, with its percentile interval."""
+    if counts.all():
+        return bootstrap_mean(x, samples)
+    weights = counts.astype(np.float64)
+    many, total = weights[samples].sum(axis=1), (x * weights)[samples].sum(axis=1)
+    drawn = np.divide(total, many, out=np.full(len(many), np.nan), where=many > 0.0)
+    value = float(x[counts].mean()) if counts.any() else float("nan")
+    return percentiles(value, drawn)
+
+
+def times_of(cell: Cell) -> dict[str, Any]:
+    """When the attack was noticed, of the runs that are silent before the onset.
+
+    ``missed``: of the runs whose error crosses the alert limit, those without an alarm up to the
+    time to alert after; ``detected`` and ``chance``: alarms by the end, by what raised them;
+    ``delay_s``: median from the onset to a detection; ``after_crossing_s``: median from the
+    crossing to the alarm; ``survival``: share still undetected by time.
+    """
+    records, step = cell.records, cell.interval_s
+    silent = ~records["warmup_alarm"]
+    first, twin = records["first_alarm"][silent], records["twin_alarm"][silent]
+    crossing = records["crossing"][silent]
+    chance = by_chance(first, twin)
+    detected = (first > 0) & ~chance
+    missed = missed_in_time(first, crossing, int(cell.head["hold"]))
+    horizon = cell.window * step
+    # a run is observed up to its alarm by chance, or up to that of its twin
+    seen = np.where(twin > 0, twin * step, horizon)
+    delay = np.where(detected, first * step, seen)
+    times = np.linspace(0.0, horizon, SURVIVAL_TIMES + 1)[1:]
+    late = (first - crossing)[(first > 0) & (crossing > 0)] * step
+    found: dict[str, Any] = {
+        "missed": wilson(int(missed.sum()), len(missed)).as_json(),
+        "detected": wilson(int(detected.sum()), len(first)).as_json(),
+        "chance": wilson(int(chance.sum()), len(first)).as_json(),
+        "delay_s": _median(first[detected] * step).as_json(),
+        "after_crossing_s": number(np.median(late)) if len(late) else None,
+        "horizon_s": horizon,
+        "survival": [],
+    }
+    if len(first) and cell.spoofer != "none":
+        curve = survival(delay, detected, times)
+        rows = zip(*curve, strict=True)
+        found["survival"] = [
+            dict(zip(curve._fields, map(number, row), strict=True)) for row in rows
+        ]
+    return found
+
+
+def _median(x: NDArray[Any]) -> Estimate:
+    """Median with a percentile interval, by resamples of these runs alone."""
+    if not len(x):
+        return Estimate(float("nan"), float("nan"), float("nan"))
+    drawn = np.median(x[resamples_of(len(x))], axis=1)
+    return percentiles(float(np.median(x)), drawn)
+
+
+def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, Any]:
+    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack)."""
+    aims = [aim for winner in found.winners for aim in winner.aims]
+    exceeded, curve = [], []
+    for aim in aims:
+        winner, rows = found.winner(aim), found.rows(aim)
+        assert winner is not None  # whose aim it is
+        x = winner.displacement[aim.measure][rows]
+        who: dict[str, Any] = {"letter": winner.letter, "spoofer": winner.spoofer}
+        who |= {"setting": winner.setting, "at": winner.value}
+        if aim.share is not None:
+            samples = resamples_of(max(len(x), 1))
+            value = bootstrap_exceeded(x, aim.share, samples).as_json()
+            named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
+            exceeded.append({**named, "runs": len(x), **value, **who})
+        elif aim.limit_m is not None and aim.limit_m in limits:
+            (p,) = exceedance(x, [aim.limit_m])
+            curve.append({"alert_limit_m": aim.limit_m, **p.as_json(), **who})
+    skies = None if found.skies is None else len(found.skies)
+    return {
+        "detector": found.detector,
+        "counted": int(found.counts.sum()),
+        "exceeded": exceeded,
+        "p_hmi": sorted(curve, key=lambda row: row["alert_limit_m"]),
+        "worst_skies": skies,
+    }
+
+
+def _published(
+    folder: ResultsFolder,
+    config: dict[str, Any],
     samples: NDArray[np.int64],
+    limits: Sequence[float],
 ) -> list[dict[str, Any]]:
-    """Undetected displacement by one detector less that by the first one, run by run."""
+    """Detectors with thresholds as published, by name."""
     found = []
-    for spoofer in spoofers:
-        first = cells.get((detectors[0], spoofer))
-        if spoofer == "none" or first is None:
-            continue
-        reference = first.records["undetected_displacement_m"]
-        for detector in detectors[1:]:
-            other = cells.get((detector, spoofer))
-            if other is not None:
-                gap = other.records["undetected_displacement_m"] - reference
-                difference = bootstrap_mean(gap, samples).as_json()
-                found.append(
-                    {
-                        "spoofer": spoofer,
-                        "detector": detector,
-                        "reference": detectors[0],
-                        "undetected_displacement_m": difference,
-                    }
-                )
+    for entry in sorted(config["published"]["detectors"], key=lambda each: each["label"]):
+        names = [each["label"] for each in config["published"]["spoofers"]]
+        cells = [
+            folder.cell(entry["label"], n) for n in names if folder.has_cell(entry["label"], n)
+        ]
+        if len(cells) == len(names):
+            scores = [score_cell(cell, samples, limits, 1.0) for cell in cells[1:]]
+            found.append({**score_detector(cells[0]), "attacks": scores})
     return found

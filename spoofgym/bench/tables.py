@@ -1,41 +1,88 @@
-"""Tables of a campaign: what is in their rows, on the terminal and in the report."""
+"""Tables of a campaign: what is in their rows, on the terminal and in the report.
+
+A table never compares detectors at different rates of false alarms: there is one for each rate, and
+what is played with nominal thresholds comes by name, without a comparison.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
+from .comparisons import CONTROLS, FREE
+from .price import NOMINAL
+
+DETECTORS_HEAD = (
+    "detector",
+    "claimed: % of runs, per hour",
+    "measured: % of runs",
+    "measured: per hour",
+    "exceeded in 50 % [m]",
+    "in 5 % [m]",
+    "worst skies, in 50 % [m]",
+    "worst attack",
+    "mark",
+)
 ATTACKS_HEAD = (
     "detector",
     "spoofer",
     "made for",
     "setting",
-    "alarm rate [%]",
+    "P(alarm | silent twin) [%]",
+    "stealthy displacement [m]",
+    "median [m]",
+    "alarmed as 0 [m]",
+    "missed [%]",
     "delay [s]",
-    "undetected displacement [m]",
 )
 CLEAN_HEAD = (
     "detector",
-    "false alarms per run [%]",
-    "per epoch [%]",
-    "runs with one in the warm-up [%]",
+    "availability lost [%]",
+    "runs with an alarm before the onset [%]",
+    "innocent satellites blamed [s an hour]",
     "navigation error, RMS [m]",
+    "largest while coasting [m]",
 )
-
-
-RIVALS_HEAD = (
+PUBLISHED_HEAD = (
+    "clean runs with an alarm [%]",
     "detector",
-    "spoofer",
-    "alarm rate [%]",
-    "above clean [points]",
-    "ratio to the best ramp",
-    "difference [m]",
-    "ratio to the best profile",
-    "difference [m]",
+    "per hour",
+    "runs with an alarm before the onset [%]",
+    "P(alarm | silent twin) [%]",
+    "displacement by a ramp [m]",
 )
 KNOWLEDGE_HEAD = ("spoofer", "knows at run time", "was designed on")
 UNTOLD = {"name", "heading_deg", "label", "designed_on", "file"}
 """Settings that a table leaves out: they are in other columns, or in the results only."""
 OVER = ", over budget"
+
+
+class Group(NamedTuple):
+    """Detectors at one rate of false alarms an hour; ``""`` for nominal thresholds."""
+
+    rate: str
+    detectors: list[str]
+
+    @property
+    def title(self) -> str:
+        """At which rate."""
+        if not self.rate:
+            return "with nominal thresholds, whose rates of false alarms differ"
+        return f"at {self.rate} false alarms an hour"
+
+
+def groups(summary: dict[str, Any]) -> list[Group]:
+    """Detectors that may share a table; one that never alarms is in all of them."""
+    footing = {row["detector"]: row["footing"] for row in summary["detectors"]}
+    rates = sorted({rate for rate in footing.values() if rate not in (NOMINAL, FREE)}, key=float)
+    free = [label for label, rate in footing.items() if rate == FREE]
+    found = [
+        Group(rate, [label for label, own in footing.items() if own in (rate, FREE)])
+        for rate in rates
+    ]
+    nominal = [label for label, rate in footing.items() if rate == NOMINAL]
+    if nominal or not found:
+        found.append(Group("", sorted([*nominal, *([] if found else free)])))
+    return [group for group in found if group.detectors]
 
 
 def percent(estimate: dict[str, Any]) -> str:
@@ -52,9 +99,11 @@ def interval(estimate: dict[str, Any], digits: int | None = None) -> str:
     value, low, high = (estimate[key] for key in ("value", "low", "high"))
     if value is None:
         return "-"
+    known = [abs(each) for each in (low, high) if each is not None]
     if digits is None:
-        digits = _digits(max(abs(low), abs(high)))
-    return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+        digits = _digits(max(known, default=abs(value)))
+    texts = ["?" if each is None else f"{each:.{digits}f}" for each in (low, high)]
+    return f"{value:.{digits}f} ({texts[0]} to {texts[1]})"
 
 
 def number(value: float) -> str:
@@ -104,93 +153,129 @@ def made_for(cell: dict[str, Any]) -> str:
     return f"{knowledge['detector']}{mark}"
 
 
-def alarms(rate: dict[str, Any], within_budget: bool | None) -> str:
-    """Alarm rate, marked where it is over the budget.
-
-    `within_budget`: None where it is not known.
-    """
-    return percent(rate) + (OVER if within_budget is False else "")
-
-
-def attacks_head(summary: dict[str, Any]) -> tuple[str, ...]:
-    """Head of the table of attacks."""
-    return (*ATTACKS_HEAD, f"P(> {summary['alert_limit_m']:g} m) [%]")
-
-
-def attack_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of attacks, in the order of `attacks_head`."""
+def detector_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:
+    """Rows of the table of detectors, in the order of `DETECTORS_HEAD`."""
+    protections = {row["detector"]: row for row in summary["protection"]}
     rows: list[tuple[str, ...]] = []
-    for cell in summary["cells"]:
-        clean = cell["spoofer"] == "none"
-        limit = next(p for p in cell["p_hmi"] if p["alert_limit_m"] == summary["alert_limit_m"])
+    for row in _of(summary["detectors"], group):
+        label = row["detector"]
+        found = protections.get(label)
         rows.append(
             (
-                cell["detector"],
-                cell["spoofer"],
-                made_for(cell),
-                setting_of(cell),
-                alarms(cell["alarm_rate"], cell["within_budget"]),
-                "-" if clean else interval(cell["delay_s"]),
-                "-" if clean else interval(cell["undetected_displacement_m"]),
-                "-" if clean else percent(limit),
+                label,
+                _claimed(row["claimed"]),
+                percent(row["false_alarm_per_run"]),
+                interval(row["false_alarms_per_hour"]),
+                _exceeded(found, 0.5),
+                _exceeded(found, 0.05),
+                _exceeded(found, 0.5, skies=True),
+                _worst(found),
+                mark_of(summary, label) if group.rate else "-",
             )
         )
     return rows
 
 
-def clean_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of false alarms, in the order of `CLEAN_HEAD`."""
+def _of(rows: list[dict[str, Any]], group: Group) -> list[dict[str, Any]]:
+    """Rows of the detectors of a group, in its order."""
+    order = {label: k for k, label in enumerate(group.detectors)}
+    return sorted(
+        (row for row in rows if row["detector"] in order), key=lambda row: order[row["detector"]]
+    )
+
+
+def _claimed(claimed: dict[str, Any] | None) -> str:
+    if claimed is None:
+        return "-"
+    tail = ", fitted tail" if claimed["extrapolated"] else ""
+    return f"{100 * claimed['per_run']:.3g}, {claimed['false_alarms_per_hour']:g}{tail}"
+
+
+def _headline(found: dict[str, Any] | None, share: float, skies: bool) -> dict[str, Any] | None:
+    """Row of the induced horizontal error that is exceeded in a share of the runs."""
+    for row in [] if found is None else found["exceeded"]:
+        wanted = ("undetected_displacement_m", share, skies)
+        if (row["measure"], row["share"], row["worst_skies"]) == wanted:
+            return dict(row)
+    return None
+
+
+def _exceeded(found: dict[str, Any] | None, share: float, *, skies: bool = False) -> str:
+    row = _headline(found, share, skies)
+    return "-" if row is None else interval(row)
+
+
+def _worst(found: dict[str, Any] | None) -> str:
+    """Letter, spoofer and value of the attack that is the worst in half of the runs."""
+    row = _headline(found, 0.5, False)
+    if row is None:
+        return "-"
+    return f"({row['letter']}) {row['spoofer']}, {row['setting']}={row['at']:g}"
+
+
+def mark_of(summary: dict[str, Any], detector: str) -> str:
+    """Whether a detector is worse than one that never alarms, or alarms by chance, and where."""
+    if detector.partition("(")[0] in CONTROLS:
+        return "control"
+    where = [
+        row["score"] if row["spoofer"] is None else f"{row['score']}, {row['spoofer']}"
+        for row in summary["comparisons"]
+        if row["detector"] == detector and row["above"]
+    ]
+    return f"worse than chance: {'; '.join(dict.fromkeys(where))}" if where else ""
+
+
+def attack_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:
+    """Rows of the table of attacks, in the order of `ATTACKS_HEAD`."""
     return [
         (
-            row["detector"],
-            percent(row["false_alarm_per_run"]),
-            interval({k: 100.0 * x for k, x in row["false_alarm_per_epoch"].items()}, 2),
-            percent(row["warmup_alarm_per_run"]),
-            f"{row['navigation_rms_m']:.2f}",
+            cell["detector"],
+            cell["spoofer"],
+            made_for(cell),
+            setting_of(cell),
+            percent(cell["alarm_rate"]) + ("" if cell["within_budget"] else OVER),
+            interval(cell["stealthy_displacement_m"]),
+            "-" if cell["median_m"] is None else number(cell["median_m"]),
+            interval(cell["alarmed_as_0_m"]),
+            percent(cell["missed"]),
+            interval(cell["delay_s"]),
         )
-        for row in summary["detectors"]
+        for cell in _of(summary["cells"], group)
+        if cell["spoofer"] != "none"
     ]
 
 
-def rival_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of spoofers compared, in the order of `RIVALS_HEAD`."""
+def clean_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:
+    """Rows of the table of what a detector costs without attack, in the order of `CLEAN_HEAD`."""
+    return [
+        (
+            row["detector"],
+            interval({k: 100.0 * x for k, x in row["false_alarm_per_epoch"].items()}, 2),
+            percent(row["warmup_alarm_per_run"]),
+            "-" if row["blamed_s_per_hour"] is None else number(row["blamed_s_per_hour"]),
+            f"{row['navigation_rms_m']:.2f}",
+            "-" if row["coasting_error_m"] is None else number(row["coasting_error_m"]),
+        )
+        for row in _of(summary["detectors"], group)
+    ]
+
+
+def published_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the table of thresholds as published, in the order of `PUBLISHED_HEAD`."""
     rows: list[tuple[str, ...]] = []
-    for group in summary["rivals"]:
-        for row in group["comparisons"]:
-            gaps: list[str] = []
-            for over in (row["over_ramp"], row["over_profile"]):
-                gaps += (
-                    ["-", "-"]
-                    if over is None
-                    else [interval(over["ratio"], 3), interval(over["difference_m"])]
-                )
-            rows.append((group["detector"], row["spoofer"], *_alarms(row), *gaps))
-    return rows
-
-
-def _alarms(row: dict[str, Any]) -> tuple[str, str]:
-    """Alarm rate, and its excess over the clean one, marked where that is over the budget."""
-    mark = "" if row["within_budget"] else OVER
-    return f"{100 * row['alarm_rate']['value']:.1f}", percent(row["alarm_excess"]) + mark
-
-
-def reference_lines(summary: dict[str, Any]) -> list[str]:
-    """Which ramp and which profile the spoofers are compared with."""
-    lines = []
-    for group in summary["rivals"]:
-        for word in ("ramp", "profile"):
-            best = group[f"best_{word}"]
-            if best is None:
-                lines.append(f"No {word} keeps the alarm budget against {group['detector']}.")
-                continue
-            rate, excess = _alarms(best)
-            lines.append(
-                f"Best {word} against {group['detector']}: {best['spoofer']}, "
-                f"{'' if best['made_for_it'] else 'not made for it, '}"
-                f"{interval(best['undetected_displacement_m'])} m, alarm rate {rate} %, points "
-                f"above clean: {excess}."
+    for row in summary["published"]:
+        (attack,) = row["attacks"]
+        rows.append(
+            (
+                percent(row["false_alarm_per_run"]),
+                row["detector"].removesuffix(", as published"),
+                interval(row["false_alarms_per_hour"]),
+                percent(row["warmup_alarm_per_run"]),
+                percent(attack["alarm_rate"]),
+                interval(attack["stealthy_displacement_m"]),
             )
-    return lines
+        )
+    return rows
 
 
 def knowledge_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:

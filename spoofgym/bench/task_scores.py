@@ -11,6 +11,8 @@ from .entries import detector_entry
 
 FILE = "task_scores_v1.json"
 """Stored with this module."""
+REFERENCES = {"ramp": ("accelerating-ramp", "ramp"), "profile": ("profile",)}
+"""Kinds of spoofers of which the farthest one is a reference."""
 
 
 def stored_scores() -> dict[str, dict[str, Any]]:
@@ -28,23 +30,24 @@ def task_scores(key: str, report: dict[str, Any], ppo: str | None) -> dict[str, 
     if judges != [expected]:
         raise ValueError(f"task {key} has the detector {expected}, the report {', '.join(judges)}")
     whom: dict[str, str | None] = {"none": "none"}
-    for group in report["rivals"]:
-        for name in ("ramp", "profile"):
-            found = group[f"best_{name}"]
-            whom[name] = None if found is None else found["spoofer"]
+    for name, kinds in REFERENCES.items():
+        group = [cell for cell in cells if cell["spoofer_settings"]["name"] in kinds]
+        whom[name] = max(group, key=_displacement)["spoofer"] if group else None
     whom["ppo"] = ppo
     by_label = {cell["spoofer"]: cell for cell in cells}
     result: dict[str, Any] = {"runs": cells[0]["runs"], "spoofers": {expected: whom}}
-    for measure in ("undetected_displacement_m", "alarm_excess"):
+    for measure in ("stealthy_displacement_m", "alarm_rate"):
         known = {
             name: by_label[label][measure] for name, label in whom.items() if label in by_label
         }
-        result[measure] = {
-            name: round(cell["value"], 4) if cell else 0.0 for name, cell in known.items()
-        }
-    reached = result["undetected_displacement_m"]
+        result[measure] = {name: round(cell["value"], 4) for name, cell in known.items()}
+    reached = result["stealthy_displacement_m"]
     if {"ramp", "profile", "ppo"} <= set(reached) and reached["profile"] > reached["ramp"]:
         result["normalised"] = round(
             normalised(reached["ppo"], reached["ramp"], reached["profile"]), 4
         )
     return result
+
+
+def _displacement(cell: dict[str, Any]) -> float:
+    return float(cell["stealthy_displacement_m"]["value"])

@@ -1,11 +1,12 @@
-"""The strongest attack of a family that keeps to an alarm budget.
+r"""The strongest attack of a family that keeps to an alarm budget.
 
-A run counts as alarmed when there is an alarm between the onset and the end of the hold.  The alarm
-rate of a value may exceed that of the clean runs by the budget at most, less a margin for what is
-not known of it (`budget`); within that, the value with the largest mean undetected displacement is
-chosen.  All of it is decided on training runs, which share no noise with those that are scored.
+Every spoofer has one amplitude that is fitted: a ramp its rate, an accelerating ramp its
+acceleration, any other a factor on all that it commands.  Of the runs that count (`scores`), as
+many may alarm as the upper limit of their alarm rate allows (`budget`); within that, the value with
+the largest stealthy displacement is chosen.  All of it is decided on training runs, which share no
+noise with those that are scored.
 
-1. A few runs sift log-spaced values of the whole range for the neighbourhood, without a margin.
+1. A few runs sift log-spaced values of the whole range for the neighbourhood, by the rate itself.
 2. All training runs try the best of these, then the next larger ones as long as that is better, or
    the next smaller ones until one is within the budget.
 3. Where the next larger value is over the budget, they halve the ratio of the two until the edge is
@@ -20,15 +21,15 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
-from .budget import excess_of, halve
+from ..envs.spoofer_binding import spoofer_context
+from .budget import halve
 from .entries import Entry, build_spoofer
 from .run import Runs, WarmStart, displacement_of, play
-from .suite import Tuning, spoofer_context
+from .scores import Stealth, counted, stealth_of
+from .searches import Tuning, log_spaced, rounded_down
 
 Tick = Callable[[float], None]
-RESOLUTION = 1.015
+RESOLUTION = 1.02
 """Ratio of the smallest value known to be over the budget to the largest one known to keep it."""
 
 
@@ -36,19 +37,26 @@ RESOLUTION = 1.015
 class Trial:
     """One value on the training runs.
 
-    - `alarm_rate`: part of the runs with an alarm;
-    - `excess`, `excess_error`: of the alarm rate over that of the same runs without attack, and its
-      standard error;
-    - `within_budget`: whether the excess is, with the margin where the value can be chosen.
+    - `runs`: how many it was tried on; `counted`: how many of them count;
+    - `alarm_rate`, `alarm_limit`: P(alarm | silent twin), and its upper 95 % limit;
+    - `stealthy_displacement_m`: mean over the runs that count;
+    - `within_budget`: by the limit where the value can be chosen, else by the rate.
     """
 
     value: float
     runs: int
+    counted: int
     alarm_rate: float
-    undetected_displacement_m: float
-    excess: float
-    excess_error: float
+    alarm_limit: float
+    stealthy_displacement_m: float
     within_budget: bool
+
+    @classmethod
+    def of(cls, value: float, runs: int, found: Stealth, within_budget: bool) -> Trial:
+        """Trial by what came of it; of no run that counts the rate is 1."""
+        known = found.runs > 0
+        rate, mean = (found.alarm_rate, found.displacement_m) if known else (1.0, 0.0)
+        return cls(value, runs, found.runs, rate, found.alarm_limit, mean, within_budget)
 
 
 @dataclass(frozen=True)
@@ -57,11 +65,10 @@ class TuningResult:
 
     - `within_budget`: whether there is any value within the budget; if not, the choice is the
       smallest;
-    - `budget`, `margin`: allowed excess over the clean alarm rate, and standard errors of distance
-      from it;
-    - `clean_alarm_rate`: of the training runs without attack;
-    - `warmup_alarms`: how many of them had a false alarm before the attack; they count like all
-      others;
+    - `budget`: largest P(alarm | silent twin) that its upper limit may be;
+    - `runs`, `counted`: training runs, and those among them that count;
+    - `clean_alarm_rate`, `warmup_alarms`: part of them that alarms without attack, and how many
+      alarm before it;
     - `trials`: all that was tried, by value; the choice is among those on all runs.
     """
 
@@ -71,9 +78,9 @@ class TuningResult:
     value: float
     within_budget: bool
     budget: float
-    margin: float
-    clean_alarm_rate: float
     runs: int
+    counted: int
+    clean_alarm_rate: float
     warmup_alarms: int
     trials: tuple[Trial, ...]
 
@@ -101,6 +108,7 @@ class _Search:
     ) -> None:
         self.start, self.clean, self.entry = start, clean, entry
         self.settings, self.tick = settings, tick
+        self.counts = counted(start.warmup_alarm, clean.first_alarm)
         self.trials: list[Trial] = []
 
     def try_value(self, value: float, runs: int) -> Trial:
@@ -110,29 +118,19 @@ class _Search:
         advance = self.tick
         tick = None if advance is None else lambda part: advance(part * start.receivers)
         attacked = play(start, self.entry.with_value(value), drop_alarmed=True, tick=tick)
-        clean = self.clean.first(start.receivers)
-        alarm = attacked.alarm.any(axis=0)
-        excess = excess_of(alarm, clean.alarm.any(axis=0))
-        trial = Trial(
-            value=value,
-            runs=start.receivers,
-            alarm_rate=float(alarm.mean()),
-            undetected_displacement_m=float(displacement_of(start.setup, attacked, clean).mean()),
-            excess=excess.value,
-            excess_error=excess.error,
-            within_budget=excess.keeps(
-                self.settings.budget, self.settings.margin if everyone else 0.0
-            ),
-        )
-        self.trials.append(trial)
-        return trial
+        moved = displacement_of(start.setup, attacked, self.clean.first(start.receivers))
+        found = stealth_of(moved, attacked.first_alarm > 0, self.counts[: start.receivers])
+        budget = self.settings.budget
+        within = found.keeps(budget) if everyone else found.seems_to_keep(budget)
+        self.trials.append(Trial.of(value, start.receivers, found, within))
+        return self.trials[-1]
 
     def refine(self, grid: list[float], at: int, *, peak: bool) -> list[Trial]:
         """Try values next to the best one of the grid: around a peak, or up to the edge."""
         everyone, known = self.start.receivers, len(self.trials)
         if peak:
             ends = grid[max(at - 1, 0)], grid[at + 1]
-            for value in _log_spaced(*ends, self.settings.refined + 2)[1:-1]:
+            for value in log_spaced(*ends, self.settings.refined + 2)[1:-1]:
                 self.try_value(value, everyone)
         elif at + 1 < len(grid):
             low, high = grid[at], grid[at + 1]
@@ -142,13 +140,13 @@ class _Search:
 
     def _keeps(self, value: float) -> bool:
         """Whether all runs together keep the budget at a value, once it is rounded."""
-        return self.try_value(_rounded(value), self.start.receivers).within_budget
+        return self.try_value(rounded_down(value), self.start.receivers).within_budget
 
 
 def _best(trials: list[Trial]) -> Trial | None:
     """Most displacement within the budget; the smaller value where it is the same."""
     fitting = [trial for trial in trials if trial.within_budget]
-    fitting.sort(key=lambda trial: (-trial.undetected_displacement_m, trial.value))
+    fitting.sort(key=lambda trial: (-trial.stealthy_displacement_m, trial.value))
     return fitting[0] if fitting else None
 
 
@@ -167,7 +165,7 @@ def tune(
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
     any_value = build_spoofer(entry.with_value(1.0))
     low, high = type(any_value).tuning_range(spoofer_context(start.setup))
-    grid = _log_spaced(low, high, settings.values)
+    grid = log_spaced(low, high, settings.values)
     everyone = start.receivers
     search = _Search(start, clean, entry, settings, tick)
     best = _best([search.try_value(value, settings.sift_runs) for value in grid])
@@ -194,20 +192,9 @@ def tune(
         value=chosen.value if chosen else grid[0],
         within_budget=chosen is not None,
         budget=settings.budget,
-        margin=settings.margin,
-        clean_alarm_rate=float(clean.alarm.any(axis=0).mean()),
         runs=everyone,
+        counted=int(search.counts.sum()),
+        clean_alarm_rate=float((clean.first_alarm > 0).mean()),
         warmup_alarms=int(start.warmup_alarm.sum()),
         trials=tuple(sorted(search.trials, key=lambda trial: (trial.value, trial.runs))),
     )
-
-
-def _log_spaced(low: float, high: float, count: int) -> list[float]:
-    """Log-spaced values, rounded."""
-    return [_rounded(value) for value in np.geomspace(low, high, count)]
-
-
-def _rounded(value: float) -> float:
-    """Number rounded down to four digits, so that a choice can be written down."""
-    digit = 10.0 ** (math.floor(math.log10(value)) - 3.0)
-    return float(f"{math.floor(value / digit + 1e-6) * digit:.6g}")

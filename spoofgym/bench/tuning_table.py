@@ -1,29 +1,28 @@
-"""Tables of a search for a setting: what was tried, and how far it was from the alarm budget."""
+"""Tables of a search for a setting: what was tried, and how often it alarmed."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-EXCESS_HEAD = ("above clean [points]", "with the margin [points]")
+ALARMS_HEAD = ("P(alarm | silent twin) [%]", "its upper limit [%]")
 
 
-def excess_texts(tried: Mapping[str, Any], margin: float) -> tuple[str, str]:
-    """Excess of alarms over the clean rate, and what is compared with the budget."""
-    excess, error = 100 * tried["excess"], 100 * tried["excess_error"]
-    return f"{excess:+.1f}", f"{excess + margin * error:+.1f}"
+def alarm_texts(tried: Mapping[str, Any]) -> tuple[str, str]:
+    """Alarm rate of the runs that count, and the limit that is compared with the budget."""
+    return f"{100 * tried['alarm_rate']:.1f}", f"{100 * tried['alarm_limit']:.1f}"
 
 
 def tuning_head(search: dict[str, Any]) -> tuple[str, ...]:
     """Head of the table of a search."""
-    rest = ("alarm rate [%]", *EXCESS_HEAD, "undetected displacement [m]", "within budget")
+    rest = ("counted", *ALARMS_HEAD, "stealthy displacement [m]", "within budget")
     return (search["setting"], "runs", *rest)
 
 
 def tuning_rows(search: dict[str, Any]) -> list[tuple[str, ...]]:
     """Rows of the table of a search, in the order of `tuning_head`.
 
-    Returns text; a value that was tried on a few runs only is sifted without a margin.
+    Returns text; a value that was tried on a few runs only is sifted by its rate.
     """
     rows: list[tuple[str, ...]] = []
     for trial in search["trials"]:
@@ -33,9 +32,9 @@ def tuning_rows(search: dict[str, Any]) -> list[tuple[str, ...]]:
             (
                 f"{trial['value']:g}" + (" (chosen)" if chosen else ""),
                 str(trial["runs"]),
-                f"{100 * trial['alarm_rate']:.1f}",
-                *excess_texts(trial, search["margin"] if everyone else 0.0),
-                f"{trial['undetected_displacement_m']:.2f}",
+                str(trial["counted"]),
+                *alarm_texts(trial),
+                f"{trial['stealthy_displacement_m']:.2f}",
                 "yes" if trial["within_budget"] else "no",
             )
         )

@@ -24,6 +24,17 @@ class Victim(NamedTuple):
     detectors: tuple[dict[str, Any], ...]
 
 
+CONTROLS = ({"name": "never"}, {"name": "lottery"})
+"""Negative controls, which every table of the benchmark has."""
+SKIES = 32
+HEADLINE_DOMAIN = {
+    "start_s": [0.0, None],
+    "turned_deg": [0.0, 360.0],
+    "constellation_time_s": [0.0, 86_400.0],
+    "worlds": SKIES,
+}
+"""What is drawn for every run of a headline: the onset, where the flight heads, and the sky, one of
+`SKIES`.  Which way an attack pushes is fixed, so that its angle to the flight is drawn, too."""
 LOOSE = loosely_coupled.DEFAULT_DETECTOR
 VICTIMS = {
     ENV_ID: Victim(TightlyCoupledSetup, DEFAULT_DETECTORS),

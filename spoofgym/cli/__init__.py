@@ -8,6 +8,7 @@ from .app import app as app
 from .app import clear_errors as clear_errors
 from .app import main as main
 from .bench import bench, report, tune
+from .calibrate import calibrate
 from .listing import card, list_, tasks
 from .perf import perf
 from .run import render, run
@@ -15,5 +16,5 @@ from .warmup import warmup
 
 # in the order of the help page
 app.command("list")(clear_errors(list_))
-for _command in (card, run, render, tune, bench, tasks, report, perf, warmup):
+for _command in (card, calibrate, run, render, tune, bench, tasks, report, perf, warmup):
     app.command()(clear_errors(_command))

@@ -12,7 +12,7 @@ from . import options as opt
 from .app import INTERRUPTED
 from .options import World, with_world
 from .output import print_json, print_lines, print_table, progress
-from .suites import specs_of, suite_of, tuning_of
+from .suites import selection_of, specs_of, suite_of, tuning_of
 
 
 @with_world
@@ -31,20 +31,19 @@ def tune(
     world: World,
     seed: opt.Seed = 0,
     allow_oracles: opt.Oracles = False,
+    false_alarms_per_hour: opt.Rate = None,
     threads: opt.Threads = None,
 ) -> None:
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
     from ..bench.campaign import search, search_work, training_start
     from ..bench.entries import TUNED, build_spoofer
     from ..bench.tuning_table import tuning_head, tuning_rows
+    from ..spoofers.scaled import AMPLITUDE
 
     specs = specs_of(spoofer or ["ramp", "accelerating-ramp"])
     for spec in specs:
         untuned = {key: value for key, value in spec.items() if value != TUNED}
-        tunable = build_spoofer(untuned).tunable
-        if tunable is None:
-            raise ValueError(f"spoofer {spec['name']!r} has no setting to tune")
-        spec[tunable] = TUNED
+        spec[build_spoofer(untuned).tunable or AMPLITUDE] = TUNED
     suite, _ = suite_of(
         world,
         detector,
@@ -52,9 +51,11 @@ def tune(
         entropy=seed,
         tuning=tuning_of(training_seeds, budget),
         allow_oracles=allow_oracles,
+        threads=threads,
+        rate=false_alarms_per_hour,
     )
     if not as_json:
-        print_lines(suite.notes)
+        print_lines((*suite.notes, *suite.captions))
     entries = [entry for entry in suite.spoofer_entries if entry.tuned]
     each = 2.0 * suite.tuning.runs + len(entries) * search_work(suite)
     results = []
@@ -68,9 +69,9 @@ def tune(
     for result in results:
         table = result.as_dict()
         print_table(
-            f"{result.spoofer} against {result.detector}: alarm rate at most {100 * budget:g} % "
-            f"above {100 * result.clean_alarm_rate:.1f} %, after a margin of {result.margin:g} "
-            f"standard errors; {result.runs} training runs, fewer only sift, without a margin",
+            f"{result.spoofer} against {result.detector}: P(alarm | silent twin) at most "
+            f"{100 * budget:g} %, by its upper limit on the {result.counted} of {result.runs} "
+            "training runs that count; fewer only sift, by the rate itself",
             tuning_head(table),
             tuning_rows(table),
         )
@@ -91,17 +92,19 @@ def bench(
     detector: Annotated[
         list[str] | None,
         typer.Option(
-            help="Detector, may be repeated. Default: snapshot-chi2 and ewma, or those that suit "
-            f"the victim. {opt.SPEC_HELP}"
+            help="Detector, may be repeated; `all` for all that suit the victim. Default: "
+            "snapshot-chi2 and ewma, or those that suit the victim, and the negative controls "
+            f"never and lottery. {opt.SPEC_HELP}"
         ),
     ] = None,
     spoofer: Annotated[
         list[str] | None,
         typer.Option(
-            help="Spoofer, may be repeated; a setting may be `tuned`, as in "
-            "step:size_m=tuned, and a ramp without settings is; a shipped spoofer by its name, a "
-            "learned one by its .onnx file. Default: none, step, ramp, accelerating-ramp, and the "
-            "shipped ones that fit."
+            help="Spoofer, may be repeated. One setting is fitted to the alarm budget: that which "
+            "is `tuned`, as in step:size_m=tuned, the rate of a plain ramp, and else the amplitude "
+            "of all that it commands, unless one is given, as in step:amplitude=1. A shipped "
+            "spoofer by its name, a learned one by its .onnx file. Default: none, step, ramp, "
+            "accelerating-ramp, and the shipped ones that fit."
         ),
     ] = None,
     seeds: Annotated[
@@ -109,7 +112,7 @@ def bench(
         typer.Option(
             min=2, max=opt.LARGEST_RUNS, help="Evaluation runs of every cell, the same for all."
         ),
-    ] = 200,
+    ] = 1000,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("results"),
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the results of another campaign.")
@@ -117,15 +120,42 @@ def bench(
     as_json: opt.Json = False,
     world: World,
     budget: opt.Budget = 0.05,
-    training_seeds: opt.Training = 1024,
+    training_seeds: opt.Training = 256,
     seed: opt.Seed = 0,
     allow_oracles: opt.Oracles = False,
+    false_alarms_per_hour: opt.Rate = None,
+    nominal: Annotated[
+        bool,
+        typer.Option(
+            "--nominal",
+            help="Play thresholds as published and nothing else: no calibration, and no comparison "
+            "of detectors, whose rates of false alarms differ. A task does so anyway.",
+        ),
+    ] = False,
+    selection_seeds: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            max=opt.LARGEST_RUNS,
+            help="Runs on which the worst attack of the attack suite is chosen; 0 to leave the "
+            "protection out.",
+        ),
+    ] = 192,
     threads: opt.Threads = None,
 ) -> None:
-    """Play detectors against spoofers on the same runs; interrupted, it goes on when run again."""
+    """Play detectors against spoofers on the same runs; interrupted, it goes on when run again.
+
+    All detectors are calibrated to one rate of false alarms, 0.2 an hour unless another one is
+    given, in a world whose sky, heading and onset are drawn for every run, unless --set domain=...
+    says otherwise.
+    """
     from ..bench.campaign import expected_work, run_campaign
     from ..bench.store import ResultsFolder
+    from ..detectors.calibrated import STANDARD_RATE
 
+    if nominal and false_alarms_per_hour is not None:
+        raise ValueError("--nominal and --false-alarms-per-hour can't both be given")
+    rate = STANDARD_RATE if false_alarms_per_hour is None else false_alarms_per_hour
     spoofers = _tuned_by_default(specs_of(spoofer)) if spoofer else None
     suite, reports = suite_of(
         world,
@@ -136,11 +166,16 @@ def bench(
         entropy=seed,
         tuning=tuning_of(training_seeds, budget),
         allow_oracles=allow_oracles,
+        threads=threads,
+        rate=None if nominal else rate,
+        headline=task is None,
+        selection=selection_of(selection_seeds),
+        published=not nominal and task is None,
     )
     folder = ResultsFolder(out)
     folder.open(suite, overwrite=overwrite)
     if not as_json:
-        print_lines((*(() if task else suite.notes), *suite.left_out))
+        print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
     try:
         with progress(expected_work(suite, folder)) as bar:
             run_campaign(suite, folder, threads=threads, progress=bar)
@@ -171,11 +206,10 @@ def report(
 
 
 def _tuned_by_default(specs: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Names without settings as the benchmark plays them by default."""
-    from ..bench.entries import DEFAULT_SPOOFERS
+    """Every spoofer with an amplitude that is fitted, unless one is given."""
+    from ..bench.entries import fitted
 
-    usual = {spec["name"]: spec for spec in DEFAULT_SPOOFERS}
-    return [usual.get(spec["name"], spec) if len(spec) == 1 else spec for spec in specs]
+    return [fitted(spec) for spec in specs]
 
 
 def _report(folder: Any, as_json: bool, reports: Any) -> None:
@@ -200,12 +234,16 @@ def _report(folder: Any, as_json: bool, reports: Any) -> None:
     if as_json:
         print_json({**summary, "folder": str(folder.path), "input": reports})
         return
-    head = tables.attacks_head(summary)
-    print_table(f"{summary['scenario']}: attacks", head, tables.attack_rows(summary), names=2)
-    if rows := tables.rival_rows(summary):
-        print_table("spoofers compared, run by run", tables.RIVALS_HEAD, rows, names=2)
-        print_lines(tables.reference_lines(summary))
-    print_table("without attack", tables.CLEAN_HEAD, tables.clean_rows(summary))
+    for group in tables.groups(summary):
+        name = f"{summary['scenario']}, {group.title}"
+        rows = tables.detector_rows(summary, group)
+        print_table(f"{name}: detectors", tables.DETECTORS_HEAD, rows)
+        if rows := tables.attack_rows(summary, group):
+            print_table(f"{name}: stealthy attacks", tables.ATTACKS_HEAD, rows, names=2)
+        print_table(f"{name}: price", tables.CLEAN_HEAD, tables.clean_rows(summary, group))
+    if summary["published"]:
+        rows = tables.published_rows(summary)
+        print_table("as published, by name; nothing here is compared", tables.PUBLISHED_HEAD, rows)
     if summary["missing"]:
         typer.echo(f"not finished: {', '.join(summary['missing'])}")
     typer.echo(f"written: {', '.join(str(path) for path in written)}")

@@ -38,8 +38,8 @@ Threads = Annotated[
 Budget = Annotated[
     float,
     Option(
-        help="Alarm budget of tuned spoofers: how much more often than without attack an "
-        "alarm may come, as a part of the runs."
+        help="Alarm budget of tuned spoofers: largest P(alarm | silent without attack), which its "
+        "upper 95 % limit on the training runs keeps."
     ),
 ]
 Training = Annotated[
@@ -48,6 +48,14 @@ Training = Annotated[
         min=2,
         max=LARGEST_RUNS,
         help="Training runs for tuned spoofers; they share no noise with the evaluation runs.",
+    ),
+]
+Rate = Annotated[
+    float | None,
+    Option(
+        "--false-alarms-per-hour",
+        help="Rate of false alarms of all detectors that ask for no thresholds of their own; "
+        "calibrated here where that has not been done. Default: their nominal thresholds.",
     ),
 ]
 Oracles = Annotated[
@@ -113,7 +121,7 @@ class World:
         help="Clean run before the attack, in seconds. The defaults of the times are those of "
         "spoofgym/TightlyCoupled-v0; the others have their own.",
     )
-    live_s: float = Option(60.0, help="Its last part, with the detectors live, in seconds.")
+    live_s: float = Option(180.0, help="Its last part, with the detectors live, in seconds.")
     attack_s: float = Option(150.0, help="Command phase of the attack, in seconds.")
     time_to_alert_s: float = Option(
         10.0,
@@ -134,7 +142,7 @@ class World:
 TIMES = ("warmup_s", "live_s", "attack_s", "time_to_alert_s")
 SCENARIO_OPTIONS = World.__dataclass_fields__.keys() - {"context", "env", "settings", *TIMES}
 """Options of the tightly coupled receiver alone."""
-TASK_OPTIONS = {*World.__dataclass_fields__, "detector"}
+TASK_OPTIONS = {*World.__dataclass_fields__, "detector", "false_alarms_per_hour"}
 """Options that a task decides."""
 
 

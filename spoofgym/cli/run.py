@@ -31,14 +31,15 @@ def run(
     world: World,
     seed: opt.Seed = 0,
     allow_oracles: opt.Oracles = False,
+    false_alarms_per_hour: opt.Rate = None,
 ) -> None:
     """Play one run of the benchmark and its clean twin: a summary, and a picture."""
     from ..bench.episode import draw_episode, play_episode
 
-    suite, reports = _suite(world, detector, spoofer, seed, allow_oracles)
+    suite, reports = _suite(world, detector, spoofer, seed, allow_oracles, false_alarms_per_hour)
     judge, player = suite.detector_entries[-1], untuned(suite)
     if not as_json:
-        print_lines(suite.notes)
+        print_lines((*suite.notes, *suite.captions))
     episode = play_episode(suite, judge, player, number)
     summary = episode.summary()
     if picture:
@@ -66,14 +67,15 @@ def render(
     world: World,
     seed: opt.Seed = 0,
     allow_oracles: opt.Oracles = False,
+    false_alarms_per_hour: opt.Rate = None,
 ) -> None:
     """Draw one run of the benchmark as a animation: flight, satellites, statistic, error."""
     from ..bench.animate import frame_count, play_frames
     from ..envs.rendering import save_animation
 
-    suite, _ = _suite(world, detector, spoofer, seed, allow_oracles)
+    suite, _ = _suite(world, detector, spoofer, seed, allow_oracles, false_alarms_per_hour)
     judge, player = suite.detector_entries[-1], untuned(suite)
-    print_lines(suite.notes)
+    print_lines((*suite.notes, *suite.captions))
     with progress(frame_count(suite, judge, every)) as bar:
 
         def frames() -> Iterator[Any]:
@@ -86,7 +88,12 @@ def render(
 
 
 def _suite(
-    world: World, detector: str | None, spoofer: str, seed: int, allow_oracles: bool
+    world: World,
+    detector: str | None,
+    spoofer: str,
+    seed: int,
+    allow_oracles: bool,
+    rate: float | None,
 ) -> tuple[Suite, Reports]:
     """One detector against one spoofer."""
     return suite_of(
@@ -95,4 +102,5 @@ def _suite(
         spoofers=specs_of([spoofer]),
         entropy=seed,
         allow_oracles=allow_oracles,
+        rate=rate,
     )

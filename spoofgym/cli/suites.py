@@ -8,14 +8,23 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from .options import ENV, SCENARIO_OPTIONS, TASK_OPTIONS, TIMES, World
+from .output import progress
 
 if TYPE_CHECKING:
     from datetime import date
 
     from ..bench.entries import Entry
+    from ..bench.searches import Selection
     from ..bench.suite import Suite, Tuning
     from ..sim.scenario import Scenario
+    from ..simulators.setup import Setup
 
+OPTIONS_OF = {
+    "scenario": ("scenario", "errors", "imu", "track", "ephemeris"),
+    "receiver": ("tuning",),
+    "timeline": TIMES,
+}
+"""Options that make settings of the victim, which `--set` may give in their place."""
 Reports = dict[str, Any] | None
 """Of real input, as `RealInput` has them."""
 
@@ -31,29 +40,113 @@ def specs_of(texts: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def suite_of(
-    world: World, detectors: Sequence[str] | None, *, task: str | None = None, **settings: Any
+    world: World,
+    detectors: Sequence[str] | None,
+    *,
+    task: str | None = None,
+    rate: float | None = None,
+    threads: int | None = None,
+    headline: bool = False,
+    **settings: Any,
 ) -> tuple[Suite, Reports]:
-    """The suite of the options or of a task, and the reports of real input.
+    """The suite of the options or of a task, calibrated, and the reports of real input.
 
+    `rate`: false alarms an hour of detectors that ask for no thresholds of their own; `headline`:
+    whether there are negative controls, and a drawn world, where nothing else is asked for;
     `settings`: those of a suite that no task decides.
     """
+    suite, reports = _suite(world, detectors, task, rate, settings, headline)
+    _calibrate(suite, threads)
+    suite.check_fit()
+    return suite, reports
+
+
+def _suite(
+    world: World,
+    detectors: Sequence[str] | None,
+    task: str | None,
+    rate: float | None,
+    settings: dict[str, Any],
+    headline: bool = False,
+) -> tuple[Suite, Reports]:
+    """The suite as it is asked for."""
     from ..bench.suite import Suite
     from ..tasks import SUITE, task_of
 
     reports = None
     if task is None:
         decided, reports = _victim(world)
-        decided["settings"] = _settings(world.settings or ())
-        decided["detectors"] = specs_of(detectors) if detectors else None
+        decided["settings"] = own = _settings(world.settings or ())
+        for name in {*own} & {*decided}:
+            if not world.given(OPTIONS_OF.get(name, (name,))):
+                del decided[name]  # its option has its default
+        specs = specs_of(detectors) if detectors else None
+        if headline:
+            specs = _with_controls(world, specs)
+            if world.env == ENV and world.track is None and "domain" not in own:
+                from ..bench.victims import HEADLINE_DOMAIN
+
+                decided["domain"] = HEADLINE_DOMAIN
+        decided["detectors"] = specs if rate is None else _at_rate(world, specs, rate)
     else:
         for option in world.given(TASK_OPTIONS).values():
             raise ValueError(f"{option} can't be given with --task, which decides it")
         chosen = task_of(task)
         notes = (f"task {chosen.key} of {SUITE}: {chosen.title}",)
         decided = {**chosen.suite_kwargs, "notes": notes}
-    suite = Suite(**decided, **settings)
-    suite.check_fit()
-    return suite, reports
+    return Suite(**decided, **settings), reports
+
+
+def world_of(world: World) -> Suite:
+    """A suite for its world alone: nothing is looked up, and nobody plays."""
+    return _suite(world, ["never"], None, None, {"spoofers": []})[0]
+
+
+def _at_rate(world: World, specs: list[dict[str, Any]] | None, rate: float) -> list[dict[str, Any]]:
+    """Detectors at a rate of false alarms, but for those that ask for something else."""
+    from .._registry import check_choice
+    from ..bench.victims import VICTIMS
+    from ..detectors.calibrated import ASKED
+
+    check_choice("environment of the benchmark", world.env, VICTIMS)
+    named = list(VICTIMS[world.env].detectors) if specs is None else specs
+    asked = {"false_alarms_per_hour": rate}
+    return [spec if {*ASKED} & {*spec} else {**spec, **asked} for spec in named]
+
+
+def _with_controls(world: World, specs: list[dict[str, Any]] | None) -> list[dict[str, Any]]:
+    """Detectors of a headline: the usual ones and the controls by default, `all` for all."""
+    from .._registry import check_choice
+    from ..bench.victims import CONTROLS, VICTIMS
+
+    check_choice("environment of the benchmark", world.env, VICTIMS)
+    if specs is None:
+        return [*CONTROLS, *VICTIMS[world.env].detectors]
+    if not any(spec["name"] == "all" for spec in specs):
+        return specs
+    from ..bench.specs import spec_of_judge
+    from ..simulators.calibration import suitable_detectors
+
+    named = [spec for spec in specs if spec["name"] != "all"]
+    found = [{"name": spec_of_judge(each)["name"]} for each in suitable_detectors(_world(world))]
+    given = [spec["name"] for spec in named]
+    return [*named, *(spec for spec in (*CONTROLS, *found) if spec["name"] not in given)]
+
+
+def _world(world: World) -> Setup:
+    """Without a defence, for what suits it."""
+    return world_of(world).world
+
+
+def _calibrate(suite: Suite, threads: int | None) -> None:
+    """Calibrate the detectors that ask for a rate of false alarms, and show how far that is."""
+    from ..bench.calibrations import calibrate_suite, missing_runs
+
+    if left := missing_runs(suite):
+        with progress(left) as bar:
+            calibrate_suite(suite, threads=threads, progress=bar)
+    else:
+        calibrate_suite(suite, threads=threads)
 
 
 def tuning_of(runs: int, budget: float) -> Tuning:
@@ -61,6 +154,13 @@ def tuning_of(runs: int, budget: float) -> Tuning:
     from ..bench.suite import Tuning
 
     return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget)
+
+
+def selection_of(runs: int) -> Selection | None:
+    """A search for the worst attack on so many runs, of which a quarter sifts; None for none."""
+    from ..bench.searches import Selection
+
+    return Selection(runs=runs, sift_runs=max(runs // 4, 1)) if runs else None
 
 
 def untuned(suite: Suite) -> Entry:

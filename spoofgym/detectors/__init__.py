@@ -6,9 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from .._registry import build
+from . import calibrated
 from .acna import Acna
 from .aime import Aime
 from .base import Detector, DetectorContext, Verdict
+from .calibrated import Calibrated, made_by
+from .calibration import Calibration, OperatingPoint
 from .clock_drift import ClockDrift
 from .cusum import Cusum
 from .ewma import Ewma
@@ -16,6 +19,7 @@ from .glr import GlrRamp, GlrStep
 from .innovation_rate import InnovationRate, OracleRamp, OracleStep
 from .joint_chart import JointChart
 from .lag_cusum import LagCusum
+from .lottery import Lottery
 from .never import Never
 from .pool import PooledDetector
 from .raim import Raim, SrvRaim, TraversalRaim
@@ -29,6 +33,8 @@ __all__ = [
     "DETECTORS",
     "Acna",
     "Aime",
+    "Calibrated",
+    "Calibration",
     "ClockDrift",
     "Cusum",
     "Detector",
@@ -39,7 +45,9 @@ __all__ = [
     "InnovationRate",
     "JointChart",
     "LagCusum",
+    "Lottery",
     "Never",
+    "OperatingPoint",
     "OracleRamp",
     "OracleStep",
     "PooledDetector",
@@ -52,6 +60,7 @@ __all__ = [
     "TraversalRaim",
     "Verdict",
     "WindowedChi2",
+    "detector_in_world",
     "make_detector",
 ]
 
@@ -66,6 +75,7 @@ DETECTORS: dict[str, type[Detector]] = {
     "innovation-rate": InnovationRate,
     "joint-chart": JointChart,
     "lag-cusum": LagCusum,
+    "lottery": Lottery,
     "never": Never,
     "oracle-ramp": OracleRamp,
     "oracle-step": OracleStep,
@@ -84,6 +94,12 @@ DETECTORS: dict[str, type[Detector]] = {
 
 def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
     """Detector by name, by name and settings, or a copy of an object.
+
+    Besides the settings of its class a detector can be asked for its thresholds:
+    ``"false_alarms_per_hour"`` is a rate by which a world looks up the factor on them
+    (`Calibrated`), ``"thresholds"`` is ``"nominal"``, ``"calibrated"`` or ``"rescaled"``,
+    ``"threshold_scale"`` a factor of one's own, and ``"calibration"`` a file.  A pool hands them on
+    to its members.
 
     Parameters
     ----------
@@ -107,6 +123,31 @@ def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
     --------
     >>> from spoofgym.detectors import make_detector
     >>> make_detector({"name": "snapshot-chi2", "signals": "pseudorange"})
-    SnapshotChi2(false_alarm=1e-05, signals='pseudorange', bias_window_s=0.0)
+    SnapshotChi2(false_alarm=1e-05, signals='pseudorange', bias_window_s=0.0, two_sided=False)
+    >>> make_detector({"name": "snapshot-chi2", "false_alarms_per_hour": 0.2}).resolved
+    False
     """
+    return made_by(_built, spec)
+
+
+def detector_in_world(spec: str | Mapping[str, Any] | Detector) -> Detector:
+    """Detector of an environment, a duel or a benchmark, at the default rate of false alarms.
+
+    As `make_detector`, but that a name without a word on its thresholds has those of the default
+    rate, which are looked up when the detector is bound to a world.
+
+    Parameters
+    ----------
+    spec : str, mapping or Detector
+        As `make_detector` takes it.
+
+    Returns
+    -------
+    Detector
+        Not bound yet.
+    """
+    return made_by(_built, spec, calibrated.DEFAULT_RATE)
+
+
+def _built(spec: Any) -> Detector:
     return build("detector", DETECTORS, Detector, spec)

@@ -136,6 +136,7 @@ class Aime(InnovationTest):
         super().bind(context)
         first, last = self._rows
         self._windows = np.array([epochs_of(w, context) for w in self.windows_s], dtype=np.int64)
+        self.memory_epochs = self._bias_window + int(self._windows[-1])
         shape = (context.receivers, int(self._windows[-1]), last - first)
         self.memory.declare("past", np.zeros(shape))
         self.memory.declare("taken", np.zeros(shape, dtype=np.bool_))

@@ -36,6 +36,10 @@ class Verdict(NamedTuple):
     weights: FloatArray | None = None
 
 
+class YoungMemoryWarning(UserWarning):
+    """A detector has not been live for as long as it remembers when an attack begins."""
+
+
 class DetectorContext(NamedTuple):
     """What a detector is given once, before the first epoch.
 
@@ -49,6 +53,10 @@ class DetectorContext(NamedTuple):
         (m,) R that the filter assumes, pseudoranges first [m^2], [m^2/s^2].
     satellite_ids : tuple of str
         (n,) id of each slot, ``""`` for an empty one.
+    single_epoch_sd : ndarray or None
+        (m,) what the filter assumes of the errors of one epoch alone [m], [m/s]; None for the root
+        of `noise_variance`.  A filter that has no states for errors that stay takes them for more
+        noise than an epoch has, and a test of single epochs must not.
 
     A receiver whose measurement is a position has no channels: n = 0, and `noise_variance` is (m,)
     for its m coordinates.
@@ -59,6 +67,14 @@ class DetectorContext(NamedTuple):
     epoch_interval_s: float
     noise_variance: FloatArray
     satellite_ids: tuple[str, ...]
+    single_epoch_sd: FloatArray | None = None
+
+    @property
+    def epoch_sd(self) -> FloatArray:
+        """(m,) standard deviation of the errors of one epoch alone [m], [m/s]."""
+        if self.single_epoch_sd is None:
+            return np.sqrt(self.noise_variance)
+        return self.single_epoch_sd
 
 
 class Detector(ABC):
@@ -81,8 +97,16 @@ class Detector(ABC):
         What it takes for a measurement: satellites' ranges, a position (n = 0), or either.
     oracle : bool
         Whether it is given what no receiver can know; never part of a comparison by default.
+    drifts : bool
+        Whether its statistic has a drift term, which is 0 on most innovations that are smaller than
+        the filter believes; the innovations of such a test can be rescaled (`Calibrated`).
+    calibrates : bool
+        Whether thresholds scale its alarms at all; not that of a detector that never alarms.
     silent_epochs : int
         Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`.
+    memory_epochs : int
+        Epochs of its longest window or memory, after which it no longer matters when it went live;
+        set by `bind`, 0 where there is no such time.
     memory : Memory
         What it remembers of every receiver.
     """
@@ -92,7 +116,10 @@ class Detector(ABC):
     scope: ClassVar[str] = "receiver"
     measures: ClassVar[str] = "satellites"
     oracle: ClassVar[bool] = False
+    drifts: ClassVar[bool] = False
+    calibrates: ClassVar[bool] = True
     silent_epochs: int = 0
+    memory_epochs: int = 0
     memory: Memory
 
     @abstractmethod
@@ -118,6 +145,36 @@ class Detector(ABC):
                 f"{measured}"
             )
         self.memory = Memory(context.receivers)
+
+    @property
+    def alarm_is_state(self) -> bool:
+        """Whether an alarm is more than statistic above threshold, such as a flag that stays up.
+
+        Such a detector is a dataclass with a setting `alarm_scale`, 1 by default: the factor on the
+        thresholds of its alarm, and of nothing else, so that up to the first alarm nothing depends
+        on it.
+
+        Returns
+        -------
+        bool
+            False, unless a subclass says otherwise.
+        """
+        return False
+
+    def armed(self, epoch: Epoch) -> NDArray[np.bool_] | None:
+        """Whose alarms are on at an epoch.
+
+        Parameters
+        ----------
+        epoch : Epoch
+            Read-only, valid during this call.
+
+        Returns
+        -------
+        ndarray or None
+            (B,) bool; None for all.
+        """
+        return None
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Forget everything about some receivers.

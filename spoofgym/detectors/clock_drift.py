@@ -178,6 +178,7 @@ class ClockDrift(InnovationTest):
         signals = self._per_satellite
         self._threshold = float(chi2_thresholds(self.false_alarm, 2)[signals])
         b, window = context.receivers, epochs_of(self.window_s, context)
+        self.memory_epochs = self._bias_window + window
         self.memory.declare("past", np.zeros((b, window, signals)))
         self.memory.declare("taken", np.zeros((b, window), dtype=np.bool_))
         self.memory.declare("place", np.zeros(b, dtype=np.int64))

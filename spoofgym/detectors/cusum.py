@@ -107,6 +107,7 @@ class Cusum(InnovationTest):
 
     paper: ClassVar[str] = "page1954"
     scope: ClassVar[str] = "channel"
+    drifts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Check the settings."""

@@ -49,7 +49,13 @@ from .._jit import njit
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
 from .lockout import check_limits, limit_exclusions, longest_exclusion
-from .thresholds import check_probability, ewma_threshold, igg3_weight, two_sided_quantile
+from .thresholds import (
+    check_probability,
+    epochs_to_settle,
+    ewma_threshold,
+    igg3_weight,
+    two_sided_quantile,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -133,6 +139,7 @@ class Ewma(Detector):
         """Begin the charts of all satellites."""
         super().bind(context)
         shape = (context.receivers, context.channels)
+        self.memory_epochs = epochs_to_settle(self.smoothing)
         self.memory.declare("average", np.zeros(shape))
         self.memory.declare("decay", np.ones(shape))
         self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))

@@ -233,6 +233,7 @@ class _Glr(Detector):
         # single precision is enough for deviates, and half as much to go through at every epoch
         ring = np.zeros((*series, self.window + self.baseline), dtype=np.float32)
         self.memory.declare("ring", ring)
+        self.memory_epochs = self.window + self.baseline
         self.memory.declare("base", np.zeros(series))
         self.memory.declare("count", np.zeros((receivers, n), dtype=np.int64))
         self._ages = np.arange(1.0, self.window + 1.0)

@@ -211,7 +211,7 @@ class InnovationTest(Detector):
         self._bias_window = 0
         if self.bias_window_s > 0.0:
             self._bias_window = epochs_of(self.bias_window_s, context)
-            self.silent_epochs = self._bias_window
+            self.silent_epochs = self.memory_epochs = self._bias_window
             declare_bias(self.memory, context)
 
     def _without_bias(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:

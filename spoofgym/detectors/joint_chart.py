@@ -45,17 +45,25 @@ Source: `zhong2025`, eqs. 11 to 14 and 17 to 23.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .._describe import OMITTED
 from .._jit import inlined, njit
+from .._registry import check_finite
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
 from .lockout import check_limits, limit_exclusions, longest_exclusion
-from .thresholds import check_probability, ewma_threshold, igg3_weight, two_sided_quantile
+from .thresholds import (
+    check_probability,
+    epochs_to_settle,
+    ewma_threshold,
+    igg3_weight,
+    two_sided_quantile,
+)
 
 FloatArray = NDArray[np.float64]
 END_RULES = ("drop", "literal")
@@ -91,6 +99,7 @@ def judge_channels(
     quantile: float,
     drop: float,
     literal: bool,
+    alarm_scale: float,
     average: FloatArray,
     decay: FloatArray,
     ratios: FloatArray,
@@ -104,7 +113,7 @@ def judge_channels(
     `average`, `decay` (B, n) memory, overwritten; `ratios` (B, n, 2) memory, overwritten: the last
     ratios, the older one first; 0 before the alarm; `spoofed` (B, n) memory, overwritten: epochs
     since the alarm began, itself counted; 0 for none; `size`, `threshold` (B, n), written:
-    statistic and threshold [m].
+    statistic and threshold [m], without `alarm_scale`, which the alarm's is multiplied by.
     """
     keep = (1.0 - smoothing) * (1.0 - smoothing)
     for b in range(visible.shape[0]):
@@ -117,7 +126,7 @@ def judge_channels(
             sd = math.sqrt(innovation_variance[b, j])
             limit = ewma_threshold(sd, min(decay[b, j], keep), smoothing, quantile)
             threshold[b, j] = limit
-            ended = not abs(average[b, j]) > limit
+            ended = not abs(average[b, j]) > alarm_scale * limit
             if not ended:
                 older, old = ratios[b, j, 0], ratios[b, j, 1]
                 newest = innovation[b, j] / average[b, j]
@@ -171,6 +180,8 @@ class JointChart(Detector):
         limit.
     min_satellites : int
         Fewest satellites that keep a weight above 0, where as many are in view; 0 for none.
+    alarm_scale : float
+        Factor on the threshold of the alarm, above 0; weights go by the threshold without it.
     """
 
     smoothing: float = 0.1
@@ -180,6 +191,7 @@ class JointChart(Detector):
     end_rule: str = "drop"
     max_exclusion_s: float | None = 60.0
     min_satellites: int = 5
+    alarm_scale: float = field(default=1.0, kw_only=True, metadata=OMITTED)
 
     paper: ClassVar[str] = "zhong2025"
     scope: ClassVar[str] = "channel"
@@ -199,11 +211,18 @@ class JointChart(Detector):
                 f"got {self.end_rule!r}"
             )
         check_limits(self.max_exclusion_s, self.min_satellites)
+        check_finite("alarm_scale", self.alarm_scale, "> 0")
+
+    @property
+    def alarm_is_state(self) -> bool:
+        """It stays up until the offset ends."""
+        return True
 
     def bind(self, context: DetectorContext) -> None:
         """Begin the charts of all satellites."""
         super().bind(context)
         shape = (context.receivers, context.channels)
+        self.memory_epochs = epochs_to_settle(self.smoothing)
         self.memory.declare("average", np.zeros(shape))
         self.memory.declare("decay", np.ones(shape))
         self.memory.declare("ratios", np.zeros((*shape, 2)))
@@ -228,6 +247,7 @@ class JointChart(Detector):
             self._quantile,
             self.drop,
             self.end_rule == "literal",
+            self.alarm_scale,
             memory["average"],
             memory["decay"],
             memory["ratios"],
@@ -235,9 +255,9 @@ class JointChart(Detector):
             size,
             threshold,
         )
-        alarm = memory["spoofed"] > 0
+        alarm, limit = memory["spoofed"] > 0, self.alarm_scale * threshold
         if self.weight_scale is None:
-            return Verdict(size, threshold, alarm)
+            return Verdict(size, limit, alarm)
         weights = chart_weights(size, threshold, self.weight_scale)
         limit_exclusions(
             size,
@@ -248,4 +268,4 @@ class JointChart(Detector):
             memory["excluded"],
             weights,
         )
-        return Verdict(size, threshold, alarm, weights)
+        return Verdict(size, limit, alarm, weights)

@@ -129,6 +129,7 @@ class LagCusum(Detector):
 
     paper: ClassVar[str] = "page1954"
     scope: ClassVar[str] = "channel"
+    drifts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -147,7 +148,8 @@ class LagCusum(Detector):
         self._first_row = n if self.signals == "range_rate" else 0
         self._signals = 2 if self.signals == "both" else 1
         series = (receivers, self._signals * n)
-        self.memory.declare("ring", np.zeros((*series, self.lag + self.baseline + 1)))
+        self.memory_epochs = self.lag + self.baseline + 1
+        self.memory.declare("ring", np.zeros((*series, self.memory_epochs)))
         for name in ("base", "above", "below"):
             self.memory.declare(name, np.zeros(series))
         self.memory.declare("count", np.zeros((receivers, n), dtype=np.int64))

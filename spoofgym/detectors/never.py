@@ -20,6 +20,7 @@ class Never(Detector):
 
     paper: ClassVar[str] = "groves2013"
     measures: ClassVar[str] = "any"
+    calibrates: ClassVar[bool] = False
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare for a batch."""

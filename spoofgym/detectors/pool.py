@@ -92,13 +92,18 @@ class JointMemory(Memory):
 def _spec_of(member: Any, detector: Detector) -> Any:
     """Name and all settings of a detector that has a name; what was given of any other."""
     from . import DETECTORS
+    from .calibrated import Calibrated, spec_with_thresholds
 
-    for name, kind in DETECTORS.items():
-        if type(detector) is kind:
-            settings: Any = detector
-            fields = dataclasses.fields(settings)
-            return {"name": name, **{field.name: getattr(detector, field.name) for field in fields}}
-    return member
+    inner: Any = detector.detector if isinstance(detector, Calibrated) else detector
+    name = next((name for name, kind in DETECTORS.items() if type(inner) is kind), None)
+    if name is None:
+        return member
+
+    def named(each: Any) -> dict[str, Any]:
+        settings = {field.name: getattr(each, field.name) for field in dataclasses.fields(each)}
+        return {"name": name, **settings}
+
+    return spec_with_thresholds(detector, named)
 
 
 @dataclass
@@ -167,6 +172,7 @@ class PooledDetector(Detector):
         for judge in self.judges:
             judge.bind(context)
         self.silent_epochs = max(judge.silent_epochs for judge in self.judges)
+        self.memory_epochs = max(judge.memory_epochs for judge in self.judges)
         self.memory = JointMemory(context.receivers, [judge.memory for judge in self.judges])
         self.memory.declare("opponent", np.zeros(context.receivers, dtype=np.int64))
 

@@ -21,17 +21,19 @@ Source: `mehra1971`; as a baseline against spoofing `zhong2025`, section 2.3.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from .._describe import OMITTED
 from .._jit import njit
 from ..receiver.epoch import Epoch
 from .base import DetectorContext, Verdict
 from .innovation_test import InnovationTest, epochs_of
+from .thresholds import chi2_lower_thresholds, outside_ratio
 
 FloatArray = NDArray[np.float64]
 
@@ -102,12 +104,17 @@ class SequentialChi2(InnovationTest):
     bias_window_s : float
         Length of the first window whose mean innovation is taken away from every channel, which is
         not judged before; 0 for none.
+    two_sided : bool
+        Whether innovations that are too small alarm, too, each side with half of `false_alarm`: a
+        counterfeit signal may have less noise than nature.  The statistic is then the ratio to the
+        limit that is nearer, and the threshold 1.
     """
 
     false_alarm: float = 1e-5
     window_s: float | None = None
     signals: str = "pseudorange"
     bias_window_s: float = 0.0
+    two_sided: bool = field(default=False, metadata=OMITTED)
 
     paper: ClassVar[str] = "mehra1971"
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
@@ -127,6 +134,7 @@ class SequentialChi2(InnovationTest):
             self.memory.declare("degrees", np.zeros(b))
         else:
             window = epochs_of(self.window_s, context)
+            self.memory_epochs = self._bias_window + window
             self.memory.declare("squares", np.zeros((b, window)))
             self.memory.declare("counts", np.zeros((b, window)))
             self.memory.declare("place", np.zeros(b, dtype=np.int64))
@@ -135,6 +143,11 @@ class SequentialChi2(InnovationTest):
         """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
         white, judged = self._whitened(epoch)
         statistic, degrees = self._sums(white, judged)
+        if self.two_sided:
+            each_side, some = 0.5 * self.false_alarm, np.maximum(degrees, 1.0)
+            limits = chi2_lower_thresholds(each_side, some), special.chdtri(some, each_side)
+            ratio = outside_ratio(statistic, *limits, degrees > 0.0)
+            return Verdict(ratio, np.ones_like(ratio), ratio > 1.0)
         threshold = special.chdtri(np.maximum(degrees, 1.0), self.false_alarm)[:, None]
         return Verdict(statistic[:, None], threshold, statistic[:, None] > threshold)
 

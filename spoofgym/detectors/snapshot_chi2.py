@@ -14,16 +14,17 @@ Source: `barshalom2001`, section 5.4, in references.bib.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, cast
 
 import numpy as np
 
+from .._describe import OMITTED
 from ..receiver.epoch import Epoch
 from ..receiver.nis import normalized_innovation_squared
 from .base import DetectorContext, Verdict
 from .innovation_test import FloatArray, InnovationTest
-from .thresholds import chi2_thresholds
+from .thresholds import chi2_lower_thresholds, chi2_thresholds, outside_ratio
 
 
 @dataclass
@@ -39,11 +40,16 @@ class SnapshotChi2(InnovationTest):
     bias_window_s : float
         Length of the first window whose mean innovation is taken away from every channel, which is
         not judged before; 0 for none.
+    two_sided : bool
+        Whether innovations that are too small alarm, too, each side with half of `false_alarm`: a
+        counterfeit signal may have less noise than nature.  The statistic is then the ratio to the
+        limit that is nearer, and the threshold 1.
     """
 
     false_alarm: float = 1e-5
     signals: str = "both"
     bias_window_s: float = 0.0
+    two_sided: bool = field(default=False, metadata=OMITTED)
 
     paper: ClassVar[str] = "barshalom2001"
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
@@ -52,7 +58,10 @@ class SnapshotChi2(InnovationTest):
         """Prepare the thresholds for every number of visible satellites."""
         super().bind(context)
         each = self._per_satellite
-        self._thresholds = chi2_thresholds(self.false_alarm, each * context.channels)[::each]
+        each_side = 0.5 * self.false_alarm if self.two_sided else self.false_alarm
+        self._thresholds = chi2_thresholds(each_side, each * context.channels)[::each]
+        degrees = each * np.arange(context.channels + 1.0)
+        self._lower = chi2_lower_thresholds(each_side, degrees)
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
@@ -62,5 +71,10 @@ class SnapshotChi2(InnovationTest):
             rows = np.hstack([judged, judged])
             belief = np.where(rows[:, :, None] & rows[:, None, :], belief, np.eye(rows.shape[1]))
         statistic = normalized_innovation_squared(innovation, belief, *self._rows)[:, None]
-        threshold = self._thresholds[judged.sum(axis=1)][:, None]
+        seen = judged.sum(axis=1)
+        if self.two_sided:
+            limits = self._lower[seen], self._thresholds[seen]
+            statistic = outside_ratio(statistic[:, 0], *limits, seen > 0)
+            return Verdict(statistic, np.ones_like(statistic), statistic > 1.0)
+        threshold = self._thresholds[seen][:, None]
         return Verdict(statistic, threshold, statistic > threshold)

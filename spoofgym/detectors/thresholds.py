@@ -27,6 +27,11 @@ def check_epochs(name: str, value: int, most: int = 100_000) -> None:
         raise ValueError(f"`{name}` must be a whole number of epochs, got {value}")
 
 
+def epochs_to_settle(smoothing: float) -> int:
+    """Epochs until what an exponential average began with has fallen to a hundredth."""
+    return 1 if smoothing >= 1.0 else math.ceil(math.log(0.01) / math.log(1.0 - smoothing))
+
+
 def run_length(drift: float, threshold: float) -> float:
     r"""Mean number of epochs until a cumulative sum exceeds its threshold where nothing changes.
 
@@ -58,6 +63,27 @@ def chi2_thresholds(false_alarm: float, most: int) -> FloatArray:
     that it stays finite.
     """
     return np.asarray(special.chdtri(np.maximum(np.arange(most + 1), 1), false_alarm))
+
+
+def chi2_lower_thresholds(false_alarm: float, degrees: FloatArray) -> FloatArray:
+    """Value below which chi-square falls with a given probability, by degrees of freedom.
+
+    `false_alarm`: in (0, 1); `degrees`: any shape; below 1 as 1, so that it stays above 0.
+    """
+    return np.asarray(2.0 * special.gammaincinv(0.5 * np.maximum(degrees, 1.0), false_alarm))
+
+
+def outside_ratio(
+    statistic: FloatArray, lower: FloatArray, upper: FloatArray, judged: NDArray[np.bool_]
+) -> FloatArray:
+    r"""How far a statistic lies outside an interval, as a ratio that exceeds 1 there.
+
+    .. math:: \max\left(\frac{q}{T_u}, \frac{T_l}{q}\right)
+
+    All (B,); returns (B, 1), 0 where nothing is `judged`.
+    """
+    ratio = np.maximum(statistic / upper, lower / np.maximum(statistic, 1e-300))
+    return np.asarray(np.where(judged, ratio, 0.0))[:, None]
 
 
 @inlined

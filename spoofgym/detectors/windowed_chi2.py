@@ -43,19 +43,26 @@ Source: `shadmehri2025`, eqs. 14 to 16; the distributions are from `hotelling193
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from .._describe import OMITTED
 from .._jit import njit
 from ..receiver.epoch import Epoch
 from ..receiver.nis import normalized_innovation_squared
 from .base import Detector, DetectorContext, Verdict
 from .innovation_test import check_signals
-from .thresholds import check_epochs, check_probability, chi2_thresholds
+from .thresholds import (
+    check_epochs,
+    check_probability,
+    chi2_lower_thresholds,
+    chi2_thresholds,
+    outside_ratio,
+)
 
 FloatArray = NDArray[np.float64]
 COVARIANCES = ("known", "estimated")
@@ -131,6 +138,10 @@ class WindowedChi2(Detector):
         Whether the innovation covariance is known or the mean of a window of epochs.
     covariance_window : int
         w, that window of a self-tuning receiver; only with ``covariance="estimated"``.
+    two_sided : bool
+        Whether innovations that are too small alarm, too, each side with half of `false_alarm`: a
+        counterfeit signal may have less noise than nature.  It takes a known covariance.  The
+        statistic is then the ratio to the limit that is nearer, and the threshold 1.
     """
 
     window: int = 10
@@ -138,6 +149,7 @@ class WindowedChi2(Detector):
     signals: str = "both"
     covariance: str = "known"
     covariance_window: int = 100
+    two_sided: bool = field(default=False, metadata=OMITTED)
 
     paper: ClassVar[str] = "shadmehri2025"
     needs: ClassVar[frozenset[str]] = frozenset({"design", "innovation_cov"})
@@ -154,6 +166,10 @@ class WindowedChi2(Detector):
                 f"`covariance` must be one of {', '.join(map(repr, COVARIANCES))}, "
                 f"got {self.covariance!r}"
             )
+        if self.two_sided and self.covariance != "known":
+            raise ValueError(
+                f"`two_sided` takes a known covariance, got `covariance` {self.covariance!r}"
+            )
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare the windows, and the thresholds for every number of rows in one."""
@@ -169,7 +185,9 @@ class WindowedChi2(Detector):
         most = self._rows[1] - self._rows[0]
         self._hold = self.window - 1
         if self.covariance == "known":
-            self._thresholds = chi2_thresholds(self.false_alarm, most * self.window)
+            each_side = 0.5 * self.false_alarm if self.two_sided else self.false_alarm
+            self._thresholds = chi2_thresholds(each_side, most * self.window)
+            self._lower = chi2_lower_thresholds(each_side, np.arange(most * self.window + 1.0))
         else:
             if self.covariance_window < most + 4:
                 raise ValueError(
@@ -182,6 +200,7 @@ class WindowedChi2(Detector):
                 self.false_alarm, self.window, self.covariance_window, rows
             )
         self.silent_epochs = self._hold
+        self.memory_epochs = self._hold + 1
         self.memory.declare("past", np.zeros((context.receivers, self.window)))
         self.memory.declare("past_rows", np.zeros((context.receivers, self.window), dtype=np.int64))
         self.memory.declare("seen", np.zeros(context.receivers, dtype=np.int64))
@@ -210,5 +229,9 @@ class WindowedChi2(Detector):
             total,
             degrees,
         )
+        if self.two_sided:
+            full = (self.memory["seen"] > self._hold) & (degrees > 0)
+            ratio = outside_ratio(total, self._lower[degrees], self._thresholds[degrees], full)
+            return Verdict(ratio, np.ones_like(ratio), ratio > 1.0)
         threshold = self._thresholds[degrees]
         return Verdict(total[:, None], threshold[:, None], (total > threshold)[:, None])

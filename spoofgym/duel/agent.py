@@ -8,7 +8,7 @@ where the statistic exceeds the threshold.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,6 +167,23 @@ class PolicyDetector(DetectorAgent):
         check_delay(self.decision_delay)
         if not (is_number(self.threshold) and 0.0 < self.threshold <= 1.0):
             raise ValueError(f"`threshold` must be a number in (0, 1], got {self.threshold!r}")
+
+    @property
+    def file(self) -> str | None:
+        """File that the policy was read from."""
+        return getattr(self.policy, "file", None)
+
+    def identity(self) -> dict[str, Any]:
+        """What its calibration belongs to: all but threshold and warm-up, which it is told."""
+        digest = self._policy().digest()
+        if digest is None:
+            raise ValueError(
+                f"{self.policy!r} has no digest to look its calibration up by: give a "
+                "FunctionPolicy a `name`, or override `digest`"
+            )
+        own = ("statistic", "weighs", "exclusion_s", "decision_delay")
+        settings = {name: getattr(self, name) for name in own}
+        return {"name": "policy", "policy": digest, **settings}
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare the policy."""

@@ -8,21 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._describe import describe, digest_of
 from .._registry import is_number, whole_number
-from ..detectors import DetectorContext
-from .agent import policy_context
-from .calibration import Calibration, fewest_runs, quantile_of
-from .duel import Duel
-from .payoff import FixedThreshold
+from ..detectors.calibration import fewest_runs
+from ..simulators.clean_runs import Player
+from ..simulators.setup import Setup
+from .agent import DetectorAgent, PolicyDetector
+from .calibration import Calibration, quantile_of
 from .policy import DetectorPolicy, as_policy
 from .rules import make_duel
-
-FloatArray = NDArray[np.float64]
-CALIBRATION = 1
-"""First element of the spawn keys, as in the benchmark: shared with no training and evaluation."""
 
 
 def calibrate(
@@ -78,11 +73,18 @@ def calibrate(
     """
     _check(false_alarm, runs, confidence, receivers)
     frozen = as_policy(policy)
-    duel = make_duel(
-        min(receivers, runs), decision_delay=decision_delay, attack_probability=0.0, **settings
+    duel = make_duel(1, decision_delay=decision_delay, threads=1, **settings)
+    setup, agent = duel.setup, duel.agent
+    duel.close()
+    judge = PolicyDetector(
+        agent.statistic,
+        agent.weighs,
+        agent.exclusion_s,
+        policy=frozen,
+        decision_delay=decision_delay,
+        quiet_epochs=setup.live,
     )
-    duel.threshold = FixedThreshold(np.inf, duel.receivers)
-    conditions = digest_of(_conditions(duel))
+    conditions = digest_of(_conditions(setup, agent, decision_delay))
     seed, runs = whole_number("`seed`", seed), int(runs)
     request = {"false_alarm": false_alarm, "runs": runs, "seed": seed, "confidence": confidence}
     path = None
@@ -96,8 +98,9 @@ def calibrate(
         path = Path(store) / f"{name}.json"
         if path.is_file():
             return Calibration.load(path)
-    largest = largest_statistics(duel, frozen, runs, seed)
-    duel.close()
+    player = Player(setup, entropy=seed, threads=1, chunk=min(receivers, runs))
+    # its threshold is 1, so that a ratio is a statistic
+    largest = player.play([judge], range(runs), in_loop=True).judged[:, 0]
     threshold, low, high = quantile_of(largest, false_alarm, confidence)
     found = Calibration(
         # a statistic of 0 is no alarm, whatever the threshold
@@ -132,50 +135,7 @@ def _check(false_alarm: float, runs: int, confidence: float, receivers: int) -> 
         raise ValueError(f"`receivers` must be at least 1, got {receivers}")
 
 
-def _conditions(duel: Duel) -> dict[str, Any]:
+def _conditions(setup: Setup, agent: DetectorAgent, decision_delay: int) -> dict[str, Any]:
     """Everything of a duel that a clean run depends on, JSON-able."""
-    setup = duel.setup
-    parts = ("scenario", "receiver", "timeline", "detector", "domain")
-    found = {name: describe(getattr(setup, name)) for name in parts}
-    if setup.repeat > 1:
-        # an episode keeps a decision to spare, so that it may have to start earlier
-        found["decision_interval_s"] = setup.decision_interval_s
-    return {**found, "decision_delay": duel.decision_delay}
-
-
-def largest_statistics(duel: Duel, policy: DetectorPolicy, runs: int, seed: int) -> FloatArray:
-    """Play clean episodes to their end: (runs,) largest statistic of each."""
-    policy.bind(_context(duel))
-    idle = np.zeros((duel.receivers, len(duel.core.action_names)))
-    found: list[FloatArray] = []
-    for first in range(0, runs, duel.receivers):
-        keys = range(first, first + duel.receivers)
-        sequences = [np.random.SeedSequence(seed, spawn_key=(CALIBRATION, run)) for run in keys]
-        duel.reset([np.random.default_rng(sequence) for sequence in sequences])
-        policy.reset()
-        largest = np.zeros(duel.receivers)
-        for _ in range(duel.epochs):
-            if duel.decision_delay:
-                action = policy.decide(duel.observe_detector())
-                duel.arrive(idle)
-            else:
-                duel.arrive(idle)
-                action = policy.decide(duel.observe_detector())
-            largest = np.maximum(largest, duel.decide(action).info["statistic"])
-        found.append(largest)
-    return np.concatenate(found)[:runs]
-
-
-def _context(duel: Duel) -> Any:
-    """What a policy knows of a duel."""
-    setup = duel.setup
-    return policy_context(
-        duel.agent,
-        DetectorContext(
-            duel.receivers,
-            setup.world.channels,
-            setup.interval_s,
-            setup.combinations.largest_variance,
-            setup.world.satellite_ids,
-        ),
-    )
+    settings = setup.conditions.settings
+    return {**settings, "detector": describe(agent), "decision_delay": decision_delay}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._files import write_file
+from ..detectors.calibration import rank_of
 
 FloatArray = NDArray[np.float64]
 
@@ -63,11 +63,6 @@ class Calibration:
             raise ValueError(f"{path} is no calibration: {error}") from error
 
 
-def fewest_runs(false_alarm: float) -> int:
-    """Clean runs that a quantile takes."""
-    return max(math.ceil(1.0 / false_alarm - 1e-9) - 1, 1)
-
-
 def quantile_of(
     largest: FloatArray, false_alarm: float, confidence: float
 ) -> tuple[float, float, float]:
@@ -84,7 +79,7 @@ def quantile_of(
     from scipy.stats import binom
 
     ordered, n = np.sort(largest), len(largest)
-    k = math.ceil((1.0 - false_alarm) * (n + 1) - 1e-9)
+    k = n + 1 - rank_of(false_alarm, n)
     tail = 0.5 * (1.0 - confidence)
     lower = int(binom.ppf(tail, n, 1.0 - false_alarm))
     upper = int(binom.ppf(1.0 - tail, n, 1.0 - false_alarm)) + 1

@@ -17,8 +17,8 @@ from .spoofer_view import Weights
 from .vector_view import POOL_CHANGED, PooledVectorView
 
 SpooferPoolSpec = Sequence[SpooferSpec] | SpooferSpec
-VALID = tuple(name for name in SETTINGS if name != "knowledge")
-"""Settings of a view of the detector's side: each spoofer has a knowledge of its own."""
+VALID = tuple(name for name in SETTINGS if name not in ("knowledge", "action"))
+"""Settings of a view of the detector's side: each spoofer has knowledge and actions of its own."""
 
 
 class DetectorView(CoreEnv[DetectorCore]):
@@ -37,8 +37,9 @@ class DetectorView(CoreEnv[DetectorCore]):
     render_mode : None
         Only the spoofer's side draws its episode.
     **settings
-        As in `spoofgym.duel_v0.env`, but for ``knowledge``, which each spoofer has of its own, and
-        ``decision_delay``: 0 by default, as in the AEC form, or 1, as in the parallel one.
+        As in `spoofgym.duel_v0.env`, but for ``knowledge`` and ``action``, which each spoofer has
+        of its own, and ``decision_delay``: 0 by default, as in the AEC form, or 1, as in the
+        parallel one.
 
     Attributes
     ----------
@@ -56,7 +57,7 @@ class DetectorView(CoreEnv[DetectorCore]):
     ) -> None:
         refuse_to_draw("DetectorView", render_mode)
         check_keywords(DetectorView, settings, VALID)
-        duel = make_duel(1, threads=1, **settings)
+        duel = make_duel(1, threads=1, action="full-command", **settings)
         super().__init__(DetectorCore(duel, pool, weights))
 
     @property
@@ -110,7 +111,7 @@ class DetectorVectorView(PooledVectorView[DetectorCore]):
         mode = autoreset_mode_of(autoreset_mode)
         check_vector_settings(num_envs, render_mode)
         check_keywords(DetectorVectorView, settings, VALID)
-        duel = make_duel(num_envs, threads=threads, **settings)
+        duel = make_duel(num_envs, threads=threads, action="full-command", **settings)
         super().__init__(DetectorCore(duel, pool, weights), mode, infos, max_episode_steps)
 
     @property

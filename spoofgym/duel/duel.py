@@ -16,6 +16,7 @@ from ..envs.core import NOTHING_SEEN, SpoofCore
 from ..envs.factory import make_setup
 from ..envs.scoring import DisplacementScore, FusedStep
 from ..envs.step_result import StepResult
+from ..envs.terms.registry import ActionSpec
 from ..simulators.base import Simulator
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .agent import EXCLUSION_S, DetectorAgent, check_delay
@@ -71,6 +72,7 @@ class Duel:
         false_alarm: float = 0.05,
         decision_delay: int = 0,
         attack_probability: float = 0.5,
+        action: ActionSpec | None = None,
         threads: int | None = None,
     ) -> None:
         check_delay(decision_delay)
@@ -84,7 +86,9 @@ class Duel:
         self.decision_delay, self.attack_probability = decision_delay, attack_probability
         self.payoff = make_payoff(payoff)
         self.threshold = make_threshold(threshold, false_alarm, receivers)
-        self.core = SpoofCore(receivers, setup, knowledge=knowledge, reward=(), threads=threads)
+        self.core = SpoofCore(
+            receivers, setup, knowledge=knowledge, action=action, reward=(), threads=threads
+        )
         self.score = DisplacementScore(receivers, setup.steps, setup.hold)
         self._fused = FusedStep(self.score, setup.epoch_time, at_alarm=True, window=self.epochs)
         self.attacked = np.zeros(receivers, dtype=np.bool_)
@@ -92,7 +96,8 @@ class Duel:
         self._everyone = np.arange(receivers)
         self._sources: list[np.random.Generator | None] = [None] * receivers
         shape = (receivers, len(self.core.action_names))
-        self._before, self._given, self._command = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self._before, self._given = np.zeros(shape), np.zeros(shape)
+        self._command = np.zeros((receivers, len(setup.action_names)))
 
     @property
     def agent(self) -> DetectorAgent:
@@ -140,7 +145,7 @@ class Duel:
     def arrive(self, action: FloatArray | None, rows: NDArray[np.intp] | None = None) -> None:
         """First half of an epoch: the spoofer moves, measurements arrive, the detector looks.
 
-        `action` (B, a) in [-1, 1]; not looked at in clean episodes, after the last command, and
+        `action` (B, k) in [-1, 1]; not looked at in clean episodes, after the last command, and
         where no decision is due.  None where none is due at all: see `deciding`.
         """
         where = self._everyone if rows is None else rows
@@ -155,7 +160,7 @@ class Duel:
     def _commanded(self) -> FloatArray:
         """Commands as the attack takes them: holding the rate where all have been given."""
         epoch = self.score.step_count % self.setup.repeat
-        action = self.setup.command(self._before, self._given, epoch[:, None])
+        action = self.core.command(self.setup.command(self._before, self._given, epoch[:, None]))
         by_rate = self.setup.attack.control == "rate"
         held = self._command if by_rate else np.zeros_like(self._command)
         command = np.where(self.holding[:, None], held, action)

@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detectors import Detector, make_detector
+from ..detectors import Calibrated, Detector, calibrated, detector_in_world
+from ..detectors.calibrated import ASKED, Asked, split_spec, with_thresholds
 from ..detectors.pool import PooledDetector, checked_weights, drawn
 from ..envs.observer import Observer
 from ..envs.options import checked_action
-from ..envs.spoofer_binding import card_behind, spoofer_context, warn_of_headings
+from ..envs.spoofer_binding import bound_spoofer, card_behind, warn_of_headings
+from ..envs.terms.action import CommandMap
 from ..envs.terms.base import Snapshot
-from ..envs.terms.observation import default_terms
+from ..simulators.base import Simulator
 from ..simulators.setup import Setup
 from ..spoofers import SUFFIX, Spoofer, make_spoofer
 from .agent import PolicyDetector
@@ -44,24 +46,50 @@ def label_of(spec: Any) -> str:
     return spec if isinstance(spec, str) else type(spec).__name__
 
 
-def make_opponent(spec: DetectorSpec) -> Detector:
-    """Detector of a pool."""
+def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:
+    """Detector of a pool, at the default rate of false alarms where it asks for nothing.
+
+    A name may be an ONNX file, whose nominal threshold is that of its card.  `quiet_epochs`: of the
+    monitored warm-up, in which a policy is not asked.
+    """
     settings: dict[str, Any] = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
-    name = settings.pop("name", None)
-    if not (isinstance(name, str) and name.endswith(SUFFIX)):
-        return make_detector(dict(spec) if isinstance(spec, Mapping) else spec)
+    if not str(settings.get("name")).endswith(SUFFIX):
+        made = detector_in_world(dict(spec) if isinstance(spec, Mapping) else spec)
+        return _quiet_for(made, quiet_epochs)
+    if "threshold" in settings:
+        settings.setdefault("thresholds", "nominal")
+    plain, asked = split_spec(settings)
+    rate = calibrated.DEFAULT_RATE
+    if asked == Asked() and rate is not None:
+        asked = Asked(false_alarms_per_hour=rate)
+    nominal = asked in (Asked(), Asked(thresholds="nominal"))
+    return with_thresholds(_policy_detector(plain, nominal, quiet_epochs), asked)
+
+
+def _quiet_for(detector: Detector, epochs: int) -> Detector:
+    """A detector whose policy, if it has one, is not asked in its first epochs."""
+    if isinstance(detector, PolicyDetector):
+        return dataclasses.replace(detector, quiet_epochs=epochs)
+    if isinstance(detector, Calibrated) and isinstance(detector.detector, PolicyDetector):
+        return dataclasses.replace(detector, detector=_quiet_for(detector.detector, epochs))
+    return detector
+
+
+def _policy_detector(settings: dict[str, Any], nominal: bool, quiet_epochs: int) -> PolicyDetector:
+    """Detector of an ONNX file; its threshold is 1 unless it is `nominal`, that of its card."""
+    name = settings.pop("name")
     policy = OnnxDetector(name)
     card = policy.card
-    threshold = settings.pop("threshold", card.threshold)
+    threshold = settings.pop("threshold", card.threshold) if nominal else 1.0
     if settings:
         raise ValueError(
             f"the detector policy {name} has no setting {', '.join(map(repr, settings))}; valid: "
-            "threshold"
+            f"{', '.join(('threshold', *ASKED))}"
         )
     if threshold is None:
         raise ValueError(
             f"{name} has no threshold on its card: calibrate it by spoofgym.duel_v0.calibrate, "
-            "and give it as `threshold`"
+            "and give it as `threshold`, or ask for `false_alarms_per_hour`"
         )
     return PolicyDetector(
         statistic=card.statistic,
@@ -70,6 +98,7 @@ def make_opponent(spec: DetectorSpec) -> Detector:
         policy=policy,
         threshold=threshold,
         decision_delay=card.decision_delay,
+        quiet_epochs=quiet_epochs,
     )
 
 
@@ -80,12 +109,9 @@ def pooled_detector(
 
     `weights`: probability of each; all alike by default.
     """
-    made = [make_opponent(spec) for spec in members_of(pool, Detector)]
-    members = [
-        dataclasses.replace(one, quiet_epochs=live) if isinstance(one, PolicyDetector) else one
-        for one in made
-    ]
-    return PooledDetector(members, weights)
+    return PooledDetector(
+        [make_opponent(spec, live) for spec in members_of(pool, Detector)], weights
+    )
 
 
 class SpooferPool:
@@ -108,19 +134,27 @@ class SpooferPool:
         specs = members_of(pool, Spoofer)
         self.labels = tuple(label_of(spec) for spec in specs)
         self._chances = checked_weights(len(specs), weights)
-        self._observers: dict[str, Observer] = {}
+        self._observers: dict[tuple[str, bool], Observer] = {}
+        self._seeing: list[tuple[str, bool]] = []
+        self._commands: list[CommandMap] = []
         self._spoofers = [self._made(spec, setup, receivers) for spec in specs]
         warn_of_headings(self._spoofers, setup)
-        self._action_names = setup.action_names
-        self._shape = receivers, len(self._action_names)
+        self._shape = receivers, len(setup.action_names)
         self.opponent = np.zeros(receivers, dtype=np.int64)
 
     def _made(self, spec: SpooferSpec, setup: Setup, receivers: int) -> Spoofer:
         made = make_spoofer(dict(spec) if isinstance(spec, Mapping) else spec)
-        observer = self._observers.setdefault(
-            made.knowledge, Observer(default_terms(setup, made.knowledge), setup)
-        )
-        context = spoofer_context(setup, receivers, observer)
+        context, observer, commands = bound_spoofer(made, setup, receivers)
+        if commands.setpoint_mps is not None and setup.repeat > 1:
+            raise ValueError(
+                f"the spoofer {label_of(spec)!r} acts by set-points, which the acceleration "
+                "follows at every epoch: no pool with a `decision_interval_s` can have it"
+            )
+        self._commands.append(commands)
+        # those of different commands differ in what they see of their own
+        key = made.knowledge, commands.along_target
+        self._seeing.append(key)
+        self._observers.setdefault(key, observer)
         card = card_behind(spec, made)
         found = [] if card is None else card.differences(context)
         if found:
@@ -146,13 +180,13 @@ class SpooferPool:
         Returns (B, a) float64, 0 for the others.
         """
         command = np.zeros(self._shape)
-        seen: dict[str, NDArray[np.float32]] = {}
+        seen: dict[tuple[str, bool], NDArray[np.float32]] = {}
         for k in np.unique(self.opponent[rows]):
-            spoofer = self._spoofers[k]
-            if spoofer.knowledge not in seen:
-                seen[spoofer.knowledge] = self._observers[spoofer.knowledge].observe(snapshot)
+            spoofer, key = self._spoofers[k], self._seeing[k]
+            if key not in seen:
+                seen[key] = self._observers[key].observe(snapshot)
             before = {name: np.array(array) for name, array in spoofer.memory.items()}
-            action = self._checked(k, spoofer.act(seen[spoofer.knowledge]))
+            action = self._checked(k, spoofer.act(seen[key]), snapshot.simulator)
             for name, array in before.items():
                 array[rows] = spoofer.memory[name][rows]
                 spoofer.memory[name] = array
@@ -160,9 +194,13 @@ class SpooferPool:
             command[own] = action[own]
         return command
 
-    def _checked(self, k: int, action: Any) -> FloatArray:
-        """Action of a spoofer for all receivers, as the duel takes it."""
+    def _checked(self, k: int, action: Any, simulator: Simulator) -> FloatArray:
+        """Action of a spoofer for all receivers, as the attack takes it."""
+        commands = self._commands[k]
+        shape = self._shape[0], len(commands.names)
         try:
-            return checked_action(action, self._shape, self._action_names)
+            given = checked_action(action, shape, commands.names)
         except (TypeError, ValueError) as error:
             raise ValueError(f"the spoofer {self.labels[k]!r} of the pool: {error}") from error
+        commands.aim(simulator.heading)
+        return commands.command(given, simulator.commanded_rate)

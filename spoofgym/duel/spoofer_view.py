@@ -47,7 +47,7 @@ class SpooferSide:
         world = {name: rules.pop(name) for name in WORLD if name in rules}
         self._receivers = receivers
         # with a reward of one's own there is no default one to be without a price
-        free = {} if rules.get("reward") is not None else {"alarm_penalty_m": 0.0}
+        free = {} if rules.get("reward") is not None else {"alarm_price": 0.0}
         self._rules = {**free, **rules}
         self._setup = make_setup(TightlyCoupledSetup, {**world, "detector": "never"})
         self.labels: tuple[str, ...] = ()
@@ -83,8 +83,9 @@ class SpooferSide:
 class SpooferView(CoreEnv[SpoofCore]):
     """The spoofer's side: the learner attacks, one detector of the pool defends for an episode.
 
-    Every episode is attacked, since a clean one pays nothing and teaches nothing.  The undiscounted
-    return is the undetected displacement [m], minus `alarm_penalty_m` at an alarm.
+    Actions, and observations with their scales, are those of `SpoofEnv`.  Every episode is
+    attacked, since a clean one pays nothing and teaches nothing.  The undiscounted return is the
+    undetected displacement [m], minus `alarm_price` times `length_m` at an alarm.
 
     Parameters
     ----------
@@ -96,7 +97,7 @@ class SpooferView(CoreEnv[SpoofCore]):
     render_mode : {"human", "rgb_array"}, optional
         As in `SpoofEnv`.
     **settings
-        As in `SpoofEnv`, but for the detector; ``alarm_penalty_m`` is 0 by default.
+        As in `SpoofEnv`, but for the detector; ``alarm_price`` is 0 by default.
 
     Attributes
     ----------

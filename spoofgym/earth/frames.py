@@ -86,3 +86,31 @@ def dcm_e_from_n(latitude: ArrayLike, longitude: ArrayLike) -> NDArray[np.float6
     east = np.stack([-so, co, np.zeros_like(sl)], axis=-1)
     down = np.stack([-cl * co, -cl * so, -sl], axis=-1)
     return np.stack([north, east, down], axis=-1)
+
+
+def turning_of_local_axes(position_e: ArrayLike, velocity_e: ArrayLike) -> NDArray[np.float64]:
+    r"""Rate of change of the local axes of somebody who moves, `C_en` by time.
+
+    .. math:: \dot C_{en} = C_{en} [\omega_{en}^n \times], \qquad \omega_{en}^n =
+        \left(\tfrac{v_E}{R_E + h}, -\tfrac{v_N}{R_N + h},
+        -\tfrac{v_E \tan L}{R_E + h}\right)
+
+    `position_e`, `velocity_e` (..., 3) ECEF [m], [m/s]; returns (..., 3, 3) [1/s]; its columns are
+    the rates of the north, east and down unit vectors.
+
+    Notes
+    -----
+    Groves (2013), eqs. 5.43 and 5.44.
+    """
+    latitude, longitude, height = ecef_to_geodetic(position_e)
+    C_en = dcm_e_from_n(latitude, longitude)
+    speed = np.asarray(velocity_e, dtype=np.float64)
+    north, east, _ = np.moveaxis(np.einsum("...ij,...i->...j", C_en, speed), -1, 0)
+    w = 1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
+    transverse = EQUATORIAL_RADIUS / np.sqrt(w)
+    meridian = transverse * (1.0 - ECCENTRICITY_SQUARED) / w
+    x, y = east / (transverse + height), -north / (meridian + height)
+    z, none = -x * np.tan(latitude), np.zeros_like(x)
+    cross = np.stack([none, -z, y, z, none, -x, -y, x, none], axis=-1)
+    turning: NDArray[np.float64] = C_en @ cross.reshape(*x.shape, 3, 3)
+    return turning

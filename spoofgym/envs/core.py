@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from .._registry import check_choice, check_truth
-from ..detectors import Detector, Verdict, make_detector
+from .._registry import check_choice, check_finite, check_truth
+from ..detectors import Detector, Verdict, detector_in_world
 from ..simulators.base import Given, Rngs, Rows, run_serially
 from ..simulators.engine import Engine
 from ..simulators.monitors import PassiveDetectors, needed_monitors
 from ..simulators.setup import Setup
-from ._kernels import ALARM, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
+from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
 from .observer import Observer
-from .scoring import DisplacementScore, FusedStep
+from .scoring import PLAY, DisplacementScore, FusedStep, ScoredStep
 from .step_result import MARK_NAMES, VALUE_NAMES, Info, PlainResult, StepResult
-from .terms.action import CommandMap, FullCommand
+from .terms.action import CommandMap, default_action
 from .terms.base import Snapshot
 from .terms.observation import KNOWLEDGE, default_terms
 from .terms.registry import ActionSpec, EndSpec, ObservationSpec, RewardSpec, make_terms
@@ -36,7 +36,8 @@ SingleStep = tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]
 """Observation, reward, terminated, truncated, and information, of a batch of one."""
 RESET_NAMES: tuple[str, ...] = ("time_s", "warmup_alarm", "coasting")
 """Keys of the information of a reset."""
-DEFAULT_PENALTY_M = 10.0
+ALARM_PRICE = 1.5
+"""Price of an alarm, in lengths of the task."""
 NOTHING_SEEN = np.empty(0, dtype=np.float32)
 
 
@@ -101,6 +102,8 @@ class SpoofCore:
         As in `Core`.
     engine : Engine
         The receivers.
+    commands : CommandMap
+        What actions command.
     score : DisplacementScore
         What counts of the running episodes.
     end_at_alarm : bool
@@ -122,7 +125,8 @@ class SpoofCore:
         reward: RewardSpec | None = None,
         end: EndSpec | None = None,
         watch: WatchSpec = (),
-        alarm_penalty_m: float = DEFAULT_PENALTY_M,
+        length_m: float | None = None,
+        alarm_price: float = ALARM_PRICE,
         end_at_alarm: bool = True,
         twin: bool = False,
         warm_pool: int | None = None,
@@ -134,21 +138,27 @@ class SpoofCore:
         check_truth("twin", twin)
         check_truth("prefetch", prefetch)
         ends = None if end is None else make_terms("end", end)
-        _check_overruled(alarm_penalty_m, reward, end_at_alarm, ends)
-        seen = default_terms(setup, knowledge)
+        _check_overruled(length_m, alarm_price, reward, end_at_alarm, ends)
+        self.length_m = float(setup.scales["length_m"] if length_m is None else length_m)
+        check_finite("length_m", self.length_m, "> 0")
+        check_finite("alarm_price", alarm_price, ">= 0")
+        actions = default_action(setup) if action is None else make_terms("action", action)
+        self.commands = CommandMap(actions, setup)
+        seen = default_terms(setup, knowledge, along_target=self.commands.along_target)
         if observation is not None:
             seen = make_terms("observation", observation)
-        rewards = default_rewards(alarm_penalty_m)
+        rewards = default_rewards(alarm_price * self.length_m)
         if reward is not None:
             rewards = make_terms("reward", reward)
         self.settings: dict[str, Any] = {
             "knowledge": knowledge,
             "observation": observation,
-            "action": None if action is None else make_terms("action", action),
+            "action": None if action is None else actions,
             "reward": reward,
             "end": ends,
             "watch": make_watch(watch),
-            "alarm_penalty_m": alarm_penalty_m,
+            "length_m": length_m,
+            "alarm_price": alarm_price,
             "end_at_alarm": end_at_alarm,
             "twin": twin,
             "warm_pool": warm_pool,
@@ -164,7 +174,7 @@ class SpoofCore:
         if self._passive is not None:
             monitors.append(self._passive.monitor)
             self.reset_names += self._passive.reset_names
-        self.setup = setup.altered(monitors=monitors)
+        self.setup = setup.altered(monitors=monitors, kernel=PLAY)
         self.engine = Engine(
             receivers,
             self.setup,
@@ -178,12 +188,10 @@ class SpoofCore:
         self.observation_names = self.observer.names
         self.bounds = self.observer.low, self.observer.high
         self._origin = np.zeros((receivers, 2))
-        self._decided = np.zeros((receivers, len(setup.action_names)))
+        self._decided = np.zeros((receivers, len(self.commands.names)))
         self._everyone = np.arange(receivers)
-        commands = (FullCommand(),) if action is None else self.settings["action"]
-        self._map = CommandMap(commands, self.setup)
-        self.action_names = self._map.names
-        self._map.aim(self.heading_rad)
+        self.action_names = self.commands.names
+        self.commands.aim(self.heading_rad)
         self.score = DisplacementScore(receivers, setup.steps, setup.hold)
         self.listeners: list[Listener] = []
         self._done: _DoneRows | None = None
@@ -200,7 +208,16 @@ class SpoofCore:
         rewards = [key for key, _ in self._reward_parts]
         passive = self._passive.step_names if self._passive else ()
         captured = () if self.setup.attack.capture is None else ("captured_channels",)
-        return (*VALUE_NAMES, *MARK_NAMES, *captured, *rewards, *self._ends.info_names, *passive)
+        twin = () if self.engine.twin is None else ("twin_alarm",)
+        return (
+            *VALUE_NAMES,
+            *MARK_NAMES,
+            *captured,
+            *twin,
+            *rewards,
+            *self._ends.info_names,
+            *passive,
+        )
 
     @property
     def step_count(self) -> NDArray[np.int64]:
@@ -216,15 +233,18 @@ class SpoofCore:
             self.score,
             self.setup.epoch_time,
             at_alarm=self.end_at_alarm,
+            worst=self.setup.target_heading_deg == "worst",
             parts=tuple(key for key, _ in self._reward_parts) if self._compiled else (),
             shares=shares,
             table=self.observer.table,
             command=self.observer.command,
             per_rate=self.observer.per_rate,
         )
+        self._sequel = ScoredStep(self._fused, self._origin, self.engine.hold)
         self._scratch = StepResult(self._fused.layout)
         captures = self.setup.attack.capture is not None
-        self._reports_more = captures or self._passive is not None
+        twins = self.engine.twin is not None
+        self._reports_more = captures or twins or self._passive is not None
         self._needs_arrays = (
             self._reports_more or self._has_ends or not self._compiled or self.setup.repeat > 1
         )
@@ -255,7 +275,7 @@ class SpoofCore:
         if self._done is not None:  # an interrupted decision may have left some
             self._done.drop(where)
         self._decided[where] = 0.0
-        self._map.aim(self.heading_rad)
+        self.commands.aim(self.heading_rad)
         if self.engine.twin is None:
             self._origin[where] = self.engine.simulator.origin_ne()[where]
         if self._passive is not None:
@@ -264,6 +284,10 @@ class SpoofCore:
     @property
     def _passive_memory(self) -> Memory:
         return self.engine.simulator.monitor(PassiveDetectors).memory
+
+    def command(self, action: FloatArray) -> FloatArray:
+        """Command (B, a) of the coming epoch, of an action (B, k); valid until the next one."""
+        return self.commands.command(action, self.engine.simulator.commanded_rate)
 
     def displacement(self) -> FloatArray:
         """(B,) displacement that counts, at this epoch [m]."""
@@ -294,21 +318,19 @@ class SpoofCore:
         return self._epoch(action, self._scratch)[0], *self._scratch.single()
 
     def _epoch(
-        self, action: FloatArray, result: StepResult, command: FloatArray | None = None
+        self, action: FloatArray, result: StepResult, now: FloatArray | None = None
     ) -> NDArray[np.float32]:
-        """One epoch; (B, o) observed, or nothing where `command` gives the command of the epoch."""
-        engine, observed = self.engine, command is None
-        if command is None:
-            command = action if self._map.is_plain else self._map.command(action)
-        verdict = engine.step(command)
-        simulator = engine.simulator
-        simulator.displacement(self._origin, engine.twin, result.displacement)
-        early = self.score.nobody
-        if self._has_ends or self.listeners:
-            early = self._judge_ends(result, verdict)
+        """One epoch; (B, o) observed, or nothing where `now` is the action within a decision."""
+        engine, observed = self.engine, now is None
+        now = action if now is None else now
+        command = now if self.commands.is_plain else self.command(now)
         receivers, width = self.receivers, len(self.observer.names)
         seen = np.empty(receivers * width, dtype=np.float32) if observed else NOTHING_SEEN
-        self._fused(simulator, verdict.alarm, early, engine.warmup_alarm, result, seen, engine.hold)
+        if self._has_ends or self.listeners or engine.twin is not None:
+            self._score_apart(command, result, seen)
+        else:
+            self._sequel.result, self._sequel.seen = result, seen
+            engine.step(command, self._sequel)
         if not self._compiled:
             self._reward(result, action)
         if not observed:
@@ -318,15 +340,30 @@ class SpoofCore:
             self.observer.complete(self.snapshot(), observation)
         return observation
 
+    def _score_apart(
+        self, command: FloatArray, result: StepResult, seen: NDArray[np.float32]
+    ) -> None:
+        """One epoch and its score, with what has to be asked between them."""
+        engine, early = self.engine, self.score.nobody
+        verdict = engine.step(command)
+        engine.simulator.displacement(self._origin, engine.twin, result.displacement)
+        if self._has_ends or self.listeners:
+            early = self._judge_ends(result, verdict)
+        given = engine.simulator, verdict.alarm, early, engine.warmup_alarm
+        if engine.twin is not None and engine.twin.verdict is not None:
+            self.score.twin_alarmed |= engine.twin.verdict.alarm.any(axis=1)
+        self._fused(*given, result, seen, engine.hold)
+        if engine.twin is not None:
+            result.extra["twin_alarm"] = self.score.twin_alarmed.copy()
+
     def _decide(self, action: FloatArray) -> StepResult:
         """All epochs of one decision; a receiver whose episode ends at one stays as it is then."""
         setup, score = self.setup, self.score
         if self._done is None:
             self._done = _DoneRows(self.engine)
-        command = self._map.command(action)
         before = score.ended.copy()
         result = StepResult(self._fused.layout)
-        self._epoch(action, result, setup.command(self._decided, command, 0))
+        self._epoch(action, result, setup.command(self._decided, action, 0))
         for epoch in range(1, setup.repeat):
             over, counts = score.ended.copy(), score.step_count.copy()
             if np.logical_and.reduce(over):
@@ -334,12 +371,12 @@ class SpoofCore:
             self._done.keep(np.flatnonzero(over & ~before))
             before = over
             later = StepResult(self._fused.layout)
-            self._epoch(action, later, setup.command(self._decided, command, epoch))
+            self._epoch(action, later, setup.command(self._decided, action, epoch))
             later.add(result, over)
             score.step_count[over] = counts[over]
             result = later
         self._done.restore()
-        self._decided[:] = command
+        self._decided[:] = action
         return result
 
     def _report_more(self, result: StepResult) -> None:
@@ -352,7 +389,8 @@ class SpoofCore:
     def _reward(self, result: StepResult, action: FloatArray) -> None:
         """Reward by the terms themselves."""
         values, marks = result.values, result.marks
-        moved, alarms = (values[GAIN], values[RETRACTION]), (marks[FIRST], marks[ALARM])
+        moved = values[GAIN], values[RETRACTION]
+        alarms = marks[FIRST], values[COST] > 0.0, marks[ALARM]
         over = result.terminated | result.truncated
         outcome = Outcome(*moved, *alarms, action, self.score.undetected, over)
         values[REWARD] = reward_of(self._reward_parts, outcome, result.extra)
@@ -444,17 +482,21 @@ def make_watch(spec: WatchSpec) -> tuple[Detector, ...]:
         spec = (spec,)
     if not isinstance(spec, Sequence):
         raise TypeError(f"`watch` must be a detector or a list of detectors, got {spec!r}")
-    return tuple(make_detector(each) for each in spec)
+    return tuple(detector_in_world(each) for each in spec)
 
 
 def _check_overruled(
-    alarm_penalty_m: float, reward: RewardSpec | None, end_at_alarm: bool, end: Sequence[Any] | None
+    length_m: float | None,
+    alarm_price: float,
+    reward: RewardSpec | None,
+    end_at_alarm: bool,
+    end: Sequence[Any] | None,
 ) -> None:
     """Raise where lists of terms leave a setting without an effect."""
-    if reward is not None and alarm_penalty_m != DEFAULT_PENALTY_M:
+    if reward is not None and not (length_m is None and alarm_price == ALARM_PRICE):
         raise ValueError(
-            f"`alarm_penalty_m` is part of the default reward, and `reward` is given: list "
-            f"{{'name': 'alarm-penalty', 'penalty_m': {alarm_penalty_m!r}}} there"
+            "`alarm_price` and `length_m` make the default reward, and `reward` is given: list "
+            "{'name': 'alarm-penalty', 'penalty_m': ...} there"
         )
     if end is not None and not end_at_alarm and any(isinstance(term, AtAlarm) for term in end):
         raise ValueError("`end` lists 'at-alarm', but `end_at_alarm` is False: leave out one")

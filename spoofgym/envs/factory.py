@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from .._registry import check_keywords
-from ..detectors import Detector, make_detector
+from ..detectors import Detector, detector_in_world
 from ..simulators.setup import Setup
 from .core import SpoofCore, WatchSpec, make_watch
 from .terms.registry import EndSpec, make_terms
@@ -39,7 +39,9 @@ def make_setup(setup_type: type[S], settings: Mapping[str, Any]) -> S:
     """Setup from those settings that are the victim's; None means its default."""
     own = inspect.signature(setup_type).parameters
     chosen = {name: settings[name] for name in own if settings.get(name) is not None}
-    return setup_type(**chosen)
+    setup = setup_type(**chosen)
+    setup.given = chosen
+    return setup
 
 
 def make_core(
@@ -78,7 +80,7 @@ def compose(
                 f"two detectors are set at once: {inner.given_detector!r} and {detector!r}; "
                 "one alone can be in the loop, others are passive"
             )
-        setup = setup.altered(detector=make_detector(detector))
+        setup = setup.altered(detector=detector_in_world(detector))
     if watch:
         changes["watch"] = (*before.settings["watch"], *make_watch(watch))
     if end:

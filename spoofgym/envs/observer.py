@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ..simulators.engine import Engine
 from ..simulators.setup import Setup
-from ._kernels import clip_columns, observe
+from ._kernels import COMMAND_COLUMN, clip_columns, observe
 from .terms.base import Snapshot, holds_for_call
-from .terms.observation import KNOWLEDGE, DynamicTerm, ObservationTerm
+from .terms.observation import LEVELS, REPORTED, DynamicTerm, ObservationTerm, split_knowledge
 
 FloatArray = NDArray[np.float64]
 
@@ -34,13 +34,14 @@ class Observer:
     low, high : ndarray
         (o,) float32 bounds.
     knowledge : str
-        The highest level that any term takes.
+        The highest level that any term takes, and ``+reported`` where one takes that.
     table : ndarray
         (K, o) float32, what is observed at every epoch, within the bounds; 0 where a term that
         depends on what has happened writes later.
     command : tuple of float
         First column of the commanded displacement and rate, -1 for none; factor on the
-        displacement; bounds of both.
+        displacement; bounds of both; axes north and east where they are observed along the target,
+        or -1.
     per_rate : ndarray
         (a,) factor on the rate of every axis.
     dynamic : bool
@@ -56,7 +57,7 @@ class Observer:
         low: list[float] = []
         high: list[float] = []
         tables: list[FloatArray] = []
-        self.command = (-1.0, 0.0, 0.0, 0.0)
+        self.command: tuple[float, ...] = (-1.0, 0.0, 0.0, 0.0, -1.0, -1.0)
         self.per_rate = np.zeros(len(setup.action_names))
         for term in terms:
             own = term.names(setup)
@@ -71,12 +72,12 @@ class Observer:
                 continue
             tables.append(np.zeros((len(setup.epoch_time), len(own))))
             if holds_for_call(term, "factors"):
-                per_displacement, self.per_rate = cast("Any", term).factors(setup)
-                self.command = (float(part.start), per_displacement, least, most)
+                per_displacement, self.per_rate, *axes = cast("Any", term).factors(setup)
+                self.command = (float(part.start), per_displacement, least, most, *axes)
             else:
                 self._parts.append((cast("DynamicTerm", term), part))
         self.table = np.hstack(tables).astype(np.float32)
-        self._rules = np.array([0.0] * 5 + list(self.command))
+        self._rules = np.array([0.0] * COMMAND_COLUMN + list(self.command))
         self.names = tuple(names)
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
@@ -89,13 +90,16 @@ class Observer:
             min((part.start for part in own_parts), default=0),
             max((part.stop for part in own_parts), default=0),
         )
-        self.knowledge = KNOWLEDGE[max(KNOWLEDGE.index(term.knowledge) for term in terms)]
+        levels, reported = zip(*(split_knowledge(term.knowledge) for term in terms), strict=True)
+        self.knowledge = LEVELS[max(levels)] + (f"+{REPORTED}" if any(reported) else "")
 
     def observe(self, snapshot: Snapshot) -> NDArray[np.float32]:
         """Observe the episodes: (B, o) float32, a new array within the bounds."""
-        epochs, _, displacement, rate = snapshot.simulator.step_arrays()
+        epochs, _, displacement, rate, direction = snapshot.simulator.step_arrays()
         out = np.empty((len(epochs), len(self.names)), dtype=np.float32)
-        observe(self._rules, self.per_rate, self.table, epochs, displacement, rate, out)
+        everyone = 0, len(out)
+        fixed = self._rules, self.per_rate, self.table, epochs
+        observe(*fixed, displacement, rate, direction, out, *everyone)
         if self.dynamic:
             self.complete(snapshot, out)
         return out

@@ -8,15 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._simd import ArrayTable
+from ..detectors import Verdict
 from ..simulators.base import Simulator
+from ..simulators.setup import SequelKernel
+from ..simulators.tightly_coupled import TightlyCoupledSimulator
 from . import _kernels
 from .step_result import InfoLayout, StepResult
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Hold = Callable[[NDArray[np.intp]], Mask]
-"""Lets receivers run the time to alert; (hold, b) alarms by epoch."""
-_VIEWS = ("step_count", "undetected", "largest", "detected", "ended", "nobody")
+Hold = Callable[[NDArray[np.intp]], tuple[Mask, Mask | None]]
+"""Lets receivers run the time to alert; (hold, b) alarms by epoch, and of their clean twins."""
+_VIEWS = ("step_count", "undetected", "largest", "detected", "ended", "nobody", "twin_alarmed")
 
 
 class DisplacementScore:
@@ -28,7 +32,8 @@ class DisplacementScore:
     - `largest` (steps + 1, B) largest displacement so far after each epoch [m];
     - `detected` (B,) bool, whether the attack has raised an alarm;
     - `ended` (B,) bool, whose episode is over, so that nothing more counts;
-    - `nobody` (B,) bool, False.
+    - `nobody` (B,) bool, False;
+    - `twin_alarmed` (B,) bool, whether the clean twin has alarmed since the onset; False without.
     """
 
     step_count: NDArray[np.int64]
@@ -37,14 +42,17 @@ class DisplacementScore:
     detected: Mask
     ended: Mask
     nobody: Mask
+    twin_alarmed: Mask
 
     def __init__(self, receivers: int, steps: int, hold: int) -> None:
         self.receivers, self.steps, self.hold = receivers, steps, hold
-        self.raw = np.zeros(receivers * (8 * (steps + 3) + 3), dtype=np.uint8)
+        self.raw = np.zeros(receivers * (8 * (steps + 3) + 4), dtype=np.uint8)
         self._name_arrays()
 
     def _name_arrays(self) -> None:
-        views = _kernels.unpack_score(self.raw, self.receivers, self.steps)
+        # as plain Python, since to compile it takes longer than all calls together
+        unpack = getattr(_kernels.unpack_score, "py_func", _kernels.unpack_score)
+        views = unpack(self.raw, self.receivers, self.steps)
         for name, view in zip(_VIEWS, views, strict=True):
             setattr(self, name, view)
 
@@ -60,7 +68,7 @@ class DisplacementScore:
     def reset(self, rows: NDArray[np.intp]) -> None:
         """Start new episodes."""
         self.step_count[rows] = 0
-        self.detected[rows] = False
+        self.detected[rows] = self.twin_alarmed[rows] = False
         self.undetected[rows] = 0.0
         self.largest[:, rows] = 0.0
         self.ended[rows] = False
@@ -69,8 +77,12 @@ class DisplacementScore:
         """Score the alarms in the time to alert, of those that come to it without one."""
         values, marks = result.values, result.marks
         rows = np.flatnonzero(marks[_kernels.FINISHED] & ~self.detected)
-        late = hold(rows)
+        late, of_twin = hold(rows)
         alarmed = late.any(axis=0)
+        if of_twin is not None:
+            by_then = np.where(alarmed, late.argmax(axis=0), len(late) - 1)
+            so_far = np.logical_or.accumulate(of_twin, axis=0)
+            self.twin_alarmed[rows] |= so_far[by_then, np.arange(len(rows))]
         last = np.minimum(self.step_count[rows], self.steps)
         first = last + 1 + late.argmax(axis=0)
         counted = _kernels.undetected_displacement(
@@ -87,8 +99,9 @@ class DisplacementScore:
 class FusedStep:
     """An epoch's score, information, reward and simple observation in one kernel.
 
-    `parts` are the keys of the rewards that `shares` (r, 4) give as in `reward.shares_of`; `table`,
-    `command` and `per_rate` are those of `Observer`; an episode ends after `window` epochs.
+    `worst` says that displacement counts in any direction; `parts` are the keys of the rewards that
+    `shares` (r, 4) give as in `reward.shares_of`; `table`, `command` and `per_rate` are those of
+    `Observer`; an episode ends after `window` epochs.
     """
 
     def __init__(
@@ -97,11 +110,12 @@ class FusedStep:
         epoch_time: FloatArray,
         *,
         at_alarm: bool,
+        worst: bool = False,
         window: int | None = None,
         parts: tuple[str, ...] = (),
         shares: FloatArray | None = None,
         table: NDArray[np.float32] | None = None,
-        command: tuple[float, float, float, float] = (-1.0, 0.0, 0.0, 0.0),
+        command: tuple[float, ...] = (-1.0, 0.0, 0.0, 0.0, -1.0, -1.0),
         per_rate: FloatArray | None = None,
     ) -> None:
         self.score = score
@@ -110,9 +124,15 @@ class FusedStep:
         table = np.zeros((1, 0), dtype=np.float32) if table is None else table
         per_rate = np.zeros(0) if per_rate is None else per_rate
         window = score.steps if window is None else window
-        lengths = (score.steps, score.hold, window, at_alarm, len(shares), *command)
+        lengths = (score.steps, score.hold, window, at_alarm, len(shares), worst, *command)
         rules = np.concatenate([np.array(lengths, dtype=np.float64), shares.ravel(), epoch_time])
         self._fixed = (score.raw, rules, per_rate, table)
+
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """What `_kernels.play` needs of it, in the order of its table."""
+        score, (_, *rest) = self.score, self._fixed
+        now = score.step_count, score.undetected, score.largest, score.detected, score.ended
+        return *now, score.nobody, *rest
 
     def __call__(
         self,
@@ -141,7 +161,73 @@ class FusedStep:
             seen,
         )
         if _kernels.finish(False, *given):
-            self.score.score_hold(result, hold)
-            # the time to alert has moved the receivers, and with them their arrays
-            now = (*given[:7], *simulator.step_arrays(), *given[11:])
-            _kernels.finish(True, *now)
+            self.hold(simulator, alarm, warmup_alarm, result, seen, hold)
+
+    def hold(
+        self,
+        simulator: Simulator,
+        alarm: Mask,
+        warmup_alarm: Mask,
+        result: StepResult,
+        seen: NDArray[np.float32],
+        hold: Hold,
+    ) -> None:
+        """Run the time to alert of those who have come to it, and finish what is reported."""
+        self.score.score_hold(result, hold)
+        nobody, written = self.score.nobody, (result.numbers, result.flags, seen)
+        # the time to alert has moved the receivers, and with them their arrays
+        arrays = alarm, nobody, warmup_alarm, *simulator.step_arrays()
+        _kernels.finish(True, *self._fixed, *arrays, *written)
+
+
+PLAY = SequelKernel(
+    _kernels.play,
+    (
+        np.zeros(0, dtype=np.int64),
+        np.zeros(0),
+        np.zeros(0, dtype=np.bool_),
+        np.zeros(0, dtype=np.float32),
+    ),
+)
+"""Kernel of a tightly coupled simulator whose epochs are scored."""
+
+
+class ScoredStep:
+    """`FusedStep` as the sequel of an epoch, in one kernel with it where the simulator can.
+
+    `origin` (B, 2) where displacement is counted from [m]; `run_hold` runs the time to alert;
+    `result`, `seen` (B o,), set before every step: what it is written to.
+    """
+
+    result: StepResult
+    seen: NDArray[np.float32]
+
+    def __init__(self, fused: FusedStep, origin: FloatArray, run_hold: Hold) -> None:
+        self._fused, self._origin, self._run_hold = fused, origin, run_hold
+        self._table: ArrayTable | None = None
+        self._known = 0, 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All without the table of addresses."""
+        return {**self.__dict__, "_table": None}
+
+    def arrays(self, simulator: TightlyCoupledSimulator) -> tuple[NDArray[Any], ...]:
+        """First arguments of `PLAY`."""
+        known = simulator.memory.stamp, simulator.attack.memory.stamp
+        if self._table is None or known != self._known:
+            warmup_alarm, self._known = simulator.memory["warmup_alarm"], known
+            arrays = *self._fused.arrays(), self._origin, warmup_alarm, *simulator.scored_arrays()
+            self._table = ArrayTable(arrays)
+        return self._table.entries, self.result.numbers, self.result.flags, self.seen
+
+    def hold(self, simulator: Simulator, verdict: Verdict) -> None:
+        """Run the time to alert of those who have come to it."""
+        given = simulator, verdict.alarm, simulator.memory["warmup_alarm"], self.result, self.seen
+        self._fused.hold(*given, self._run_hold)
+
+    def __call__(self, simulator: Simulator, verdict: Verdict) -> None:
+        """Do all of it after the epoch."""
+        result, nobody = self.result, self._fused.score.nobody
+        simulator.displacement(self._origin, None, result.displacement)
+        given = simulator, verdict.alarm, nobody, simulator.memory["warmup_alarm"]
+        self._fused(*given, result, self.seen, self._run_hold)

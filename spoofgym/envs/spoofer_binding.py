@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from typing import Any
 
 from .._describe import describe, unlike
+from ..simulators.broadcast import PastPositions
 from ..simulators.setup import Setup
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from ..spoofers import (
@@ -26,6 +27,9 @@ from .core import SpoofCore
 from .factory import composable, make_setup, settings_of
 from .observer import Observer
 from .options import action_space, observation_space
+from .terms.action import ActionTerm, CommandMap, FullCommand, default_action
+from .terms.observation import REPORTED, default_terms
+from .terms.registry import make_terms
 
 ENV_ID = "spoofgym/TightlyCoupled-v0"
 """Environment that cards are compared with."""
@@ -70,13 +74,12 @@ def attach(
     >>> envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=4)
     >>> observation, info = envs.reset(seed=1)
     >>> attach({"name": "ramp", "rate_mps": 0.2}, envs).act(observation).shape
-    (4, 2)
+    (4, 1)
     >>> envs.close()
     """
     made = make_spoofer(dict(spoofer) if isinstance(spoofer, Mapping) else spoofer)
     core: SpoofCore = composable(env, unset=False).core
-    context = spoofer_context(core.setup, core.receivers, core.observer)
-    context = context._replace(action_names=core.action_names)
+    context = spoofer_context(core.setup, core.receivers, core.observer, core.commands)
     card = card_behind(spoofer, made)
     if card is not None:
         found = _wrapped(env, core, card) + card.differences(context)
@@ -87,10 +90,28 @@ def attach(
             raise ValueError(
                 f"{card.name!r} was made for another environment{hint}:\n  " + "\n  ".join(found)
             )
+    _check_heading(made, core)
     made.bind(context)
     made.reset()
-    warn_of_headings([made], core.setup)
+    if not core.commands.along_target:
+        warn_of_headings([made], core.setup)
     return made
+
+
+def _check_heading(spoofer: Spoofer, core: SpoofCore) -> None:
+    """Raise where a spoofer has a heading that actions along the target direction can't have."""
+    if not (core.commands.along_target and isinstance(spoofer, ScriptedSpoofer)):
+        return
+    target, own = core.setup.target_heading_deg, spoofer.heading_deg
+    if isinstance(own, str) or (isinstance(target, Real) and (own - target) % 360.0 == 0.0):
+        return
+    drawn = "drawn for every episode" if isinstance(target, str) else f"{target:g}"
+    raise ValueError(
+        f"{type(spoofer).__name__} has `heading_deg` = {own:g}, but the environment's actions are "
+        f"along the target direction, which is {drawn}: give it heading_deg='{TARGET}', or the "
+        "environment an action of two dimensions, such as action={'name': 'rate-setpoint', "
+        "'dimensions': 2}"
+    )
 
 
 def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
@@ -113,11 +134,48 @@ def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
         )
 
 
+def commands_of(spoofer: Spoofer, setup: Setup) -> CommandMap:
+    """How the actions of a spoofer command an attack that nothing else stands before.
+
+    A policy acts as in the environment on its card, all others by the attack's own elements.
+    """
+    card: Card | None = getattr(spoofer, "card", None)
+    terms: Sequence[ActionTerm] = (FullCommand(),)
+    if card is not None and card.observation is not None:
+        given = card.env_kwargs.get("action")
+        terms = default_action(setup) if given is None else make_terms("action", given)
+    return CommandMap(terms, setup)
+
+
+def bound_spoofer(
+    spoofer: Spoofer, setup: Setup, receivers: int
+) -> tuple[SpooferContext, Observer, CommandMap]:
+    """What a spoofer is given that commands the attack itself, what it observes, its commands."""
+    if REPORTED in spoofer.knowledge and not any(
+        isinstance(monitor, PastPositions) for monitor in setup.monitors
+    ):
+        raise ValueError(
+            f"{type(spoofer).__name__} knows what the victim reports ({spoofer.knowledge}), which "
+            "only environments with such a `knowledge` let it observe"
+        )
+    commands = commands_of(spoofer, setup)
+    terms = default_terms(setup, spoofer.knowledge, along_target=commands.along_target)
+    observer = Observer(terms, setup)
+    return spoofer_context(setup, receivers, observer, commands), observer, commands
+
+
 def spoofer_context(
-    setup: Setup, receivers: int = 1, observer: Observer | None = None
+    setup: Setup,
+    receivers: int = 1,
+    observer: Observer | None = None,
+    commands: CommandMap | None = None,
 ) -> SpooferContext:
-    """What a spoofer knows of an attack, and of what it observes by an `observer`."""
+    """What a spoofer knows of an attack, of what it observes by an `observer`, and its `commands`.
+
+    By default it commands every element of the attack, as it is.
+    """
     attack = setup.attack
+    setpoint = None if commands is None else commands.setpoint_mps
     if not isinstance(attack.rate_limit_mps, Real):
         raise ValueError(
             f"a spoofer needs one limit of the rate for all axes, got {attack.rate_limit_mps}"
@@ -130,8 +188,13 @@ def spoofer_context(
         control=attack.control,
         acceleration_limit_mps2=attack.acceleration_limit_mps2,
         rate_limit_mps=float(attack.rate_limit_mps),
-        action_names=setup.action_names,
+        action_names=setup.action_names if commands is None else commands.names,
     )
+    if setpoint is not None:
+        # an attack by rate takes the set-point at once: it is the unit of its rates
+        changed = {"control": "setpoint", "setpoint_mps": setpoint}
+        by_rate = attack.control == "rate"
+        context = context._replace(**{"rate_limit_mps": setpoint} if by_rate else changed)
     if observer is None:
         return context
     return context._replace(

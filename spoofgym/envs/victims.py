@@ -76,30 +76,89 @@ class VictimVectorEnv(_Victim, CoreVectorEnv[SpoofCore]):
 
 
 class SpoofEnv(VictimEnv):
-    """A spoofer against a tightly coupled GNSS/INS receiver and its detector.
+    r"""A spoofer against a tightly coupled GNSS/INS receiver and its detector.
 
     **Description.** An aircraft flies with a 17-state tightly coupled GNSS/INS filter, whose
     detector tests the innovations.  After a clean warm-up the spoofer counterfeits the
     satellites, and moves the position that they imply, one command per GNSS epoch.  It wants the
     filter's position to go astray without an alarm.  All is simulated at measurement level.
 
-    **Action.** `Box(-1, 1, (a,), float32)`, one element for every commanded axis or channel: 1 is
-    the attack's limit of acceleration (0.05 m/s^2 by default) or of rate (5 m/s).  By default north
-    and east.  ``env.unwrapped.action_names`` names them.
+    **Action.** `Box(-1, 1, (1,), float32)`: the wanted rate of the counterfeit displacement along
+    the target direction; 1 is 1 m/s.  The acceleration follows within the attack's limits, first
+    that of the acceleration (0.05 m/s^2 by default), then that of the rate (5 m/s).  Where
+    `target_heading_deg` is ``"worst"`` it is the rate north and east.  An attack that commands
+    something else, such as one per channel, takes one element for every channel or axis: 1 is its
+    limit of acceleration or of rate.  That form, and others, can be had by their names, such as
+    ``action="full-command"``.  ``env.unwrapped.action_names`` names the elements.
 
-    **Observation.** `Box` of float32 with finite bounds; every element is scaled and clipped.
-    ``env.unwrapped.observation_names`` names them.  What is in it depends on `knowledge`:
+    **Observation.** `Box` of float32 with finite bounds; every element is divided by a scale and
+    clipped.  ``env.unwrapped.observation_names`` names them.  `knowledge` decides which there are:
+    ``"blind"``; ``"tracking"``, which adds what is known of the target; ``"oracle"``, which also
+    sees the victim's statistics and error; and each of them with ``"+reported"``, which adds the
+    position that the victim itself broadcasts.  With ``"oracle+reported"`` it is
 
-    ========  ========================================================================
-    blind     own commanded displacement and rate, time since the onset, time left
-    tracking  also the target's true position and velocity, and the satellites in view
-    oracle    also the detector's statistics and weights, and the victim's error
-    ========  ========================================================================
+    =====  =============================  ====  ======  =================
+    index  name                           unit  scale   knowledge
+    =====  =============================  ====  ======  =================
+    0      own_displacement_along_target  m     40      blind
+    1      own_rate_along_target          m/s   0.2667  blind
+    2      time_since_onset               s     150     blind
+    3      time_left                      s     150     blind
+    4      target_position_east           m     10000   tracking
+    5      target_velocity_down           m/s   100     tracking
+    6-17   statistic_ratio_slotJJ         1     1       oracle
+    18     statistic_ratio                1     1       oracle
+    19-30  weight_slotJJ                  1     1       oracle
+    31     error_north                    m     40      oracle
+    32     error_east                     m     40      oracle
+    33     error_down                     m     40      oracle
+    34     reported_deviation_north       m     40      tracking+reported
+    35     reported_deviation_east        m     40      tracking+reported
+    36     report_age                     s     1       tracking+reported
+    =====  =============================  ====  ======  =================
 
-    **Reward.** Increase of the largest displacement of the victim along the target direction [m];
-    at an alarm, minus what was gained within the time to alert, minus the alarm penalty.  The
-    undiscounted return is the undetected displacement minus the penalty.  ``info["reward_*"]`` are
-    the parts.
+    where the rate's scale is the length 40 m in the attack window, and the target's motion and the
+    satellites are left out as far as they stay the same in the window.  Elements after those that
+    are not known move up.  ``"blind+reported"`` has ``reported_position_north`` and ``_east`` in
+    units of 10 km instead of the deviation.  ``spoofgym/RandomStart-v0`` has
+
+    =====  =============================  ====  ======  =================
+    index  name                           unit  scale   knowledge
+    =====  =============================  ====  ======  =================
+    0      own_displacement_along_target  m     40      blind
+    1      own_rate_along_target          m/s   0.2667  blind
+    2      time_since_onset               s     150     blind
+    3      time_left                      s     150     blind
+    4      target_direction_north         1     1       blind
+    5      target_direction_east          1     1       blind
+    6      target_position_north          m     10000   tracking
+    7      target_position_east           m     10000   tracking
+    8      target_position_down           m     10000   tracking
+    9      target_velocity_north          m/s   100     tracking
+    10     target_velocity_east           m/s   100     tracking
+    11     target_velocity_down           m/s   100     tracking
+    12-23  statistic_ratio_slotJJ         1     1       oracle
+    24     statistic_ratio                1     1       oracle
+    25-36  weight_slotJJ                  1     1       oracle
+    37     error_north                    m     40      oracle
+    38     error_east                     m     40      oracle
+    39     error_down                     m     40      oracle
+    40     reported_deviation_north       m     40      tracking+reported
+    41     reported_deviation_east        m     40      tracking+reported
+    42     report_age                     s     1       tracking+reported
+    =====  =============================  ====  ======  =================
+
+    **Reward.** With U the undetected displacement so far [m], c the cost and :math:`\kappa` and L
+    the settings `alarm_price` and `length_m`, the reward of a step k is
+
+    .. math:: r_k = U_k - U_{k-1} - \kappa L c_k
+
+    U is the largest displacement so far along the target direction; an alarm takes back what was
+    gained within the time to alert, and nothing more is gained after it.  The cost is 1 at the
+    first alarm; with `twin`, only if the clean twin has not alarmed so far, since that one was
+    chance.  The undiscounted return is the undetected displacement less the price of an alarm.
+    ``info["reward_*"]`` are the parts, ``info["undetected_displacement_m"]`` is U,
+    ``info["cost"]`` c, and ``info["twin_alarm"]`` says whether the twin has alarmed.
 
     **Start.** Zero command, after the warm-up.  An alarm in the warm-up is a false alarm, and shows
     in ``info["warmup_alarm"]``; nothing is drawn again for it.
@@ -122,12 +181,13 @@ class SpoofEnv(VictimEnv):
         ``"paper"`` or ``"matched"``, or settings of the victim.
     timeline : mapping or Timeline, optional
         Lengths of warm-up, attack window and time to alert.
-    knowledge : {"tracking", "blind", "oracle"}
-        What the spoofer observes.
+    knowledge : str
+        What the spoofer observes: ``"blind"``, ``"tracking"`` or ``"oracle"``, each alone or with
+        ``"+reported"``.
     observation : str, mapping, path, ObservationTerm or sequence of them, optional
         Own list of terms instead of `knowledge`, as `make_terms` takes them.
     action : str, mapping, path, ActionTerm or sequence of them, optional
-        Own list of terms instead of the attack's elements.
+        Own list of terms instead of the rate set-point.
     reward : str, mapping, path, RewardTerm or sequence of them, optional
         Own list of terms instead of the above.
     end : str, mapping, path, EndTerm or sequence of them, optional
@@ -135,8 +195,11 @@ class SpoofEnv(VictimEnv):
     watch : sequence of str, mapping or Detector
         Passive detectors: they judge the same epochs and change nothing;
         ``info["watch_NAME_alarm"]`` and more report them.
-    alarm_penalty_m : float
-        Price of an alarm.
+    length_m : float, optional
+        Length of the task, in which the price of an alarm is counted: the displacement that
+        matters, such as an alert limit; by default the scale of the observed displacement, 40 m.
+    alarm_price : float
+        Price of an alarm, in such lengths.
     end_at_alarm : bool
         Whether an alarm ends the episode, where `end` does not say it.
     target_heading_deg : float or {"random", "worst"}
@@ -152,8 +215,9 @@ class SpoofEnv(VictimEnv):
         Samples of the inertial sensors per second, such as 50, 20 or 10: fewer make a step cheaper;
         those of the scenario by default.  See `Scenario`.
     twin : bool
-        Whether a clean twin of the victim runs, too, and displacement is the distance from it
-        instead of the error less that at the onset.  It takes up to twice the time.
+        Whether a clean twin of the victim runs, too: displacement is then the distance from it
+        instead of the error less that at the onset, and an alarm costs nothing once the twin has
+        alarmed.  It takes up to twice the time.
     warm_pool : int, optional
         Start all episodes as copies of so many receivers that are warmed up once, picked by the
         seed of the episode, with fresh noise from the onset on; by default each has a warm-up of
@@ -174,7 +238,7 @@ class SpoofEnv(VictimEnv):
     >>> import spoofgym
     >>> env = gym.make("spoofgym/TightlyCoupled-v0", detector="snapshot-chi2", knowledge="blind")
     >>> env.unwrapped.observation_names[:2]
-    ('own_displacement_north', 'own_displacement_east')
+    ('own_displacement_along_target', 'own_rate_along_target')
     >>> env.close()
 
     Notes
@@ -219,7 +283,7 @@ class SpoofVectorEnv(VictimVectorEnv):
     >>> import spoofgym
     >>> envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=4, detector="never")
     >>> envs.single_action_space
-    Box(-1.0, 1.0, (2,), float32)
+    Box(-1.0, 1.0, (1,), float32)
     >>> envs.close()
     """
 
@@ -237,13 +301,33 @@ class LooselyCoupledEnv(VictimEnv):
     **Action.** `Box(-1, 1, (2,), float32)`: rates of the offset north and east, over their limit
     (5 m/s by default).
 
-    **Observation.** As in `SpoofEnv`, with other elements:
+    **Observation.** As in `SpoofEnv`, with other elements; with ``"oracle+reported"``
 
-    ========  =========================================================================
-    blind     own displacement and rate, time since the onset, time left
-    tracking  also the target's true position and velocity
-    oracle    also the detector's statistic and weights, and the victim's error
-    ========  =========================================================================
+    =====  ========================  ====  =====  =================
+    index  name                      unit  scale  knowledge
+    =====  ========================  ====  =====  =================
+    0      own_displacement_north    m     25     blind
+    1      own_displacement_east     m     25     blind
+    2      own_rate_north            m/s   5      blind
+    3      own_rate_east             m/s   5      blind
+    4      time_since_onset          s     5      blind
+    5      time_left                 s     5      blind
+    6      target_position_north     m     10000  tracking
+    7      target_position_east      m     10000  tracking
+    8      target_position_down      m     10000  tracking
+    9      target_velocity_north     m/s   100    tracking
+    10     target_velocity_east      m/s   100    tracking
+    11     target_velocity_down      m/s   100    tracking
+    12     statistic_ratio           1     1      oracle
+    13     weight_east               1     1      oracle
+    14     weight_north              1     1      oracle
+    15     weight_up                 1     1      oracle
+    16     error_north               m     25     oracle
+    17     error_east                m     25     oracle
+    18     reported_deviation_north  m     25     tracking+reported
+    19     reported_deviation_east   m     25     tracking+reported
+    20     report_age                s     1      tracking+reported
+    =====  ========================  ====  =====  =================
 
     **Reward, start and end.** As in `SpoofEnv`; it starts without an offset.
 
@@ -281,13 +365,34 @@ class SnapshotEnv(VictimEnv):
     **Action.** `Box(-1, 1, (4,), float32)`: rates of the counterfeit displacement north, east, down
     and of the counterfeit clock, over their limits (5 m/s by default).
 
-    **Observation.** As in `SpoofEnv`, with other elements:
+    **Observation.** As in `SpoofEnv`, with other elements; with ``"oracle+reported"``
 
-    ========  =========================================================================
-    blind     own displacement and rate, time since the onset, time left
-    tracking  also the target's true motion, the satellites, and which are spoofed
-    oracle    also the detector's statistics and weights, and the victim's error
-    ========  =========================================================================
+    =====  ========================================================  ====  ======  =================
+    index  name                                                      unit  scale   knowledge
+    =====  ========================================================  ====  ======  =================
+    0      own_displacement_north                                    m     40      blind
+    1      own_displacement_east                                     m     40      blind
+    2      own_displacement_down                                     m     40      blind
+    3      own_displacement_clock                                    m     40      blind
+    4      own_rate_north                                            m/s   0.6667  blind
+    5      own_rate_east                                             m/s   0.6667  blind
+    6      own_rate_down                                             m/s   0.6667  blind
+    7      own_rate_clock                                            m/s   0.6667  blind
+    8      time_since_onset                                          s     60      blind
+    9      time_left                                                 s     60      blind
+    10     target_position_north                                     m     10000   tracking
+    11     target_position_east                                      m     10000   tracking
+    12     target_position_down                                      m     10000   tracking
+    13-48  sight_north_slotJJ, sight_east_slotJJ, sight_down_slotJJ  1     1       tracking
+    49-60  spoofed_slotJJ                                            1     1       tracking
+    61     statistic_ratio                                           1     1       oracle
+    62-73  weight_slotJJ                                             1     1       oracle
+    74     error_north                                               m     40      oracle
+    75     error_east                                                m     40      oracle
+    76     reported_deviation_north                                  m     40      tracking+reported
+    77     reported_deviation_east                                   m     40      tracking+reported
+    78     report_age                                                s     1       tracking+reported
+    =====  ========================================================  ====  ======  =================
 
     **Reward, start and end.** As in `SpoofEnv`; it starts without a displacement.  A fix of one
     epoch is as noisy as its pseudoranges: the largest displacement of an idle spoofer is some
@@ -326,13 +431,29 @@ class WheeledRobotEnv(VictimEnv):
     **Action.** `Box(-1, 1, (2,), float32)`: rates of the offset north and east, over their limit
     (1 m/s by default).
 
-    **Observation.** As in `SpoofEnv`, with other elements:
+    **Observation.** As in `SpoofEnv`, with other elements; with ``"oracle+reported"``
 
-    ========  =========================================================================
-    blind     own displacement and rate, time since the onset, time left
-    tracking  also the target's true position and velocity
-    oracle    also the detector's statistic, the weight of the fix, the victim's error
-    ========  =========================================================================
+    =====  ========================  ====  =======  =================
+    index  name                      unit  scale    knowledge
+    =====  ========================  ====  =======  =================
+    0      own_displacement_north    m     10       blind
+    1      own_displacement_east     m     10       blind
+    2      own_rate_north            m/s   0.06667  blind
+    3      own_rate_east             m/s   0.06667  blind
+    4      time_since_onset          s     150      blind
+    5      time_left                 s     150      blind
+    6      target_position_north     m     10       tracking
+    7      target_position_east      m     10       tracking
+    8      target_velocity_north     m/s   1        tracking
+    9      target_velocity_east      m/s   1        tracking
+    10     statistic_ratio           1     1        oracle
+    11     weight_fix                1     1        oracle
+    12     error_north               m     10       oracle
+    13     error_east                m     10       oracle
+    14     reported_deviation_north  m     10       tracking+reported
+    15     reported_deviation_east   m     10       tracking+reported
+    16     report_age                s     1        tracking+reported
+    =====  ========================  ====  =======  =================
 
     **Reward, start and end.** As in `SpoofEnv`; it starts without an offset.
 

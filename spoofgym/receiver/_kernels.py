@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .._jit import inlined, joined, njit
+from .._jit import inlined, njit
 from .._lanes import first_rows
 from .._simd import (
     any_lane,
@@ -26,8 +26,25 @@ from .._simd import (
 from ..earth.ranging import range_and_rate
 from ..earth.wgs84 import EARTH_RATE
 from ..sim._kernels import CHANNELS as SENSOR_CHANNELS
-from ..sim._kernels import CHUNK, IMU_KEY, KEYS, SKY, gather_sky, measure, recorded, sense
-from ..sim.noise import deviates, whole_number
+from ..sim._kernels import (
+    CHUNK,
+    CORRELATED_KEY,
+    DISTURBED,
+    IMU_KEY,
+    KEYS,
+    SIGNAL_ROWS,
+    SIGNALS,
+    SKY,
+    disturb,
+    gather_mappings,
+    gather_sky,
+    measure,
+    recorded,
+    sense,
+)
+from ..sim._kernels import CLOCK as TRUE_CLOCK
+from ..sim.noise import BLOCK, deviates, whole_number
+from ..sim.signal_errors import MAPPINGS, deviates_of
 from . import kalman
 from .error_model import INDEX, TERMS, propagate_covariance, transition_terms
 from .state import receiver_shapes
@@ -128,7 +145,7 @@ def mechanize(x, base, samples, dt, count, active, force):
     _put(force, 0, now, f[0], f[1], f[2])
 
 
-@joined
+@njit
 def propagate(x, base, force, tau, terms, product):
     """Propagate a group's covariance over one interval."""
     C = (
@@ -197,7 +214,7 @@ def innovate(x, base, n, tau, sky):
         store(x, u + 2, select(visible, uz, 0.0))
 
 
-@joined
+@njit
 def correct(x, base, n, weights, rules, work, precision):
     """Update a group's state and covariance; lanes with too few satellites stay as they are.
 
@@ -275,7 +292,7 @@ def spread(x, row, count, out, place, first, lanes):
             out[o + i] = lane(x, row + i, index)
 
 
-@joined
+@njit
 def show_position(a, base, b, some):
     """Write the estimated position and velocity of a group, receiver by receiver."""
     receivers = a.visible.shape[0]
@@ -283,7 +300,7 @@ def show_position(a, base, b, some):
     spread(a.x, base + VELOCITY, 3, a.out, 5 * receivers, b, some)
 
 
-@joined
+@njit
 def show(a, w, base, b, some):
     """Write what is looked at of a group's predicted epoch, receiver by receiver (`state.SEEN`)."""
     (receivers, n), x, out, places = a.visible.shape, a.x, a.out, a.places
@@ -368,7 +385,7 @@ def show_transition(terms, tau, index, Phi):
     Phi[17 * 15 + 16] = tau
 
 
-@joined
+@njit
 def sample(a, w, sensor_base, key_row, epoch, measured, base):
     """Measure a group's inertial samples of one interval, and mechanize them.
 
@@ -409,7 +426,9 @@ class Arrays(NamedTuple):
     - `run` (8, N) true samples, their lengths and root rates, as `World.run`, or measured ones;
     - `epoch_time`, `epoch_end`, `satellites`: of `World`;
     - `rules`: covariance update, fewest satellites, whether to re-orthonormalize, deviates of an
-      epoch for inertial sensors and for GNSS.
+      epoch for inertial sensors and for GNSS;
+    - `signals`, `mappings`: lane array of `signal_shapes`, and (K, n, 6) what is known of the lines
+      of sight; both empty where no signal has such errors.
     """
 
     x: Any
@@ -428,6 +447,8 @@ class Arrays(NamedTuple):
     epoch_end: Any
     satellites: Any
     rules: Any
+    signals: Any
+    mappings: Any
 
 
 class Scratch(NamedTuple):
@@ -453,7 +474,7 @@ def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
     return fixed + gnss_size + (SKY + 6) * n + max(imu_size + imu_size // 6 + 8 * CHUNK, 4 * n * n)
 
 
-@joined
+@njit
 def name_scratch(a, work):
     """Name the parts of a lane array of `work_rows`."""
     n = a.visible.shape[1]
@@ -470,7 +491,7 @@ def name_scratch(a, work):
     )
 
 
-@joined
+@njit
 def predict_group(a, w, group, what):
     """First half of an epoch of one group: measure, mechanize, propagate, innovate.
 
@@ -503,8 +524,23 @@ def predict_group(a, w, group, what):
                 set_lane(w.added, n + s, each, a.rate_offset[follows, s])
             for s in range(2 * n):
                 set_lane(w.added, 2 * n + s, each, a.authentic[follows, s])
+        picked_up = w.rest[: DISTURBED * n if a.signals.shape[0] else 0]
+        if a.signals.shape[0]:
+            disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up)
         measure(
-            a.sensors, sensor_base, n, a.keys, key_row, epoch, tau, w.sky, w.noise, w.added, x, c
+            a.sensors,
+            sensor_base,
+            n,
+            a.keys,
+            key_row,
+            epoch,
+            tau,
+            w.sky,
+            w.noise,
+            w.added,
+            picked_up,
+            x,
+            c,
         )
     if what & PREDICT:
         sample(a, w, sensor_base, key_row, epoch, what & MEASURE == 0, base)
@@ -514,7 +550,24 @@ def predict_group(a, w, group, what):
         show(a, w, base, b, some)
 
 
-@joined
+@njit
+def disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up):
+    """Let a group's signals pick up their errors, and its clocks jump (`disturb`)."""
+    n, rest = a.visible.shape[1], w.rest[picked_up.shape[0] :]
+    mapping, rest = rest[: MAPPINGS * n], rest[MAPPINGS * n :]
+    gather_mappings(a.mappings, w.index[0], mapping)
+    key0 = load(a.keys, key_row + CORRELATED_KEY)
+    key1 = load(a.keys, key_row + CORRELATED_KEY + 1)
+    size = -(-deviates_of(n) // BLOCK) * BLOCK
+    base, noise = group * (SIGNALS + SIGNAL_ROWS * n), rest[:size]
+    number = load(w.epoch, 0)
+    step = disturb(
+        a.signals, base, n, key0, key1, number, epoch, tau, mapping, noise, w.sky, picked_up
+    )
+    store(a.sensors, sensor_base + TRUE_CLOCK, load(a.sensors, sensor_base + TRUE_CLOCK) + step)
+
+
+@njit
 def update_group(a, w, group, weights):
     """Second half of an epoch of one group; `weights` (B, 2n) on the columns of the gain."""
     receivers, n = a.visible.shape
@@ -529,11 +582,12 @@ def update_group(a, w, group, weights):
     show_position(a, base, b, some)
 
 
-@joined
+@njit
 def arrays_at(table, work, channels):
     """Name the arrays of a table that begins with those of `Arrays` (`state.kernel_table`)."""
     n, epochs, epoch_time = channels, integers_at(table, 7), floats_at(table, 12)
     receivers, run = epochs.shape[0], floats_at(table, 11)
+    mappings = floats_at(table, 17)
     return Arrays(
         rows_at(table, 0, work),
         floats_at(table, 1),
@@ -551,6 +605,8 @@ def arrays_at(table, work, channels):
         integers_at(table, 13),
         floats_at(table, 14).reshape((epoch_time.shape[0], n, SKY)),
         integers_at(table, 15),
+        rows_at(table, 16, work),
+        mappings.reshape((mappings.shape[0] // (MAPPINGS * n), n, MAPPINGS)),
     )
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .._jit import inlined, joined, njit
+from .._jit import inlined, njit
 from .._simd import any_lane, load, select, splat, sqrt, store
 from .error_model import INDEX
 
@@ -192,7 +192,7 @@ def _substitute(work, first, columns):
             store(work, first + columns * i + j, value * load(work, F + 9 * i))
 
 
-@joined
+@njit
 def update(P, first, covariance_update, work):
     r"""Correct the covariance in place, and write the correction of the state.
 

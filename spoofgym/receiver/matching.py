@@ -38,8 +38,11 @@ which lies between 1 (white) and N (constant).  By the same argument as above
 
 For 35 s and epochs of 0.5 s, s is about 140 long before the end, so that this part is right from a
 few minutes on.  Range rates come from the carrier, which does not wander, and keep their variance.
-Both formulas assume a filter that remembers the whole run; even with range rates of 8 cm/s, a
-crystal clock and consumer sensors it does.
+What wanders in the signals of an airborne receiver is inflated by the same sum with its own
+correlations.  Differences of carriers, whose errors are a moving average, are taken for white of
+their variance, which overstates what they leave in the velocity.  Both formulas assume a filter
+that remembers the whole run; even with range rates of 8 cm/s, a crystal clock and consumer sensors
+it does.
 
 **Manoeuvres.**  A rotation :math:`\int \omega\,dt` leaves an error of attitude of m times its
 size, with m a typical scale-factor or cross-coupling error, and a change :math:`\Delta f` of the
@@ -67,6 +70,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..earth.wgs84 import STANDARD_GRAVITY
 from ..sim.gnss import GnssErrors
 from ..sim.imu import IMU_GRADES
+from ..sim.signal_errors import correlation
 from ..sim.world import World
 from .tight import FILTER_GRADES, FilterGrade, NoiseModel, TightlyCoupled
 
@@ -83,6 +87,10 @@ states by less than a half.
 FIRST_FIX_SD_M = 100.0
 """Initial standard deviation of position and clock offset [m]; without biases the first epoch's
 pseudoranges replace it."""
+
+
+LEAST_SD = 1e-4
+"""Least noise of a measurement whose noise is a state [m], [m/s], so that S can be inverted."""
 
 
 class Motion(NamedTuple):
@@ -144,6 +152,22 @@ def _rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def _augmented_noise(grade: str, errors: GnssErrors, n: int) -> tuple[FloatArray, NoiseModel]:
+    """What is left white where a filter has states for the rest: the data sheet's noise."""
+    sheet = IMU_GRADES[grade]
+    inertial = matched_sensors(grade, Motion())._replace(
+        accel_bias_sd=_rms(sheet.accel_bias), gyro_bias_sd=_rms(sheet.gyro_bias)
+    )
+    model = NoiseModel(
+        pseudorange_sd=max(errors.code_sd_m, LEAST_SD),
+        range_rate_sd=max(errors.range_rate_sd_mps, LEAST_SD),
+        clock_phase_psd=errors.clock.phase_psd,
+        clock_frequency_psd=errors.clock.frequency_psd,
+        inertial=inertial,
+    )
+    return np.repeat([model.pseudorange_sd**2, model.range_rate_sd**2], n), model
+
+
 def inflation(alpha: float, epochs: int) -> float:
     r"""Variance of the mean of a Gauss-Markov error, by that of as many white ones.
 
@@ -171,12 +195,15 @@ def assumed_noise(
     first [m^2], [m^2/s^2].
     """
     n = len(bias_sd)
-    if receiver.tuning == "paper" or receiver.noise is not None:
+    interval_s = float(world.epoch_time[1] - world.epoch_time[0])
+    if receiver.tuning == "augmented":
+        return _augmented_noise(receiver.grade, errors, n)
+    if not receiver.matches:
         model = receiver.noise_model
         return np.repeat([model.pseudorange_sd**2, model.range_rate_sd**2], n), model
     model = NoiseModel(
         pseudorange_sd=errors.code_sd_m,
-        range_rate_sd=errors.range_rate_sd_mps,
+        range_rate_sd=errors.rate_sd(interval_s),
         clock_phase_psd=errors.clock.phase_psd,
         clock_frequency_psd=errors.clock.frequency_psd,
         inertial=matched_sensors(
@@ -185,6 +212,12 @@ def assumed_noise(
     )
     pseudorange = model.pseudorange_sd**2 + epochs * bias_sd**2
     if errors.correlated_sd_m > 0.0:
-        alpha = math.exp(-float(world.epoch_time[1] - world.epoch_time[0]) / errors.correlation_s)
+        alpha = math.exp(-interval_s / errors.correlation_s)
         pseudorange += inflation(alpha, epochs) * errors.correlated_sd_m**2
+    if errors.signals is not None:
+        lag: FloatArray = interval_s * np.arange(1.0, epochs)
+        falls = 2.0 * (1.0 - np.arange(1.0, epochs) / epochs)
+        for sd, time_s, second_order in errors.signals.wandering(world.first_elevation):
+            factor = 1.0 + float(np.sum(falls * correlation(lag, time_s, second_order)))
+            pseudorange += factor * sd**2
     return np.concatenate([pseudorange, np.full(n, model.range_rate_sd**2)]), model

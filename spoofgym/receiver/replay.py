@@ -238,6 +238,8 @@ def replay(
     position = np.asarray(recording.satellite_position_e)
     velocity = np.asarray(recording.satellite_velocity_e)
     epochs, n = range_.shape
+    if receiver.tuning == "augmented":
+        raise ValueError("a replay knows no world for a receiver with `tuning` 'augmented'")
     if receiver.tuning == "matched" and receiver.noise is None and noise_variance is None:
         raise ValueError(
             "a replay knows no world to match: give `noise` to the receiver or `noise_variance`"
@@ -283,7 +285,15 @@ def replay(
     )
     times = np.concatenate([[0.0], np.asarray(recording.gnss_time)])
     table = kernel_table(
-        buffers, sensors, run, times, np.concatenate([[0], ends]), satellites, rules
+        buffers,
+        sensors,
+        run,
+        times,
+        np.concatenate([[0], ends]),
+        satellites,
+        rules,
+        sensors.signals.data,
+        np.zeros(0),
     )
     work = buffers.fields.scratch(_kernels.work_rows(n, *rules[3:].tolist()))
     given = table.entries, work, np.ones((1, 2 * n))

@@ -149,8 +149,8 @@ def kernel_table(
 ) -> ArrayTable:
     """Arrays of `_kernels.Arrays` as one argument of a kernel.
 
-    `more`: `run`, `epoch_time`, `epoch_end`, `satellites` and `rules` there, then what else a
-    kernel takes.
+    `more`: `run`, `epoch_time`, `epoch_end`, `satellites`, `rules`, `signals` and `mappings` there,
+    then what else a kernel takes.
     """
     return ArrayTable(
         [

@@ -25,7 +25,7 @@ from .kalman import COVARIANCE_UPDATES
 _DEG = math.pi / 180.0
 _UG = STANDARD_GRAVITY * 1e-6
 CONVENTIONS = ("groves", "orthonormal")
-TUNINGS = ("paper", "matched")
+TUNINGS = ("paper", "matched", "augmented")
 
 
 class FilterGrade(NamedTuple):
@@ -120,7 +120,7 @@ class TightlyCoupled:
     ----------
     grade : {"aviation", "tactical", "consumer"}
         Inertial sensors that the filter is tuned for.
-    tuning : {"paper", "matched"}
+    tuning : {"paper", "matched", "augmented"}
         ``"paper"``: the noise that the papers print, 2.5 m and 0.1 m/s and a clock PSD of 1, which
         overstates the world's, and the inertial sensors of the book's software.  ``"matched"``:
         GNSS noise and clock as the world has them, satellite biases that last for the run as a
@@ -128,7 +128,9 @@ class TightlyCoupled:
         sensors with what its errors of scale make of the run's manoeuvres (`matching` derives
         both).  Its covariance is that of its errors where there are no such biases; with them it
         is too large early in the run, and the innovation covariance of pseudoranges all the time.
-        A replay of measurements, which knows no world, takes `noise` instead.
+        ``"augmented"``: states for all of these instead (`spoofgym.receiver.augmented`), so that
+        innovations are white; the covariance update is ``"unweighted"``.  A replay of measurements,
+        which knows no world, takes `noise` instead.
     covariance_update : {"unweighted", "plain", "general"}
         What a detector's weights W on the gain do to the covariance: nothing, ``(I - K H) P``;
         the symmetric part of ``(I - K W H) P``; or the form right for any gain.  The three are the
@@ -160,6 +162,8 @@ class TightlyCoupled:
         _choice("tuning", self.tuning, TUNINGS)
         _choice("covariance_update", self.covariance_update, tuple(COVARIANCE_UPDATES))
         _choice("conventions", self.conventions, CONVENTIONS)
+        if self.tuning == "augmented":
+            self._check_augmented()
         if not 0 <= self.min_satellites <= 32:
             raise ValueError(f"`min_satellites` must be 0 to 32, got {self.min_satellites}")
         if self.noise is not None:
@@ -172,6 +176,21 @@ class TightlyCoupled:
                     raise ValueError(f"`noise.{name}` must be finite and >= 0, got {value}")
             if min(self.noise.pseudorange_sd, self.noise.range_rate_sd) <= 0.0:
                 raise ValueError("`noise` standard deviations must be > 0")
+
+    def _check_augmented(self) -> None:
+        """Raise where a setting does not go with states for what is not white."""
+        if self.noise is not None:
+            raise ValueError('`noise` can\'t be set with `tuning` "augmented", which derives it')
+        if self.covariance_update != "unweighted":
+            raise ValueError(
+                '`covariance_update` must be "unweighted" with `tuning` "augmented", got '
+                f"{self.covariance_update!r}"
+            )
+
+    @property
+    def matches(self) -> bool:
+        """Whether what it assumes is derived from its world."""
+        return self.tuning != "paper" and self.noise is None
 
     @property
     def noise_model(self) -> NoiseModel:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from .._jit import inlined, njit
 from .._lanes import first_rows
 from .._simd import (
@@ -18,6 +20,7 @@ from ..earth.ranging import range_and_rate
 from .clock import advance_clock
 from .noise import deviates, exponential
 from .sensors import SOURCES, sensor_shapes
+from .signal_errors import MAPPINGS, deviates_of, signal_shapes
 
 _ROWS = first_rows(sensor_shapes(1))
 ACCEL_BIAS, ACCEL_MATRIX = _ROWS["accel_bias"], _ROWS["accel_matrix"]
@@ -35,6 +38,17 @@ IMU_KEY, CLOCK_KEY, GNSS_KEY, CORRELATED_KEY = (
     2 * SOURCES.index(source) for source in ("imu", "clock", "gnss", "correlated")
 )
 KEYS = 2 * len(SOURCES)
+_SIGNALS = first_rows(signal_shapes(1))
+PROCESSES, FADING, AMPLITUDES = _SIGNALS["processes"], _SIGNALS["fading"], _SIGNALS["amplitudes"]
+CARRIER, CLOCK_STEP, LOSS = _SIGNALS["carrier"], _SIGNALS["clock_step"], _SIGNALS["loss"]
+FRONT, ZENITH, SIGNALS = _SIGNALS["front"], _SIGNALS["zenith"], _SIGNALS["front_arrival"]
+"""First rows of what there is of every receiver's signals, and from `SIGNALS` on of each of them:
+arrivals of a front, errors of orbit and clock, their rates, multipath, noise, readings."""
+SIGNAL_ROWS = 6
+DISTURBED = 4
+"""Rows of each signal that `disturb` writes."""
+LATER = 1 << 40
+"""Counter of the first epoch's deviates of signals, under the key of the correlated errors."""
 CHUNK = 16
 """Samples whose truth is gathered at a time, so that it stays in the nearest cache."""
 SKY = 8
@@ -214,14 +228,115 @@ def advance_correlated(sensors, base, channels, key0, key1, epoch, tau, noise):
         store(sensors, row, alpha * load(sensors, row) + driving * load(noise, s))
 
 
+@inlined
+def _advance_process(x, row, value, rate, moves, first, second):
+    """Value and rate of a critically damped process at the next epoch, where the lane moves."""
+    v, w = load(x, value), load(x, rate)
+    new = load(x, row) * v + load(x, row + 1) * w + load(x, row + 4) * first
+    speed = load(x, row + 2) * v + load(x, row + 3) * w
+    speed = speed + load(x, row + 5) * first + load(x, row + 6) * second
+    v, w = select(moves, new, v), select(moves, speed, w)
+    store(x, value, v)
+    store(x, rate, w)
+    return v, w
+
+
 @njit
-def measure(sensors, base, channels, keys, key_row, epoch, tau, sky, noise, replaced, out, first):
+def gather_mappings(mappings, epochs, out):
+    """Put what is known of the lines of sight at each lane's epoch into rows of `MAPPINGS`."""
+    for index in range(epochs.shape[0]):
+        for s in range(mappings.shape[1]):
+            for i in range(MAPPINGS):
+                set_lane(out, MAPPINGS * s + i, index, mappings[epochs[index], s, i])
+
+
+@njit
+def disturb(signals, base, n, key0, key1, number, epoch, tau, mapping, noise, sky, out):
+    """Advance what a group's signals pick up, and write it, `DISTURBED` rows of n each.
+
+    Errors of the paths of codes [m] and of carriers [m/s], which a counterfeit signal does not
+    have, then noise of the receiver in codes and range rates.  A satellite that is lost is taken
+    out of the sky.
+
+    `number`, `epoch`: of each lane, as a float and as a word; `mapping`: of `gather_mappings`;
+    `noise`: scratch memory, the size of an epoch's deviates; returns the step of the clock [m].
+    """
+    b, moves, count = base, tau > 0.0, deviates_of(n)
+    deviates(key0, key1, epoch + np.uint64(LATER), noise.shape[0], count, noise)
+    ionosphere, ionosphere_rate = _advance_process(
+        signals, b + PROCESSES, b + ZENITH, b + ZENITH + 1, moves, load(noise, 0), load(noise, 1)
+    )
+    troposphere, troposphere_rate = _advance_process(
+        signals,
+        b + PROCESSES + 7,
+        b + ZENITH + 2,
+        b + ZENITH + 3,
+        moves,
+        load(noise, 2),
+        load(noise, 3),
+    )
+    alpha, driving = load(signals, b + FADING), load(signals, b + FADING + 1)
+    per_time, growth = load(signals, b + CARRIER + 1), load(signals, b + FRONT)
+    highest = load(signals, b + FRONT + 1)
+    lost = (number >= load(signals, b + LOSS + 1)) & (number < load(signals, b + LOSS + 2))
+    each = b + SIGNALS
+    for s in range(n):
+        k = 4 + s
+        orbit, orbit_rate = _advance_process(
+            signals,
+            b + PROCESSES + 14,
+            each + n + s,
+            each + 2 * n + s,
+            moves,
+            load(noise, k),
+            load(noise, k + n),
+        )
+        row = each + 3 * n + s
+        reflected = load(signals, row)
+        fresh = alpha * reflected + driving * load(noise, k + 2 * n)
+        reflected = select(moves, fresh, reflected)
+        store(signals, row, reflected)
+        thermal = load(signals, row + n)
+        thermal = select(moves, alpha * thermal + driving * load(noise, k + 3 * n), thermal)
+        store(signals, row + n, thermal)
+        reading = load(signals, b + CARRIER) * load(noise, k + 4 * n)
+        change = (reading - load(signals, row + 2 * n)) * per_time
+        store(signals, row + 2 * n, reading)
+        m = MAPPINGS * s
+        slant, slant_rate = load(mapping, m), load(mapping, m + 1)
+        thick, thick_rate = load(mapping, m + 2), load(mapping, m + 3)
+        # behind a front the delay grows up to its largest value
+        behind = (number - load(signals, each + s)) * growth
+        inside = (behind > 0.0) & (behind < highest)
+        front = select(behind > 0.0, select(behind < highest, behind, highest), 0.0)
+        front_rate = select(inside, growth * per_time, 0.0)
+        delay = slant * ionosphere + front
+        delay_rate = slant * ionosphere_rate + slant_rate * ionosphere + front_rate
+        others = thick * troposphere + orbit
+        others_rate = thick * troposphere_rate + thick_rate * troposphere + orbit_rate
+        a = b + AMPLITUDES
+        size = load(signals, a) + load(signals, a + 1) * load(mapping, m + 4)
+        store(out, s, delay + others + size * reflected)
+        store(out, n + s, others_rate - delay_rate)
+        size = load(signals, a + 2) + load(signals, a + 3) * load(mapping, m + 5)
+        store(out, 2 * n + s, size * thermal)
+        store(out, 3 * n + s, change)
+        gone = lost & (load(signals, b + LOSS) == float(s))
+        store(sky, SKY * s + 6, select(gone, 0.0, load(sky, SKY * s + 6)))
+    return select(number == load(signals, b + CLOCK_STEP), load(signals, b + CLOCK_STEP + 1), 0.0)
+
+
+@njit
+def measure(
+    sensors, base, channels, keys, key_row, epoch, tau, sky, noise, replaced, picked_up, out, first
+):
     """Measure a group's pseudoranges and range rates at one epoch.
 
     `epoch`, `tau`: of each lane, and time since the epoch before [s]; 0 leaves the clock alone;
     `sky`: of `gather_sky`; `noise`: scratch memory for the deviates; `replaced`: lane array of 4 n
-    rows, what an attack adds to pseudoranges and range rates, and the factors on their authentic
-    errors; `out`: lane array; its 2 n rows from `first` on are written, 0 where invisible.
+    rows, what an attack adds to pseudoranges and range rates, and what stays of their authentic
+    errors (`SensorBuffers`); `picked_up`: lane array of what `disturb` wrote, or of no row;
+    `out`: lane array; its 2 n rows from `first` on are written, 0 where invisible.
     """
     n = channels
     b, k = base, key_row
@@ -255,10 +370,20 @@ def measure(sensors, base, channels, keys, key_row, epoch, tau, sky, noise, repl
         code_error = code_sd * load(noise, s)
         rate_error = rate_sd * load(noise, n + s)
         correlated = load(sensors, b + CHANNELS + n + s)
+        path_rate = splat(0.0, sensors)
+        if picked_up.shape[0] > 0:
+            correlated += load(picked_up, s)
+            path_rate = load(picked_up, n + s)
+            code_error += load(picked_up, 2 * n + s)
+            rate_error += load(picked_up, 3 * n + s)
         rho = (true_range + constant + bias) + code_error + load(replaced, s) + correlated
         rate = load(sky, SKY * s + 7) + drift + rate_error + load(replaced, n + s)
+        rate += path_rate
         # a counterfeit signal may bring errors of its own
-        rho -= (1.0 - load(replaced, 2 * n + s)) * ((constant + code_error) + correlated)
-        rate -= (1.0 - load(replaced, 3 * n + s)) * rate_error
+        stays, rate_stays = load(replaced, 2 * n + s), load(replaced, 3 * n + s)
+        rho -= (1.0 - select(stays > 0.0, stays, 0.0)) * (constant + correlated)
+        rho -= select(stays < 0.0, code_error, 0.0)
+        rate -= (1.0 - select(rate_stays > 0.0, rate_stays, 0.0)) * path_rate
+        rate -= select(rate_stays < 0.0, rate_error, 0.0)
         store(out, first + s, select(visible, rho, 0.0))
         store(out, first + n + s, select(visible, rate, 0.0))

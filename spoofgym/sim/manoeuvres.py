@@ -430,8 +430,38 @@ def airway() -> Flight:
     )
 
 
+def approach() -> Flight:
+    """Flight of ten minutes that ends on an approach: downwind, two turns, down the glide path.
+
+    No paper's flight.  A jet flies downwind at 90 m/s and 1500 m, descends by 300 m, turns left by
+    90 deg onto base at 230 s and again onto final at 275 s, slows down to 75 m/s, and goes down a
+    path of 3 deg to 300 m: an attack of 150 s after a warm-up of 200 s meets both turns.
+    """
+    return fly(
+        [
+            Until(100.0),
+            Climb(-300.0, rate_mps=6.0, ramp_s=6.0),
+            Until(230.0),
+            Turn(-90.0, bank_deg=25.0, ramp_s=5.0),
+            Until(275.0),
+            Turn(-90.0, bank_deg=25.0, ramp_s=5.0),
+            Accelerate(-15.0, acceleration_mps2=1.0, ramp_s=3.0),
+            Until(335.0),
+            Climb(-900.0, rate_mps=3.9, ramp_s=8.0),
+            Until(600.0),
+        ],
+        latitude_deg=50.70,
+        longitude_deg=-3.60,
+        height_m=1500.0,
+        speed_mps=90.0,
+        heading_deg=80.0,
+        name="approach",
+    )
+
+
 FLIGHTS: dict[str, Callable[[], Flight]] = {
     "airway": airway,
+    "approach": approach,
     "car": car,
     "ke2022": ke2022,
     "shadmehri2025": shadmehri2025,

@@ -9,7 +9,8 @@ from functools import lru_cache
 from typing import Any, TypeGuard
 
 from .._describe import OMITTED
-from .._registry import check_choice, check_finite
+from .._registry import build_record, check_choice, check_finite
+from .benign_events import BenignEvents
 from .constellation import (
     TWO_CONSTELLATIONS,
     CircularConstellation,
@@ -17,11 +18,14 @@ from .constellation import (
     Constellation,
 )
 from .flight import Flight, turned
-from .gnss import ERRORS, GnssErrors
+from .gnss import ERRORS, RENAMED, GnssErrors
 from .imu import IMU_GRADES, ImuGrade
 from .manoeuvres import FLIGHTS
 from .trajectory import trajectory_at
 from .world import CHANNELS, MASK_DEG, World, build_world
+
+TURN_ON = ("specimen", "drawn")
+"""Constants of inertial sensors: those of the data sheet, or others in every episode."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +36,12 @@ class Scenario:
     - `errors`: a name in `ERRORS`, or errors;
     - `turned_deg`: turn of the whole flight about the vertical where it begins, clockwise;
     - `imu_rate_hz`: samples of the inertial sensors that the receiver gets per second; None for the
-      flight's own rate.
+      flight's own rate;
+    - `assumed`: errors that a receiver with the tuning ``"matched"`` assumes, a name or errors;
+      None for those that the world has;
+    - `turn_on`: ``"specimen"`` for inertial sensors with the constants of the grade's data sheet,
+      ``"drawn"`` for others in every episode, as large in the mean;
+    - `events`: what looks like spoofing and is none; None for nothing.
 
     Notes
     -----
@@ -55,14 +64,22 @@ class Scenario:
     mask_deg: float = MASK_DEG
     turned_deg: float = 0.0
     imu_rate_hz: float | None = field(default=None, metadata=OMITTED)
+    assumed: str | GnssErrors | None = field(default=None, metadata=OMITTED)
+    turn_on: str = field(default="specimen", metadata=OMITTED)
+    events: BenignEvents | None = field(default=None, metadata=OMITTED)
 
     def __post_init__(self) -> None:
         """Check the names."""
         if isinstance(self.flight, str):
             check_choice("flight", self.flight, FLIGHTS)
         if isinstance(self.errors, str):
-            check_choice("errors", self.errors, ERRORS)
+            check_choice("errors", self.errors, ERRORS, RENAMED)
+        if isinstance(self.assumed, str):
+            check_choice("assumed errors", self.assumed, ERRORS, RENAMED)
         check_choice("imu grade", self.imu, IMU_GRADES)
+        check_choice("turn_on", self.turn_on, TURN_ON)
+        if isinstance(self.events, Mapping):
+            object.__setattr__(self, "events", build_record("events", BenignEvents, self.events))
         if not math.isfinite(self.turned_deg):
             raise ValueError(f"`turned_deg` must be finite, got {self.turned_deg}")
         if self.imu_rate_hz is not None:
@@ -84,6 +101,13 @@ class Scenario:
     def gnss_errors(self) -> GnssErrors:
         """Errors of pseudoranges, range rates and clock."""
         return ERRORS[self.errors] if isinstance(self.errors, str) else self.errors
+
+    @property
+    def assumed_errors(self) -> GnssErrors:
+        """Errors that a matched receiver assumes."""
+        if self.assumed is None:
+            return self.gnss_errors
+        return ERRORS[self.assumed] if isinstance(self.assumed, str) else self.assumed
 
     @property
     def imu_grade(self) -> ImuGrade:
@@ -174,6 +198,18 @@ def _preset(name: str, errors: str, imu: str) -> Scenario:
     return Scenario(name=name, flight="zhong2025", errors=errors, imu=imu)
 
 
+def _aviation(name: str, errors: str) -> Scenario:
+    return Scenario(
+        name=name,
+        flight="approach",
+        errors=errors,
+        assumed="aviation-overbound",
+        imu="tactical",
+        turn_on="drawn",
+        events=BenignEvents(clock_step=0.1, satellite_loss=0.1, front=0.1),
+    )
+
+
 def _ke2022(name: str, errors: str) -> Scenario:
     return Scenario(name=name, flight="ke2022", errors=errors, epoch_interval_s=1.0)
 
@@ -184,20 +220,31 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "zhong2025-tactical": lambda: _preset("zhong2025-tactical", "zhong2025", "tactical"),
     "zhong2025-consumer": lambda: _preset("zhong2025-consumer", "zhong2025", "consumer"),
     "groves": lambda: _preset("groves", "groves", "aviation"),
-    "realistic": lambda: _preset("realistic", "realistic", "aviation"),
-    "realistic-tactical": lambda: _preset("realistic-tactical", "realistic", "tactical"),
-    "realistic-consumer": lambda: _preset("realistic-consumer", "realistic", "consumer"),
-    "realistic-two-constellations": lambda: replace(
-        _preset("realistic-two-constellations", "realistic", "aviation"),
+    "trolley": lambda: _preset("trolley", "trolley", "aviation"),
+    "trolley-tactical": lambda: _preset("trolley-tactical", "trolley", "tactical"),
+    "trolley-consumer": lambda: _preset("trolley-consumer", "trolley", "consumer"),
+    "trolley-two-constellations": lambda: replace(
+        _preset("trolley-two-constellations", "trolley", "aviation"),
         constellation=TWO_CONSTELLATIONS,
         channels=24,
     ),
+    "aviation-actual": lambda: _aviation("aviation-actual", "aviation-actual"),
+    "aviation-overbound": lambda: _aviation("aviation-overbound", "aviation-overbound"),
     "ke2022": lambda: _ke2022("ke2022", "ke2022"),
     "ke2022-white": lambda: _ke2022("ke2022-white", "white"),
 }
 """Scenarios by name: the flight of `zhong2025` under the errors and grades that they name, also
 with a second constellation whose ids begin with E, and that of `ke2022` at 1 Hz, with the satellite
-biases of its errors and without."""
+biases of its errors and without; and an approach with tactical sensors whose constants are drawn,
+under errors of airborne signals: in `aviation-actual` they are what happens, in
+`aviation-overbound` what a receiver has to assume, which the matched one does in both."""
+
+_RENAMED = {
+    old + new.removeprefix(prefix): new
+    for old, prefix in RENAMED.items()
+    for new in SCENARIOS
+    if new.startswith(prefix)
+}
 
 
 def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
@@ -220,7 +267,7 @@ def make_scenario(spec: str | Mapping[str, Any] | Scenario) -> Scenario:
         )
     settings = dict(spec)
     name = settings.pop("name", "zhong2025")
-    check_choice("scenario", name, SCENARIOS)
+    check_choice("scenario", name, SCENARIOS, _RENAMED)
     valid = [item.name for item in fields(Scenario) if item.name != "name"]
     for setting in settings:
         if setting not in valid:

@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from .._lanes import LaneFields
 from .gnss import GnssErrors
 from .imu import ImuGrade
-from .noise import normals, padded
+from .noise import BLOCK, normals, padded
+from .signal_errors import SignalErrors, begin_signals, signal_shapes
 
 FloatArray = NDArray[np.float64]
+TURN_ON = 1
+"""Counter of the deviates of a satellite bias's key with which inertial sensors are drawn."""
 SOURCES = ("imu", "clock", "gnss", "bias", "trajectory", "domain", "spoofer", "correlated")
 """Sources of chance; each has a key of its own in every episode.  New ones come last, which leaves
 the keys of the others as they are."""
@@ -61,12 +64,15 @@ class SensorBuffers:
     - `words`: key of the noise of each of `SOURCES`, (2,) uint64;
     - `epoch` (B,) int64, the epoch that each receiver is at;
     - `range_offset`, `rate_offset` (B, n) what the attack adds [m], [m/s];
-    - `authentic` (B, 2n) factor on the authentic errors, pseudoranges first: 1, or 0 where a
-      counterfeit signal brings errors of its own.
+    - `authentic` (B, 2n) part of the errors of the authentic signals that stays, pseudoranges
+      first: 1, or down to 0 where a counterfeit signal has taken their place, and -1 where the
+      receiver's own noise is replaced, too;
+    - `signals`: of `signal_shapes`, or without any row where nobody has such errors.
     """
 
-    def __init__(self, receivers: int, channels: int) -> None:
+    def __init__(self, receivers: int, channels: int, *, with_signals: bool = False) -> None:
         self.receivers, self.channels = receivers, channels
+        self.signals = LaneFields(receivers, signal_shapes(channels) if with_signals else {})
         self.fields = LaneFields(receivers, sensor_shapes(channels))
         self.words = LaneFields(receivers, dict.fromkeys(SOURCES, (2,)), np.uint64)
         self.epoch = np.zeros(receivers, dtype=np.int64)
@@ -83,6 +89,7 @@ class SensorBuffers:
         """Take over receivers of another batch."""
         self.fields.copy_rows(to, other.fields, rows)
         self.words.copy_rows(to, other.words, rows)
+        self.signals.copy_rows(to, other.signals, rows)
         for name in ("epoch", "range_offset", "rate_offset", "authentic"):
             getattr(self, name)[to] = getattr(other, name)[rows]
 
@@ -114,10 +121,15 @@ class SensorBuffers:
         grade: ImuGrade,
         errors: GnssErrors,
         bias_sd: FloatArray,
+        *,
+        interval_s: float = 0.0,
+        drawn: bool = False,
     ) -> None:
         """Draw the errors of a new episode, by its keys.
 
-        `bias_sd` (n,) standard deviation of the satellite biases [m].
+        `bias_sd` (n,) standard deviation of the satellite biases [m]; `interval_s` between epochs,
+        for errors of signals; `drawn`: whether the inertial sensors' constants are others in every
+        episode, as large as those of the grade.
         """
         clock, n = errors.clock, len(bias_sd)
         values: dict[str, Any] = {
@@ -143,3 +155,28 @@ class SensorBuffers:
             normals(k0, k1, 0, deviates)
             bias[:] = bias_sd * deviates[:n]
         self.fields.put("satellite_bias", rows, biases)
+        if self.signals.rows:
+            signals = SignalErrors() if errors.signals is None else errors.signals
+            keys = self.words.get("correlated", rows)
+            begin_signals(self.signals, rows, signals, interval_s, keys)
+        if drawn:
+            self._draw_constants(rows, grade)
+
+    def _draw_constants(self, rows: NDArray[np.intp], grade: ImuGrade) -> None:
+        """Draw biases and matrices of the inertial sensors, by the RMS of those of the grade."""
+        one = np.eye(3)
+        means = {
+            "accel_bias": (np.zeros(3), grade.accel_bias),
+            "gyro_bias": (np.zeros(3), grade.gyro_bias),
+            "accel_matrix": (one, grade.accel_matrix - one),
+            "gyro_matrix": (one, grade.gyro_matrix - one),
+            "g_dependence": (0.0 * one, grade.g_dependence),
+        }
+        deviates = np.empty((len(rows), BLOCK))
+        for row, (k0, k1) in zip(deviates, self.words.get("bias", rows), strict=True):
+            normals(k0, k1, TURN_ON, row)
+        first = 0
+        for name, (mean, spread) in means.items():
+            own = deviates[:, first : first + spread.size].reshape(len(rows), *spread.shape)
+            self.fields.put(name, rows, mean + np.sqrt(np.mean(spread**2)) * own)
+            first += spread.size

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
+from ..earth.frames import dcm_e_from_n, ecef_to_geodetic, turning_of_local_axes
 from ._kernels import fill_ranges
 from .constellation import Constellation
 from .trajectory import Trajectory
@@ -78,6 +79,11 @@ class World:
         first = np.argmax(self.visible, axis=0)
         seen = self.visible.any(axis=0)
         return np.where(seen, self.elevation[first, np.arange(self.channels)], np.pi / 2)
+
+    @cached_property
+    def axes_turning(self) -> FloatArray:
+        """(K, 3, 3) rate of change of `C_en` [1/s], since the axes move with the true position."""
+        return np.ascontiguousarray(turning_of_local_axes(self.position_e, self.velocity_e))
 
     def local_frame(self, epoch: int) -> FloatArray:
         """North-east-down axes at the true position of an epoch.

@@ -5,6 +5,11 @@ warm-ups and clean twins.
 """
 
 from .base import Simulator as Simulator
+from .calibration import HoldOut as HoldOut
+from .calibration import calibrate as calibrate
+from .calibration import check as check
+from .calibration import hold_out as hold_out
+from .calibration import transfer as transfer
 from .domain import Domain as Domain
 from .engine import Engine as Engine
 from .loosely_coupled import LooselyCoupledSetup as LooselyCoupledSetup

@@ -22,6 +22,7 @@ from ..receiver._kernels import (
     predict_group,
     update_group,
 )
+from ..sim.noise import threefry
 
 POSITION_E, VELOCITY_E, CAPTURED, SLOTS, ATTACK_SETTINGS = range(
     len(Arrays._fields), len(Arrays._fields) + 5
@@ -29,24 +30,22 @@ POSITION_E, VELOCITY_E, CAPTURED, SLOTS, ATTACK_SETTINGS = range(
 """Places in the table behind `Arrays`: of `World`; channels that are the spoofer's; whether rates
 are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
 coherent."""
-ATTACK, JUDGE = 16, 32
+DISPLACEMENT, RATE, AXES_E, TARGET_ERROR, SETTINGS, AVERAGE, DECAY = range(7)
+STATISTIC, THRESHOLD, ALARMS = range(7, 10)
+"""Places in the table of what attack and detector remember, as they take it, and of a verdict."""
+ATTACK, JUDGE, SCORE = 16, 32, 64
 NO_FORM, FALSE_POSITION, PER_CHANNEL = range(3)
 EWMA, PASSIVE_EWMA, NEVER = 1, 2, 3
+UNSOUND, FINISHED = 1, 2
+"""What a kernel finds in a slice: a verdict that is none; receivers that have to run the time to
+alert, if it scores them."""
 
 
 @njit
 def run_epochs(
     table,
+    memories,
     action,
-    displacement,
-    rate,
-    to_ecef,
-    target_error,
-    detector_settings,
-    average,
-    decay,
-    statistic,
-    threshold,
     weights,
     work,
     attack,
@@ -63,11 +62,11 @@ def run_epochs(
     then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them; `SHOW`
     shows the last epoch.
 
-    `table`: of `kernel_table`, with what is named above behind it; `action` to `target_error`: as
-    attacks take them; `detector_settings` to `threshold`: as `judge_channels` takes them; `weights`
-    (B, 2n) on the columns of the gain, written by `JUDGE`; `work`: lane array, scratch memory of
+    `table`: of `kernel_table`, with what is named above behind it; `memories`: table of what attack
+    and detector remember, and of the verdict; `action` (B, a) in [-1, 1]; `weights` (B, 2n) on the
+    columns of the gain, written by `JUDGE` as the verdict is; `work`: lane array, scratch memory of
     the calling thread; `attack`, `detector`: their compiled forms, by number; `hold`: whether the
-    attack holds its rate; returns whether all verdicts are sound.
+    attack holds its rate; returns 0, or `UNSOUND`.
     """
     m = weights.shape[1]
     a = arrays_at(table, work, m // 2)
@@ -76,12 +75,21 @@ def run_epochs(
     velocity_e = floats_at(table, VELOCITY_E).reshape((epoch_count, 3))
     captured, slots = flags_at(table, CAPTURED), integers_at(table, SLOTS)
     attack_settings = floats_at(table, ATTACK_SETTINGS)
+    by_rate, coherent = attack_settings[0] > 0.0, attack_settings[3] > 0.0
+    displacement = floats_at(memories, DISPLACEMENT).reshape(action.shape)
+    rate = floats_at(memories, RATE).reshape(action.shape)
+    axes_e = floats_at(memories, AXES_E)
+    axes_e = axes_e.reshape((epoch_count, axes_e.shape[0] // (6 * epoch_count), 6))
+    target_error = floats_at(memories, TARGET_ERROR).reshape((action.shape[0], 6))
+    settings, shape = floats_at(memories, SETTINGS), a.visible.shape
+    average, decay = floats_at(memories, AVERAGE), floats_at(memories, DECAY)
+    statistic, threshold = floats_at(memories, STATISTIC), floats_at(memories, THRESHOLD)
+    alarm = flags_at(memories, ALARMS)
     w = name_scratch(a, work)
     lanes = lanes_of(work)
     innovation = a.out[a.places[0] : a.places[0] + receivers * m].reshape((receivers, m))
     variance = a.out[a.places[1] : a.places[1] + receivers * m].reshape((receivers, m))
     sound = True
-    by_rate, coherent = attack_settings[0] > 0.0, attack_settings[3] > 0.0
     for group in range(lo // lanes, -(-hi // lanes)):
         b, e = group * lanes, min((group + 1) * lanes, receivers)
         for k in range(count):
@@ -94,7 +102,7 @@ def run_epochs(
                     attack_settings[2],
                     displacement,
                     rate,
-                    to_ecef,
+                    axes_e,
                     target_error,
                     coherent,
                     a.epochs,
@@ -129,42 +137,49 @@ def run_epochs(
             if what & (MEASURE | PREDICT):
                 predict_group(a, w, group, what if k == count - 1 else what & ~SHOW)
             if what & JUDGE and detector != NEVER:
+                now = statistic.reshape(shape)[b:e], threshold.reshape(shape)[b:e]
                 judge_channels(
                     innovation[b:e],
                     variance[b:e],
                     a.visible[b:e],
-                    detector_settings[0],
-                    detector_settings[1],
-                    detector_settings[2],
-                    average[b:e],
-                    decay[b:e],
-                    statistic[b:e],
-                    threshold[b:e],
+                    settings[0],
+                    settings[1],
+                    settings[2],
+                    average.reshape(shape)[b:e],
+                    decay.reshape(shape)[b:e],
+                    *now,
                     weights[b:e],
                 )
-                sound = is_sound(statistic[b:e], threshold[b:e], weights[b:e]) and sound
+                sound = is_sound(*now, weights[b:e]) and sound
+                for i in range(b * shape[1], e * shape[1]):
+                    threshold[i] = settings[3] * threshold[i]
+                    alarm[i] = statistic[i] > threshold[i]
                 if detector == PASSIVE_EWMA:
-                    for r in range(b, e):
-                        for row in range(m):
-                            weights[r, row] = 1.0
+                    weights[b:e] = 1.0
             if what & UPDATE:
                 update_group(a, w, group, weights)
-    return sound
+    return 0 if sound else UNSOUND
 
 
 @njit
-def displace(position_e, reference_e, rows, C_en, onset, direction, worst, origin, displacement):
-    """Displacements along the target direction, in the local axes at the onset.
+def displace(
+    position_e, reference_e, rows, C_en, epochs, direction, worst, origin, displacement, lo, hi
+):
+    """Displacements along the target direction, in the local axes of the epoch.
+
+    What counts is horizontal, and along a bearing, where the target is: in axes of the onset, half
+    an hour of flight lets a twentieth of the vertical error in, and turns east by four degrees.
+    The commands of a counterfeit position have the same axes.
 
     `position_e`, `reference_e` (B, 3) estimated, and (K, 3) what it is compared to, ECEF [m];
-    `C_en` (K, 3, 3) local axes at all epochs; `onset` (B,) epoch after which each receiver's attack
-    begins; `direction` (B, 2) unit vector, north and east, in which displacement counts;
-    `origin` (B, 2) north and east difference at the onset, which does not count [m]; `displacement`
-    (B,), written [m].
+    `rows` (B,) row of the reference for each receiver; `C_en` (K, 3, 3) local axes at all epochs;
+    `epochs` (B,) epoch that each receiver is at; `direction` (B, 2) unit vector, north and east, in
+    which displacement counts; `origin` (B, 2) north and east difference at the onset, in the axes
+    there, which does not count [m]; `displacement` (B,), written from `lo` to `hi` [m].
     """
-    for b in range(displacement.shape[0]):
+    for b in range(lo, hi):
         north, east = -origin[b, 0], -origin[b, 1]
-        axes = C_en[onset[b]]
+        axes = C_en[epochs[b]]
         for i in range(3):
             apart = position_e[b, i] - reference_e[rows[b], i]
             north += apart * axes[i, 0]
@@ -273,3 +288,26 @@ def shift_response(
         for i in range(states):
             for j in range(states):
                 e[i] -= predicted_cov[b, i, j] * before[j]
+
+
+REPORTS = 0xAD5B
+"""Word of the counters from which latencies of reports are drawn."""
+
+
+@njit
+def latest_reports(epochs, onset, keys, every, latency, out):
+    """Epoch of the newest report that has arrived by the epochs (B,): `out` (B,), written.
+
+    `keys` (B, 2) of the episodes; a report of every `every` epochs counted from the onset, with a
+    latency of its own between 0 and `latency` epochs, drawn by its key and its epoch.
+    """
+    for b in range(out.shape[0]):
+        newest = epochs[b] - (epochs[b] - onset[b]) % every
+        while True:
+            counter = np.uint64(newest), np.uint64(REPORTS)
+            word, _ = threefry(counter[0], counter[1], keys[b, 0], keys[b, 1])
+            part = (word >> np.uint64(11)) * 2.0**-53
+            if newest + part * latency <= epochs[b]:
+                break
+            newest -= every
+        out[b] = newest

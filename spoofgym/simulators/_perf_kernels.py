@@ -98,7 +98,9 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
             if part == MEASURE:
                 world.gather_sky(satellites, now, sky)
             if part in (MEASURE, FLOOR):
-                world.measure(sensors, sensor_base, n, keys, key, k, tau, sky, noise, added, x, c)
+                world.measure(
+                    sensors, sensor_base, n, keys, key, k, tau, sky, noise, added, added[:0], x, c
+                )
             if part in (PROPAGATE, FLOOR):
                 filters.propagate(x, base, force, tau, terms, product)
             if part in (INNOVATE, FLOOR):

@@ -10,16 +10,25 @@ from __future__ import annotations
 import copy
 import math
 import sys
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from ..detectors import DETECTORS, Detector, DetectorContext, PooledDetector, Verdict
-from ..detectors.base import check_needs
+from ..detectors import (
+    DETECTORS,
+    Calibrated,
+    Detector,
+    DetectorContext,
+    PooledDetector,
+    Verdict,
+)
+from ..detectors.base import YoungMemoryWarning, check_needs
+from ..detectors.calibrated import resolve
 from ..detectors.verdicts import checked_weights, judged
 from ..receiver.epoch import Epoch
 from .domain import Choice, draw, given_choice
@@ -36,9 +45,27 @@ Rngs = Sequence[np.random.Generator]
 Given = Mapping[str, Any]
 """Circumstances that are not to be drawn, by `domain.CHOICES`."""
 Written = NDArray[np.floating[Any]]
+StepArrays = tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray, FloatArray]
 M = TypeVar("M", bound=Monitor)
 DOMAIN_STREAM = 0xD0
 """Key of the stream of an episode's seed from which a domain is drawn."""
+
+
+class Sequel(Protocol):
+    """What follows an epoch, such as its score, for `Simulator.step`.
+
+    A simulator calls it after the epoch, or gives its `arrays` to `Setup.kernel` before those of
+    its own; then `hold` is called where that found receivers that have come to the time to alert.
+    """
+
+    def arrays(self, simulator: Any) -> tuple[NDArray[Any], ...]:
+        """First arguments of `Setup.kernel`."""
+
+    def hold(self, simulator: Any, verdict: Verdict) -> None:
+        """Run the time to alert of those who have to, and do what is left."""
+
+    def __call__(self, simulator: Any, verdict: Verdict) -> None:
+        """Do all of it."""
 
 
 class Simulator(ABC):
@@ -74,6 +101,7 @@ class Simulator(ABC):
         self.memory.declare("key", np.zeros((receivers, 2), dtype=np.uint64))
         self.memory.declare("direction", np.zeros((receivers, 2)))
         self.memory.declare("warmup_alarm", np.zeros(receivers, dtype=np.bool_))
+        resolve(setup.detector, setup)
         readers = setup.detector, *setup.monitors
         self.fields = setup.fields.union(*map(check_needs, readers))
         self._allocate()
@@ -155,9 +183,10 @@ class Simulator(ABC):
         """(B, a) its rate [m/s]."""
         return self.commands["rate"]
 
-    def step_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray]:
-        """Epochs, coasting, commanded displacement and rate, for kernels."""
-        return self.epochs, self.coasting, self.commanded_displacement, self.commanded_rate
+    def step_arrays(self) -> StepArrays:
+        """Epochs, coasting, commanded displacement and rate, target direction, for kernels."""
+        commanded = self.commanded_displacement, self.commanded_rate
+        return self.epochs, self.coasting, *commanded, self.memory["direction"]
 
     def motion(self, per_position: float, per_velocity: float, out: Written) -> None:
         """Write the target's true motion since the onset, along `Setup.motion_names`, scaled."""
@@ -216,7 +245,17 @@ class Simulator(ABC):
                 "epochs are fixed when a simulator is made: a monitor that binds detectors must "
                 "have what they need in its own `needs`"
             )
+        resolve(detector, setup)
         detector.bind(self._context())
+        if setup.live < detector.memory_epochs:
+            ages = (setup.live * setup.interval_s, detector.memory_epochs * setup.interval_s)
+            warnings.warn(
+                f"{type(detector).__name__} is live for {ages[0]:g} s before the attack and its "
+                f"memory is {ages[1]:g} s long, so that what it finds depends on when it went "
+                "live: give the timeline a longer `live_s`",
+                YoungMemoryWarning,
+                stacklevel=2,
+            )
         epochs = setup.live + setup.steps + setup.hold
         if detector.silent_epochs >= epochs:
             raise ValueError(
@@ -290,12 +329,22 @@ class Simulator(ABC):
             checked_weights(weights, self.epoch)
         self.weights = self.ones if weights is None else weights
         self._correct(weights)
+        for monitor in self.monitors:
+            monitor.corrected(self)
 
-    def step(self, command: FloatArray | None = None, *, attacked: bool = True) -> Verdict:
+    def step(
+        self,
+        command: FloatArray | None = None,
+        *,
+        attacked: bool = True,
+        sequel: Sequel | None = None,
+    ) -> Verdict:
         """Both halves of an epoch, with the detector's weights; `attacked` as in `predict`."""
         self.predict(command) if attacked else self.advance()
         verdict = self.judge()
         self.update(verdict.weights)
+        if sequel is not None:
+            sequel(self, verdict)
         return verdict
 
     def quiet_epochs(self, count: int) -> None:
@@ -472,5 +521,6 @@ def run_serially(work: Callable[[int, int], None], receivers: int) -> None:
 
 def detector_name(detector: Detector) -> str:
     """Registered name of a detector, else that of its class, for titles."""
+    detector = detector.detector if isinstance(detector, Calibrated) else detector
     found = (name for name, kind in DETECTORS.items() if kind is type(detector))
     return next(found, type(detector).__name__)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..earth.attitude import euler_to_dcm
 from ..receiver import TightlyCoupled
+from ..receiver.augmented import SignalModel, signal_model
 from ..receiver.matching import assumed_noise
 from ..receiver.tight import NoiseModel
 from ..sim.chain import chain_worlds
@@ -28,17 +29,22 @@ FloatArray = NDArray[np.float64]
 class Combination(NamedTuple):
     """One combination of world, grade and errors, and what the victim assumes there.
 
-    `bias_sd` (n,) of the satellites' constant biases [m]; `noise_variance` (2n,) R; `noise` of
-    clock and inertial sensors; `noise_psd` (17,) of its states; `covariance` (17, 17) at the start.
+    `bias_sd` (n,) of the satellites' constant biases [m]; `noise_variance` (2n,) R;
+    `epoch_variance` (2n,) what it assumes of one epoch alone; `noise` of clock and inertial
+    sensors; `noise_psd` (17,) of its states; `covariance` (17, 17) at the start; `assumed` errors
+    of the signals, and `assumed_bias_sd` (n,) of their constants [m].
     """
 
     grade: ImuGrade
     errors: GnssErrors
     bias_sd: FloatArray
     noise_variance: FloatArray
+    epoch_variance: FloatArray
     noise: NoiseModel
     noise_psd: FloatArray
     covariance: FloatArray
+    assumed: GnssErrors
+    assumed_bias_sd: FloatArray
 
 
 def worlds_of(scenario: Scenario, domain: Domain) -> list[World]:
@@ -93,16 +99,22 @@ class Combinations:
     ) -> None:
         self.world, self.worlds = chain_worlds(worlds), len(worlds)
         self.names = {"imu": domain.imu or (scenario.imu,), "errors": domain.errors or ("own",)}
-        errors = [ERRORS[name] for name in domain.errors] or [scenario.gnss_errors]
+        named = [ERRORS[name] for name in domain.errors]
+        errors = named or [scenario.gnss_errors]
+        assumed = named or [scenario.assumed_errors]
+        self.drawn = (scenario.turn_on if domain.turn_on is None else domain.turn_on) == "drawn"
+        events = scenario.events if domain.events is None else domain.events
+        self.events = events if events is not None and events.any else None
+        self.with_signals = self.events is not None or any(each.signals for each in errors)
         self._grades = [IMU_GRADES[name] for name in self.names["imu"]]
         self.grades, self.errors = len(self._grades), len(errors)
         grades = self.names["imu"]
         victims = [(g, replace(receiver, grade=g) if domain.imu else receiver) for g in grades]
         self._all = [
-            _combination(world, grade, error, victim, epochs, flown)
+            _combination(world, grade, error, belief, victim, epochs, flown)
             for world in worlds
             for grade, victim in victims
-            for error in errors
+            for error, belief in zip(errors, assumed, strict=True)
         ]
         self._first_C_eb = [_first_attitudes(self.world, grade) for grade in self._grades]
 
@@ -112,9 +124,27 @@ class Combinations:
         """(b,) index, for `__getitem__`, of combinations of a `Choice`."""
         return (world * self.grades + grade) * self.errors + error
 
+    def signal_model(self, interval_s: float) -> SignalModel:
+        """States of the signals of an augmented filter; a ValueError where combinations differ."""
+        first = self._all[0]
+        for case in self._all:
+            same = case.assumed == first.assumed and case.grade == first.grade
+            if not (same and np.array_equal(case.assumed_bias_sd, first.assumed_bias_sd)):
+                raise ValueError(
+                    "a receiver with `tuning` 'augmented' takes one grade of inertial sensors and "
+                    "one kind of errors, with the same constants in all worlds of the domain"
+                )
+        return signal_model(first.assumed, first.assumed_bias_sd, interval_s)
+
     def __getitem__(self, index: int) -> Combination:
         """Return the combination of an index."""
         return self._all[index]
+
+    @property
+    def largest_epoch_variance(self) -> FloatArray:
+        """(2n,) largest variance of one epoch alone of all combinations."""
+        largest: FloatArray = np.max([case.epoch_variance for case in self._all], axis=0)
+        return largest
 
     @property
     def largest_variance(self) -> FloatArray:
@@ -129,17 +159,32 @@ class Combinations:
 
 
 def _combination(
-    world: World, grade: str, errors: GnssErrors, receiver: TightlyCoupled, epochs: int, flown: int
+    world: World,
+    grade: str,
+    errors: GnssErrors,
+    assumed: GnssErrors,
+    receiver: TightlyCoupled,
+    epochs: int,
+    flown: int,
 ) -> Combination:
-    bias_sd = errors.bias_sd(world.first_elevation)
-    variance, noise = assumed_noise(receiver, errors, bias_sd, world, epochs, flown)
+    elevation = world.first_elevation
+    bias_sd = errors.bias_sd(elevation)
+    believed = assumed.bias_sd(elevation)
+    variance, noise = assumed_noise(receiver, assumed, believed, world, epochs, flown)
+    single = variance
+    if receiver.matches:
+        interval_s = float(world.epoch_time[1] - world.epoch_time[0])
+        rates = np.full(len(bias_sd), assumed.rate_sd(interval_s) ** 2)
+        single = np.concatenate([assumed.epoch_variance(elevation), rates])
     psd, covariance = receiver.noise_psd(noise), receiver.initial_covariance(noise)
     sheet = IMU_GRADES[grade]
     sheet = sheet._replace(  # the increments are quantized before they are summed up
         accel_quantization=sheet.accel_quantization / world.decimation,
         gyro_quantization=sheet.gyro_quantization / world.decimation,
     )
-    return Combination(sheet, errors, bias_sd, variance, noise, psd, covariance)
+    return Combination(
+        sheet, errors, bias_sd, variance, single, noise, psd, covariance, assumed, believed
+    )
 
 
 def _first_attitudes(world: World, grade: ImuGrade) -> FloatArray:

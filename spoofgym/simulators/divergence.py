@@ -43,7 +43,10 @@ class Divergence(Monitor):
 
     def bind(self, simulator: Monitored) -> None:
         """Prepare for the receivers of a simulator."""
-        receivers = tightly_coupled(simulator, "the divergence of an attack").receivers
+        victims = tightly_coupled(simulator, "the divergence of an attack")
+        receivers = victims.receivers
+        if victims.setup.receiver.tuning == "augmented":
+            raise ValueError("the divergence of an attack knows no filter with augmented states")
         self.memory = Memory(receivers)
         self.memory.declare("divergence", np.zeros(receivers))
         self.memory.declare("shift", np.zeros((receivers, STATES)))

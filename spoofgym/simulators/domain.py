@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import check_choice
-from ..sim.gnss import ERRORS
+from .._describe import OMITTED
+from .._registry import build_record, check_choice
+from ..sim.benign_events import BenignEvents
+from ..sim.gnss import ERRORS, RENAMED
 from ..sim.imu import IMU_GRADES
+from ..sim.scenario import TURN_ON
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -48,7 +51,11 @@ class Domain:
         Grades of the inertial sensors; that of the scenario alone by default.  The receiver is
         tuned for the grade that it has.
     errors : tuple of str
-        GNSS errors; those of the scenario alone by default.
+        GNSS errors; those of the scenario alone by default.  A matched receiver assumes each.
+    turn_on : {"specimen", "drawn"}, optional
+        Constants of the inertial sensors; as in the scenario by default.
+    events : mapping or BenignEvents, optional
+        What looks like spoofing and is none; as in the scenario by default.
     """
 
     start_s: tuple[float, float | None] = (0.0, 0.0)
@@ -58,9 +65,12 @@ class Domain:
     world_seed: int = 0
     imu: tuple[str, ...] = ()
     errors: tuple[str, ...] = ()
+    turn_on: str | None = field(default=None, metadata=OMITTED)
+    events: BenignEvents | None = field(default=None, metadata=OMITTED)
 
     def __post_init__(self) -> None:
         """Check ranges and names."""
+        self._check_options()
         for name in ("start_s", "turned_deg", "constellation_time_s"):
             object.__setattr__(self, name, _range(name, getattr(self, name), name == "start_s"))
         if self.start_s[0] < 0.0:
@@ -72,7 +82,7 @@ class Domain:
                 raise ValueError(f"`{name}` must be a name or a list of names, got {given!r}")
             given = tuple(given)
             for each in given:
-                check_choice("imu grade" if name == "imu" else name, each, valid)
+                check_choice("imu grade" if name == "imu" else name, each, valid, RENAMED)
             object.__setattr__(self, name, given)
         if self.worlds is not None and not 1 <= self.worlds <= MOST_WORLDS:
             raise ValueError(f"`worlds` must be 1 to {MOST_WORLDS}, got {self.worlds}")
@@ -88,6 +98,14 @@ class Domain:
             )
         if self.world_seed < 0:
             raise ValueError(f"`world_seed` must be at least 0, got {self.world_seed}")
+
+    def _check_options(self) -> None:
+        """Check what the scenario has of its own, too."""
+        if self.turn_on is not None:
+            check_choice("turn_on", self.turn_on, TURN_ON)
+        if self.events is not None:
+            events = build_record("events", BenignEvents, self.events)
+            object.__setattr__(self, "events", events)
 
     @property
     def varies(self) -> bool:

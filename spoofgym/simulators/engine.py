@@ -14,7 +14,7 @@ from .._registry import whole_number
 from .._simd import LANES
 from ..detectors import Verdict
 from ..receiver.epoch import Epoch
-from .base import Given, Rngs, Rows, Simulator, run_serially
+from .base import Given, Rngs, Rows, Sequel, Simulator, run_serially
 from .domain import draw, given_choice
 from .prefetch import PIECE, STOCK, NextEpisodes
 from .setup import Setup
@@ -204,9 +204,9 @@ class Engine:
         """Second half of a step: the update with the verdict's weights."""
         self.simulator.update(verdict.weights)
 
-    def step(self, command: FloatArray | None) -> Verdict:
-        """Both halves with the engine's own detector; the twins follow."""
-        verdict = self.simulator.step(command)
+    def step(self, command: FloatArray | None, sequel: Sequel | None = None) -> Verdict:
+        """Both halves with the engine's own detector, and what follows them, before the twins."""
+        verdict = self.simulator.step(command, sequel=sequel)
         if self.twin is not None:
             self.step_twin()
         return verdict
@@ -217,12 +217,12 @@ class Engine:
             raise RuntimeError("this engine has no clean twins; make it with `twin=True`")
         return self.twin.step(attacked=False)
 
-    def hold(self, rows: Rows) -> NDArray[np.bool_]:
-        """Run the time to alert of some receivers and their twins; (hold, b) bool alarms."""
-        count = self.setup.hold
+    def hold(self, rows: Rows) -> tuple[NDArray[np.bool_], NDArray[np.bool_] | None]:
+        """Run the time to alert of some receivers and their twins; (hold, b) alarms of both."""
+        count, of_twin = self.setup.hold, None
         if self.twin is not None:
-            self.apart(rows, lambda part: part.live_epochs(count), self.twin)
-        return self.apart(rows, lambda part: part.live_epochs(count, holding=True))
+            of_twin = self.apart(rows, lambda part: part.live_epochs(count), self.twin)
+        return self.apart(rows, lambda part: part.live_epochs(count, holding=True)), of_twin
 
     def apart(
         self, rows: Rows, work: Callable[[Simulator], T], whole: Simulator | None = None

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .._describe import describe
 from .._registry import build_record, check_finite
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import Epoch
@@ -64,6 +65,7 @@ class LooselyCoupledSetup(Setup):
     """
 
     kind: ClassVar[str] = "loose"
+    env_id: ClassVar[str] = "spoofgym/LooselyCoupled-v0"
     whose: ClassVar[str] = "a loosely coupled receiver"
     has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
@@ -71,7 +73,7 @@ class LooselyCoupledSetup(Setup):
         f"{what}_{axis}" for what in ("position", "velocity") for axis in ("north", "east", "down")
     )
     weight_names = ("east", "north", "up")
-    scales: Mapping[str, float] = {**Setup.scales, "displacement_m": 25.0, "error_m": 25.0}
+    scales: Mapping[str, float] = {**Setup.scales, "length_m": 25.0}
 
     def __init__(
         self,
@@ -110,6 +112,12 @@ class LooselyCoupledSetup(Setup):
         self.true_position = self.world.position_e
         # to ECEF from local north, east, down axes
         self.C_en = np.ascontiguousarray(self.world.C_el[:, :, [1, 0, 2]] * [1.0, 1.0, -1.0])
+
+    def world_settings(self) -> dict[str, Any]:
+        """Flight, errors, sensors, receiver and domain."""
+        parts = (self.errors, self.inertial, self.receiver, self.domain)
+        names = ("errors", "inertial", "receiver", "domain")
+        return {"flight": self.name, **dict(zip(names, map(describe, parts), strict=True))}
 
     def simulator(self, receivers: int, run: Run) -> LooselyCoupledSimulator:
         """B receivers, not begun yet."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._memory import Memory
-from ..detectors import DETECTORS, Detector, Verdict
+from ..detectors import DETECTORS, Calibrated, Detector, Verdict
 from ..detectors.base import check_needs
 from ..detectors.verdicts import judged
 from ..receiver.epoch import Epoch
@@ -50,6 +50,9 @@ class Monitor(ABC):
     @abstractmethod
     def update(self, simulator: Monitored) -> None:
         """Look at an epoch between the verdict and the update."""
+
+    def corrected(self, simulator: Monitored) -> None:  # noqa: B027  (few need it)
+        """Look at an epoch after the update."""
 
     def begin(self) -> None:
         """Start new episodes in all receivers."""
@@ -113,6 +116,7 @@ def needed_monitors(terms: Iterable[Any]) -> list[Monitor]:
 def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
     """Names of detectors, with underscores."""
     known = {kind: name for name, kind in DETECTORS.items()}
+    detectors = [d.detector if isinstance(d, Calibrated) else d for d in detectors]
     words = [known.get(type(d), type(d).__name__).replace("-", "_").lower() for d in detectors]
     before = ((word, words[:k].count(word)) for k, word in enumerate(words))
     return tuple(f"{word}_{count + 1}" if count else word for word, count in before)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import copy
+import json
 import math
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._registry import build_record, check_choice, check_finite, is_number
-from ..detectors import Detector, make_detector
+from ..detectors import Detector, detector_in_world
+from ..detectors.calibration import Conditions, described
 from ..receiver.epoch import OPTIONAL
 from ._kernels import local_motion
 from .domain import Bounds, Domain
@@ -39,7 +43,9 @@ class Timeline:
     warmup_s : float
         Clean run before the attack.
     live_s : float
-        Last part of it in which the detectors judge; an alarm there is a false alarm.
+        Last part of it in which the detectors judge; an alarm there is a false alarm.  By default
+        it lets the slowest memory settle, so that a detector is not better or worse for having just
+        been switched on.
     attack_s : float
         Command phase.
     time_to_alert_s : float
@@ -48,7 +54,7 @@ class Timeline:
     """
 
     warmup_s: float = 200.0
-    live_s: float = 60.0
+    live_s: float = 180.0
     attack_s: float = 150.0
     time_to_alert_s: float = 10.0
 
@@ -104,6 +110,16 @@ class RateCommands:
         return self.names
 
 
+class SequelKernel(NamedTuple):
+    """Kernel that begins with a simulator's own, and what it is given where nothing follows.
+
+    A simulator runs it for everything, so that its own is compiled as a part of it alone.
+    """
+
+    function: Callable[..., int]
+    nothing: tuple[NDArray[Any], ...]
+
+
 class Setup(ABC):
     """World, victim, commands, detector, phases and decisions, computed once and shared.
 
@@ -119,6 +135,8 @@ class Setup(ABC):
         What a spoofer commands.
     detector : Detector
         In the loop; copied for every simulator.
+    kernel : SequelKernel or None
+        What a simulator whose step is one kernel runs instead of its own.
     monitors : tuple of Monitor
         What looks at every epoch and changes nothing; copied for every simulator.
     interval_s : float
@@ -137,12 +155,21 @@ class Setup(ABC):
         Elements of what a simulator of this victim writes as motion of the target, error of the
         estimate, weights and geometry.
     scales : dict
-        What the default observation takes for 1.
+        What the default observation takes for 1: ``"length_m"`` of displacements and errors, by
+        what goes unnoticed of this victim; ``"position_m"`` and ``"velocity_mps"`` of the target.
     """
 
     kind: ClassVar[str]
     whose: ClassVar[str]
     """The victim with its article, for messages."""
+    env_id: ClassVar[str] = ""
+    """Environment of this victim; "" for none."""
+    of_attack: ClassVar[frozenset[str]] = frozenset(
+        {"detector", "attack", "target_heading_deg", "between", "rate_limit_mps"}
+    )
+    """Settings that a clean run does not depend on."""
+    given: Mapping[str, Any] | None = None
+    """Settings as they were given, where an environment or a benchmark was made from them."""
     has: ClassVar[frozenset[str]] = frozenset(OPTIONAL) - {
         "gnss_position",
         "auxiliary_position",
@@ -155,6 +182,8 @@ class Setup(ABC):
     """Settings of `Domain` that the victim has."""
     threaded: ClassVar[bool] = False
     """Whether its kernels work on slices of the receivers."""
+    follows_setpoint: ClassVar[bool] = False
+    """Whether a spoofer commands by a wanted rate where nothing else is asked for."""
     ratio_is_largest: ClassVar[bool] = True
     """Whether the default observation shows the largest statistic ratio, not one a channel."""
     motion_names: tuple[str, ...] = ()
@@ -162,10 +191,9 @@ class Setup(ABC):
     weight_names: tuple[str, ...] = ()
     geometry_names: tuple[str, ...] = ()
     scales: Mapping[str, float] = {
-        "displacement_m": 100.0,
+        "length_m": 40.0,
         "position_m": 10_000.0,
         "velocity_mps": 100.0,
-        "error_m": 100.0,
     }
 
     name: str
@@ -191,9 +219,10 @@ class Setup(ABC):
         between: str,
     ) -> None:
         """Take detector, phases and decisions."""
-        self.detector, self.timeline = make_detector(detector), timeline
+        self.detector, self.timeline = detector_in_world(detector), timeline
         self.interval_s = interval_s
         self.monitors: tuple[Monitor, ...] = ()
+        self.kernel: SequelKernel | None = None
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
         self.onset = self.quiet + self.live
         self.decision_interval_s, self.between = decision_interval_s, between
@@ -206,6 +235,41 @@ class Setup(ABC):
         self.repeat = _repeat(decision_interval_s, interval_s, self.steps)
         # one decision more, which a finished receiver may run until it is reset
         self.length = self.onset + self.steps + self.hold + self.repeat
+
+    @abstractmethod
+    def world_settings(self) -> Mapping[str, Any]:
+        """Settings of this victim that a clean run depends on, but for the timeline."""
+
+    @property
+    def window_s(self) -> float:
+        """Judged window: from the start of an attack to its end plus the time to alert [s]."""
+        return (self.steps + self.hold) * self.interval_s
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """What a calibration of a detector here belongs to."""
+        settings = {
+            "kind": self.kind,
+            **described(self.world_settings()),
+            "timeline": described(self.timeline),
+            "interval_s": described(self.interval_s),
+        }
+        if self.repeat > 1:  # an episode keeps a decision to spare, and may have to start earlier
+            settings["decision_interval_s"] = described(self.decision_interval_s)
+        return Conditions(settings, self.window_s, self.name, self._options())
+
+    def _options(self) -> str:
+        """Options of a command line that name this world; "" where none can."""
+        if self.given is None or not self.env_id:
+            return ""
+        words = [f"--env {self.env_id}"]
+        try:
+            for name, value in self.given.items():
+                if name not in self.of_attack:
+                    words.append(f"--set {shlex.quote(f'{name}={json.dumps(value)}')}")
+        except TypeError:
+            return ""
+        return " ".join(words)
 
     def _aim(
         self, target_heading_deg: float | str, domain: Mapping[str, Any] | Domain | None
@@ -258,6 +322,11 @@ class Setup(ABC):
         return f"{self.kind} receiver"
 
     @property
+    def rate_scale_mps(self) -> float:
+        """Commanded rate that the default observation takes for 1: that length in the window."""
+        return self.scales["length_m"] / (self.steps * self.interval_s)
+
+    @property
     def action_names(self) -> tuple[str, ...]:
         """Name of every element that can be commanded."""
         names: tuple[str, ...] = self.attack.action_names(self.world)
@@ -292,7 +361,7 @@ class Setup(ABC):
     def command(
         self, before: FloatArray, action: FloatArray, epoch: int | NDArray[np.int64]
     ) -> FloatArray:
-        """Command (B, a) of an epoch of a decision, from 0 on, after the one `before`, (B, a)."""
+        """Action (B, k) of an epoch of a decision, from 0 on, after the one `before`, (B, k)."""
         if self.between == "hold":
             return action
         count = np.asarray(epoch) + 1
@@ -301,14 +370,20 @@ class Setup(ABC):
         return np.where(count == self.repeat, action, on_the_way)
 
     def altered(
-        self, *, detector: Detector | None = None, monitors: Sequence[Monitor] | None = None
+        self,
+        *,
+        detector: Detector | None = None,
+        monitors: Sequence[Monitor] | None = None,
+        kernel: SequelKernel | None = None,
     ) -> Setup:
-        """The same world and attack, with another detector or other monitors."""
+        """The same world and attack, with another detector, other monitors, or another kernel."""
         other = copy.copy(self)
         if detector is not None:
             other.detector = detector
         if monitors is not None:
             other.monitors = tuple(monitors)
+        if kernel is not None:
+            other.kernel = kernel
         return other
 
 

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .._describe import describe
 from .._registry import build_record, check_finite, is_number
 from ..detectors import Detector, DetectorContext
 from ..receiver.epoch import ALWAYS, Epoch, frozen_fields
@@ -69,6 +70,8 @@ class SnapshotSetup(Setup):
     """
 
     kind: ClassVar[str] = "snapshot"
+    env_id: ClassVar[str] = "spoofgym/Snapshot-v0"
+    of_attack: ClassVar[frozenset[str]] = Setup.of_attack | {"spoofed"}
     whose: ClassVar[str] = "a snapshot receiver"
     domain_names: ClassVar[frozenset[str]] = frozenset(
         {"turned_deg", "constellation_time_s", "worlds", "world_seed"}
@@ -101,6 +104,12 @@ class SnapshotSetup(Setup):
         check_finite("speed_mps", speed_mps)
         check_finite("heading_deg", heading_deg)
         self.name = self.kind
+        self._flown = {
+            "satellites": satellites,
+            "speed_mps": speed_mps,
+            "heading_deg": heading_deg,
+            "time_offset_s": time_offset_s,
+        }
         self.noise_m, self.spoofed = float(noise_m), _which(spoofed, satellites)
         self.attack = RateCommands(
             self.kind, tuple(f"{axis}_rate" for axis in AXES), _rates(rate_limit_mps)
@@ -129,6 +138,10 @@ class SnapshotSetup(Setup):
             *(f"sight_{axis}_{slot}" for slot in self.weight_names for axis in AXES[:3]),
             *(f"spoofed_{slot}" for slot in self.weight_names),
         )
+
+    def world_settings(self) -> dict[str, Any]:
+        """Sky, noise and domain."""
+        return {**self._flown, "noise_m": self.noise_m, "domain": describe(self.domain)}
 
     def simulator(self, receivers: int, run: Run) -> SnapshotSimulator:
         """B receivers, not begun yet."""

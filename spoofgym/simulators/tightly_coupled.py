@@ -6,42 +6,50 @@ import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .._describe import describe
 from .._memory import Memory
 from .._registry import build_record, check_choice
-from .._simd import LANES
+from .._simd import LANES, ArrayTable
 from ..attacks import Attack, AttackContext, make_attack
 from ..attacks.false_position import FalsePosition
 from ..attacks.per_channel import PerChannel
-from ..detectors import Detector, DetectorContext, Verdict
+from ..detectors import Calibrated, Detector, DetectorContext, Verdict
 from ..detectors.ewma import Ewma
 from ..detectors.never import Never
 from ..detectors.verdicts import checked
 from ..receiver import TightlyCoupled
 from ..receiver import _kernels as _kernels_of_receiver
+from ..receiver.augmented import AugmentedFilter, Predicted
 from ..receiver.epoch import Epoch, epoch_view
+from ..receiver.error_model import STATES
 from ..receiver.state import ReceiverBuffers, kernel_table
+from ..receiver.tight import TUNINGS
+from ..sim.benign_events import BenignEvents, Window, draw_events
 from ..sim.noise import padded
 from ..sim.scenario import Scenario, make_scenario
 from ..sim.sensors import SensorBuffers
+from ..sim.signal_errors import MAPPINGS, mappings_of
 from ..sim.world import World
 from . import _kernels
 from ._kernels import displace
-from .base import Rngs, Rows, Simulator
+from .base import Rngs, Rows, Sequel, Simulator, StepArrays
 from .combinations import Combinations, worlds_of
 from .domain import Choice, Domain
 from .frame import SkyData
-from .setup import Run, Setup, Timeline
+from .setup import Run, SequelKernel, Setup, Timeline
 
 FloatArray = NDArray[np.float64]
 DEFAULT_ATTACK = "false-position"
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
-RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in ("paper", "matched")}
+RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in TUNINGS}
 """Victims by name: the noise that they assume as the papers print it, or as the world has it."""
+AUGMENTED_NEEDS = frozenset({"transition", "imu_delta", "design", "innovation_cov"})
+"""Fields of an epoch that an augmented filter works on."""
 FIRST_FIX = 4
 """Satellites that a first fix takes."""
 AXES = ("north", "east", "down")
@@ -54,6 +62,7 @@ MEASURE, UPDATE, SHOW = (
 )
 JUDGE = _kernels.JUDGE
 ADVANCE = MEASURE + _kernels_of_receiver.PREDICT
+OWN_KERNEL = SequelKernel(_kernels.run_epochs, ())
 ATTACK_FORMS: dict[type, int] = {
     FalsePosition: _kernels.FALSE_POSITION,
     PerChannel: _kernels.PER_CHANNEL,
@@ -80,9 +89,11 @@ class TightlyCoupledSetup(Setup):
     """
 
     kind: ClassVar[str] = "tightly-coupled"
+    env_id: ClassVar[str] = "spoofgym/TightlyCoupled-v0"
     whose: ClassVar[str] = "a tightly coupled receiver"
     domain_names: ClassVar[frozenset[str]] = frozenset(vars(Domain()))
     threaded: ClassVar[bool] = True
+    follows_setpoint: ClassVar[bool] = True
     ratio_is_largest: ClassVar[bool] = False
     motion_names = tuple(f"{what}_{axis}" for what in ("position", "velocity") for axis in AXES)
     error_names = AXES
@@ -124,6 +135,10 @@ class TightlyCoupledSetup(Setup):
         cases = self.combinations
         self.bounds = self._bounds(cases.worlds, cases.grades, cases.errors, first, last)
         self.epochs_each = self.world.epochs // self.bounds.worlds
+        self.mappings = np.zeros(0)
+        if cases.with_signals:
+            elevation = self.world.elevation
+            self.mappings = mappings_of(elevation, self.interval_s, self.epochs_each)
         slots = [f"slot{s:02d}" for s in range(self.world.channels)]
         self.weight_names = tuple(slots)
         self.geometry_names = (
@@ -131,6 +146,13 @@ class TightlyCoupledSetup(Setup):
             *(f"visible_{slot}" for slot in slots),
         )
         self._check_first_fixes()
+
+    def world_settings(self) -> dict[str, Any]:
+        """Scenario but for its name, receiver and domain."""
+        scenario = describe(self.scenario)
+        del scenario["name"]
+        parts = {"receiver": self.receiver, "domain": self.domain}
+        return {"scenario": scenario, **{name: describe(part) for name, part in parts.items()}}
 
     @property
     def title(self) -> str:
@@ -200,6 +222,13 @@ def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
     return victim
 
 
+def _unscaled(detector: Detector) -> tuple[Detector, float]:
+    """A detector, and the factor on its thresholds."""
+    if type(detector) is Calibrated and detector.scale is not None and not detector.rescaled:
+        return detector.detector, detector.scale
+    return detector, 1.0
+
+
 class TightlyCoupledSimulator(Simulator):
     """B tightly coupled receivers; kernels work on slices of them, possibly in threads.
 
@@ -210,13 +239,21 @@ class TightlyCoupledSimulator(Simulator):
 
     def _allocate(self) -> None:
         world, receivers = self.setup.world, self.receivers
-        self.buffers = ReceiverBuffers(receivers, world.channels, self.fields)
-        self.sensors = SensorBuffers(receivers, world.channels)
+        augmented = self.setup.receiver.tuning == "augmented"
+        wanted = self.fields | AUGMENTED_NEEDS if augmented else self.fields
+        self.buffers = ReceiverBuffers(receivers, world.channels, wanted)
+        signals = self.setup.combinations.with_signals
+        self.sensors = SensorBuffers(receivers, world.channels, with_signals=signals)
         self.epoch = epoch_view(self.buffers)
-        self._is_sound = True
         self._everyone = np.arange(receivers)
         self._serial = receivers <= LANES
+        self._verdicts: dict[int, Verdict] = {}
         self.memory.declare("combination", np.zeros(receivers, dtype=np.int64))
+        self.augmented: AugmentedFilter | None = None
+        if augmented:
+            model = self.setup.combinations.signal_model(self.setup.interval_s)
+            self.augmented = AugmentedFilter(self.memory, model, self.setup.interval_s)
+        self._predicted: Predicted | None = None
         self.attack = copy.deepcopy(self.setup.attack)
         self.attack.bind(AttackContext(receivers, world))
         self._hold_arguments()
@@ -224,7 +261,7 @@ class TightlyCoupledSimulator(Simulator):
     def _hold_arguments(self) -> None:
         """Collect what the kernel takes: what stays the same, and what stands for nothing."""
         world, receiver = self.setup.world, self.setup.receiver
-        buffers, sensors, one = self.buffers, self.sensors, np.zeros((1, 1))
+        buffers, sensors = self.buffers, self.sensors
         sizes = padded(6 * world.most_samples), padded(2 * world.channels)
         rules = (receiver.covariance_code, receiver.min_satellites, receiver.orthonormalize, *sizes)
         self._work_rows = _kernels_of_receiver.work_rows(world.channels, *sizes)
@@ -238,25 +275,32 @@ class TightlyCoupledSimulator(Simulator):
             world.epoch_end,
             world.satellites,
             np.array(rules, dtype=np.int64),
+            sensors.signals.data,
+            self.setup.mappings,
             world.position_e,
             world.velocity_e,
             attack.mask,
             attack.slots,
             attack.kernel_settings,
         )
-        nothing = _kernels.NO_FORM
-        self._no_attack = nothing, True, one, one, one, np.zeros((1, 1, 3)), one
-        self._no_detector = nothing, np.zeros(3), one, one, one, one
+        one, no_alarm = np.zeros((1, 1)), np.zeros((1, 1), dtype=np.bool_)
+        self._no_axes, self._no_action = np.zeros(0), one
+        self._nothing = one, one, self._no_axes, np.zeros(6), np.zeros(4), one, one
+        self._no_memories = ArrayTable((*self._nothing, one, one, no_alarm))
+        self._memories, self._known = self._no_memories, (_kernels.NO_FORM, 0, 0, 0)
+        self._found: set[int] = set()
+        self._kernel = self.setup.kernel or OWN_KERNEL
 
     def _context(self) -> DetectorContext:
         setup = self.setup
-        world, variance = setup.world, setup.combinations.largest_variance
-        sizes = self.receivers, world.channels
-        return DetectorContext(*sizes, setup.interval_s, variance, world.satellite_ids)
+        world, cases = setup.world, setup.combinations
+        sizes, variance = (self.receivers, world.channels), cases.largest_variance
+        single = np.sqrt(cases.largest_epoch_variance)
+        return DetectorContext(*sizes, setup.interval_s, variance, world.satellite_ids, single)
 
     def __getstate__(self) -> dict[str, Any]:
         """State without views of the buffers, which a copy makes of its own."""
-        views = ("epoch", "_table", "_spare")
+        views = ("epoch", "_table", "_memories", "_no_memories", "_known", "_spare")
         return {name: value for name, value in self.__dict__.items() if name not in views}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -286,11 +330,11 @@ class TightlyCoupledSimulator(Simulator):
         memory: Memory = self.attack.memory
         return memory
 
-    def step_arrays(self) -> tuple[NDArray[np.int64], NDArray[np.bool_], FloatArray, FloatArray]:
-        """Epochs, coasting, commanded displacement and rate, for kernels."""
-        memory = self.attack.memory
+    def step_arrays(self) -> StepArrays:
+        """Epochs, coasting, commanded displacement and rate, target direction, for kernels."""
+        memory, direction = self.attack.memory, self.memory["direction"]
         coasting = self.buffers.coasting
-        return self.sensors.epoch, coasting, memory["displacement"], memory["rate"]
+        return self.sensors.epoch, coasting, memory["displacement"], memory["rate"], direction
 
     def _draw(self, rngs: Rngs) -> NDArray[np.uint64]:
         self.sensors.draw_keys(self._everyone, rngs)
@@ -322,59 +366,58 @@ class TightlyCoupledSimulator(Simulator):
 
     def _start_combinations(self) -> None:
         """Draw the errors, and give the victims what they assume."""
-        indices = self.memory["combination"]
+        indices, combinations = self.memory["combination"], self.setup.combinations
         fields = self.buffers.fields
         for index in np.unique(indices).tolist():
-            its, rows = self.setup.combinations[index], np.flatnonzero(indices == index)
-            self.sensors.begin(rows, its.grade, its.errors, its.bias_sd)
+            its, rows = combinations[index], np.flatnonzero(indices == index)
+            drawn, interval_s = combinations.drawn, self.setup.interval_s
+            self.sensors.begin(
+                rows, its.grade, its.errors, its.bias_sd, interval_s=interval_s, drawn=drawn
+            )
             fields.put("noise_variance", rows, its.noise_variance)
             fields.put("noise_psd", rows, its.noise_psd)
             self.buffers.put_covariance(rows, its.covariance)
+            if self.augmented is not None:
+                self.augmented.begin(rows, its.covariance, self.setup.receiver.grade)
+        if combinations.events is not None:
+            self._draw_events(combinations.events)
 
-    def _epochs(
-        self,
-        what: int,
-        lo: int,
-        hi: int,
-        *,
-        count: int = 1,
-        attack: tuple[Any, ...] | None = None,
-        detector: tuple[Any, ...] | None = None,
-    ) -> None:
+    def _draw_events(self, events: BenignEvents) -> None:
+        """Draw what looks like spoofing and is none, for new episodes."""
+        setup, world, signals = self.setup, self.setup.world, self.sensors.signals
+        lasts = setup.live + setup.steps + setup.hold
+        sky = setup.interval_s, world.visible, world.azimuth, world.elevation
+        for row in range(self.receivers):
+            first = int(self.onset[row]) - setup.live + 1
+            found = draw_events(
+                events, self.memory["key"][row], Window(first, first + lasts - 1, *sky)
+            )
+            for name, value in found.items():
+                signals.put(name, [row], value)
+
+    def _epochs(self, what: int, lo: int, hi: int, *, count: int = 1) -> None:
+        """Run a slice without an attack and a detector of the kernel's own."""
+        tables = self._table.entries, self._no_memories.entries
+        rest = _kernels.NO_FORM, True, _kernels.NO_FORM, what, count
+        self._call((*self._kernel.nothing, *tables, self._no_action, self.weights), rest, lo, hi)
+
+    def _call(self, arrays: tuple[Any, ...], rest: tuple[int, ...], lo: int, hi: int) -> None:
         """Call the kernel for a slice, with scratch memory that no other thread has."""
         try:
             work = self._spare.pop()
         except IndexError:
             work = self.buffers.fields.scratch(self._work_rows)
-        attack_form, hold, *moved = self._no_attack if attack is None else attack
-        detector_form, *judged = self._no_detector if detector is None else detector
-        arrays = self._table.entries, *moved, *judged, self.weights, work
-        rest = attack_form, hold, detector_form, what, count, lo, hi
-        given: tuple[Any, ...] = (*arrays, *rest)
-        sound = _kernels.run_epochs(*given)
+        found = self._kernel.function(*arrays, work, *rest, lo, hi)
         self._spare.append(work)
-        if not sound:
-            self._is_sound = False
+        if found:
+            self._found.add(found)
 
-    def _compiled_attack(self, command: FloatArray | None) -> tuple[Any, ...] | None:
-        """Arguments of an attack that the kernel itself makes, else None."""
+    def _compiled_attack(self) -> int:
+        """Number of the attack's compiled form, if it has one."""
         attack = self.attack
-        form = ATTACK_FORMS.get(type(attack), _kernels.NO_FORM)
-        if form == _kernels.NO_FORM or self.clean is not None or not attack.is_perfect:
-            return None
-        memory = attack.memory
-        hold = command is None
-        if command is None or command.dtype != np.float64 or not command.flags.carray:
-            command = attack.idle if command is None else np.array(command, dtype=np.float64)
-        return (
-            form,
-            hold,
-            command,
-            memory["displacement"],
-            memory["rate"],
-            memory.get("to_ecef", self._no_attack[5]),
-            memory["target_error"],
-        )
+        if self.clean is not None or not attack.is_perfect:
+            return _kernels.NO_FORM
+        return ATTACK_FORMS.get(type(attack), _kernels.NO_FORM)
 
     def _attack(self, command: FloatArray | None, lo: int, hi: int) -> None:
         """Let an attack without a compiled form write what it adds to the measurements."""
@@ -395,8 +438,67 @@ class TightlyCoupledSimulator(Simulator):
     def _form_epoch(self) -> Epoch:
         return self.epoch
 
+    def _augment(self) -> None:
+        """Take what the augmented filter knows out of the innovations that a kernel has formed."""
+        if self.augmented is None:
+            return
+        buffers, setup, n = self.buffers, self.setup, self.setup.world.channels
+        seen, fields = buffers.seen, buffers.fields
+        mapping = setup.mappings[self.epochs] if setup.mappings.size else np.zeros((1, n, MAPPINGS))
+        predicted = self.augmented.predict(
+            seen["transition"],
+            seen["imu_delta"],
+            fields["noise_psd"],
+            buffers.interval,
+            seen["design"],
+            mapping,
+            buffers.visible,
+            seen["innovation"],
+            fields["noise_variance"],
+            setup.receiver.min_satellites,
+        )
+        self._predicted = predicted
+        seen["innovation"][:] = predicted.innovation
+        seen["innovation_cov"][:] = predicted.S
+        seen["innovation_variance"][:] = np.einsum("bii->bi", predicted.S)
+        if "predicted_cov" in seen:
+            P = self.memory["augmented_covariance"]
+            seen["predicted_cov"][:] = P[:, :STATES, :STATES]
+
+    def _correct_augmented(self, weights: FloatArray | None) -> None:
+        """Update by the augmented filter, and feed the errors of the 17 states back."""
+        if self.augmented is None or self._predicted is None:
+            raise RuntimeError("an augmented filter is updated after it has predicted")
+        predicted, fields = self._predicted, self.buffers.fields
+        dx = self.augmented.update(predicted, weights)
+        C, x = fields["C_eb"], dx[:, :3, None]
+        turned = np.stack(
+            [
+                x[:, 1] * C[:, 2] - x[:, 2] * C[:, 1],
+                x[:, 2] * C[:, 0] - x[:, 0] * C[:, 2],
+                x[:, 0] * C[:, 1] - x[:, 1] * C[:, 0],
+            ],
+            axis=1,
+        )
+        C = C - turned
+        if self.setup.receiver.orthonormalize:  # one step towards the nearest rotation
+            C = 0.5 * (C @ (3.0 * np.eye(3) - C.transpose(0, 2, 1) @ C))
+        fields["C_eb"] = C
+        fields["velocity_e"] = fields["velocity_e"] - dx[:, 3:6]
+        fields["position_e"] = fields["position_e"] - dx[:, 6:9]
+        fields["accel_bias_b"] = fields["accel_bias_b"] + dx[:, 9:12]
+        fields["gyro_bias_b"] = fields["gyro_bias_b"] + dx[:, 12:15]
+        fields["clock"] = fields["clock"] + dx[:, 15:]
+        self.buffers.position_e[:] = fields["position_e"]
+        self.buffers.velocity_e[:] = fields["velocity_e"]
+        self.buffers.coasting[:] = ~predicted.enough
+        P = self.memory["augmented_covariance"]
+        self.buffers.put_covariance(self._everyone, P[:, :STATES, :STATES])
+
     def _correct(self, weights: FloatArray | None) -> None:
-        if self._serial:
+        if self.augmented is not None:
+            self._correct_augmented(weights)
+        elif self._serial:
             self._epochs(UPDATE, 0, self.receivers)
         else:
             self._run(partial(self._epochs, UPDATE), self.receivers)
@@ -406,79 +508,139 @@ class TightlyCoupledSimulator(Simulator):
         what: int,
         command: FloatArray | None,
         attacked: bool,
-        detector: tuple[Any, ...] | None = None,
+        form: int,
+        detector: int = _kernels.NO_FORM,
+        sequel: Sequel | None = None,
     ) -> None:
-        """Run kernels that begin with an attack, or none."""
-        attack = self._compiled_attack(command) if attacked else None
-        if attack is not None:
-            what += _kernels.ATTACK
-        in_python = attacked and attack is None
+        """Run kernels that begin with an attack of some form, or none, as `step` does."""
+        action, in_python = self._no_action, attacked and form == _kernels.NO_FORM
+        if form != _kernels.NO_FORM:
+            what, action = what + _kernels.ATTACK, self.attack.idle if command is None else command
+            if action.dtype != np.float64 or not action.flags.carray:
+                action = np.array(action, dtype=np.float64, order="C")
+        known = form, detector, self.attack.memory.stamp, self.detector.memory.stamp
+        if known != self._known:
+            self._memories, self._known = self._memory_table(form, detector), known
+        first = self._kernel.nothing
+        if sequel is not None:
+            what, first = what + _kernels.SCORE, sequel.arrays(self)
+        tables = self._table.entries, self._memories.entries
+        arrays: tuple[Any, ...] = *first, *tables, action, self.weights
+        rest = form, command is None, detector, what, 1
+        if self._serial and not in_python:
+            self._call(arrays, rest, 0, self.receivers)
+            return
 
         def work(lo: int, hi: int) -> None:
             """Attack in Python first, where it has no compiled form."""
             if in_python:
                 self._attack(command, lo, hi)
-            self._epochs(what, lo, hi, attack=attack, detector=detector)
+            self._call(arrays, rest, lo, hi)
 
-        if self._serial and not in_python:
-            self._epochs(what, 0, self.receivers, attack=attack, detector=detector)
-        elif self._serial:
+        if self._serial:
             work(0, self.receivers)
         else:
             self._run(work, self.receivers)
 
+    def _memory_table(self, form: int, detector: int) -> ArrayTable:
+        """What attack and detector remember, where the kernel has them, and the verdict."""
+        arrays: list[NDArray[Any]] = list(self._no_memories.arrays)
+        if form != _kernels.NO_FORM:
+            memory = self.attack.memory
+            arrays[:2] = memory["displacement"], memory["rate"]
+            arrays[2:4] = getattr(self.attack, "axes_e", self._no_axes), memory["target_error"]
+        if detector in (_kernels.EWMA, _kernels.PASSIVE_EWMA):
+            chart, scale = _unscaled(self.detector)
+            memory, settings = chart.memory, cast("Ewma", chart).kernel_settings
+            arrays[4:7] = np.append(settings, scale), memory["average"], memory["decay"]
+        if detector != _kernels.NO_FORM:
+            arrays[7:] = self._compiled_verdict(detector)[:3]
+        return ArrayTable(arrays)
+
+    def _compiled_verdict(self, detector: int) -> Verdict:
+        """The verdict of a compiled detector, which every epoch overwrites."""
+        if detector not in self._verdicts:
+            never = detector == _kernels.NEVER
+            shape = (self.receivers, 1) if never else self.buffers.visible.shape
+            alarm = np.zeros(shape, dtype=np.bool_)
+            weights = np.ones(self.ones.shape) if detector == _kernels.EWMA else None
+            threshold = np.full(shape, _unscaled(self.detector)[1])
+            self._verdicts[detector] = Verdict(np.zeros(shape), threshold, alarm, weights)
+        return self._verdicts[detector]
+
     def predict(self, command: FloatArray | None) -> Epoch:
         """First half of an epoch under attack; the epoch's arrays follow the buffers."""
-        self._first_half(ADVANCE + SHOW, command, True)
+        self._first_half(ADVANCE + SHOW, command, True, self._compiled_attack())
+        self._augment()
         return self.epoch
 
     def advance(self) -> Epoch:
         """First half of an epoch without attack: measure, mechanize, predict."""
-        self._first_half(ADVANCE + SHOW, None, False)
+        self._first_half(ADVANCE + SHOW, None, False, _kernels.NO_FORM)
+        self._augment()
         return self.epoch
 
-    def step(self, command: FloatArray | None = None, *, attacked: bool = True) -> Verdict:
-        """Both halves of an epoch, in one kernel where nothing in Python comes between."""
-        judge = self._compiled_detector()
-        if judge is None:
-            return super().step(command, attacked=attacked)
-        self._is_sound = True
-        self._first_half(ADVANCE + SHOW + JUDGE + UPDATE, command, attacked, detector=judge)
-        statistic, threshold, detector = judge[4], judge[5], self.detector
-        in_loop = self.weights if judge[0] == _kernels.EWMA else None
-        verdict = Verdict(statistic, threshold, statistic > threshold, in_loop)
-        self.verdict = verdict if self._is_sound else checked(verdict, detector, self.epoch)
-        return self.verdict
+    def step(
+        self,
+        command: FloatArray | None = None,
+        *,
+        attacked: bool = True,
+        sequel: Sequel | None = None,
+    ) -> Verdict:
+        """Both halves of an epoch, in one kernel where nothing in Python comes between.
 
-    def _compiled_detector(self) -> tuple[Any, ...] | None:
-        """Arguments of a detector that the kernel itself asks, else None; sets the weights."""
-        detector = self.detector
-        if self.monitors:
-            return None
+        The `sequel` is part of it where nothing in Python comes before it, either.
+        """
+        detector = self._compiled_detector()
+        if detector == _kernels.NO_FORM:
+            return super().step(command, attacked=attacked, sequel=sequel)
+        verdict = self._compiled_verdict(detector)
+        self.weights = self.ones if verdict.weights is None else verdict.weights
+        form, what = _kernels.NO_FORM, ADVANCE + SHOW + JUDGE + UPDATE
+        if attacked:
+            form = self._compiled_attack()
+        within = sequel
+        if form == _kernels.NO_FORM or self.setup.kernel is None:
+            within = None
+        self._found.clear()
+        self._first_half(what, command, attacked, form, detector, within)
+        if _kernels.UNSOUND in self._found:
+            checked(verdict, self.detector, self.epoch)
+        self.verdict = verdict
+        if within is None and sequel is not None:
+            sequel(self, verdict)
+        elif within is not None and _kernels.FINISHED in self._found:
+            within.hold(self, verdict)
+        return verdict
+
+    def _compiled_detector(self) -> int:
+        """Number of the detector's compiled form, if it has one."""
+        if self.monitors or self.augmented is not None:
+            return _kernels.NO_FORM
+        detector, _ = _unscaled(self.detector)
         if type(detector) is Never:
-            self.weights, (_, settings, one, *_) = self.ones, self._no_detector
-            shape = self.receivers, 1
-            return _kernels.NEVER, settings, one, one, np.zeros(shape), np.ones(shape)
+            return _kernels.NEVER
         if type(detector) is not Ewma or detector.limits_exclusions:
-            return None
-        memory, shape = detector.memory, self.buffers.visible.shape
-        self.weights = np.empty(self.ones.shape)
-        form = _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
-        charts = detector.kernel_settings, memory["average"], memory["decay"]
-        return form, *charts, np.empty(shape), np.empty(shape)
+            return _kernels.NO_FORM
+        return _kernels.PASSIVE_EWMA if detector.weight_scale is None else _kernels.EWMA
 
     def quiet_epochs(self, count: int) -> None:
         """Run clean epochs without a detector, in one kernel call."""
         self.weights = self.ones
+        if self.augmented is not None:
+            for _ in range(count):
+                self.advance()
+                self._correct(None)
+            return
         part = partial(self._epochs, ADVANCE + UPDATE + SHOW, count=count)
         self._run(part, self.receivers)
 
     def error_n(self) -> FloatArray:
-        """(B, 3) error of the estimate in the local axes at the onset: north, east, down [m]."""
+        """(B, 3) error of the estimate in the local axes of the epoch: north, east, down [m]."""
         world = self.setup.world
         error_e = self.buffers.position_e - world.position_e[self.epochs]
         # a sum of products, since the bits of a matrix product depend on the size of the batch
-        result: FloatArray = (error_e[:, :, None] * world.C_en[self.onset]).sum(axis=1)
+        result: FloatArray = (error_e[:, :, None] * world.C_en[self.epochs]).sum(axis=1)
         return result
 
     def displacement(self, origin: FloatArray, twin: Self | None, out: FloatArray) -> None:
@@ -487,8 +649,16 @@ class TightlyCoupledSimulator(Simulator):
         reference = (setup.true_position, self.sensors.epoch)
         if twin is not None:
             reference = (twin.buffers.position_e, self._everyone)
-        aim = memory["onset"], memory["direction"], setup.target_heading_deg == "worst"
-        displace(self.buffers.position_e, *reference, setup.C_en, *aim, origin, out)
+        aim = self.sensors.epoch, memory["direction"], setup.target_heading_deg == "worst"
+        between = 0, self.receivers
+        displace(self.buffers.position_e, *reference, setup.C_en, *aim, origin, out, *between)
+
+    def scored_arrays(self) -> tuple[NDArray[Any], ...]:
+        """`step_arrays`, and what `displace` needs to know, for kernels."""
+        setup, moved = self.setup, self.attack.memory
+        now = self.sensors.epoch, self.buffers.coasting, moved["displacement"], moved["rate"]
+        position_e = self.buffers.position_e, setup.true_position
+        return *now, *position_e, setup.C_en, self.memory["direction"]
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         """Take over receivers of another simulator, with all that they remember."""

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .._describe import describe
 from .._registry import build_record, check_finite
 from ..detectors import Detector, DetectorContext
 from ..receiver.credible import AXES, CredibleBatch, CredibleFilter
@@ -79,6 +80,12 @@ class WheeledRobotSetup(Setup):
     """
 
     kind: ClassVar[str] = "robot"
+    env_id: ClassVar[str] = "spoofgym/WheeledRobot-v0"
+    of_attack: ClassVar[frozenset[str]] = Setup.of_attack | {
+        "displacement_scale_m",
+        "position_scale_m",
+        "velocity_scale_mps",
+    }
     whose: ClassVar[str] = "a wheeled robot"
     has: ClassVar[frozenset[str]] = Setup.has | {"gnss_position", "auxiliary_position"}
     domain_names: ClassVar[frozenset[str]] = frozenset({"start_s"})
@@ -115,10 +122,9 @@ class WheeledRobotSetup(Setup):
             self.kind, ("north_rate", "east_rate"), (float(rate_limit_mps),) * 2
         )
         self.scales = {
-            "displacement_m": displacement_scale_m,
+            "length_m": displacement_scale_m,
             "position_m": position_scale_m,
             "velocity_mps": velocity_scale_mps,
-            "error_m": displacement_scale_m,
         }
         self.loop = build_record("loop", RobotLoop, loop)
         self.odometer = build_record("odometer", Odometer, odometer)
@@ -129,7 +135,14 @@ class WheeledRobotSetup(Setup):
         timeline = build_record("timeline", Timeline, timeline, DEFAULT_TIMELINE)
         self._phase(detector, timeline, float(interval_s), decision_interval_s, between)
         self._drive()
+        self._interruptions_s = interruptions_s
         self._interrupt(interruptions_s)
+
+    def world_settings(self) -> dict[str, Any]:
+        """Course, odometer, fixes, receiver and domain."""
+        names = ("loop", "odometer", "fix_errors", "receiver", "domain")
+        parts = {name: describe(getattr(self, name)) for name in names}
+        return {**parts, "interruptions_s": [list(pair) for pair in self._interruptions_s]}
 
     def _drive(self) -> None:
         """Truth of the run, at the encoders' samples and at the epochs."""

@@ -10,12 +10,15 @@ from ..policies.onnx_model import SUFFIX
 from .accelerating_ramp import AcceleratingRamp
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .card import Card
+from .dash import Dash
+from .feedback import Feedback
 from .intermittent import Intermittent
 from .learned import OnnxPolicy
 from .none import NoSpoofer
 from .paper_attacks import PAPER_ATTACKS, PaperAttack
 from .profile import Profile
 from .ramp import Ramp
+from .scaled import Scaled, split_amplitude, with_amplitude
 from .step import Step
 from .zoo import card_of, shipped, spec_of_shipped
 
@@ -26,12 +29,15 @@ __all__ = [
     "SUFFIX",
     "AcceleratingRamp",
     "Card",
+    "Dash",
+    "Feedback",
     "Intermittent",
     "NoSpoofer",
     "OnnxPolicy",
     "PaperAttack",
     "Profile",
     "Ramp",
+    "Scaled",
     "ScriptedSpoofer",
     "Spoofer",
     "SpooferContext",
@@ -44,6 +50,8 @@ __all__ = [
 
 SPOOFERS: dict[str, type[Spoofer]] = {
     "accelerating-ramp": AcceleratingRamp,
+    "feedback": Feedback,
+    "dash": Dash,
     "intermittent": Intermittent,
     "none": NoSpoofer,
     "onnx-policy": OnnxPolicy,
@@ -96,6 +104,7 @@ def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
     spec : str, dict or Spoofer
         A name in `SPOOFERS`, of a shipped spoofer, or the path of an ``.onnx`` file with its card
         in the same folder; ``{"name": ..., "setting": value, ...}``; or a spoofer, which is copied.
+        With a name, ``"amplitude"`` is a factor on all that it commands (`Scaled`).
 
     Returns
     -------
@@ -116,8 +125,10 @@ def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
     >>> make_spoofer({"name": "ramp", "rate_mps": 0.2})
     Ramp(heading_deg=90.0, rate_mps=0.2)
     """
-    resolved = resolve(spec)
+    plain, amplitude = split_amplitude(spec)
+    resolved = resolve(plain)
     name = resolved.get("name") if isinstance(resolved, Mapping) else resolved
     if isinstance(name, str):
         check_choice("spoofer", name, [*SPOOFERS, *shipped()])
-    return build("spoofer", SPOOFERS, Spoofer, resolved, more=shipped())
+    made = build("spoofer", SPOOFERS, Spoofer, resolved, more=shipped())
+    return with_amplitude(made, amplitude)

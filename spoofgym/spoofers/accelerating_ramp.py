@@ -36,7 +36,7 @@ class AcceleratingRamp(ScriptedSpoofer):
     def bind(self, context: SpooferContext) -> None:
         """Prepare for a batch of receivers."""
         super().bind(context)
-        if context.control == "acceleration":
+        if context.control != "rate":
             limit = context.acceleration_limit_mps2
             check_limit(self, "acceleration_mps2", "acceleration_limit_mps2", limit)
 

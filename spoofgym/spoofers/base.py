@@ -14,7 +14,14 @@ from .aim import Aim, check_heading
 from .context import SpooferContext as SpooferContext
 
 FloatArray = NDArray[np.float64]
-KNOWLEDGE = ("blind", "tracking", "oracle")
+KNOWLEDGE = (
+    "blind",
+    "tracking",
+    "oracle",
+    "blind+reported",
+    "tracking+reported",
+    "oracle+reported",
+)
 
 
 class Spoofer(Policy[SpooferContext]):
@@ -25,11 +32,13 @@ class Spoofer(Policy[SpooferContext]):
 
     Attributes
     ----------
-    knowledge : {"blind", "tracking", "oracle"}
-        What it observes at run time: its own commands and time; also the target's true motion and
-        the satellites; also the victim's statistics.
+    knowledge : str
+        What it observes at run time, one of `KNOWLEDGE`: its own commands and time (blind); also
+        the target's true motion and the satellites (tracking); also the victim's statistics
+        (oracle); to each of them ``+reported`` adds the position that the victim broadcasts.
     tunable : str or None
-        Setting that a search under an alarm budget varies; more of it displaces further.
+        Setting that a search under an alarm budget varies; more of it displaces further.  None for
+        the factor on all commands that every spoofer has, `Scaled`.
     label : str or None
         Short name in results; by default it is made of the registered name and the settings.
     designed_on : str
@@ -142,13 +151,18 @@ class ScriptedSpoofer(Spoofer):
             (B,) [m/s]; cut to what the attack's limits allow.
         """
 
+    def wanted_rate(self, observation: NDArray[np.float32]) -> FloatArray:
+        """(B,) `next_rate` of all receivers [m/s]; a spoofer that is not blind looks here."""
+        memory = self.memory
+        return self.next_rate(memory["step"], memory["rate"], memory["displacement"])
+
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         """Command the attack for the coming epoch.
 
         Parameters
         ----------
         observation : ndarray
-            (B, o); looked at for the target direction alone, where that is the heading.
+            (B, o); a blind one looks at the target direction alone, where that is the heading.
 
         Returns
         -------
@@ -157,16 +171,18 @@ class ScriptedSpoofer(Spoofer):
         """
         context, memory = self.context, self.memory
         rate = memory["rate"]
-        wanted = self.next_rate(memory["step"], rate, memory["displacement"])
-        limit = context.rate_limit_mps
+        wanted = self.wanted_rate(observation)
+        _, limit = context.largest_rate
         after = np.clip(wanted, -limit, limit)
         if context.control == "rate":
             size, mean = after / limit, after
         else:
             most = context.acceleration_limit_mps2 * context.interval_s
-            size = np.clip((after - rate) / most, -1.0, 1.0)
+            asked, size = after, np.clip((after - rate) / most, -1.0, 1.0)
             after = rate + size * most
             mean = 0.5 * (rate + after)
+            if context.setpoint_mps is not None:
+                size = asked / context.setpoint_mps
         memory["displacement"] = memory["displacement"] + mean * context.interval_s
         memory["rate"] = after
         memory["step"] = memory["step"] + 1.0

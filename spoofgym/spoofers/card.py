@@ -25,14 +25,15 @@ class Conditions(Record):
     """What an attack has to be like for the actions to mean what they meant.
 
     `acceleration_limit_mps2`, `rate_limit_mps`: of the attack; with control by rate the first one
-    does not matter.
+    does not matter; `setpoint_mps`: rate that an action of 1 asks for, with control by set-point.
     """
 
     interval_s: PositiveFloat
     steps: PositiveInt
-    control: Literal["rate", "acceleration"]
+    control: Literal["rate", "acceleration", "setpoint"]
     acceleration_limit_mps2: PositiveFloat
     rate_limit_mps: PositiveFloat
+    setpoint_mps: PositiveFloat | None = None
 
 
 class Knowledge(Record):
@@ -42,7 +43,14 @@ class Knowledge(Record):
     detector, receiver, scenario.
     """
 
-    run_time: Literal["blind", "tracking", "oracle"]
+    run_time: Literal[
+        "blind",
+        "tracking",
+        "oracle",
+        "blind+reported",
+        "tracking+reported",
+        "oracle+reported",
+    ]
     design_time: str = Field(min_length=1)
 
 
@@ -50,15 +58,20 @@ class Score(Record):
     """What a spoofer reached against one detector.
 
     - `split`: which seeds: those of training, calibration or evaluation;
+    - `counted`: runs that are silent before the onset and without attack, over which displacement
+      and `alarm_rate` are taken; None on a card that was scored before that was the rule, over all
+      runs;
     - `low`, `high`: 95 % interval of the mean [m];
-    - `alarm_rate`, `clean_alarm_rate`: parts of the runs with an alarm, under attack and without;
-    - `budget`: how much more often than without attack an alarm may come.
+    - `alarm_rate`: part of these runs with an alarm; `clean_alarm_rate`: of all without attack;
+    - `budget`: largest `alarm_rate`, by its upper limit on the runs of the choice; without
+      `counted`, how far it may be above the clean one.
     """
 
     detector: str
     split: str
     entropy: NonNegativeInt
     runs: PositiveInt
+    counted: PositiveInt | None = None
     undetected_displacement_m: float
     low: float
     high: float
@@ -157,7 +170,13 @@ class Card(PolicyCard):
         on_card, of_attack = self.conditions.model_dump(), _conditions_of(context)
         if self.conditions.control == of_attack["control"] == "rate":
             del on_card["acceleration_limit_mps2"], of_attack["acceleration_limit_mps2"]
-        found = unlike_spaces(self.observation, self.action, context)
+        found, controls = [], {on_card["control"], of_attack["control"]}
+        if self.kind == "profile" and controls == {"acceleration", "setpoint"}:
+            # the same rates come of commands of acceleration and of set-points that it follows
+            for name in ("control", "setpoint_mps"):
+                del on_card[name], of_attack[name]
+        else:
+            found = unlike_spaces(self.observation, self.action, context)
         return found + unlike(on_card, of_attack, "conditions")
 
 

@@ -16,8 +16,9 @@ class SpooferContext(NamedTuple):
         Time between commands.
     steps : int
         Commands of an episode.
-    control : {"rate", "acceleration"}
-        What an action of 1 commands: the limit of the rate, or of the acceleration.
+    control : {"rate", "acceleration", "setpoint"}
+        What an action of 1 commands: the limit of the rate or of the acceleration, or a wanted rate
+        that the acceleration follows.
     acceleration_limit_mps2, rate_limit_mps : float
         Of the attack; with control by rate the first one does not bind.
     action_names : tuple of str
@@ -26,6 +27,8 @@ class SpooferContext(NamedTuple):
         (o,) name of every element of an observation.
     observation_low, observation_high : tuple of float
         (o,) bounds of every element; empty where they are not known.
+    setpoint_mps : float or None
+        Rate that an action of 1 asks for, with control by set-point.
     """
 
     receivers: int
@@ -38,3 +41,11 @@ class SpooferContext(NamedTuple):
     observation_names: tuple[str, ...] = ()
     observation_low: tuple[float, ...] = ()
     observation_high: tuple[float, ...] = ()
+    setpoint_mps: float | None = None
+
+    @property
+    def largest_rate(self) -> tuple[str, float]:
+        """Largest rate that actions can ask for [m/s], after the name of what limits it."""
+        if self.setpoint_mps is not None and self.setpoint_mps < self.rate_limit_mps:
+            return "full_scale_mps` of the action `rate-setpoint", self.setpoint_mps
+        return "rate_limit_mps", self.rate_limit_mps

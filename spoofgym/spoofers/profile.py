@@ -64,13 +64,13 @@ class Profile(ScriptedSpoofer):
         super().bind(context)
         self._along = sampled(self.rates_mps, context.steps)
         self._across = sampled(self.cross_rates_mps or (0.0, 0.0), context.steps)
-        self._check_limit(context.rate_limit_mps)
+        self._check_limit(*context.largest_rate)
         if self.cross_rates_mps:
             self._right = _to_the_right(context, self.heading_deg)
             for name in ("cross_rate", "cross_displacement"):
                 self.memory.declare(name, np.zeros(context.receivers))
 
-    def _check_limit(self, limit: float) -> None:
+    def _check_limit(self, limit_name: str, limit: float) -> None:
         """Raise where a rate is beyond the attack's limit."""
         fastest = {
             "`rates_mps`": np.abs(self.rates_mps).max(),
@@ -80,8 +80,7 @@ class Profile(ScriptedSpoofer):
         for name, rate in fastest.items():
             if rate > limit * (1.0 + 1e-12):
                 raise ValueError(
-                    f"{name} = {rate:g} is more than the attack allows: "
-                    f"`rate_limit_mps` = {limit:g}"
+                    f"{name} = {rate:g} is more than the attack allows: `{limit_name}` = {limit:g}"
                 )
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
@@ -103,14 +102,17 @@ class Profile(ScriptedSpoofer):
         context, memory = self.context, self.memory
         row, tau = self._row(memory["step"]), context.interval_s
         before = np.stack([memory["rate"], memory["cross_rate"]])
-        after = shortened(np.stack([self._along[row], self._across[row]]), context.rate_limit_mps)
+        _, limit = context.largest_rate
+        after = shortened(np.stack([self._along[row], self._across[row]]), limit)
         if context.control == "rate":
-            size, mean = after / context.rate_limit_mps, after
+            size, mean = after / limit, after
         else:
             most = context.acceleration_limit_mps2 * tau
-            size = shortened((after - before) / most, 1.0)
+            asked, size = after, shortened((after - before) / most, 1.0)
             after = before + size * most
             mean = 0.5 * (before + after)
+            if context.setpoint_mps is not None:
+                size = asked / context.setpoint_mps
         memory["rate"], memory["cross_rate"] = after[0].copy(), after[1].copy()
         memory["displacement"] = memory["displacement"] + mean[0] * tau
         memory["cross_displacement"] = memory["cross_displacement"] + mean[1] * tau

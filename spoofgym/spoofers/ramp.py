@@ -38,7 +38,7 @@ class Ramp(ScriptedSpoofer):
     def bind(self, context: SpooferContext) -> None:
         """Prepare for a batch of receivers."""
         super().bind(context)
-        check_limit(self, "rate_mps", "rate_limit_mps", context.rate_limit_mps)
+        check_limit(self, "rate_mps", *context.largest_rate)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         """Rate that is wanted at the end of the coming epoch.
@@ -53,8 +53,8 @@ class Ramp(ScriptedSpoofer):
 
         Returns `low`, `high` [m/s].
         """
-        high = context.rate_limit_mps
-        if context.control == "acceleration":
+        _, high = context.largest_rate
+        if context.control != "rate":
             reached = context.acceleration_limit_mps2 * context.steps * context.interval_s
             high = min(high, reached)
         return SLOWEST * high, high

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,8 @@ from numpy.typing import NDArray
 
 from ..attacks import Attack
 from ..envs.observer import Observer
-from ..envs.spoofer_binding import setup_of_card, spoofer_context
-from ..envs.terms.observation import default_terms
+from ..envs.spoofer_binding import bound_spoofer, setup_of_card
+from ..envs.terms.action import CommandMap
 from ..simulators import Engine, Setup, TightlyCoupledSetup, Timeline
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
 from ..spoofers.aim import TARGET
@@ -69,15 +68,17 @@ def check_spoofer(
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         setup = _setup(unbound, attack)
-        observer = Observer(default_terms(setup, unbound.knowledge), setup)
-        context = spoofer_context(setup, RECEIVERS, observer)
+        context, observer, commands = bound_spoofer(unbound, setup, RECEIVERS)
         _check_tuning(unbound, context)
-        observations = _perform(unbound, setup, observer, context)
+        observations = _perform(unbound, setup, observer, context, commands)
         run_trial(_SpooferTrial(unbound, context, observations))
 
 
 def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) -> Setup:
-    """Where a spoofer is tried: with a short warm-up, since its length means nothing to it."""
+    """Where a spoofer is tried: at the time on its card, or else after a short warm-up.
+
+    When the attack window is decides which elements of the target's motion are observed.
+    """
     card = getattr(spoofer, "card", None)
     if card is None:
         attack = "false-position" if attack is None else attack
@@ -94,7 +95,7 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
         receiver=own.receiver,
         attack=own.attack if attack is None else attack,
         detector=own.detector,
-        timeline=replace(TIMELINE, attack_s=own.timeline.attack_s),
+        timeline=own.timeline,
         target_heading_deg=own.target_heading_deg,
     )
 
@@ -131,18 +132,24 @@ def _bind(spoofer: Spoofer, context: SpooferContext) -> Spoofer:
 
 
 def _perform(
-    spoofer: Spoofer, setup: Setup, observer: Observer, context: SpooferContext
+    spoofer: Spoofer,
+    setup: Setup,
+    observer: Observer,
+    context: SpooferContext,
+    commands: CommandMap,
 ) -> list[Observation]:
     """Let the spoofer attack, and note what it sees."""
     engine = Engine(RECEIVERS, setup, threads=1)
     engine.reset([np.random.default_rng(seed) for seed in range(RECEIVERS)])
+    commands.aim(engine.simulator.heading)
     observations = []
     with no_global_chance("spoofer"):
         bound = _bind(spoofer, context)
         for k in range(min(COMMANDS, setup.steps)):
             seen = observer(engine, k)
             observations.append(seen.copy())
-            engine.step(_act(bound, seen, k))
+            action = _act(bound, seen, k)
+            engine.step(commands.command(action, engine.simulator.commanded_rate))
     return observations
 
 

@@ -22,7 +22,11 @@ from spoofgym.spoofers import Profile
 from spoofgym.spoofers.profile import sampled
 
 EAST = np.array([0.0, 1.0])
-ENV = {"timeline": {"warmup_s": 6.0, "live_s": 3.0, "attack_s": 20.0}, "knowledge": "blind"}
+ENV = {
+    "timeline": {"warmup_s": 6.0, "live_s": 3.0, "attack_s": 20.0},
+    "knowledge": "blind",
+    "action": "full-command",
+}
 PROFILE = Profile(heading_deg=90.0, rates_mps=(0.0, 0.3, 0.1, 0.4))
 ACCELERATION = {"name": "false-position", "acceleration_limit_mps2": 0.2, "rate_limit_mps": 1.0}
 
@@ -49,7 +53,7 @@ def envs() -> Iterator[SpoofVecEnv]:
 def columns(envs: SpoofVecEnv, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N,) rate to the east [m/s], and time since the onset as a part of the window."""
     names = envs.observation_names
-    rate = observations[:, names.index("own_rate_east")] * ACCELERATION["rate_limit_mps"]
+    rate = observations[:, names.index("own_rate_east")] * envs.core.setup.rate_scale_mps
     return rate, observations[:, names.index("time_since_onset")]
 
 

@@ -20,10 +20,10 @@ def test_ranges_are_those_of_the_meaconers_antenna(world, follows):
     attack = Meaconer(antenna_m=(40.0, 30.0, 0.0), follows=follows, control="rate")
     ranges, rates = offsets(attack, world, [(0.4,)] * 6)
     delay, k = 2.0 * 3.0, ONSET + 6
-    antenna = world.C_en[ONSET] @ [40.0, 30.0, 0.0]
+    antenna = world.C_en[k if follows else ONSET] @ [40.0, 30.0, 0.0]
     r, v = world.position_e[k], world.velocity_e[k]
     there = r + antenna if follows else world.position_e[ONSET] + antenna
-    speed = v if follows else np.zeros(3)
+    speed = v + world.axes_turning[k] @ [40.0, 30.0, 0.0] if follows else np.zeros(3)
     way = np.linalg.norm(there - r)
     closing = (there - r) @ (speed - v) / way
     for s in np.flatnonzero(world.visible[k]):

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from spoofgym.attacks import ATTACKS, AttackContext, FalsePosition, PerChannel, make_attack
+from spoofgym.earth.frames import ecef_to_geodetic
 from spoofgym.earth.ranging import range_and_rate
+from spoofgym.receiver._kernels import first_fix
 from spoofgym.sim.scenario import Scenario
 
 ONSET = 30
@@ -39,17 +41,17 @@ def command(attack, world, actions, start=ONSET):
 @pytest.mark.parametrize("start", [ONSET, ONSET + 400])
 def test_a_false_position_has_the_ranges_of_a_displaced_antenna(world, start):
     attack = FalsePosition(axes="ned", control="rate", rate_limit_mps=10.0)
-    C_en = world.local_frame(ONSET)  # axes stay those of the onset
     actions = [(0.6, 0.0, 0.0)] * 5 + [(0.0, -0.5, 0.8)] * 5
     steps = command(attack, world, actions, start)
     displacement = np.zeros(3)
     for action, (d_range, d_rate, k) in zip(actions, steps, strict=True):
         rate = 10.0 * np.array(action)
         displacement = displacement + 0.5 * rate
-        r, v = world.position_e[k], world.velocity_e[k]
+        r, v, C_en = world.position_e[k], world.velocity_e[k], world.C_en[k]
+        speed = v + C_en @ rate + world.axes_turning[k] @ displacement
         for s in np.flatnonzero(world.visible[k]):
             p = world.satellites[k, s, :6]
-            there = range_and_rate(*p, *(r + C_en @ displacement), *(v + C_en @ rate))
+            there = range_and_rate(*p, *(r + C_en @ displacement), *speed)
             here = range_and_rate(*p, *r, *v)
             assert d_range[s] == pytest.approx(there[0] - here[0], abs=2e-8)
             assert d_rate[s] == pytest.approx(there[1] - here[1], abs=1e-9)
@@ -57,12 +59,39 @@ def test_a_false_position_has_the_ranges_of_a_displaced_antenna(world, start):
         assert not d_rate[~world.visible[k]].any()
 
 
+def test_over_half_an_hour_the_counterfeit_keeps_its_height_and_its_bearing():
+    """The axes follow the target: 20 m/s to the east in a flight of 360 km.
+
+    In the axes of the onset the counterfeit would come to fly a kilometre too high.
+    """
+    world = Scenario(flight="airway").world()
+    attack = FalsePosition(axes="e", control="rate", rate_limit_mps=20.0)
+    steps = list(command(attack, world, [(1.0,)] * 3600))
+    ranges, rates = (np.array([step[i] for step in steps]) for i in (0, 1))
+    r, k = world.position_e, steps[-1][2]
+    measured = np.where(world.visible[k], world.satellites[k, :, 6] + ranges[-1], 0.0)
+    measured = np.stack([measured, world.satellites[k, :, 7] + rates[-1]])[None]
+    fix, speed, clock = np.empty((1, 3)), np.empty((1, 3)), np.empty((1, 2))
+    first_fix(measured, world.satellites, np.array([k]), r[k : k + 1], fix, speed, clock)
+    apart = (fix[0] - r[k]) @ world.C_en[k]
+    np.testing.assert_allclose(apart, [0.0, 36_000.0, 0.0], atol=1e-3)
+    height = ecef_to_geodetic(fix[0])[2] - ecef_to_geodetic(r[k])[2]
+    assert height == pytest.approx(36_000.0**2 / (2.0 * 6.38e6), rel=0.02)  # of a straight line
+    up = world.C_en[ONSET].T @ (r[k] - r[ONSET])
+    assert np.linalg.norm(up[:2]) > 200_000.0
+    fixed = r[k] + world.C_en[ONSET] @ [0.0, 36_000.0, 0.0]
+    assert abs(ecef_to_geodetic(fixed)[2] - ecef_to_geodetic(fix[0])[2]) > 500.0
+    # range rates are the derivatives of the ranges all the way
+    seen = world.visible[ONSET + 1 : k + 1].all(axis=0)
+    total = 0.25 * (rates[1:] + rates[:-1]).sum(axis=0)
+    np.testing.assert_allclose(total[seen], (ranges[-1] - ranges[0])[seen], rtol=0, atol=0.5)
+
+
 def test_a_push_towards_a_satellite_shortens_its_range(world):
     """Change of range = - u . displacement, and nothing is added to the clock."""
     attack = FalsePosition(axes="e", control="rate", rate_limit_mps=20.0)
-    C_en = world.local_frame(ONSET)
     *_, (d_range, d_rate, k) = command(attack, world, [(1.0,)] * 10)
-    east = C_en[:, 1]
+    east = world.local_frame(k)[:, 1]
     for s in np.flatnonzero(world.visible[k]):
         sight = world.satellites[k, s, :3] - world.position_e[k]
         u = sight / np.linalg.norm(sight)

@@ -81,7 +81,7 @@ def test_a_tracking_error_moves_the_antenna_that_is_counterfeited(world):
     attack = FalsePosition(control="rate", tracking={"bias_m": [3.0, -4.0, 5.0]})
     (*_, last), _ = offsets(attack, world, [(1.0, 0.0)] * 4)
     k = ONSET + 4
-    displaced = world.position_e[k] + world.C_en[ONSET] @ [3.0 + 10.0, -4.0, 5.0]
+    displaced = world.position_e[k] + world.C_en[k] @ [3.0 + 10.0, -4.0, 5.0]
     for s in np.flatnonzero(world.visible[k]):
         p, v = world.satellites[k, s, :6], world.velocity_e[k]
         there, here = (
@@ -168,7 +168,7 @@ def test_only_what_is_aligned_is_captured_and_it_stays_so(world):
 def played(attack, steps=15, receivers=3, **settings):
     """Core under random commands, and the innovations of its last epoch."""
     setup = TightlyCoupledSetup(
-        scenario="realistic",
+        scenario="trolley",
         receiver="matched",
         attack=attack,
         detector="never",
@@ -228,6 +228,39 @@ def test_counterfeit_errors_have_the_standard_deviations_given(world):
     assert abs((white[1:] * white[:-1]).mean()) < 0.05 * 0.3**2
 
 
+def test_replaced_errors_leave_the_noise_of_the_receiver_as_its_world_has_it():
+    inherited, _ = played("false-position")
+    replaced, _ = played({"name": "false-position", "errors": "replaced"})
+    errors = []
+    for core in (inherited, replaced):
+        simulator, world = core.engine.simulator, core.setup.world
+        k, fields = int(simulator.epochs[0]), simulator.sensors.fields
+        seen = world.visible[k]
+        ranges, rates = simulator.buffers.fields["measured"].transpose(1, 0, 2)
+        code = ranges - world.satellites[k, :, 6] - fields["clock"][:, :1]
+        if core is inherited:
+            code -= fields["satellite_bias"] + fields["correlated"]
+        rate = rates - world.satellites[k, :, 7] - fields["clock"][:, 1:]
+        errors.append((code[:, seen], rate[:, seen]))
+    for mine, theirs in zip(*errors, strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=0, atol=3e-8)
+        assert np.abs(mine).min() > 1e-5
+
+
+def test_a_quiet_counterfeit_lets_the_errors_fade():
+    core, _ = played({"name": "false-position", "errors": "quiet", "capture": {"delay_s": 2.0}})
+    simulator = core.engine.simulator
+    seen = np.tile(core.setup.world.visible[int(simulator.epochs[0])], 2)
+    age = (15 - 4) * 0.5  # captured at the fourth of 15 epochs
+    np.testing.assert_allclose(simulator.sensors.authentic[:, seen], 1.0 - age / 30.0, rtol=1e-9)
+    core, _ = played({"name": "false-position", "errors": {"blend_s": 3.0}})
+    assert not core.engine.simulator.sensors.authentic[:, seen].any()
+    assert FalsePosition(errors="quiet").label == "false-position-quiet"
+    assert FalsePosition(errors={"blend_s": 5.0}).label == "false-position-replaced"
+    with pytest.raises(ValueError, match=r"`blend_s` 3\.0 takes the receiver's own noise"):
+        CounterfeitErrors(blend_s=3.0, code_sd_m=0.5)
+
+
 def test_without_coherence_the_authentic_range_rates_keep_their_errors():
     core, _ = played({"name": "false-position", "errors": "replaced", "coherent": False})
     n = core.setup.world.channels
@@ -264,7 +297,7 @@ def test_labels_tell_the_options():
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"errors": "own"}, "unknown `errors` 'own'; valid: inherited, replaced"),
+        ({"errors": "own"}, "unknown `errors` 'own'; valid: inherited, quiet, replaced"),
         ({"errors": {"sd": 1.0}}, "`errors` has no setting 'sd'; valid: code_sd_m"),
         ({"errors": {"code_sd_m": -1.0}}, "`code_sd_m` must be finite and >= 0, got -1"),
         ({"tracking": {"correlation_s": 0.0}}, "`correlation_s` must be finite and > 0, got 0"),

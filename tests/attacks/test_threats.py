@@ -23,7 +23,7 @@ REFERENCE = {
     (1.0, 30.0): (0.8, 15.0),
     (0.1, 5.0): (0.3, 8.0),
 }
-"""Added NIS per epoch in the linear surrogate, `realistic` and `groves`, by SD and correlation."""
+"""Added NIS per epoch in the linear surrogate, `trolley` and `groves`, by SD and correlation."""
 RUNS = 32
 
 
@@ -58,7 +58,7 @@ def test_an_unknown_threat_is_told_the_near_one():
 
 
 def test_a_threat_is_taken_where_an_attack_is():
-    env = single(attack="meaconer", scenario="realistic", receiver="matched")
+    env = single(attack="meaconer", scenario="trolley", receiver="matched")
     assert env.action_space.shape == (1,)
     assert env.unwrapped.core.setup.attack.label == "meaconer"
     assert env.unwrapped.core.setup.receiver.tuning == "matched"
@@ -69,7 +69,7 @@ def test_a_threat_is_taken_where_an_attack_is():
 
 def test_a_partial_constellation_is_one_of_two():
     attack = make_attack("partial-constellation")
-    world = make_scenario("realistic-two-constellations").world()
+    world = make_scenario("trolley-two-constellations").world()
     taken = [s for s, yes in zip(world.satellite_ids, attack.captured(world), strict=True) if yes]
     others = [s for s in world.satellite_ids if s and s not in taken]
     assert all(s.startswith("E") for s in taken)
@@ -114,13 +114,13 @@ def added_nis(errors, tracking, inertial=None):
     return total / setup.steps
 
 
-@pytest.mark.parametrize("number", [0, 1], ids=["realistic", "groves"])
+@pytest.mark.parametrize("number", [0, 1], ids=["trolley", "groves"])
 @pytest.mark.parametrize("case", REFERENCE, ids=str)
 def test_a_tracking_error_costs_what_the_reference_says(case, number):
     """Pseudorange noise of the matched receiver, inertial sensors as their data sheet says."""
     tracking = dict(zip(("sd_m", "correlation_s"), case, strict=True))
     sheet = matched_sensors("aviation", Motion())
-    found = added_nis(("realistic", "groves")[number], tracking, sheet)
+    found = added_nis(("trolley", "groves")[number], tracking, sheet)
     assert found == pytest.approx(REFERENCE[case][number], rel=0.2)
 
 

@@ -18,11 +18,13 @@ from typer.testing import CliRunner
 from baselines.profile import app
 from baselines.profile_choice import choose
 from baselines.profile_run import Bounds, ProfileRun, RunSettings
-from baselines.profile_search import ProfileSearch, profile_at, soft_excess
+from baselines.profile_search import ProfileSearch, profile_at, soft_alarms
 from baselines.profile_settings import SearchSettings, Start
 from baselines.profile_start import best_start, resampled
 from baselines.runs import Outcome, RunPool
+from spoofgym.bench.budget import most_alarms
 from spoofgym.bench.run import displacement_of, play
+from spoofgym.bench.scores import counted, stealth_of
 from spoofgym.bench.suite import Suite
 from spoofgym.bench.tune import Trial, TuningResult
 from spoofgym.detectors import Ewma
@@ -30,8 +32,8 @@ from spoofgym.spoofers import Card, Profile, make_spoofer
 from spoofgym.spoofers.profile import sampled
 from tests.bench.support import QUICK, small_suite
 
-SEARCH = SearchSettings(knots=8, population=6, batch=4, budget=0.2)
-SETTINGS = RunSettings(search=SEARCH, runs=8, select_runs=8, margin=0.0)
+SEARCH = SearchSettings(knots=8, population=6, batch=4, budget=0.6)
+SETTINGS = RunSettings(search=SEARCH, runs=8, select_runs=8)
 START = Start([0.1] * 8, 1.0)
 
 
@@ -108,13 +110,11 @@ def test_runs_that_came_close_count_in_part() -> None:
         displacement_m=np.zeros((2, 3)),
         alarm=np.array([[True, False, False], [False, False, False]]),
         peak=np.array([[1.2, 0.5, 0.9], [0.99, 0.5, 0.9]]),
-        clean_alarm=np.array([False, False, False]),
-        clean_peak=np.array([0.5, 0.5, 0.9]),
+        counts=np.array([True, True, False]),
     )
-    alarmed, close = soft_excess(outcome)
-    assert close < alarmed < 1.0 / 3.0
-    assert close > 0.8 / 3.0
-    np.testing.assert_allclose(outcome.excess.mean(axis=1), [1.0 / 3.0, 0.0])
+    alarmed, close = soft_alarms(outcome)
+    assert 0.8 / 2.0 < close < 1.0 / 2.0 < alarmed < 1.1 / 2.0
+    np.testing.assert_allclose(outcome.alarm_rate, [0.5, 0.0])
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -148,8 +148,7 @@ class HillPool:
             np.repeat(10.0 - off[:, None], len(rows), axis=1),
             np.zeros(shape, dtype=np.bool_),
             np.full(shape, 0.1),
-            np.zeros(len(rows), dtype=np.bool_),
-            np.full(len(rows), 0.1),
+            np.ones(len(rows), dtype=np.bool_),
         )
 
 
@@ -183,7 +182,7 @@ def test_alarms_become_dearer_while_there_are_too_many(pool: RunPool) -> None:
     search = ProfileSearch(pool, SEARCH, Start([3.0] * 8, 1.0))
     first = search.price
     for _ in range(3):
-        assert search.step().excess > SEARCH.budget
+        assert search.step().alarm_rate > SEARCH.budget
     assert search.price > first
 
 
@@ -193,35 +192,33 @@ def test_the_search_gets_farther_than_it_began(pool: RunPool) -> None:
     search = ProfileSearch(pool, SEARCH, start)
     for _ in range(8):
         search.step()
-    choice = choose(search, pool, search.settings.budget, 0.0)
+    choice = choose(search, pool, search.settings.budget)
     alone = pool.play([Profile(rates_mps=tuple(start.rates_mps))])
-    assert alone.excess.mean() <= SEARCH.budget
-    assert choice.fit.undetected_displacement_m > 1.2 * alone.displacement_m.mean()
+    assert alone.alarm_rate[0] <= SEARCH.budget
+    assert choice.fit.stealthy_displacement_m > 1.2 * alone.mean_m[0]
 
 
 def test_what_is_chosen_keeps_to_the_budget_when_played(pool: RunPool, chosen: RunPool) -> None:
     search = ProfileSearch(pool, SEARCH, Start([0.3] * 8, 3.0))
     search.step()
-    for margin in (0.0, 0.5):
-        choice = choose(search, chosen, search.settings.budget, margin)
-        alone = play(chosen.start, choice.profile)
-        excess = alone.alarm.any(axis=0).mean() - chosen.clean.alarm.any(axis=0).mean()
-        assert excess + margin * choice.fit.excess_error <= SEARCH.budget + 1e-9
-        assert excess == pytest.approx(choice.fit.excess)
-        displacement = displacement_of(chosen.setup, alone, chosen.clean)
-        np.testing.assert_array_equal(choice.displacement_m, displacement)
-        kept = [fit for fit in choice.fits if fit.within_budget]
-        assert len(kept) < len(choice.fits)
-        assert choice.fit.undetected_displacement_m == max(
-            fit.undetected_displacement_m for fit in kept
-        )
+    choice = choose(search, chosen, search.settings.budget)
+    alone = play(chosen.start, choice.profile)
+    counts = counted(chosen.start.warmup_alarm, chosen.clean.first_alarm)
+    displacement = displacement_of(chosen.setup, alone, chosen.clean)
+    found = stealth_of(displacement, alone.first_alarm > 0, counts)
+    assert found.keeps(SEARCH.budget)
+    assert found.alarm_rate == choice.fit.alarm_rate
+    np.testing.assert_array_equal(choice.displacement_m, displacement[counts])
+    kept = [fit for fit in choice.fits if fit.within_budget]
+    assert len(kept) < len(choice.fits)
+    assert choice.fit.stealthy_displacement_m == max(fit.stealthy_displacement_m for fit in kept)
 
 
 def test_nothing_within_the_budget_is_said(pool: RunPool, chosen: RunPool) -> None:
     search = ProfileSearch(pool, SEARCH, Start([4.0] * 8, 1.0))
     search.step()
     with pytest.raises(ValueError, match=r"no profile of the search is within the alarm budget"):
-        choose(search, chosen, search.settings.budget, 0.0)
+        choose(search, chosen, search.settings.budget)
 
 
 def test_the_same_seed_gives_the_same_search_and_another_one_another(pool: RunPool) -> None:
@@ -306,7 +303,7 @@ def test_bad_settings_of_the_search_are_refused(changes: dict[str, Any], message
 
 TINY = shlex.split(
     "--detector ewma:false_alarm=0.001 --attack false-position:acceleration_limit_mps2=0.5 "
-    "--population 4 --knots 8 --runs 6 --batch 3 --select-runs 6 --budget 0.2 --margin 0 "
+    "--population 4 --knots 8 --runs 6 --batch 3 --select-runs 6 --budget 0.6 "
     "--warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5 --threads 1 --generations 1"
 )
 
@@ -326,7 +323,8 @@ def test_the_command_writes_a_card_that_makes_the_profile(tmp_path: Path) -> Non
     assert made.designed_on == card.knowledge.design_time != "nothing"
     assert card.training["generations"] == 1
     (score,) = card.scores
-    assert score.alarm_rate <= score.clean_alarm_rate + 0.2 + 1e-9
+    assert score.alarm_rate <= 0.45
+    assert score.counted is not None
     assert [row["spoofer"].split(":")[0] for row in card.rivals][-1] == "profile"
     again = CliRunner().invoke(app, [*TINY, "--out", str(out)])
     assert again.exit_code == 2
@@ -360,17 +358,17 @@ def test_the_command_of_a_card_makes_it_again(
 
 
 def test_the_search_aims_at_what_the_choice_will_keep(tmp_path: Path) -> None:
-    def ramp(*numbers: tuple[float, float, float]) -> TuningResult:
-        trials = tuple(Trial(v, 400, 0.1, v, e, s, e + 2.0 * s <= 0.05) for v, e, s in numbers)
-        more = {"runs": 400, "warmup_alarms": 0, "trials": trials, "within_budget": True}
-        told = {"value": 1.0, "budget": 0.05, "margin": 2.0, "clean_alarm_rate": 0.05, **more}
+    def ramp(counted: int) -> TuningResult:
+        trial = Trial(1.0, 400, counted, 0.01, 0.03, 5.0, True)
+        more = {"runs": 400, "counted": counted, "clean_alarm_rate": 0.0, "warmup_alarms": 0}
+        told = {"value": 1.0, "within_budget": True, "budget": 0.05, "trials": (trial,), **more}
         return TuningResult("ewma", "ramp", "rate_mps", **told)
 
-    settings = replace(SETTINGS, search=replace(SEARCH, budget=0.05), margin=2.0)
-    run = run_of(tmp_path / "a.json", settings=settings)
-    # the first one gets far without an alarm, so that it tells nothing of the edge
-    run.ramps = [ramp((1.0, 0.0, 0.0)), ramp((1.0, 0.028, 0.0105), (2.0, 0.2, 0.02))]
-    assert run.aim == pytest.approx(0.05 - 2.0 * 0.0105)
+    run = run_of(
+        tmp_path / "a.json", settings=replace(SETTINGS, search=replace(SEARCH, budget=0.05))
+    )
+    run.ramps = [ramp(400), ramp(300)]
+    assert run.aim == most_alarms(300, 0.05) / 300
 
 
 @pytest.mark.parametrize(
@@ -378,7 +376,6 @@ def test_the_search_aims_at_what_the_choice_will_keep(tmp_path: Path) -> None:
     [
         (["--detector", "ewmaa"], "did you mean 'ewma'"),
         (["--knots", "4"], "`knots` must be 8 to 16, got 4"),
-        (["--margin", "-1"], "`margin` must be finite and >= 0, got -1"),
         (["--seconds", "0"], "`seconds` must be finite and > 0, got 0"),
         (["--batch", "7"], "`runs` must be at least `batch` = 7, got 6"),
         (["--start", "nowhere.json"], "there is no card nowhere.json"),

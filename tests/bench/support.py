@@ -20,7 +20,7 @@ from spoofgym.spoofers.card import Card, fields_of
 
 OPSET = 18
 SHORT = Timeline(warmup_s=20.0, live_s=10.0, attack_s=20.0, time_to_alert_s=5.0)
-QUICK = Tuning(runs=6, sift_runs=3, values=4, refined=2, budget=0.2, margin=0.0)
+QUICK = Tuning(runs=6, sift_runs=3, values=4, refined=2, budget=0.45)
 
 
 def small_suite(**changes: Any) -> Suite:
@@ -66,6 +66,7 @@ def write_policy(
     }
     seen = fields_of(context)["observation"]
     learned = {"kind": "onnx-policy", "observation": seen, "file": file, "knowledge": knowledge}
+    learned["env"] = {"action": "full-command"}
     make_card(path.stem, suite, **learned, **changes).save(path.with_suffix(".json"))
 
 
@@ -83,16 +84,18 @@ def make_card(
     observation: dict[str, Any] | None = None,
     file: dict[str, Any] | None = None,
     settings: dict[str, Any] | None = None,
+    env: dict[str, Any] | None = None,
     **conditions: Any,
 ) -> Card:
     fields = fields_of(context_of(suite, knowledge))
     score = {"undetected_displacement_m": 12.5, "low": 11.0, "high": 14.0, "runs": 5}
     rates = {"alarm_rate": 0.2, "clean_alarm_rate": 0.18, "budget": 0.05}
+    world = {"detector": {"name": "ewma"}, "timeline": dataclasses.asdict(suite.timeline)}
     return Card(
         name=name,
         kind=kind,
         env_id="spoofgym/TightlyCoupled-v0",
-        env_kwargs={"detector": {"name": "ewma"}, "timeline": dataclasses.asdict(suite.timeline)},
+        env_kwargs={**world, **(env or {})},
         observation=observation,
         action=fields["action"],
         conditions={**fields["conditions"], **conditions},

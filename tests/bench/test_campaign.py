@@ -260,10 +260,16 @@ def test_scores_follow_from_the_records(finished: ResultsFolder) -> None:
     for score in summary["cells"]:
         cell = finished.cell(score["detector"], score["spoofer"])
         records = cell.records
-        assert score["alarm_rate"]["value"] == (records["first_alarm"] > 0).mean()
+        counts = cell.counts
+        assert score["counted"] == counts.sum()
+        alarmed = (records["first_alarm"] > 0)[counts]
+        assert score["alarm_rate"]["value"] == pytest.approx(alarmed.mean())
         displacement = records["undetected_displacement_m"]
-        assert score["undetected_displacement_m"]["value"] == pytest.approx(displacement.mean())
-        assert score["delay_runs"] + score["delay_excluded"] == cell.runs
+        mean = displacement[counts].mean()
+        assert score["stealthy_displacement_m"]["value"] == pytest.approx(mean)
+        zeroed = np.where(alarmed, 0.0, displacement[counts]).mean()
+        assert score["alarmed_as_0_m"]["value"] == pytest.approx(zeroed)
+        assert score["silent_before_onset"] == 1.0 - records["warmup_alarm"].mean()
         assert score["knowledge"]["run_time"] == "blind"
         assert score["attack"] == "false-position"
         assert (displacement <= records["largest_error_m"] + 1e-6).all()
@@ -277,22 +283,12 @@ def test_scores_follow_from_the_records(finished: ResultsFolder) -> None:
     )
 
 
-def test_differences_between_detectors_are_paired(finished: ResultsFolder) -> None:
-    (row,) = [row for row in summarize(finished)["differences"] if row["spoofer"] == "step"]
-    gap = (
-        finished.cell("ewma", "step").records["undetected_displacement_m"]
-        - finished.cell("snapshot-chi2", "step").records["undetected_displacement_m"]
-    )
-    assert (row["detector"], row["reference"]) == ("ewma", "snapshot-chi2")
-    assert row["undetected_displacement_m"]["value"] == pytest.approx(gap.mean(), abs=1e-5)
-
-
 def test_results_of_another_format_are_not_scored(tmp_path: Path) -> None:
     folder = ResultsFolder(tmp_path)
     folder.open(small_suite())
     config = folder.config()
     folder.put_text("config.json", json.dumps({**config, "format": 1}))
-    with pytest.raises(ValueError, match=r"holds results of format 1, .* scores format 4: play"):
+    with pytest.raises(ValueError, match=r"holds results of format 1, .* scores format 5: play"):
         summarize(folder)
 
 
@@ -309,10 +305,9 @@ def test_the_report_tells_what_was_run_and_what_came_out(finished: ResultsFolder
         "| ewma | ramp(tuned) | ewma | rate_mps=",
         "5 evaluation runs, the same for all cells (entropy 0)",
         "knowledge of the spoofers at run time: blind",
-        "runs with a false alarm in the warm-up are excluded",
-        "Budget: alarm rate at most 20 % of the runs above the clean one",
+        "## Detectors with nominal thresholds, whose rates of false alarms differ",
+        "Budget: P(alarm | silent twin) at most 45 %, by its upper 95 % limit on the 6 of 6",
         "(chosen)",
-        "ewma less snapshot-chi2",
     ):
         assert part in text
     assert "nan" not in text

@@ -59,7 +59,7 @@ def test_a_shared_warm_up_gives_the_bits_of_one_of_its_own(suite: Suite, start: 
     setup = start.setup
     engine = Engine(RUNS, setup, threads=1)
     engine.reset(suite.generators("evaluation", RUNS))
-    spoofer, observer = make_bound_spoofer(FAST, setup, RUNS)
+    spoofer, observer, _ = make_bound_spoofer(FAST, setup, RUNS)
     for k in range(setup.steps + setup.hold):
         action = spoofer.act(observer(engine, k)) if k < setup.steps else None
         verdict = engine.step(action)
@@ -99,7 +99,7 @@ def test_dropping_settled_runs_changes_no_score(start: WarmStart) -> None:
 
 def test_the_course_of_alarms_counts_the_runs_that_have_alarmed_so_far(start: WarmStart) -> None:
     attacked, clean = play(start, FAST), play(start, "none")
-    cell = make_cell(start.setup, {}, start.warmup_alarm, attacked, clean)
+    cell = make_cell(start.setup, {}, start.warmup_alarm, attacked, clean, 40.0)
     so_far = np.logical_or.accumulate(attacked.alarm, axis=0)
     np.testing.assert_allclose(cell.series["alarmed"], so_far.mean(axis=1), atol=1e-6)
     assert 0.0 < cell.series["alarmed"][0] < cell.series["alarmed"][-1] < 1.0
@@ -107,7 +107,7 @@ def test_the_course_of_alarms_counts_the_runs_that_have_alarmed_so_far(start: Wa
 
 def test_a_cell_and_a_search_score_the_same_runs_alike(start: WarmStart) -> None:
     attacked, clean = play(start, {"name": "ramp", "rate_mps": 0.3}), play(start, "none")
-    cell = make_cell(start.setup, {}, start.warmup_alarm, attacked, clean)
+    cell = make_cell(start.setup, {}, start.warmup_alarm, attacked, clean, 40.0)
     assert 0.0 < cell.alarmed.mean() < 1.0
     scored = displacement_of(start.setup, attacked, clean)
     np.testing.assert_allclose(scored, cell.records["undetected_displacement_m"], atol=1e-6)
@@ -176,13 +176,13 @@ def test_runs_of_a_domain_are_those_of_the_environment(between: str) -> None:
     attacked, clean = play(start, spec), play(start, "none")
     scored = displacement_of(setup, attacked, clean)
     assert len(set(attacked.onset)) > 2
-    core = SpoofCore(6, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True)
+    settings = {"knowledge": "blind", "action": "full-command", "end_at_alarm": False}
+    core = SpoofCore(6, setup, threads=1, twin=True, **settings)
     core.reset(suite.generators("evaluation", 6))
-    spoofer, _ = make_bound_spoofer(spec, setup, 6)
+    spoofer, *_ = make_bound_spoofer(spec, setup, 6)
     for _ in range(setup.steps // setup.repeat):
         result, _ = core.step(spoofer.act(core.observe()))
-    # the distance is taken in the axes at the onset there, and at every epoch here
-    np.testing.assert_allclose(result.info["undetected_displacement_m"], scored, rtol=1e-4)
+    np.testing.assert_allclose(result.info["undetected_displacement_m"], scored, rtol=1e-9)
     assert scored.max() > 0.5
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from spoofgym.bench.entries import DEFAULT_DETECTORS
+from spoofgym.bench.searches import Selection
 from spoofgym.bench.specs import digest_of
 from spoofgym.bench.suite import SPLITS, Suite, Tuning, seed_sequences
 from spoofgym.detectors import DETECTORS
@@ -56,6 +57,8 @@ def test_the_digest_follows_everything_that_results_depend_on() -> None:
             {"detectors": ("ewma",)},
             {"spoofers": ("step",)},
             {"tuning": Tuning(budget=0.1)},
+            {"selection": Selection(runs=7)},
+            {"published": True, "detectors": ({"name": "ewma", "threshold_scale": 2.0},)},
         )
     ]
     assert len(set(digests)) == len(digests)
@@ -65,7 +68,7 @@ def test_the_digest_follows_everything_that_results_depend_on() -> None:
     assert digest_of(written_out.config) == digests[0]
     assert small_suite(entropy=np.int64(1)).digest == digests[2]
     assert small_suite(runs=np.int64(6)).digest == digests[1]
-    assert small_suite(tuning=Tuning(budget=0.1, runs=np.int64(Tuning.runs))).digest == digests[-1]
+    assert small_suite(tuning=Tuning(budget=0.1, runs=np.int64(Tuning.runs))).digest == digests[8]
 
 
 def test_the_rate_of_the_inertial_sensors_is_named_in_results() -> None:
@@ -102,8 +105,9 @@ def test_bad_suites_are_refused(changes: dict[str, Any], message: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"budget": 1.0}, r"`tuning.budget` must be in \[0, 1\)"),
-        ({"budget": float("nan")}, r"`tuning.budget` must be in \[0, 1\)"),
+        ({"budget": 1.0}, r"`tuning.budget` must be in \(0, 1\)"),
+        ({"budget": float("nan")}, r"`tuning.budget` must be in \(0, 1\)"),
+        ({"runs": 58}, "`tuning.runs` must be at least 59 for a budget of 0.05: .*; got 58"),
         ({"values": 2}, "`tuning.values` must be a whole number of at least 3"),
     ],
 )

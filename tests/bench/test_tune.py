@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import tune as module
+from spoofgym.bench.budget import most_alarms
 from spoofgym.bench.run import Runs, WarmStart, displacement_of, play
+from spoofgym.bench.scores import counted, stealth_of
 from spoofgym.bench.suite import Tuning, spoofer_entry
-from spoofgym.bench.tune import RESOLUTION, TuningResult, tune
+from spoofgym.bench.tune import RESOLUTION, Trial, TuningResult, tune
 from spoofgym.detectors import Ewma, SnapshotChi2
 
 from .support import small_suite
@@ -41,8 +43,15 @@ class Landscape:
 
     def runs(self, count: int, alarm: float, displacement: float) -> Runs:
         alarms = np.arange(count)[None, :] < round(alarm * count)
+        none = np.zeros(count, dtype=int)
         return Runs(
-            np.zeros((1, count, 3)), alarms, np.full(count, displacement), np.zeros(count, int)
+            position=np.zeros((1, count, 3)),
+            alarm=alarms,
+            peak=np.full(count, displacement),
+            onset=none,
+            heading=np.zeros(count),
+            coasting=np.zeros_like(alarms),
+            blamed=none,
         )
 
     def first(self, count: int) -> Landscape:
@@ -52,22 +61,21 @@ class Landscape:
         return part
 
 
-def search(landscape: Any, **settings: Any) -> TuningResult:
-    chosen = Tuning(
-        **{"runs": 100, "sift_runs": 20, "values": 20, "budget": 0.05, "margin": 0.0, **settings}
-    )
-    return tune(landscape, landscape.runs(100, 0.1, 0.0), RAMP, "detector", chosen)
+def search(landscape: Any, clean: float = 0.0, **settings: Any) -> TuningResult:
+    chosen = Tuning(**{"runs": 100, "sift_runs": 20, "values": 20, "budget": 0.1, **settings})
+    return tune(landscape, landscape.runs(100, clean, 0.0), RAMP, "detector", chosen)
 
 
 def test_the_edge_of_the_budget_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     landscape = Landscape(
         monkeypatch,
-        alarm=lambda rate: 0.1 if rate < 0.3 else min(0.1 + (rate - 0.3), 1.0),
+        alarm=lambda rate: 0.0 if rate < 0.3 else min(rate - 0.3, 1.0),
         displacement=lambda rate: 100.0 * rate,
     )
     result = search(landscape)
-    # up to here 15 of 100 runs alarm
-    assert 0.355 / RESOLUTION <= result.value <= 0.355
+    # of 100 runs 4 may alarm for a limit below 10 %, and up to here they do
+    assert most_alarms(100, 0.1) == 4
+    assert 0.345 / RESOLUTION <= result.value <= 0.345
     assert result.within_budget
     beyond = [t.value for t in result.trials if t.runs == 100 and not t.within_budget]
     assert min(beyond) <= 1.001 * RESOLUTION * result.value  # values are rounded
@@ -76,39 +84,49 @@ def test_the_edge_of_the_budget_is_found(monkeypatch: pytest.MonkeyPatch) -> Non
     trials = [t for t in result.trials if t.runs == 100 and t.value == result.value]
     assert len(trials) == 1
     assert trials[0].within_budget
+    assert (trials[0].alarm_rate, trials[0].counted) == (0.04, 100)
+
+
+def test_alarms_that_come_without_the_attack_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    # the first 30 runs alarm anyway, and are no part of the budget
+    landscape = Landscape(
+        monkeypatch,
+        alarm=lambda rate: 0.3 if rate < 0.5 else 0.9,
+        displacement=lambda rate: rate,
+    )
+    result = search(landscape, clean=0.3)
+    assert (result.counted, result.clean_alarm_rate) == (70, 0.3)
+    assert result.within_budget
+    assert 0.5 / RESOLUTION <= result.value < 0.5
+    assert result.chosen.alarm_rate == 0.0
+
+
+def test_runs_that_alarm_before_the_onset_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    landscape = Landscape(monkeypatch, alarm=lambda rate: 0.3, displacement=lambda rate: rate)
+    landscape.warmup_alarm = np.arange(100) < 30
+    result = search(landscape)
+    assert (result.counted, result.warmup_alarms, result.value) == (70, 30, 1.0)
 
 
 def test_a_peak_within_the_budget_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     landscape = Landscape(
         monkeypatch,
-        alarm=lambda rate: 0.1,
+        alarm=lambda rate: 0.0,
         displacement=lambda rate: 50.0 - abs(np.log(rate / 0.77)),
     )
     assert search(landscape).value == pytest.approx(0.77, rel=0.12)
 
 
-def test_a_margin_is_kept_at_the_edge(monkeypatch: pytest.MonkeyPatch) -> None:
-    landscape = Landscape(
-        monkeypatch,
-        alarm=lambda rate: 0.1 + 0.1 * rate,
-        displacement=lambda rate: rate,
-    )
-    chosen = {margin: search(landscape, margin=margin).chosen for margin in (0.0, 1.0)}
-    # 5 of 100 runs more, or 3: then one standard error is 1.7 points
-    assert [round(100 * chosen[margin].excess) for margin in (0.0, 1.0)] == [5, 3]
-    assert chosen[1.0].value == pytest.approx(0.35, rel=0.02)
-
-
 def test_more_is_better_up_to_the_end_of_the_range(monkeypatch: pytest.MonkeyPatch) -> None:
-    landscape = Landscape(monkeypatch, alarm=lambda rate: 0.1, displacement=lambda rate: rate)
+    landscape = Landscape(monkeypatch, alarm=lambda rate: 0.0, displacement=lambda rate: rate)
     assert search(landscape).value == 1.0  # 20 s at 0.05 m/s^2
 
 
 def test_a_sift_that_was_lucky_is_corrected(monkeypatch: pytest.MonkeyPatch) -> None:
     landscape = Landscape(
         monkeypatch,
-        # with 20 runs these are 3 alarms up to 0.17, and 4 from 0.18 on
-        alarm=lambda rate: 0.1 if rate < 0.1 else 0.16 if rate < 0.5 else 0.9,
+        # two of 20 runs are 10 %, which a sift takes for kept, and ten of 100 are too many
+        alarm=lambda rate: 0.0 if rate < 0.1 else 0.1 if rate < 0.5 else 0.9,
         displacement=lambda rate: rate,
     )
     result = search(landscape)
@@ -124,21 +142,30 @@ def test_nothing_within_the_budget_is_said(monkeypatch: pytest.MonkeyPatch) -> N
     assert TuningResult.from_dict(result.as_dict()) == result
 
 
+def test_where_no_run_counts_nothing_is_within_the_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    landscape = Landscape(monkeypatch, alarm=lambda rate: 1.0, displacement=lambda rate: rate)
+    result = search(landscape, clean=1.0)
+    assert (result.within_budget, result.counted) == (False, 0)
+    assert (result.chosen.alarm_rate, result.chosen.stealthy_displacement_m) == (1.0, 0.0)
+
+
 @pytest.mark.parametrize("detector", [SnapshotChi2(), Ewma(false_alarm=1e-3)])
 def test_what_is_chosen_keeps_to_the_budget_when_played(detector: Any) -> None:
-    suite = small_suite(detectors=(detector,))
+    tuning = Tuning(runs=16, sift_runs=6, values=5, refined=2, budget=0.3)
+    suite = small_suite(detectors=(detector,), tuning=tuning)
     (judge,) = suite.detector_entries
-    start = WarmStart(suite.setup(judge), suite.generators("training", 6), threads=1)
+    start = WarmStart(suite.setup(judge), suite.generators("training", 16), threads=1)
     clean = play(start, "none")
     result = tune(start, clean, RAMP, judge.label, suite.tuning)
     attacked = play(start, RAMP.with_value(result.value))
-    rate = attacked.alarm.any(axis=0).mean()
-    assert rate <= clean.alarm.any(axis=0).mean() + suite.tuning.budget
-    (trial,) = [t for t in result.trials if t.runs == 6 and t.value == result.value]
-    assert trial.alarm_rate == rate
-    assert trial.undetected_displacement_m == displacement_of(start.setup, attacked, clean).mean()
-    better = [t for t in result.trials if t.runs == 6 and t.within_budget]
-    assert trial.undetected_displacement_m == max(t.undetected_displacement_m for t in better)
+    counts = counted(start.warmup_alarm, clean.first_alarm)
+    moved = displacement_of(start.setup, attacked, clean)
+    found = stealth_of(moved, attacked.first_alarm > 0, counts)
+    assert found.keeps(suite.tuning.budget)
+    (trial,) = [t for t in result.trials if t.runs == 16 and t.value == result.value]
+    assert trial == Trial.of(result.value, 16, found, True)
+    better = [t for t in result.trials if t.runs == 16 and t.within_budget]
+    assert trial.stealthy_displacement_m == max(t.stealthy_displacement_m for t in better)
 
 
 def test_a_spoofer_without_a_tuned_setting_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

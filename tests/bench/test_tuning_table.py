@@ -7,21 +7,22 @@ from spoofgym.bench.tuning_table import tuning_head, tuning_rows
 
 
 def test_why_a_value_is_over_the_budget_can_be_read() -> None:
-    kept = Trial(0.2, 400, 0.12, 30.0, 0.02, 0.01, True)
-    sifted = Trial(0.3, 32, 0.13, 36.0, 0.035, 0.03, True)
-    over = Trial(0.3, 400, 0.13, 40.0, 0.035, 0.01, False)
+    kept = Trial(0.2, 400, 390, 0.02, 0.04, 30.0, True)
+    sifted = Trial(0.3, 32, 30, 0.035, 0.12, 36.0, True)
+    over = Trial(0.3, 400, 390, 0.035, 0.055, 40.0, False)
     found = TuningResult(
-        "ewma", "ramp", "rate_mps", 0.2, True, 0.05, 2.0, 0.1, 400, 0, (kept, sifted, over)
+        "ewma", "ramp", "rate_mps", 0.2, True, 0.05, 400, 390, 0.02, 2, (kept, sifted, over)
     )
     head = tuning_head(found.as_dict())
-    assert head[:2] == ("rate_mps", "runs")
-    names = ("above clean [points]", "with the margin [points]", "within budget")
+    assert head[:3] == ("rate_mps", "runs", "counted")
+    names = ("P(alarm | silent twin) [%]", "its upper limit [%]", "within budget")
     columns = [head.index(name) for name in names]
     rows = tuning_rows(found.as_dict())
     assert [len(row) for row in rows] == [len(head)] * 3
     assert [tuple(row[i] for i in columns) for row in rows] == [
-        ("+2.0", "+4.0", "yes"),
-        ("+3.5", "+3.5", "yes"),  # a few runs sift without a margin
-        ("+3.5", "+5.5", "no"),
+        ("2.0", "4.0", "yes"),
+        ("3.5", "12.0", "yes"),  # a few runs sift by the rate
+        ("3.5", "5.5", "no"),
     ]
     assert [row[0] for row in rows] == ["0.2 (chosen)", "0.3", "0.3"]
+    assert TuningResult.from_dict(found.as_dict()) == found

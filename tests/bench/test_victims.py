@@ -27,7 +27,7 @@ LOOSE, SNAPSHOT, ROBOT = (
 )
 SMALL = (LOOSE, SNAPSHOT, ROBOT)
 PUSH = {"name": "ramp", "rate_mps": 0.5}
-QUICK = Tuning(runs=4, sift_runs=2, values=3, refined=2, budget=0.3, margin=0.0)
+QUICK = Tuning(runs=9, sift_runs=2, values=3, refined=2, budget=0.3)
 
 
 def suite_of(env: str, **changes: Any) -> Suite:
@@ -79,7 +79,7 @@ def test_a_cell_scores_what_the_environment_pays(env: str, between: str) -> None
     attacked, clean = play(start, PUSH), play(start, "none")
     core = SpoofCore(5, setup, knowledge="blind", end_at_alarm=False, threads=1, twin=True)
     core.reset(suite.generators("evaluation", 5))
-    spoofer, _ = make_bound_spoofer(PUSH, setup, 5)
+    spoofer, *_ = make_bound_spoofer(PUSH, setup, 5)
     for _ in range(core.episode_steps):
         result, _ = core.step(spoofer.act(core.observe()))
     scored = displacement_of(setup, attacked, clean)
@@ -109,7 +109,7 @@ def test_a_run_looked_at_closely_is_that_of_the_campaign(env: str, tmp_path: Pat
 def test_a_heading_of_a_snapshot_leaves_down_and_clock_alone() -> None:
     suite = suite_of(SNAPSHOT)
     setup = suite.setup(suite.detector_entries[0])
-    spoofer, _ = make_bound_spoofer(PUSH, setup, 1)
+    spoofer, *_ = make_bound_spoofer(PUSH, setup, 1)
     action = spoofer.act(np.zeros((1, 0), dtype=np.float32))
     np.testing.assert_allclose(action, [[0.0, 0.1, 0.0, 0.0]], atol=1e-12)
 

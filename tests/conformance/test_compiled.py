@@ -16,8 +16,8 @@ PLAIN = {"_describe", "_files", "_memory", "_pictures", "_registry", "_threads"}
 """Modules below all packages; they hold nothing that a kernel could take in."""
 FOUNDATION = {Path(name).stem for name in FOUNDATION_FILES}
 """Modules below all packages that are in every digest."""
-OF_NUMBA = {"_jit.py", "_simd.py"}
-"""The decorator, and the types of vectors."""
+OF_NUMBA = {"_jit.py", "_compiled.py", "_simd.py"}
+"""The decorator, how it compiles, and the types of vectors."""
 BRIDGES = {"envs/spoofer_binding.py": ("spoofgym.envs", "spoofer_binding")}
 """Files of compiled layers that may know of other packages, since nothing compiled imports them."""
 

@@ -54,7 +54,7 @@ MAIN_VARIANTS: dict[str, dict[str, Any]] = {
     "oracle": {"knowledge": "oracle", "detector": {"name": "ewma", "false_alarm": 0.05}},
     "worst": {"target_heading_deg": "worst", "twin": True},
     "interval": {"decision_interval_s": 1.0, "between": "linear"},
-    "tracking-1m": {"attack": "tracking-1m", "receiver": "matched", "scenario": "realistic"},
+    "tracking-1m": {"attack": "tracking-1m", "receiver": "matched", "scenario": "trolley"},
     "meaconer": {"attack": "meaconer", "detector": {"name": "cusum"}},
     "per channel": {"attack": {"name": "per-channel", "control": "rate", "coherent": False}},
     "all": {

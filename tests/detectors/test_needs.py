@@ -57,6 +57,7 @@ def test_most_detectors_need_the_variance_alone():
         "innovation-rate",
         "joint-chart",
         "lag-cusum",
+        "lottery",
         "never",
         "oracle-ramp",
         "oracle-step",

@@ -48,8 +48,14 @@ def test_weights_decide_how_often():
 
 
 def test_the_view_of_the_spoofer_meets_the_same_opponents():
-    view = SpooferView(pool=MEMBERS, timeline=SHORT, attack="false-position")
-    env = SpoofEnv(detector=POOL, timeline=SHORT, attack="false-position", alarm_penalty_m=0.0)
+    view = SpooferView(pool=MEMBERS, timeline=SHORT, attack="false-position", action="full-command")
+    env = SpoofEnv(
+        detector=POOL,
+        timeline=SHORT,
+        attack="false-position",
+        alarm_price=0.0,
+        action="full-command",
+    )
     push = np.array([0.3, 0.1], dtype=np.float32)
     for seed in range(3):
         view.reset(seed=seed)
@@ -69,6 +75,7 @@ def test_its_settings_are_written_down_and_make_it_again():
         "false_alarm": 0.5,
         "signals": "both",
         "bias_window_s": 0.0,
+        "two_sided": False,
     }
     assert detector_entry(told) == entry
     again = make_detector(make_detector(POOL))

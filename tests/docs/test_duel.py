@@ -78,7 +78,7 @@ def test_self_play_freezes_what_it_keeps(self_play):
 def test_self_play_pays_what_single_environments_pay(self_play):
     spoofer, detector = self_play["s"], self_play["d"]
     paid = self_play["undetected_m"](spoofer, detector)
-    view = duel_v0.SpooferView(pool=[detector], knowledge="tracking", timeline=self_play["short"])
+    view = duel_v0.SpooferView(pool=[detector], **self_play["game"])
     for row in range(3):
         seen, _ = view.reset(seed=1_000_000 + row)
         total, over = 0.0, False

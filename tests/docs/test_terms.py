@@ -58,9 +58,10 @@ def test_the_keys_of_the_information_are_those_of_the_table():
         attack={"name": "false-position", "capture": {}},
         end={"name": "at-displacement", "limit_m": 5.0},
         watch="cusum",
+        twin=True,
     )
     _, begun = env.reset(seed=0)
-    info = env.step([0.0, 0.0])[4]
+    info = env.step([0.0])[4]
     for told, word in ((begun, "reset"), (info, "step")):
         listed = {key: row for key, row in patterns.items() if word in row[2]}
         found = {

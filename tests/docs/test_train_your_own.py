@@ -28,10 +28,10 @@ COMMANDS = [
 TIMES = "--warmup-s 6 --attack-s 10"
 SMALL = {
     "train.ppo_spoofer": f"--steps 200 --num-envs 4 --batch-size 40 --evaluations 2 {TIMES} "
-    "--tuning-runs 6 --evaluation-runs 6 --final-runs 6",
-    "baselines.profile": f"--generations 1 --runs 4 --batch 4 --select-runs 6 {TIMES} --live-s 3",
+    "--tuning-runs 60 --evaluation-runs 60 --final-runs 60",
+    "baselines.profile": f"--generations 1 --runs 80 --batch 4 --select-runs 80 {TIMES} --live-s 3",
     "run": f"{TIMES} --live-s 3",
-    "bench": f"{TIMES} --live-s 3 --seeds 4 --training-seeds 4",
+    "bench": f"{TIMES} --live-s 3 --seeds 4 --training-seeds 60",
 }
 """What is appended to a command; the last of an option counts."""
 IN_ONE_PROCESS = """

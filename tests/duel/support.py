@@ -19,11 +19,11 @@ ALARM = np.ones(1 + SATELLITES)
 
 
 def aec(**kwargs: Any) -> Any:
-    return duel_v0.env(**{"timeline": SHORT, **kwargs})
+    return duel_v0.env(**{"timeline": SHORT, "action": "full-command", **kwargs})
 
 
 def parallel(**kwargs: Any) -> Any:
-    return duel_v0.parallel_env(**{"timeline": SHORT, **kwargs})
+    return duel_v0.parallel_env(**{"timeline": SHORT, "action": "full-command", **kwargs})
 
 
 def as_action(verdict: Verdict) -> np.ndarray:

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0
-from spoofgym.duel.calibration import fewest_runs, quantile_of
-from spoofgym.duel.payoff import RunningThreshold
+from spoofgym.detectors import DetectorContext
+from spoofgym.detectors.calibration import fewest_runs
+from spoofgym.duel.agent import PolicyDetector, policy_context
+from spoofgym.duel.calibration import quantile_of
+from spoofgym.duel.payoff import FixedThreshold, RunningThreshold
+from spoofgym.duel.rules import make_duel
+from spoofgym.simulators.clean_runs import Player
+from spoofgym.simulators.splits import generators_of, seeds_of_runs
 
 from .support import ALARM, SHORT, parallel, wary
 
@@ -47,6 +53,31 @@ def test_the_threshold_does_not_depend_on_the_size_of_the_batch():
     late = duel_v0.calibrate(wary, **SETTINGS, decision_delay=1)
     assert late.settings != first.settings
     assert late.threshold != first.threshold
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_clean_runs_are_those_of_the_duel(delay):
+    """A frozen policy as a detector says what it says as an agent, epoch by epoch."""
+    settings = {"timeline": SHORT, "action": "full-command"}
+    duel = make_duel(6, decision_delay=delay, attack_probability=0.0, **settings)
+    duel.threshold = FixedThreshold(np.inf, 6)
+    policy = duel_v0.FunctionPolicy(wary)
+    setup, agent = duel.setup, duel.agent
+    policy.bind(policy_context(agent, DetectorContext(6, 12, 0.5, np.ones(24), ("",) * 12)))
+    duel.reset(generators_of(seeds_of_runs(0, "calibration", setup.name, range(6))))
+    largest, idle = np.zeros(6), np.zeros((6, 2))
+    for _ in range(duel.epochs):
+        if delay:
+            action = policy.decide(duel.observe_detector())
+            duel.arrive(idle)
+        else:
+            duel.arrive(idle)
+            action = policy.decide(duel.observe_detector())
+        largest = np.maximum(largest, duel.decide(action).info["statistic"])
+    settings = {"policy": policy, "decision_delay": delay, "quiet_epochs": setup.live}
+    judge = PolicyDetector(agent.statistic, agent.weighs, agent.exclusion_s, **settings)
+    found = Player(setup, threads=1).play([judge], range(6), in_loop=True)
+    np.testing.assert_array_equal(found.judged[:, 0], largest)
 
 
 def test_fresh_clean_episodes_keep_the_rate():

@@ -123,7 +123,12 @@ def test_the_spoofers_view_is_the_same_game_with_a_step_a_decision(delay, betwee
     policy = duel_v0.FunctionPolicy(wary)
     opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.2, decision_delay=delay)
     view = duel_v0.SpooferView(
-        opponent, timeline=SHORT, attack=STRONG, decision_interval_s=1.5, between=between
+        opponent,
+        timeline=SHORT,
+        attack=STRONG,
+        action="full-command",
+        decision_interval_s=1.5,
+        between=between,
     )
     settings = {**SLOW, "threshold": 0.2, "between": between}
     duel = (parallel if delay else aec)(**settings)

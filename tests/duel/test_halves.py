@@ -15,7 +15,9 @@ PUSH = [0.02, 0.6]
 
 
 def reference(detector, push, seed):
-    env = SpoofEnv(detector=detector, timeline=NO_LIVE, attack=STRONG, alarm_penalty_m=0.0)
+    env = SpoofEnv(
+        detector=detector, timeline=NO_LIVE, attack=STRONG, alarm_price=0.0, action="full-command"
+    )
     env.reset(seed=seed)
     displacement, over, info = [], False, {}
     while not over:

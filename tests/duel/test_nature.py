@@ -42,7 +42,7 @@ def test_a_clean_episode_is_the_clean_run_whatever_is_commanded_and_pays_nothing
     found = {seed: attacked(run(env, seed)) for seed in range(8)}
     assert {True, False} == set(found.values())
     seed = next(seed for seed, hit in found.items() if not hit)
-    reference = SpoofEnv(detector="never", timeline=SHORT)
+    reference = SpoofEnv(detector="never", timeline=SHORT, action="full-command")
     reference.reset(seed=seed)
     expected = [reference.step(np.zeros(2))[4]["displacement_m"] for _ in range(30)]
     trace = run(env, seed)
@@ -125,7 +125,8 @@ class Still:
 
     def __init__(self, receivers):
         zeros = np.zeros(receivers, dtype=np.int64)
-        self._arrays = zeros, zeros > 0, np.zeros((receivers, 0)), np.zeros((receivers, 0))
+        nothing, to_east = np.zeros((receivers, 0)), np.tile([0.0, 1.0], (receivers, 1))
+        self._arrays = zeros, zeros > 0, nothing, nothing, to_east
 
     def step_arrays(self):
         return self._arrays
@@ -151,7 +152,7 @@ def test_the_time_to_alert_counts_the_same_at_once_as_epoch_by_epoch():
                 nobody,
                 result,
                 seen,
-                lambda rows: alarms[steps:, rows],
+                lambda rows: (alarms[steps:, rows], None),
             )
         scores.append(score)
     at_once, by_epoch = scores

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from spoofgym import duel_v0
-from spoofgym.spoofers.zoo import ZOO_FOLDER
+from spoofgym.detectors.calibration import FOLDER_VARIABLE, run_probability
+from spoofgym.duel.opponents import make_opponent
+from spoofgym.simulators import TightlyCoupledSetup, calibrate, check
 
-from ..spoofers.policies import network
+from ..spoofers.policies import network, write_policy
 from .support import SHORT
 
 SETTINGS = {"timeline": SHORT, "runs": 19}
@@ -64,7 +66,7 @@ def test_a_file_stands_in_a_pool(file, tmp_path):
     view = duel_v0.SpooferVectorView(4, [str(file), "ewma"], timeline=SHORT)
     view.reset(seed=3)
     for _ in range(5):
-        view.step(np.zeros((4, 2)))
+        view.step(np.zeros((4, 1)))
     assert set(view.opponents) <= {str(file), "ewma"}
     other = duel_v0.SpooferView({"name": str(file), "threshold": 0.25}, timeline=SHORT)
     (member,) = other.core.setup.detector.judges
@@ -73,6 +75,28 @@ def test_a_file_stands_in_a_pool(file, tmp_path):
     first = duel_v0.calibrate(duel_v0.OnnxDetector(file), **SETTINGS, store=store)
     assert first.detector == duel_v0.OnnxDetector(file).card.file.sha256[:16]
     assert len(list(store.iterdir())) == 1
+
+
+def test_a_file_is_calibrated_by_the_mechanism_of_all_detectors(file, tmp_path, monkeypatch):
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "own"))
+    asked = {"name": str(file), "false_alarms_per_hour": 20.0}
+    with pytest.raises(ValueError, match=r"no calibration of policy .*--detector .*guard\.onnx"):
+        duel_v0.SpooferView(asked, timeline=SHORT)
+    setup = TightlyCoupledSetup(detector="never", timeline=SHORT)
+    judge = make_opponent(asked, setup.live)
+    (found,) = calibrate(setup, judge, runs=40, false_alarms_per_hour=20.0)
+    check(setup, [found], judge)
+    view = duel_v0.SpooferView(asked, timeline=SHORT)
+    (member,) = view.core.setup.detector.judges
+    assert member.scale == found.point(20.0).scale
+    assert (member.detector.threshold, member.detector.quiet_epochs) == (1.0, setup.live)
+    own = duel_v0.calibrate(
+        duel_v0.OnnxDetector(file),
+        timeline=SHORT,
+        runs=40,
+        false_alarm=run_probability(20.0, setup.window_s),
+    )
+    assert own.threshold == pytest.approx(member.scale, rel=1e-10)
 
 
 def test_what_does_not_fit_is_refused_by_name(file):
@@ -110,8 +134,8 @@ def test_a_policy_of_the_other_side_is_told_where_it_belongs(file):
         ValueError, match=r"guard.json is that of a detector policy, .* SpooferView"
     ):
         duel_v0.DetectorView(str(file), timeline=SHORT)
-    spoofer = ZOO_FOLDER / "ewma-blind.onnx"
-    with pytest.raises(ValueError, match=r"ewma-blind.json is that of a spoofer, .* DetectorView"):
+    spoofer = write_policy(file.parent, "tiny")
+    with pytest.raises(ValueError, match=r"tiny.json is that of a spoofer, .* DetectorView"):
         duel_v0.SpooferView(str(spoofer), timeline=SHORT)
 
 

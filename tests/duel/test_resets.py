@@ -17,7 +17,7 @@ RAMP = {"name": "ramp", "heading_deg": "target"}
 SINGLE = {
     "aec": lambda: aec(**DRAWN),
     "parallel": lambda: parallel(**DRAWN),
-    "spoofer": lambda: duel_v0.SpooferView("never", **DRAWN),
+    "spoofer": lambda: duel_v0.SpooferView("never", action="full-command", **DRAWN),
     "detector": lambda: duel_v0.DetectorView(RAMP, **DRAWN),
 }
 VECTOR = {

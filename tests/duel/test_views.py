@@ -17,7 +17,8 @@ STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 SPOOFERS = [{"name": "ramp", "rate_mps": 0.5}, "none", Ramp(rate_mps=3.0)]
 WARY = duel_v0.PolicyDetector(policy=duel_v0.FunctionPolicy(wary), threshold=0.2)
 DETECTORS = ["ewma", "snapshot-chi2", WARY]
-SPOOFER = {"pool": DETECTORS, "weights": [1.0, 1.0, 2.0], "timeline": SHORT, "attack": STRONG}
+FULL = {"timeline": SHORT, "attack": STRONG, "action": "full-command"}
+SPOOFER = {"pool": DETECTORS, "weights": [1.0, 1.0, 2.0], **FULL}
 DOMAIN = {
     "domain": {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
     "target_heading_deg": "random",
@@ -139,8 +140,8 @@ def test_every_receiver_of_a_vector_view_is_the_single_view(single, vector, kwar
 
 
 def test_the_spoofers_view_of_one_detector_is_the_env_with_it():
-    ours = duel_v0.SpooferView("ewma", timeline=SHORT, attack=STRONG, alarm_penalty_m=10.0)
-    theirs = SpoofEnv(detector="ewma", timeline=SHORT, attack=STRONG)
+    ours = duel_v0.SpooferView("ewma", alarm_price=1.5, **FULL)
+    theirs = SpoofEnv(detector="ewma", **FULL)
     ours.reset(seed=8)
     theirs.reset(seed=8)
     over = False
@@ -157,7 +158,7 @@ def test_a_policy_in_a_pool_plays_as_its_agent_does_in_the_duel(delay, live_s):
     timeline = {**SHORT, "live_s": live_s}
     policy = duel_v0.FunctionPolicy(wary)
     opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.4, decision_delay=delay)
-    view = duel_v0.SpooferView(opponent, timeline=timeline, attack=STRONG)
+    view = duel_v0.SpooferView(opponent, **{**FULL, "timeline": timeline})
     settings = {"timeline": timeline, "attack": STRONG, "threshold": 0.4, "attack_probability": 1.0}
     duel = (parallel if delay else aec)(**settings)
     for seed, push in ((3, np.array([0.0, 0.4])), (4, np.array([0.0, 0.01]))):
@@ -300,7 +301,11 @@ def test_after_a_change_of_the_pool_all_receivers_begin_anew(make):
         (duel_v0.SpooferView, {"pool": "gone.onnx"}, "there is no ONNX file gone.onnx"),
         (duel_v0.DetectorView, {"pool": "ramq"}, "did you mean 'ramp'"),
         (duel_v0.DetectorView, {"decision_delay": 2}, "`decision_delay` must be 0 or 1, got 2"),
-        (duel_v0.DetectorView, {"pool": "ewma-blind"}, "spoofer 'ewma-blind' does not fit this"),
+        (
+            duel_v0.DetectorView,
+            {"pool": "ewma-profile"},
+            "spoofer 'ewma-profile' does not fit this",
+        ),
         (
             duel_v0.DetectorView,
             {"render_mode": "rgb_array"},
@@ -387,7 +392,7 @@ def test_a_pool_that_changes_the_observation_is_refused_by_both_names():
     with pytest.raises(ValueError, match=r"the pool snapshot-chi2 gives .* but ewma gave"):
         view.set_pool("snapshot-chi2")
     view.reset(seed=1)
-    view.step(np.zeros(2))
+    view.step(np.zeros(view.action_space.shape))
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spoofgym.earth.frames import dcm_e_from_n, ecef_to_geodetic, geodetic_to_ecef
+from spoofgym.earth.frames import (
+    dcm_e_from_n,
+    ecef_to_geodetic,
+    geodetic_to_ecef,
+    turning_of_local_axes,
+)
 from spoofgym.earth.wgs84 import ECCENTRICITY_SQUARED, EQUATORIAL_RADIUS
 
 POLAR_RADIUS = EQUATORIAL_RADIUS * math.sqrt(1.0 - ECCENTRICITY_SQUARED)
@@ -99,3 +104,18 @@ def test_a_value_does_not_depend_on_the_others_computed_along_with_it():
         np.testing.assert_array_equal(position[i], alone)
         frame = dcm_e_from_n(latitude[i : i + 1], longitude[i : i + 1])[0]
         np.testing.assert_array_equal(dcm_e_from_n(latitude, longitude)[i], frame)
+
+
+def test_local_axes_turn_as_their_differences_say():
+    rng = np.random.default_rng(4)
+    latitude, longitude = rng.uniform((-1.3, -3.0), (1.3, 3.0), (20, 2)).T
+    position = geodetic_to_ecef(latitude, longitude, rng.uniform(0.0, 2e4, 20))
+    velocity = rng.normal(0.0, 200.0, (20, 3))
+
+    def axes(seconds):
+        return dcm_e_from_n(*ecef_to_geodetic(position + seconds * velocity)[:2])
+
+    change = (axes(0.5) - axes(-0.5)) / 1.0
+    np.testing.assert_allclose(turning_of_local_axes(position, velocity), change, atol=1e-11)
+    one = turning_of_local_axes(position[3], velocity[3])
+    np.testing.assert_allclose(one, turning_of_local_axes(position, velocity)[3], rtol=1e-13)

@@ -25,7 +25,7 @@ SHORT = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 2.
 SETTINGS: dict[str, dict[str, Any]] = {
     "spoofgym/BenchT4-v1": {
         "timeline": {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 60.0, "time_to_alert_s": 2.0},
-        "scenario": "realistic-tactical",
+        "scenario": "trolley-tactical",
     },
     "spoofgym/BenchT5-v1": {
         "timeline": SHORT,

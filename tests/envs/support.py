@@ -1,4 +1,7 @@
-"""Short episodes for tests: the physics is that of the long ones."""
+"""Short episodes for tests: the physics is that of the long ones.
+
+All elements of the attack are commanded as they are, so that every victim takes the same actions.
+"""
 
 from __future__ import annotations
 
@@ -32,6 +35,7 @@ SHORT = timeline_of("TightlyCoupled")
 def settings_of(kind: str, **settings: Any) -> dict[str, Any]:
     """Settings of a short episode, with a detector that can alarm in it."""
     settings.setdefault("timeline", timeline_of(kind))
+    settings.setdefault("action", "full-command")
     if kind == "LooselyCoupled":
         settings.setdefault("detector", {"name": "windowed-chi2", "window": 8})
     return settings
@@ -67,8 +71,8 @@ class AlarmAt(Detector):
 
 
 def single(**kwargs: Any) -> gym.Env:
-    return gym.make(ID, **{"timeline": SHORT, **kwargs})
+    return gym.make(ID, **{"timeline": SHORT, "action": "full-command", **kwargs})
 
 
 def vector(num_envs: int, **kwargs: Any) -> SpoofVectorEnv:
-    return SpoofVectorEnv(num_envs, **{"timeline": SHORT, **kwargs})
+    return SpoofVectorEnv(num_envs, **{"timeline": SHORT, "action": "full-command", **kwargs})

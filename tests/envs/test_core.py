@@ -7,6 +7,7 @@ import pytest
 
 from spoofgym.detectors import Never
 from spoofgym.envs import SpoofCore
+from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.envs.terms.observation import OwnCommand, Time
 from spoofgym.envs.terms.reward import DisplacementGain
 from spoofgym.simulators import Engine, TightlyCoupledSetup
@@ -17,6 +18,10 @@ from .support import HOLD, LIVE, SHORT, STEPS, VICTIMS, AlarmAt, single, victim,
 @pytest.fixture(params=VICTIMS)
 def kind(request):
     return request.param
+
+
+def price_of(kind):
+    return ALARM_PRICE * victim(kind).unwrapped.core.setup.scales["length_m"]
 
 
 def play(kind, detector, **kwargs):
@@ -51,7 +56,7 @@ def test_an_alarm_takes_back_the_time_to_alert(kind, at):
     displacement, reward, infos = play(kind, AlarmAt(LIVE + at))
     assert len(reward) == at
     kept = displacement[: max(at - HOLD - 1, 0) + 1].max()
-    assert sum(reward) == pytest.approx(kept - 10.0)
+    assert sum(reward) == pytest.approx(kept - price_of(kind))
     assert infos[-1]["undetected_displacement_m"] == pytest.approx(kept)
     assert infos[-1]["detected"]
 
@@ -61,7 +66,7 @@ def test_an_alarm_after_the_last_command_still_counts(kind, late):
     displacement, reward, infos = play(kind, AlarmAt(LIVE + STEPS + late))
     assert len(reward) == STEPS
     kept = displacement[: STEPS + late - HOLD].max()
-    assert sum(reward) == pytest.approx(kept - 10.0)
+    assert sum(reward) == pytest.approx(kept - price_of(kind))
     assert infos[-1]["alarm"]
 
 
@@ -99,7 +104,7 @@ def test_the_target_direction_counts(kind):
 
 
 def test_own_reward_terms_and_a_price_of_an_alarm(kind):
-    *_, infos = play(kind, AlarmAt(LIVE + 3), alarm_penalty_m=25.0)
+    *_, infos = play(kind, AlarmAt(LIVE + 3), alarm_price=2.5, length_m=10.0)
     assert infos[-1]["reward_alarm"] == -25.0
     env = victim(kind, reward=[DisplacementGain(per_m=2.0)], detector=Never())
     env.reset(seed=1)
@@ -155,7 +160,7 @@ def test_fewer_than_four_satellites_coast_and_say_so():
     visible[45:60, 3:] = False
     satellites[45:60, 3:, 6:] = 0.0
     setup.world = dataclasses.replace(setup.world, visible=visible, satellites=satellites)
-    core = SpoofCore(2, setup)
+    core = SpoofCore(2, setup, action="full-command")
     core.reset([np.random.default_rng(i) for i in range(2)])
     buffers = core.engine.simulator.buffers
     before = np.sqrt(buffers.covariance[:, 6, 6])

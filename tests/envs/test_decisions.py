@@ -9,11 +9,13 @@ import pytest
 import spoofgym  # noqa: F401  (registers the ids)
 
 ID = "spoofgym/TightlyCoupled-v0"
+FULL = {"action": "full-command"}
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 
 
 def make(**kwargs):
-    return gym.make(ID, **{"timeline": SHORT, "knowledge": "oracle", **kwargs}).unwrapped
+    given = {"timeline": SHORT, "knowledge": "oracle", **FULL, **kwargs}
+    return gym.make(ID, **given).unwrapped
 
 
 def test_a_decision_that_is_held_is_the_same_command_at_every_epoch():
@@ -44,8 +46,8 @@ def test_between_decisions_the_command_moves_along_a_line():
     rates = []
     inner = env.core.engine.step
 
-    def watched(action):
-        verdict = inner(action)
+    def watched(action, sequel):
+        verdict = inner(action, sequel)
         rates.append(env.core.engine.simulator.attack.memory["rate"][0, 1])
         return verdict
 
@@ -101,7 +103,7 @@ def test_with_a_twin_displacement_is_what_the_attack_has_induced_and_nothing_els
         total += reward
     batch, twin = env.core.engine.simulator, env.core.engine.twin
     apart = batch.buffers.position_e - twin.buffers.position_e
-    north, east, _ = apart[0] @ env.core.setup.world.C_en[batch.onset[0]]
+    north, east, _ = apart[0] @ env.core.setup.world.C_en[batch.epochs[0]]
     assert info["displacement_m"] == pytest.approx(np.hypot(north, east), rel=1e-9)
     assert total == pytest.approx(info["undetected_displacement_m"])
     assert total > 1.0
@@ -109,7 +111,13 @@ def test_with_a_twin_displacement_is_what_the_attack_has_induced_and_nothing_els
 
 def test_the_next_episode_has_a_twin_of_its_own():
     envs = gym.make_vec(
-        ID, num_envs=3, autoreset_mode="same_step", timeline=SHORT, detector="ewma", twin=True
+        ID,
+        num_envs=3,
+        autoreset_mode="same_step",
+        timeline=SHORT,
+        detector="ewma",
+        twin=True,
+        **FULL,
     )
     envs.reset(seed=4)
     rng = np.random.default_rng(1)
@@ -207,7 +215,7 @@ def test_the_first_alarm_costs_at_whichever_epoch_of_a_decision_it_comes():
 
 
 def test_in_a_batch_those_that_end_wait_for_the_others():
-    settings = {"decision_interval_s": 5.0, "watch": "snapshot-chi2", "twin": True, **EARLY}
+    settings = {"decision_interval_s": 5.0, "watch": "snapshot-chi2", "twin": True, **EARLY, **FULL}
     envs = gym.make_vec(
         ID,
         num_envs=3,

@@ -139,7 +139,7 @@ def test_next_episodes_whose_books_an_interrupt_broke_are_thrown_away(name, monk
         return [np.random.default_rng(seed) for seed in range(9)]
 
     def rewards(core):
-        return [core.step(np.full((9, 2), 0.3))[0].reward for _ in range(3)]
+        return [core.step(np.full((9, 1), 0.3))[0].reward for _ in range(3)]
 
     ahead, plain = (SpoofCore(9, setup, threads=1, prefetch=on) for on in (True, False))
     given = rngs()
@@ -159,6 +159,7 @@ def test_next_episodes_whose_books_an_interrupt_broke_are_thrown_away(name, monk
 
 def test_an_interrupted_decision_of_several_epochs_leaves_nothing_behind(monkeypatch):
     settings = {"timeline": TIMELINE, "decision_interval_s": 2.0, "threads": 1}
+    settings["action"] = "full-command"
     settings["detector"] = {"name": "ewma", "false_alarm": 0.5}
 
     def played(env):

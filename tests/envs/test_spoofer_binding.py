@@ -13,12 +13,12 @@ import pytest
 from spoofgym.envs.spoofer_binding import attach, setup_of_card
 from spoofgym.spoofers import Card, Ramp
 
-from ..spoofers.policies import ENV, TIMELINE, write_policy
+from ..spoofers.policies import ENV, FULL, TIMELINE, write_policy
 from .support import ID, vector
 
 
 def single(**changes: Any) -> gym.Env:
-    return gym.make(ID, **{**ENV, "knowledge": "blind", **changes})
+    return gym.make(ID, **{**ENV, **FULL, "knowledge": "blind", **changes})
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_it_plays_a_vector_environment(policy: str) -> None:
 
 def test_it_plays_stable_baselines_environment(policy: str) -> None:
     sb3 = pytest.importorskip("spoofgym.sb3")
-    envs = sb3.SpoofVecEnv(3, **ENV, knowledge="blind")
+    envs = sb3.SpoofVecEnv(3, **ENV, **FULL, knowledge="blind")
     assert attach(policy, envs).act(envs.reset()).shape == (3, 2)
     envs.close()
 
@@ -139,7 +139,7 @@ def test_all_differences_are_listed(policy: str) -> None:
 
 
 OTHER_MEANING = [
-    ({"knowledge": "tracking"}, r"observation: target_position_north, .* only here"),
+    ({"knowledge": "tracking"}, r"observation: target_position_east, target_velocity_north"),
     ({"attack": "per-channel"}, r"action: north_acceleration, east_acceleration only on the card"),
     (
         {"attack": {"name": "false-position", "control": "rate"}},

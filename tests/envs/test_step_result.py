@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.envs import SpoofCore
-from spoofgym.envs.terms.observation import OwnCommand, TargetMotion, Time, default_terms
+from spoofgym.envs.terms.observation import OwnCommand, TargetMotion, Time
 from spoofgym.envs.terms.reward import (
     AlarmedEpochs,
     AlarmPenalty,
@@ -23,6 +23,10 @@ SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 
 TERMS = [AlarmPenalty(0.7), DisplacementGain(0.3), Retraction(1.7), AlarmedEpochs(0.1)]
 NERVOUS = {"name": "ewma", "false_alarm": 0.1}
 """A detector that alarms within seconds of an attack at full acceleration."""
+
+
+PLAIN = {"timeline": SHORT, "prefetch": False, "action": "full-command"}
+ALL_MOTION = TargetMotion(least_change=0.0)
 
 
 @dataclass(frozen=True)
@@ -68,9 +72,7 @@ class Doubled(DisplacementGain):
 
 def played(**settings: Any) -> list[dict[str, Any]]:
     """Rewards, ends and infos of all steps of a vector environment, with alarms and resets."""
-    envs = gym.make_vec(
-        "spoofgym/TightlyCoupled-v0", num_envs=3, prefetch=False, timeline=SHORT, **settings
-    )
+    envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=3, **{**PLAIN, **settings})
     envs.reset(seed=4)
     rng, found = np.random.default_rng(1), []
     for _ in range(60):
@@ -152,9 +154,8 @@ def test_masked_rows_are_masked_arrays(num_envs: int) -> None:
         gym.make_vec(
             "spoofgym/TightlyCoupled-v0",
             num_envs=num_envs,
-            prefetch=False,
-            timeline=SHORT,
             infos=infos,
+            **PLAIN,
         )
         for infos in ("all", ("time_s", "cost", "alarm", "reward_alarm"))
     )
@@ -170,7 +171,7 @@ def test_masked_rows_are_masked_arrays(num_envs: int) -> None:
 
 
 def test_a_step_hands_out_arrays_that_share_nothing() -> None:
-    envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=2, prefetch=False, timeline=SHORT)
+    envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=2, **PLAIN)
     envs.reset(seed=0)
     arrays = [
         array
@@ -195,7 +196,10 @@ def test_only_a_share_beside_its_own_call_is_believed() -> None:
 
 def test_only_factors_beside_their_own_call_are_believed() -> None:
     setup = TightlyCoupledSetup(timeline=SHORT, detector="never")
-    core = SpoofCore(2, setup, observation=[Backwards(1.0)], reward=[], end_at_alarm=False)
+    seen = [Backwards(1.0, 1.0)]
+    core = SpoofCore(
+        2, setup, observation=seen, action="full-command", reward=[], end_at_alarm=False
+    )
     core.reset(np.random.default_rng(0).spawn(2))
     for _ in range(3):
         _, seen = core.step(np.ones((2, 2)))
@@ -206,13 +210,11 @@ def test_only_factors_beside_their_own_call_are_believed() -> None:
 
 def test_motion_and_time_are_tabled_to_the_bit() -> None:
     setup = TightlyCoupledSetup(timeline=SHORT, detector="never")
-    core = SpoofCore(
-        2, setup, observation=default_terms(setup, "tracking"), reward=[], end_at_alarm=False
-    )
+    core = SpoofCore(2, setup, observation=(Time(), ALL_MOTION), reward=[], end_at_alarm=False)
     core.reset(np.random.default_rng(0).spawn(2))
     for _ in range(setup.steps):
-        _, seen = core.step(np.zeros((2, 2)))
-        for term in (Time(), TargetMotion()):
+        _, seen = core.step(np.zeros((2, 1)))
+        for term in (Time(), ALL_MOTION):
             names = term.names(setup)
             first = core.observation_names.index(names[0])
             out = np.zeros((2, len(names)), dtype=np.float32)
@@ -224,12 +226,12 @@ def test_motion_and_time_are_tabled_to_the_bit() -> None:
 def test_tables_are_those_of_the_start_that_all_episodes_have() -> None:
     domain = {"start_s": (10.0, 10.0), "turned_deg": (0.0, 360.0), "worlds": 2}
     setup = TightlyCoupledSetup(timeline=SHORT, detector="never", domain=domain)
-    seen = [Time(), TargetMotion()]
+    seen = [Time(), ALL_MOTION]
     core = SpoofCore(3, setup, observation=seen, reward=[], end_at_alarm=False)
     core.reset(np.random.default_rng(0).spawn(3), given={"world": [0, 1, 1]})
     assert setup.onsets is not None
     for _ in range(3):
-        _, observed = core.step(np.zeros((3, 2)))
+        _, observed = core.step(np.zeros((3, 1)))
         for term in seen:
             names = term.names(setup)
             first = core.observation_names.index(names[0])

@@ -10,6 +10,7 @@ import pytest
 
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofEnv
+from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.simulators import TightlyCoupledSetup
 
 from .support import ID, SMALL, STEPS, VICTIMS, single, vector, victim, victims
@@ -25,7 +26,7 @@ def test_the_default_is_what_the_architecture_says():
     setup = env.core.setup
     assert (setup.onset, setup.steps, setup.hold) == (400, 300, 20)
     assert setup.detector.weight_scale == 0.3
-    assert env.action_names == ("north_acceleration", "east_acceleration")
+    assert env.action_names == ("along_target_setpoint",)
     assert gym.spec(ID).max_episode_steps is None
 
 
@@ -36,7 +37,7 @@ def test_a_signature_shows_all_settings(kind):
     for parameters in (single, vector):
         assert "settings" not in parameters
         assert parameters["between"].default == "hold"
-        assert parameters["alarm_penalty_m"].default == 10.0
+        assert parameters["alarm_price"].default == ALARM_PRICE
         assert {"timeline", "domain", "twin", "watch"} < set(parameters)
     assert ("rate_limit_mps" in single) == (kind in SMALL)
 
@@ -123,7 +124,8 @@ def test_a_bad_action_names_element_and_value(kind, bad):
         ),
         ({"attack": {"name": "per-channel", "channels": ["S05", "S05"]}}, "each satellite once"),
         ({"timeline": {"attack_s": -1.0}}, "`attack_s` must be"),
-        ({"alarm_penalty_m": -1.0}, "`penalty_m` must be"),
+        ({"alarm_price": -1.0}, "`alarm_price` must be finite and >= 0"),
+        ({"length_m": 0.0}, "`length_m` must be finite and > 0"),
         ({"target_heading_deg": np.nan}, "`target_heading_deg` must be a finite number"),
         ({"attack": {"name": "per-channel", "channels": ["S99"]}}, "'S99' is not in view"),
         ({"autoreset_mode": "sometimes"}, "unknown autoreset mode"),
@@ -148,11 +150,11 @@ def test_a_finished_episode_must_be_reset():
         (
             {"alarm_penalty": 4},
             TypeError,
-            "no argument 'alarm_penalty'; valid: .*alarm_penalty_m",
+            "no argument 'alarm_penalty'; valid: .*alarm_price",
         ),
         ({"knowledge": "omniscient"}, ValueError, "unknown knowledge 'omniscient'"),
         ({"target_heading_deg": np.inf}, ValueError, "`target_heading_deg` must be a finite"),
-        ({"alarm_penalty_m": -1.0}, ValueError, "`penalty_m` must be finite"),
+        ({"alarm_price": -1.0}, ValueError, "`alarm_price` must be finite"),
         ({"reward": ["retraction"] * 2}, ValueError, "two reward terms have the same name"),
         ({"between": "spline"}, ValueError, "unknown between 'spline'; valid: hold, linear"),
         ({"timeline": {"attack_s": 0.0}}, ValueError, "`attack_s` must be finite and > 0"),

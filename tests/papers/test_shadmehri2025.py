@@ -1,6 +1,6 @@
 """shadmehri2025's monitor: the order of its table 1, what turns it round, and its false alarms.
 
-The bands are those of a prototype of 60 to 150 runs a case.  Errors of GNSS are first-order
+The bands are those of a second program, of 60 to 150 runs a case.  Errors of GNSS are first-order
 Gauss-Markov of 1.6 m and 3 m with a decay of 0.999 an epoch where nothing else is said.
 """
 

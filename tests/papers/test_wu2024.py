@@ -1,6 +1,7 @@
 """wu2024: separation of residual vectors, SRV-RAIM and traversal RAIM, against its tables.
 
-Notes: a throw-away prototype on nine skies gave the bands.  Each average here is of 99 000 draws.
+A second program on nine skies gave the bands of the averages.  Each average here is of 99 000
+draws.
 """
 
 from functools import cache
@@ -36,7 +37,9 @@ AVERAGES = {
     ("Table 8", "mean n_s"): (1362.0, 10.0),
     ("Table 8", "n_s, SRV over traversal [%]"): (1.7, 0.2),
 }
-NOT_MET = {("Table 3", f"NH(e4) = {bin} [%]") for bin in ("2", "3", "5 or more")}
+NOT_MET = {("Table 3", f"NH(e4) = {bin} [%]") for bin in ("2", "3")}
+WITHOUT_BAND = {"fail [%]", "n_s, SRV over traversal [%]"}
+"""Follow from other averages."""
 
 
 @cache
@@ -61,11 +64,11 @@ def test_averages_are_those_of_the_paper(table, quantity):
     middle, margin = AVERAGES[table, quantity]
     assert abs(row.ours - middle) <= margin
     assert abs(row.paper - middle) <= margin
-    assert row.inside
+    assert (row.printed_inside, row.agrees) == ((None if quantity in WITHOUT_BAND else True),) * 2
 
 
 def test_every_row_is_in_its_band_but_those_that_are_said_not_to_be():
-    outside = [r for r in rows() if r.inside is False and r.table != "Speed"]
+    outside = [r for r in rows() if False in (r.printed_inside, r.agrees) and r.table != "Speed"]
     assert {(r.table, r.quantity) for r in outside} <= NOT_MET
     assert all(r.note.startswith("not met") for r in outside)
 

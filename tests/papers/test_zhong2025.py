@@ -2,10 +2,10 @@
 
 One satellite is spoofed from 200 s to 350 s, by a step or a ramp of its pseudorange alone, in the
 receiver of the paper's tables.  Delays count from the first spoofed epoch; the paper prints them
-0.01 s longer.  Notes: a throw-away prototype ran the same attacks 50 times, and its medians and
+0.01 s longer.  A second program ran the same attacks 50 times, and its medians and
 standard deviations are the spread that is meant here.
 
-The paper does not say which satellite it spoofs.  The prototype's first one had an elevation of
+The paper does not say which satellite it spoofs.  The second program's one had an elevation of
 29 deg, and enough redundancy for a step of 15 m to pass the snapshot test in the end and one of
 25 m not to; of the satellites in view here S11 (26 deg) is nearest in elevation, and S15 (37 deg)
 nearest in redundancy, which matters more.
@@ -36,7 +36,7 @@ STEPS = [("step", 15.0), ("step", 25.0), ("step", 35.0)]  # m
 RAMPS = [("ramp", 0.2), ("ramp", 0.5), ("ramp", 0.7)]  # m/s
 ATTACKS = STEPS + RAMPS
 PRINTED = dict(zip(ATTACKS, (1.01, 0.51, 0.01, 21.01, 10.01, 8.51), strict=True))
-PROTOTYPE = dict(zip(ATTACKS, (0.76, 0.51, 0.01, 19.0, 9.5, 7.8), strict=True))
+SECOND = dict(zip(ATTACKS, (0.76, 0.51, 0.01, 19.0, 9.5, 7.8), strict=True))
 SPREAD = dict(zip(ATTACKS, (0.5, 0.3, 0.2, 6.8, 3.1, 2.3), strict=True))
 
 
@@ -140,7 +140,7 @@ def chart_of_a_perfect_receiver(attack, threshold, smoothing=0.1):
 
 @pytest.mark.parametrize("weight_scale", [0.1, 0.3])
 @pytest.mark.parametrize("attack", ATTACKS)
-def test_onset_is_the_printed_one_within_the_spread_of_the_notes(attack, weight_scale):
+def test_onset_is_the_printed_one_within_the_spread_of_single_runs(attack, weight_scale):
     # a delay is a whole number of epochs, so that a spread below one can't be kept more closely
     allowed = max(SPREAD[attack], EPOCH)
     delay = np.median(campaign(attack, weight_scale).onset)
@@ -148,11 +148,11 @@ def test_onset_is_the_printed_one_within_the_spread_of_the_notes(attack, weight_
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
-def test_onset_is_the_prototypes_within_the_error_of_two_medians(attack):
+def test_onset_is_that_of_a_second_program_within_the_error_of_two_medians(attack):
     # standard error of a median of n normal deviates: 1.253 sd / sqrt(n); three of the difference
     allowed = 3.0 * 1.253 * SPREAD[attack] * math.sqrt(2.0 / RUNS) + EPOCH
     delay = np.median(campaign(attack, 0.1).onset)
-    assert delay == pytest.approx(PROTOTYPE[attack] - 0.01, abs=allowed)
+    assert delay == pytest.approx(SECOND[attack] - 0.01, abs=allowed)
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
@@ -239,7 +239,7 @@ def test_the_joint_chart_ends_within_one_epoch(attack, weight_scale):
 
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_an_alarm_of_the_joint_chart_seldom_ends_within_the_attack(attack):
-    # the notes: up to 0.04 early ends in a run
+    # a second program had up to 0.04 early ends in a run
     found = joint(attack, 0.1).alarm[:SPOOFED]
     early = (found[:-1] & ~found[1:]).sum(axis=0)
     assert early.mean() <= 0.1
@@ -273,7 +273,8 @@ def test_the_ewma_chart_alarms_through_the_pause():
 
 
 def test_a_snapshot_alarms_on_the_other_side_after_a_ramp():
-    # the filter has followed: 13 and 29 epochs of false alarms in the notes, none after 0.2 m/s
+    # the filter has followed: a second program had 13 and 29 epochs of false alarms, none after
+    # 0.2 m/s
     after = [np.mean(snapshot(attack).alarm[SPOOFED:].sum(axis=0)) for attack in RAMPS]
     assert after[0] < 1.0
     assert after[1] > 5.0

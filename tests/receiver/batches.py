@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spoofgym._simd import ArrayTable
 from spoofgym.earth.frames import geodetic_to_ecef
 from spoofgym.receiver import _kernels
 from spoofgym.receiver._kernels import PREDICT, SHOW, UPDATE
@@ -160,7 +161,9 @@ class Batch:
         sizes = padded(6 * MOST), padded(2 * N)
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
         work[:] = np.nan  # so that nothing is read of it that has not been written
-        one = np.zeros((1, 1))
+        one, no_alarm = np.zeros((1, 1)), np.zeros((1, 1), dtype=np.bool_)
+        nothing = one, one, np.zeros(0), np.zeros(6), np.zeros(4), one, one, one, one, no_alarm
+        memories = ArrayTable(nothing)
         table = kernel_table(
             buffers,
             sensors,
@@ -169,15 +172,17 @@ class Batch:
             world.epoch_end,
             world.satellites,
             np.array([COVARIANCE_UPDATES[update], least, orthonormal, *sizes]),
+            sensors.signals.data,
+            np.zeros(0),
             *np.zeros((2, EPOCHS + 1, 3)),
             np.zeros(1, dtype=np.bool_),
             np.zeros(1, dtype=np.int64),
             np.zeros(4),
         )
-        sound = run_epochs(
+        found = run_epochs(
             table.entries,
-            *(one, one, one, np.zeros((1, 1, 3)), one),
-            *(np.zeros(3), one, one, one, one),
+            memories.entries,
+            one,
             self.weights if weights is None else weights,
             work,
             *(NO_FORM, True, NO_FORM),
@@ -186,7 +191,7 @@ class Batch:
             lo,
             buffers.receivers if hi is None else hi,
         )
-        assert sound
+        assert not found
 
     def predict(self, lo=0, hi=None):
         """Move on to the next epoch, with samples and ranges as they have been measured."""

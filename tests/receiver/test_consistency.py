@@ -121,10 +121,10 @@ def test_position_ends_at_the_spread_that_constant_biases_give_it(errors):
 
 
 @pytest.mark.parametrize("grade", GRADES)
-def test_position_ends_at_the_spread_of_realistic_errors(grade):
+def test_position_ends_at_the_spread_of_the_errors_on_the_trolley(grade):
     times = np.array((20.0, 60.0, 110.0, 200.0, 300.0, 400.0))
     scenario, groups = (
-        Scenario(errors="realistic", imu=grade),
+        Scenario(errors="trolley", imu=grade),
         (POSITION_AND_CLOCK, VELOCITY_AND_DRIFT),
     )
     position, motion = mean_errors(scenario, matched(grade), times, *groups).T
@@ -136,7 +136,7 @@ def test_position_ends_at_the_spread_of_realistic_errors(grade):
 
 
 def test_range_rates_keep_their_power_among_correlated_errors():
-    simulator = begin(Scenario(errors="realistic"), matched("aviation"), RUNS, 300.0)
+    simulator = begin(Scenario(errors="trolley"), matched("aviation"), RUNS, 300.0)
     advance_to(simulator, 200.0)
     n = simulator.setup.world.channels
     rates, satellites = 0.0, 0

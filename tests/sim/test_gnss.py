@@ -56,7 +56,8 @@ def test_standard_deviations_must_be_finite_and_not_negative(name, value):
 def measured(sensors, keys, epoch, tau, sky, noise, added, out):
     """Pseudoranges and range rates of a group, in all rows of `out`."""
     n = out.shape[0] // 2
-    measure(sensors, 0, n, keys, 0, load(epoch, 0), load(tau, 0), sky, noise, added, out, 0)
+    k, dt = load(epoch, 0), load(tau, 0)
+    measure(sensors, 0, n, keys, 0, k, dt, sky, noise, added, added[:0], out, 0)
 
 
 def begun(errors, bias_sd, seeds, grade="aviation"):
@@ -205,25 +206,32 @@ def test_correlated_errors_leave_range_rates_and_other_streams_alone():
     np.testing.assert_allclose(both - without, alone - silent, rtol=0, atol=2e-8)
 
 
-def test_authentic_errors_can_be_taken_away():
+def test_errors_of_authentic_signals_can_be_taken_away_with_the_receivers_noise_or_without():
     def capture(buffers):
-        buffers.authentic[0, :3] = 0.0
-        buffers.authentic[0, N : N + 2] = 0.0
+        buffers.authentic[0, :3] = -1.0
+        buffers.authentic[0, 3:5] = 0.0
+        buffers.authentic[0, 5] = 0.25
+        buffers.authentic[0, N : N + 2] = -1.0
+        buffers.authentic[0, N + 2] = 0.0
 
     errors = replace(
         ERRORS["groves"], correlated_sd_m=2.0, clock=ReceiverClock(offset_m=5.0, drift_mps=1.0)
     )
     ranges, rates, _, _ = epochs_of(errors, 1, bias_sd=3.0, change=capture)
-    own, own_rates, _, _ = epochs_of(errors, 1, bias_sd=3.0)
+    own, own_rates, _, fields = epochs_of(errors, 1, bias_sd=3.0)
     np.testing.assert_allclose(ranges[0, :3], 5.0, rtol=0, atol=2e-8)
     np.testing.assert_allclose(rates[0, :2], 1.0, rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(ranges[0, 3:], own[0, 3:])
+    path = (fields["satellite_bias"] + fields["correlated"])[0]
+    np.testing.assert_allclose(ranges[0, 3:5], (own[0] - path)[3:5], rtol=0, atol=2e-8)
+    assert np.abs(ranges[0, 3:5] - 5.0).min() > 1e-3  # the noise of the receiver
+    np.testing.assert_allclose(ranges[0, 5], own[0, 5] - 0.75 * path[5], rtol=0, atol=2e-8)
+    np.testing.assert_array_equal(ranges[0, 6:], own[0, 6:])
     np.testing.assert_array_equal(rates[0, 2:], own_rates[0, 2:])
 
 
-def test_the_realistic_errors_are_those_that_were_measured():
+def test_the_errors_on_the_trolley_are_those_that_were_measured():
     """Autocorrelation of the code error: 0.73 at 1 s, 0.32 at 30 s, 0.02 at 120 s."""
-    errors = ERRORS["realistic"]
+    errors = ERRORS["trolley"]
     wandering, white = errors.correlated_sd_m**2, errors.code_sd_m**2
     for lag, found in ((1.0, 0.73), (30.0, 0.32), (120.0, 0.02)):
         model = wandering * math.exp(-lag / errors.correlation_s) / (wandering + white)
@@ -247,7 +255,7 @@ def test_eight_receivers_measure_as_each_alone():
     noisy = ReceiverClock(phase_psd=0.3, frequency_psd=0.2)
     errors = [
         SILENT,
-        ERRORS["realistic"],
+        ERRORS["trolley"],
         replace(WANDERING, correlation_s=3.0),
         replace(SILENT, clock=noisy),
         replace(ERRORS["groves"], correlated_sd_m=2.0, clock=noisy),

@@ -10,6 +10,7 @@ from spoofgym.sim.gnss import ERRORS
 from spoofgym.sim.imu import IMU_GRADES
 from spoofgym.sim.manoeuvres import FLIGHTS, car
 from spoofgym.sim.scenario import SCENARIOS, Scenario, make_scenario
+from spoofgym.simulators.domain import Domain
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -27,7 +28,7 @@ def test_every_scenario_says_what_it_is(name):
         ({"flight": "zhong2024"}, "unknown flight 'zhong2024'; valid: .*did you mean 'zhong2025'"),
         (
             {"errors": "none"},
-            "unknown errors 'none'; valid: groves, ke2022, realistic, white, zhong2025",
+            "unknown errors 'none'; valid: .*groves, ke2022, trolley, white, zhong2025",
         ),
         ({"imu": "Tactical"}, "unknown imu grade 'Tactical'; .* did you mean 'tactical'"),
     ],
@@ -35,6 +36,17 @@ def test_every_scenario_says_what_it_is(name):
 def test_unknown_names_are_told_with_the_valid_ones(settings, said):
     with pytest.raises(ValueError, match=said):
         Scenario(**settings)
+
+
+def test_an_old_name_is_told_with_the_new_one():
+    with pytest.raises(ValueError, match=r"errors 'realistic' is now called 'trolley'$"):
+        Scenario(errors="realistic")
+    for end in ("", "-tactical", "-consumer", "-two-constellations"):
+        said = rf"scenario 'realistic{end}' is now called 'trolley{end}'$"
+        with pytest.raises(ValueError, match=said):
+            make_scenario(f"realistic{end}")
+    with pytest.raises(ValueError, match=r"errors 'realistic' is now called 'trolley'$"):
+        Domain(errors=("realistic",))
 
 
 def test_the_world_of_a_named_flight_is_computed_once():

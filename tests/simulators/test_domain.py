@@ -27,7 +27,7 @@ ALL = {
 
 
 def settings(**kwargs):
-    return {"timeline": SHORT, "knowledge": "oracle", **kwargs}
+    return {"timeline": SHORT, "knowledge": "oracle", "action": "full-command", **kwargs}
 
 
 def test_every_receiver_is_the_single_env_of_its_seed_in_a_world_of_its_own():

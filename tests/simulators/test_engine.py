@@ -61,6 +61,7 @@ def everything(simulator, rows=slice(None)):
     arrays = {
         **{name: buffers.fields[name] for name in buffers.fields.shapes},
         **{f"sensor {name}": sensors.fields[name] for name in sensors.fields.shapes},
+        **{f"signal {name}": sensors.signals[name] for name in sensors.signals.shapes},
         **{f"seen {name}": array for name, array in buffers.seen.items()},
         **{f"plain {name}": getattr(buffers, name) for name in plain},
         "epoch": sensors.epoch,
@@ -92,11 +93,11 @@ ALL_DRAWN = {
     "worlds": 2,
     "turned_deg": (0.0, 360.0),
     "imu": ("aviation", "tactical", "consumer"),
-    "errors": ("zhong2025", "realistic", "groves"),
+    "errors": ("zhong2025", "trolley", "groves"),
 }
 SETTINGS = {
     "default": {},
-    "realistic": {"scenario": {"errors": "realistic"}},
+    "trolley": {"scenario": {"errors": "trolley"}},
     "general": {
         "receiver": {
             "covariance_update": "general",
@@ -107,6 +108,14 @@ SETTINGS = {
         "domain": {**ALL_DRAWN, "constellation_time_s": (0.0, 86_400.0)},
     },
     "plain": {"receiver": {"covariance_update": "plain"}, "domain": ALL_DRAWN},
+    "airborne": {
+        "scenario": {"name": "aviation-actual", "imu_rate_hz": 20},
+        "attack": {"name": "false-position", "errors": "quiet"},
+        "domain": {
+            "start_s": (0.0, 60.0),
+            "events": {"clock_step": 0.5, "satellite_loss": 0.5, "front": 0.5},
+        },
+    },
 }
 
 

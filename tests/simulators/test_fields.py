@@ -97,7 +97,8 @@ def test_needs_of_loop_passive_detectors_and_monitors_add_up():
 
 def test_passive_detectors_of_an_environment_get_what_they_need():
     watch = [Reader("transition", "predicted_cov"), {"name": "pool", "members": ["aime", "raim"]}]
-    env = gym.make(ID, detector="ewma", watch=watch, timeline=SHORT)
+    settings = {"timeline": SHORT, "action": "full-command"}
+    env = gym.make(ID, detector="ewma", watch=watch, **settings)
     env.reset(seed=1)
     env.step(np.zeros(2, dtype=np.float32))
     needs = {"transition", "predicted_cov", "innovation_cov", "pseudorange", "satellite_position"}

@@ -104,9 +104,9 @@ def test_a_flight_that_turns_too_far_in_a_sample_is_refused():
 
 @pytest.mark.parametrize("rate", [None, 20])
 def test_the_keyword_is_the_scenario_s_setting(rate):
-    setup = TightlyCoupledSetup(scenario="realistic", imu_rate_hz=rate)
-    assert setup.scenario == replace(SCENARIOS["realistic"](), imu_rate_hz=rate)
-    assert setup.name == ("realistic" if rate is None else "realistic@20Hz")
+    setup = TightlyCoupledSetup(scenario="trolley", imu_rate_hz=rate)
+    assert setup.scenario == replace(SCENARIOS["trolley"](), imu_rate_hz=rate)
+    assert setup.name == ("trolley" if rate is None else "trolley@20Hz")
     assert setup.title.startswith(f"{setup.name}: ")
 
 
@@ -184,6 +184,6 @@ def test_errors_are_those_of_the_flight_s_own_rate(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", RATES)
-@pytest.mark.parametrize("name", ["zhong2025", "realistic-tactical", "zhong2025-consumer"])
+@pytest.mark.parametrize("name", ["zhong2025", "trolley-tactical", "zhong2025-consumer"])
 def test_errors_are_those_of_the_flight_s_own_rate_for_long(name, rate):
     assert_alike(name, rate, 1024, 300.0)

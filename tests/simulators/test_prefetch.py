@@ -27,7 +27,8 @@ def setup():
 
 
 def core_of(setup, prefetch, receivers=9, threads=1):
-    return SpoofCore(receivers, setup, knowledge="oracle", threads=threads, prefetch=prefetch)
+    how = {"threads": threads, "prefetch": prefetch, "action": "full-command"}
+    return SpoofCore(receivers, setup, knowledge="oracle", **how)
 
 
 def generators(receivers=9, seed=0):
@@ -360,6 +361,8 @@ def test_a_thread_may_close_its_owner(setup):
 def test_an_environment_that_is_not_closed_lets_the_interpreter_end():
     code = f"""
 from spoofgym import _jit
+import warnings
+warnings.simplefilter("ignore")  # the episode is too short for the memory of its detector
 from spoofgym.envs import SpoofVectorEnv
 _jit.NOTICE_S = float("inf")
 envs = SpoofVectorEnv(40, threads=1, timeline={TIMELINE})

@@ -178,8 +178,8 @@ def test_a_twin_is_the_receiver_without_the_attack(kind):
     assert_same(engine.twin, alone)
     engine.simulator.displacement(origin, engine.twin, apart)
     assert (apart > 0.0).all()
-    held = engine.hold(np.array([0, 2]))
-    assert held.shape == (setup.hold, 2)
+    held, of_twin = engine.hold(np.array([0, 2]))
+    assert held.shape == of_twin.shape == (setup.hold, 2)
     assert engine.twin.time_s()[1] < engine.twin.time_s()[0] == engine.simulator.time_s()[0]
 
 
@@ -281,7 +281,7 @@ def test_what_is_observed_has_names_and_scales(kind):
         assert shown[name].shape == (3, len(names)), name
         assert np.isfinite(shown[name]).all(), name
         assert len(set(names)) == len(names)
-    assert {"displacement_m", "position_m", "error_m"} <= set(setup.scales)
+    assert {"length_m", "position_m", "velocity_mps"} <= set(setup.scales)
     assert setup.error_names[:2] == ("north", "east")
     layout, frame = mine.layout(), mine.frame()
     assert layout.track_ne.shape == (setup.steps + setup.hold + 1, 2)

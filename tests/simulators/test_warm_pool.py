@@ -157,14 +157,15 @@ def test_all_forms_of_an_environment_take_it():
     def made(name, **more):
         return gym.make(name, **settings, **more, disable_env_checker=True)
 
+    plain = {"action": "full-command"}
     envs = gym.make_vec(
-        "spoofgym/TightlyCoupled-v0", 4, **settings, autoreset_mode="same_step", threads=2
+        "spoofgym/TightlyCoupled-v0", 4, **settings, **plain, autoreset_mode="same_step", threads=2
     )
     seen = [envs.reset(seed=5)[0]]
     for _ in range(20):
         seen.append(envs.step(np.full((4, 2), 0.5, dtype=np.float32))[0])
     assert envs.unwrapped.core.engine._next is None
-    single = made("spoofgym/TightlyCoupled-v0")
+    single = made("spoofgym/TightlyCoupled-v0", **plain)
     assert single.spec.kwargs["warm_pool"] == 3
     assert np.array_equal(single.reset(seed=7)[0], seen[0][2])
     for observations in seen[1:]:
@@ -182,7 +183,8 @@ def test_all_forms_of_an_environment_take_it():
 @pytest.mark.parametrize("pool", [None, 3])
 def test_recorded_files_name_it(pool, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
-    env = gym.make("spoofgym/TightlyCoupled-v0", timeline=TIMELINE, warm_pool=pool)
+    settings = {"timeline": TIMELINE, "warm_pool": pool, "action": "full-command"}
+    env = gym.make("spoofgym/TightlyCoupled-v0", **settings)
     env = RecordEpochs(env, tmp_path)
     env.reset(seed=1)
     env.step(np.zeros(2, dtype=np.float32))

@@ -21,6 +21,7 @@ from spoofgym.spoofers.card import Card, fields_of
 
 TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 5.0}
 ENV = {"timeline": TIMELINE, "detector": "ewma"}
+FULL = {"action": "full-command"}
 
 BLIND = SpooferContext(
     receivers=3,
@@ -38,10 +39,10 @@ BLIND = SpooferContext(
         "time_since_onset",
         "time_left",
     ),
-    observation_low=(-10.0, -10.0, -10.0, -10.0, 0.0, 0.0),
-    observation_high=(10.0, 10.0, 10.0, 10.0, 1.0, 1.0),
+    observation_low=(-100.0, -100.0, -100.0, -100.0, 0.0, 0.0),
+    observation_high=(100.0, 100.0, 100.0, 100.0, 1.0, 1.0),
 )
-"""What a blind spoofer is told of the default environment with the timeline above."""
+"""What a blind spoofer that commands accelerations is told, with the timeline above."""
 
 
 def context_of(
@@ -88,7 +89,7 @@ def card_fields(
         "name": name,
         "kind": "onnx-policy",
         "env_id": "spoofgym/TightlyCoupled-v0",
-        "env_kwargs": {**ENV, "knowledge": knowledge, **env},
+        "env_kwargs": {**ENV, **FULL, "knowledge": knowledge, **env},
         **fields_of(context),
         "knowledge": {"run_time": knowledge, "design_time": "ewma, zhong2025"},
         "training": {"command": "none", "seed": 7},

@@ -16,7 +16,12 @@ from spoofgym.testing import check_spoofer
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 2.0}
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
-WORLD = {"timeline": SHORT, "attack": STRONG, "detector": "never"}
+WORLD = {
+    "timeline": SHORT,
+    "attack": STRONG,
+    "detector": "never",
+    "action": "full-command",
+}
 FOLLOWING = {"name": "ramp", "rate_mps": 2.0, "heading_deg": "target"}
 SCRIPTED: list[dict[str, Any]] = [
     FOLLOWING,
@@ -91,8 +96,11 @@ def test_an_attack_on_channels_has_no_heading_to_follow() -> None:
     np.testing.assert_array_equal(*action)
 
 
-def test_a_target_that_is_drawn_is_reached() -> None:
-    envs = gym.make_vec("spoofgym/RandomStart-v0", num_envs=6, **WORLD)
+@pytest.mark.parametrize(
+    "action", ["full-command", {"name": "rate-setpoint", "full_scale_mps": 2.0}]
+)
+def test_a_target_that_is_drawn_is_reached(action: str | dict[str, Any]) -> None:
+    envs = gym.make_vec("spoofgym/RandomStart-v0", num_envs=6, **{**WORLD, "action": action})
     spoofer = attach(FOLLOWING, envs)
     observation, _ = envs.reset(seed=4)
     for _ in range(60):

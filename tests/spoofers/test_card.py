@@ -17,6 +17,7 @@ SCORE = {
     "split": "evaluation",
     "entropy": 0,
     "runs": 500,
+    "counted": 410,
     "undetected_displacement_m": 33.0,
     "low": 32.0,
     "high": 34.5,
@@ -46,6 +47,13 @@ def test_a_card_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["card.json"]
 
 
+def test_a_score_by_the_definition_before_does_not_say_how_many_runs_counted() -> None:
+    before = {name: value for name, value in SCORE.items() if name != "counted"}
+    (score,) = Card(**fields(scores=[before])).scores
+    assert score.counted is None
+    assert Card(**fields()).scores[0].counted == 410
+
+
 def _other(path: str, value: Any) -> dict[str, Any]:
     """Fields with one of them changed."""
     made = fields()
@@ -66,7 +74,7 @@ def _other(path: str, value: Any) -> dict[str, Any]:
         (fields(kind="pickle"), r"`kind`: Input should be 'onnx-policy' or 'profile'"),
         (
             _other("conditions.control", "force"),
-            r"`conditions.control`: .*'rate' or 'acceleration'",
+            r"`conditions.control`: .*'rate', 'acceleration' or 'setpoint', got 'force'",
         ),
         (_other("conditions.interval_s", "0.5"), r"`conditions.interval_s`: .*valid number"),
         (_other("conditions.steps", 0), r"`conditions.steps`: .*greater than 0, got 0"),
@@ -164,9 +172,9 @@ def test_differences_are_told(changes: dict[str, Any], lines: list[str]) -> None
 
 def test_other_bounds_differ() -> None:
     context = BLIND
-    wider = context._replace(observation_high=(20.0, *context.observation_high[1:]))
+    wider = context._replace(observation_high=(200.0, *context.observation_high[1:]))
     (line,) = Card(**fields()).differences(wider)
-    assert line.startswith("observation.high: [10.0, ")
+    assert line.startswith("observation.high: [100.0, ")
 
 
 def test_by_rate_the_limit_of_the_acceleration_does_not_matter() -> None:

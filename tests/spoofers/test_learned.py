@@ -364,7 +364,7 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
         ({"rate_limit_mps": 2.0}, r"conditions\.rate_limit_mps: 5\.0 on the card, 2\.0 here"),
         ({"acceleration_limit_mps2": 0.1}, r"acceleration_limit_mps2: 0\.05 on the card, 0\.1"),
         ({"control": "rate"}, r"control: 'acceleration' on the card, 'rate' here"),
-        ({"observation_low": (-1.0,) * 6}, r"observation\.low: \[-10\.0, .* \[-1\.0, .* here"),
+        ({"observation_low": (-1.0,) * 6}, r"observation\.low: \[-100\.0, .* \[-1\.0, .* here"),
         (
             {"observation_names": ("own_displacement_up", *BLIND.observation_names[1:])},
             r"own_displacement_north only on the card; observation: own_displacement_up only here",

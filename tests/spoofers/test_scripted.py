@@ -16,6 +16,8 @@ pytestmark = pytest.mark.nojit
 
 PLANE = ("north", "east")
 NOTHING = np.zeros((3, 0), dtype=np.float32)
+CALM = np.zeros((3, 1), dtype=np.float32)
+"""What a spoofer observes that sees nothing but the detector's statistic: there is all room."""
 
 
 def context(control: str = "acceleration", **changes: Any) -> SpooferContext:
@@ -28,6 +30,7 @@ def context(control: str = "acceleration", **changes: Any) -> SpooferContext:
         "acceleration_limit_mps2": 0.05,
         "rate_limit_mps": 5.0,
         "action_names": tuple(f"{axis}_{control}" for axis in axes),
+        "observation_names": ("statistic_ratio",),
         **changes,
     }
     return SpooferContext(**given_)
@@ -43,7 +46,7 @@ def flown(spoofer: Spoofer, told: SpooferContext) -> tuple[np.ndarray, np.ndarra
     unit = told.rate_limit_mps if by_rate else told.acceleration_limit_mps2
     rows = []
     for _ in range(told.steps):
-        action = spoofer.act(NOTHING)
+        action = spoofer.act(CALM)
         assert action.shape == (told.receivers, len(told.action_names))
         assert action.dtype == np.float64
         assert np.abs(action).max() <= 1.0

@@ -105,7 +105,9 @@ def test_the_engine_of_either_tree_is_found():
     names = ["north", "east"]
     old = SimpleNamespace(action_names=names, game=SimpleNamespace(engine="old", actor=Actor()))
     assert frozen_probe._engine(old, 3) == ("old", (3, 2))
-    new = SimpleNamespace(action_names=names, core=SimpleNamespace(engine="new"))
+    setup = SimpleNamespace(action_names=names)
+    core = SimpleNamespace(engine="new", setup=setup)
+    new = SimpleNamespace(action_names=["along_target_setpoint"], core=core)
     engine, command = frozen_probe._engine(new, 3)
     assert engine == "new"
     np.testing.assert_array_equal(command, np.zeros((3, 2)))

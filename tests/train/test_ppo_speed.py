@@ -59,7 +59,8 @@ def test_the_environment_without_physics_looks_like_the_engine():
     engine, nothing = (kind(2, seed=0, threads=1, **kwargs) for kind in (SpoofVecEnv, Nothing))
     assert nothing.observation_space == engine.observation_space
     assert nothing.action_space == engine.action_space
-    actions, steps = np.zeros((2, 2), dtype=np.float32), engine.core.setup.steps
+    actions = np.zeros((2, *engine.action_space.shape), dtype=np.float32)
+    steps = engine.core.setup.steps
     results = []
     for envs in (engine, nothing):
         seen = [envs.reset()]

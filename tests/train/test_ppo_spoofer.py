@@ -22,7 +22,7 @@ from rich.console import Console
 from stable_baselines3.common.logger import configure
 
 from agents.record import read_record
-from spoofgym.bench.budget import excess_of
+from spoofgym.bench.scores import stealth_of
 from spoofgym.bench.suite import Suite
 from spoofgym.envs import attach
 from spoofgym.sb3 import SpoofVecEnv
@@ -41,6 +41,7 @@ QUICK = {
     "evaluations": 3,
     "tuning_runs": 6,
     "evaluation_runs": 6,
+    "budget": 0.45,
     "final_runs": 7,
     "threads": 1,
 }
@@ -131,7 +132,7 @@ def test_the_record_is_a_learning_curve(trained):
     assert steps == sorted(set(steps))
     assert (steps[0], steps[-1] >= trained.steps, len(points)) == (0, True, trained.evaluations + 1)
     for point in points:
-        assert {"eval_undetected_m", "eval_excess", "within_budget", "wall_s"} <= set(point)
+        assert {"eval_undetected_m", "eval_alarm_rate", "within_budget", "wall_s"} <= set(point)
     assert any((trained.out / "tensorboard").iterdir())
 
 
@@ -322,9 +323,12 @@ def test_a_pool_of_warm_ups_is_for_training_alone(trained):
 
 
 def test_the_budget_is_that_of_the_benchmark(trained):
-    assert trained.suite.tuning.budget == trained.budget == Suite().tuning.budget
-    assert trained.suite.tuning.margin == trained.margin == Suite().tuning.margin
+    assert trained.suite.tuning.budget == trained.budget == 0.45
+    assert Arguments(out=trained.out).budget == Suite().tuning.budget
     found = ppo_spoofer.Evaluation(
-        np.zeros(4), np.array([True, True, False, False]), np.array([True, False, False, False])
+        np.array([9.0, 1.0, 2.0, 3.0]),
+        np.array([True, True, False, False]),
+        np.array([False, True, True, True]),
     )
-    assert found.excess == excess_of([1, 1, 0, 0], [1, 0, 0, 0])
+    assert (found.mean_m, found.alarm_rate) == (2.0, 1.0 / 3.0)
+    assert found.stealth == stealth_of([1.0, 2.0, 3.0], [True, False, False], [True] * 3)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ..frame import Part, Row, Settings
-from .campaign import attack
+from ..frame import Part, Row, Settings, fill_origins
+from .campaign import attack, misses_by_satellite
 from .drawing import draw
-from .tables import CHANNELS, ORACLES, RAMPS, STEPS, Data, all_rows
+from .tables import CHANNELS, IN_VIEW, ORACLES, RAMPS, STEPS, Data, all_rows
 from .text import CLAIMS, FOUND, READINGS, TITLE
 
 __all__ = ["CLAIMS", "FOUND", "READINGS", "TITLE", "figures", "parts", "rows"]
@@ -90,6 +90,18 @@ def parts(settings: Settings) -> list[Part]:
     for update in ("plain", "general"):
         for kind, size in (("step", 10.0), ("ramp", 0.1)):
             add(f"{kind} {size:g} {update}", kind, size, ["M2"], update=update)
+    return found + satellite_parts(settings)
+
+
+def satellite_parts(settings: Settings) -> list[Part]:
+    """The smallest step and ramp on every satellite in view, since the paper names none."""
+    found = []
+    for kind, size in (("step", 5.0), ("ramp", 0.05)):
+        for suffix, scenario in (("", "ke2022"), (" white", "ke2022-white")):
+            told = {"kind": kind, "size": size, "satellites": list(IN_VIEW), "scenario": scenario}
+            told |= {"runs": runs_of(settings), "seed": settings.seed}
+            name = f"{kind} {size:g}, each satellite{suffix}"
+            found.append(Part(name, misses_by_satellite, told, 3.0))
     return found
 
 
@@ -108,7 +120,8 @@ def rows(data: Data, settings: Settings) -> list[Row]:
     list of Row
         In the order of the paper.
     """
-    return all_rows(data, runs_of(settings))
+    runs = runs_of(settings)
+    return fill_origins(all_rows(data, runs), runs=runs, seed=settings.seed)
 
 
 def figures(data: Data, folder: Path) -> list[Path]:

@@ -284,3 +284,31 @@ def attack(
         plain = "M1" if method == "watchers" else method
         found |= {f"{plain}/position_{what}": value for what, value in position.items()}
     return found
+
+
+def misses_by_satellite(
+    kind: str, size: float, satellites: list[str], runs: int, seed: int, scenario: str
+) -> dict[str, Any]:
+    """Runs of one attack on each of several satellites in turn, with M2 in the loop.
+
+    Parameters
+    ----------
+    kind, size : str and float
+        As in `attack`.
+    satellites : list of str
+        Attacked one after the other.
+    runs, seed : int
+        How many for each, and their chance.
+    scenario : str
+        World.
+
+    Returns
+    -------
+    dict
+        ``missed``: (n,) share of runs without an alarm by satellite [%]; ``cases``: all runs.
+    """
+    missed = []
+    for satellite in satellites:
+        flown = attack(kind, size, [satellite], ["M2"], runs, seed, scenario)
+        missed.append(100.0 * float((flown["M2/delay_s"] < 0).mean()))
+    return {"missed": missed, "cases": runs * len(satellites)}

@@ -8,10 +8,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ..frame import Part, Row, Settings
-from .cases import CASES, DECAYS, FALSE_ALARMS, SMALL_R, SPREADS, WHITE_WINDOWS
+from ..frame import Part, Row, Settings, fill_origins
+from .cases import CASES, DECAYS, FALSE_ALARMS, SINCE_START, SMALL_R, SPREADS, WHITE_WINDOWS
 from .figures import draw
-from .runs import MARKOV, WHITE, false_alarms, latencies, sample, stability, tuned
+from .runs import (
+    MARKOV,
+    WHITE,
+    alarms_since_start,
+    false_alarms,
+    latencies,
+    sample,
+    stability,
+    tuned,
+)
 from .tables import (
     absorption_rows,
     decay_rows,
@@ -27,6 +36,11 @@ TITLE = "Shadmehri & Mahboobi Esfanjani (2025)"
 __all__ = ["CLAIMS", "FOUND", "READINGS", "TITLE", "figures", "parts", "rows"]
 
 
+def runs_of(settings: Settings) -> tuple[int, int]:
+    """Runs of an attack, and clean ones."""
+    return (40, 60) if settings.quick else (200, 300)
+
+
 def parts(settings: Settings) -> list[Part]:
     """Work of a run.
 
@@ -40,8 +54,7 @@ def parts(settings: Settings) -> list[Part]:
     list of Part
         Cases of latency, then clean runs, then stability, then one run for the figures.
     """
-    runs = 40 if settings.quick else 200
-    clean = 60 if settings.quick else 300
+    runs, clean = runs_of(settings)
     common: dict[str, Any] = {"runs": runs, "seed": settings.seed}
     made = []
     for name, case in CASES.items():
@@ -69,6 +82,9 @@ def parts(settings: Settings) -> list[Part]:
         given = {"errors": WHITE if name == "white" else MARKOV, "window": window, "process": rule}
         given |= {"runs": runs, "seed": settings.seed}
         made.append(Part(f"Q {rule}, w = {window}, {name}", stability, given, 1.0 * runs))
+    for name, errors in SINCE_START.items():
+        given = {"errors": errors, "receiver": CASES["R of 0.17 m"].receiver, **common}
+        made.append(Part(name, alarms_since_start, given, 2.0 * clean))
     made.append(Part("sample", sample, {"seed": settings.seed}, 10.0))
     return made
 
@@ -89,7 +105,9 @@ def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
         Table 1 in all readings, then what the paper does not measure.
     """
     made = [*latency_rows(data), *test_rows(data), *decay_rows(data), *false_alarm_rows(data)]
-    return [*made, *stability_rows(data), *absorption_rows(data)]
+    made += [*stability_rows(data), *absorption_rows(data)]
+    runs, clean = runs_of(settings)
+    return fill_origins(made, runs=runs, clean=clean, seed=settings.seed)
 
 
 def figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:

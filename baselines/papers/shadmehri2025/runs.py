@@ -7,6 +7,7 @@ afterwards.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,9 @@ FALSE_ALARM = 1e-5
 RAMPS = (2.0, 3.0, 5.0)
 LEAD_IN_S, ATTACK_S, AFTER_S = 20.0, 5.0, 5.0
 EARLY = 150
-"""Epochs of the first 15 s after the lead-in, which the notes' prototype counted alarms in."""
+"""Epochs of the first 15 s after the lead-in."""
+STRETCHES_S = (5.0, 20.0, 35.0, 55.0)
+"""Edges of the stretches of a clean run in which alarms are counted, after its start."""
 STATED_SD = (3.7, 6.0)
 THRESHOLD = float(stats.chi2.isf(FALSE_ALARM, 3))
 WATCHER = {"name": "windowed-chi2", "window": 1}
@@ -304,6 +307,36 @@ def false_alarms(
         "fitting": float(fitting.mean()),
         "any": float(alarm[:EARLY].any(axis=0).mean()),
         "nis": float(run.statistic.mean()),
+    }
+
+
+def alarms_since_start(
+    errors: dict[str, float], receiver: dict[str, Any], runs: int, seed: int
+) -> dict[str, Any]:
+    """Part of the reproduction: alarms of clean runs of 55 s by the time since the filter's start.
+
+    Parameters
+    ----------
+    errors, receiver : dict
+        As in `play`.
+    runs, seed : int
+        As in `play`.
+
+    Returns
+    -------
+    dict
+        ``begin_s`` and ``end_s`` of every stretch, its share of epochs with an alarm at 25.9,
+        ``rate``, and its mean statistic, ``nis``.
+    """
+    statistic = play(errors, receiver, 0.0, runs, seed, 55.0, 0.0, lead_in_s=0.0).statistic
+    alarm = statistic > THRESHOLD
+    edges = [round(second / INTERVAL_S) for second in STRETCHES_S]
+    stretches = [slice(*pair) for pair in pairwise(edges)]
+    return {
+        "begin_s": list(STRETCHES_S[:-1]),
+        "end_s": list(STRETCHES_S[1:]),
+        "rate": [float(alarm[stretch].mean()) for stretch in stretches],
+        "nis": [float(statistic[stretch].mean()) for stretch in stretches],
     }
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..frame import Part, Row, Settings
+from ..frame import Part, Row, Settings, fill_origins
 from . import figures as pictures
 from . import rows as tables
 from .texts import CLAIMS, FOUND, READINGS
@@ -90,7 +90,7 @@ def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
     list of Row
         Tables 3 to 7, figures 9 to 12, rates, shares of runs, limits.
     """
-    return [
+    made = [
         *tables.accuracy_rows(data),
         *tables.deterioration_rows(data),
         *tables.latency_rows(data),
@@ -99,6 +99,8 @@ def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
         *tables.share_rows(data),
         *tables.limit_rows(data),
     ]
+    runs = QUICK_RUNS if settings.quick else RUNS
+    return fill_origins(made, runs=runs, seed=settings.seed)
 
 
 def figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:

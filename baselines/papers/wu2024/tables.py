@@ -1,8 +1,7 @@
 """Rows of tables 2 to 8, ours averaged over the skies.
 
-Bands of averages come from a prototype on 9 skies with a margin for the geometry; bands of single
-rows lie around the paper's figure, and allow for the geometry and for the paper's 100 displacements
-that all its subsets share.
+Bands of averages are those of a second program; bands of single rows lie around the paper's figure.
+A rate that is 100 % less the others has a row and no band, so that nothing is counted twice.
 """
 
 from __future__ import annotations
@@ -13,9 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frame import Row
+from ..frame import Band, Origin, Row
 from . import published
 from .geometry import SATELLITES
+from .origins import (
+    AVERAGES,
+    CLOCK,
+    SEARCH_FITS,
+    SEARCH_RATES,
+    SEEDS,
+    TIME,
+    TRAVERSAL_FITS,
+    TRAVERSAL_RATES,
+)
+from .origins import HYBRIDS as HYBRIDS_BAND
 from .partitions import METHODS
 
 FloatArray = NDArray[np.float64]
@@ -25,16 +35,16 @@ COUNTS = range(1, SATELLITES)
 WEIGHT = np.array([comb(SATELLITES, k) for k in COUNTS]) / (2**SATELLITES - 2)
 """Part of the 4094 subsets with 1 to 11 spoofed satellites."""
 NAMES = {"srv": "SRV-RAIM", "traversal": "traversal RAIM"}
+LAST = 4
+"""Place of the last of `HYBRIDS`."""
 HYBRIDS = ("0", "2", "3", "4", "5 or more")
 KINDS = ("success", "false", "fail")
 
-SHARED = "band: the paper's 100 displacements are shared by all subsets, and its sky is unknown"
-AVERAGE = "band: prototype on 9 skies, with a margin for the geometry"
 CLOCK_NOTE = (
     "not met: the paper's share of 2 to 4 hybrids is larger; it depends on the clock's part of the "
     "displacement, which is not printed, and on the sky"
 )
-EDGE = "band: with 1 or 11 spoofed the sky moves it by 1.6 points (1 SD)"
+REST = "no band: 100 % less the others"
 
 
 def stacked(data: Data, part: str, name: str) -> FloatArray:
@@ -57,6 +67,11 @@ def stacked(data: Data, part: str, name: str) -> FloatArray:
     return np.array([np.asarray(d[name]) for key, d in data.items() if key.startswith(part)])
 
 
+def mean(values: FloatArray) -> float:
+    """Mean over all subsets of (11,) values by number of spoofed satellites."""
+    return float(WEIGHT @ values)
+
+
 def pooled(rates: FloatArray) -> float:
     """Mean number of fits of all cases that did not fail.
 
@@ -74,20 +89,9 @@ def pooled(rates: FloatArray) -> float:
     return float(weight @ rates[:, 3] / weight.sum())
 
 
-def around(value: float, margin: float) -> tuple[float, float]:
-    """Band around a value, not below 0.
-
-    Parameters
-    ----------
-    value, margin : float
-        Middle and half of its width.
-
-    Returns
-    -------
-    low, high : float
-        Ends.
-    """
-    return round(max(value - margin, 0.0), 6), round(value + margin, 6)
+def around(value: float, margin: float, origin: Origin) -> Band:
+    """Band around a value, not below 0."""
+    return Band(round(max(value - margin, 0.0), 6), round(value + margin, 6), origin)
 
 
 def spoofed(count: int) -> str:
@@ -114,31 +118,30 @@ def separation_rows(data: Data) -> list[Row]:
     rows = []
     for k in COUNTS:
         for j, paper in enumerate(published.SEPARATED[k]):
-            band = around(paper, 5.0 if j == 0 else 2.0)
-            quantity = f"NH0 = {HYBRIDS[j]} [%]"
-            rows.append(Row("Table 2", spoofed(k), quantity, paper, least[k - 1, j], *band, SHARED))
-    average = [(76.5, 84.5), *(around(p, 2.0) for p in published.SEPARATED_AVERAGE[1:])]
+            band = None if j == LAST else around(paper, 2.0 if j else 5.0, HYBRIDS_BAND)
+            quantity, note = f"NH0 = {HYBRIDS[j]} [%]", REST if j == LAST else ""
+            ours = least[k - 1, j]
+            rows.append(Row("Table 2", spoofed(k), quantity, paper, ours, band, note))
     for j, paper in enumerate(published.SEPARATED_AVERAGE):
-        ours, note = float(WEIGHT @ least[:, j]), AVERAGE if j == 0 else SHARED
-        quantity = f"NH0 = {HYBRIDS[j]} [%]"
-        rows.append(Row("Table 2", "average", quantity, paper, ours, *average[j], note))
+        band = around(paper, 2.0, HYBRIDS_BAND) if j else Band(76.5, 84.5, AVERAGES)
+        quantity, note = f"NH0 = {HYBRIDS[j]} [%]", ""
+        if j == LAST:
+            band, note = None, REST
+        rows.append(Row("Table 2", "average", quantity, paper, mean(least[:, j]), band, note))
     for j, paper in enumerate(published.CLOCK_AVERAGE):
-        band = (28.0, 48.0) if j == 0 else around(paper, 10.0 if j == 4 else 2.0)
-        ours, note = float(WEIGHT @ clock[:, j]), AVERAGE if j == 0 else CLOCK_NOTE
-        quantity = f"NH(e4) = {HYBRIDS[j]} [%]"
-        rows.append(Row("Table 3", "average", quantity, paper, ours, *band, note))
+        band = around(paper, 2.0, CLOCK) if j else Band(28.0, 48.0, AVERAGES)
+        quantity, note = f"NH(e4) = {HYBRIDS[j]} [%]", CLOCK_NOTE if j else ""
+        if j == LAST:
+            band, note = None, f"{REST}, which are not all met"
+        rows.append(Row("Table 3", "average", quantity, paper, mean(clock[:, j]), band, note))
     for k in COUNTS:
         for j, paper in enumerate(published.SEEDED[k]):
-            band = around(paper, (1.5, 4.0, 3.5, 3.0)[j])
-            quantity = f"p(H0; S{j}) [%]"
-            rows.append(
-                Row("Table 4", spoofed(k), quantity, paper, seeded[k - 1, j], *band, SHARED)
-            )
+            band, ours = around(paper, (1.5, 4.0, 3.5, 3.0)[j], SEEDS), seeded[k - 1, j]
+            rows.append(Row("Table 4", spoofed(k), f"p(H0; S{j}) [%]", paper, ours, band))
     middles = ((98.4, 1.0), (92.0, 3.5), (95.9, 2.0), (97.6, 1.3))
     for j, paper in enumerate(published.SEEDED_AVERAGE):
-        ours = float(WEIGHT @ seeded[:, j])
-        quantity = f"p(H0; S{j}) [%]"
-        rows.append(Row("Table 4", "average", quantity, paper, ours, *around(*middles[j]), AVERAGE))
+        band, ours = around(*middles[j], AVERAGES), mean(seeded[:, j])
+        rows.append(Row("Table 4", "average", f"p(H0; S{j}) [%]", paper, ours, band))
     return rows
 
 
@@ -170,16 +173,19 @@ def rate_rows(method: str, rates: FloatArray) -> list[Row]:
     """
     table, _ = RATE_TABLES[method]
     rows = []
+    origin = SEARCH_RATES if method == "srv" else TRAVERSAL_RATES
     for k in COUNTS:
-        edge = k in (1, SATELLITES - 1)
+        margin = MARGINS[method][k in (1, SATELLITES - 1)]
         for j, paper in enumerate(published.RATES[method][k]):
-            band = around(paper, MARGINS[method][edge])
-            note = EDGE if edge and method == "srv" else SHARED
+            rest = KINDS[j] == "fail"
+            band, note = None if rest else around(paper, margin, origin), REST if rest else ""
             ours = 100.0 * rates[k - 1, j]
-            rows.append(Row(table, spoofed(k), f"{KINDS[j]} [%]", paper, ours, *band, note))
+            rows.append(Row(table, spoofed(k), f"{KINDS[j]} [%]", paper, ours, band, note))
     for j, paper in enumerate(published.RATES_AVERAGE[method]):
-        ours, band = 100.0 * float(WEIGHT @ rates[:, j]), around(*RATE_BANDS[method][j])
-        rows.append(Row(table, "average", f"{KINDS[j]} [%]", paper, ours, *band, AVERAGE))
+        rest = KINDS[j] == "fail"
+        band = None if rest else around(*RATE_BANDS[method][j], AVERAGES)
+        ours, note = 100.0 * mean(rates[:, j]), REST if rest else ""
+        rows.append(Row(table, "average", f"{KINDS[j]} [%]", paper, ours, band, note))
     return rows
 
 
@@ -202,15 +208,15 @@ def fit_rows(method: str, rates: FloatArray) -> list[Row]:
     rows = []
     for k in COUNTS:
         paper = published.POSITIONINGS[method][k - 1]
-        margin, note = 3.0, "band: prototype; failed cases are not counted"
+        margin, origin = 3.0, SEARCH_FITS
         if method == "traversal":
             edge = k in (1, SATELLITES - 1)
-            margin = 1.0 if edge else 0.02 * paper
-            note = "band: 2 %" if not edge else "ours has one fit more, of all 12 satellites"
-        ours = float(rates[k - 1, 3])
-        rows.append(Row(table, spoofed(k), "mean n_s", paper, ours, *around(paper, margin), note))
+            margin, origin = 1.0 if edge else 0.02 * paper, TRAVERSAL_FITS
+        ours, band = float(rates[k - 1, 3]), around(paper, margin, origin)
+        rows.append(Row(table, spoofed(k), "mean n_s", paper, ours, band))
     paper, ours = published.POSITIONINGS_AVERAGE[method], pooled(rates)
-    rows.append(Row(table, "average", "mean n_s", paper, ours, *FIT_BANDS[method], AVERAGE))
+    band = Band(*FIT_BANDS[method], AVERAGES)
+    rows.append(Row(table, "average", "mean n_s", paper, ours, band))
     return rows
 
 
@@ -227,13 +233,13 @@ def partition_rows(data: Data) -> list[Row]:
     list of Row
         In the order of the tables.
     """
-    mean = {m: stacked(data, "partitions", m).mean(axis=0) for m in METHODS}
-    rows = [row for m in METHODS for row in (*rate_rows(m, mean[m]), *fit_rows(m, mean[m]))]
-    ratio = 100.0 * pooled(mean["srv"]) / pooled(mean["traversal"])
-    rows.append(Row("Table 8", "average", "n_s, SRV over traversal [%]", 1.7, ratio, 1.5, 1.9))
+    rates = {m: stacked(data, "partitions", m).mean(axis=0) for m in METHODS}
+    rows = [row for m in METHODS for row in (*rate_rows(m, rates[m]), *fit_rows(m, rates[m]))]
+    ratio = 100.0 * pooled(rates["srv"]) / pooled(rates["traversal"])
+    what, note = "n_s, SRV over traversal [%]", "no band: it follows from the two averages"
+    rows.append(Row("Table 8", "average", what, 1.7, ratio, note=note))
     for m in METHODS:
         ours = float(WEIGHT @ stacked(data, "partitions", m)[:, :, 4].min(axis=0))
-        note = "ours alone: time of this machine's processor, the fastest sky"
-        quantity = "time of a call [us]"
-        rows.append(Row("Speed", NAMES[m], quantity, None, ours, None, TIME_LIMIT_US[m], note))
+        quantity, band = "time of a call [us]", Band(None, TIME_LIMIT_US[m], TIME)
+        rows.append(Row("Speed", NAMES[m], quantity, None, ours, band, "not in the paper"))
     return rows

@@ -1,4 +1,4 @@
-"""What the paper prints, what the notes' prototype found, and the bands that follow from it."""
+"""What the paper prints, what a second program found, and the bands that follow from it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from ..frame import Band, Origin
+from .origins import CHART, ONE_EPOCH, SATELLITES, SHEWHART
 from .runs import EPOCH_S, FIRST_S, TABLED
 
-ONSET_S, END_S = 200.0, 350.0
 LABELS = dict(zip(TABLED, ("15 m", "25 m", "35 m", "0.2 m/s", "0.5 m/s", "0.7 m/s"), strict=True))
+ONSET_S, END_S = 200.0, 350.0
 NOISES = (2.5, 5.0, 10.0)
 
 PRINTED_ONSET = {
@@ -23,15 +25,15 @@ PRINTED_END = {
     "M3": (0.01, 0.01, 0.01, 0.01, 0.01, 0.01),
 }
 CHART_ONSET = ((0.76, 0.5), (0.51, 0.3), (0.01, 0.2), (19.0, 6.8), (9.5, 3.1), (7.8, 2.3))
-"""Median and standard deviation of the notes' prototype, M2 and M3 [s]."""
+"""Median and standard deviation of the second program, M2 and M3 [s]."""
 CHART_END = ((7.51, 2.8), (10.01, 2.8), (12.01, 2.9), (10.5, 3.0), (15.0, 3.0), (16.5, 2.9))
 """The same of M2's termination."""
 SHEWHART_ONSET = (0.01, 0.01, 0.01, None, 28.0, 20.5)
-"""Median of the prototype, M1 [s]."""
+"""Median of the second program, M1 [s]."""
 SHEWHART_RANGES = {("onset", 3): (71.0, 128.0), ("end", 0): (-141.0, -38.0)}
-"""What the prototype found over eight satellites, where geometry decides [s]."""
+"""What the second program found over eight satellites, where geometry decides [s]."""
 
-PROTOTYPE_ONSET = {
+COMPARATOR_ONSET = {
     "snapshot chi-square": (3.5, 0.0, 0.0, 84.5, 35.0, 24.0),
     "sequential, all history": (91.5, 22.5, 10.0, 119.5, 60.0, 46.5),
     "sequential, 15 s": (5.0, 1.5, 0.5, 56.0, 25.5, 20.0),
@@ -40,27 +42,30 @@ PROTOTYPE_ONSET = {
     "AIME, 75 s": (6.5, 3.5, 2.5, 33.5, 20.5, 17.0),
     "CUSUM 0.5, 12.4": (1.0, 0.5, 0.5, 22.5, 12.0, 9.5),
 }
-"""Medians of the prototype's comparators, of 15 runs [s]."""
+"""Medians of the second program's comparators, of 15 runs [s]."""
 
-SPREAD = "prototype's median and standard deviation, one epoch at least"
-ONE_EPOCH = "within one epoch"
+DEPENDS = "the paper's depends on a satellite that it does not name"
+PROMPT = Band(FIRST_S, FIRST_S + EPOCH_S, ONE_EPOCH)
+"""At once, as far as epochs can say."""
 
 
-def around(middle: float, spread: float) -> tuple[float, float]:
+def around(middle: float, spread: float, origin: Origin) -> Band:
     """Band of a spread around a median; a delay is a whole number of epochs, and not negative.
 
     Parameters
     ----------
     middle, spread : float
         [s].
+    origin : Origin
+        Whose.
 
     Returns
     -------
-    low, high : float
+    Band
         [s].
     """
     allowed = max(spread, EPOCH_S)
-    return round(max(middle - allowed, FIRST_S), 2), round(middle + allowed, 2)
+    return Band(round(max(middle - allowed, FIRST_S), 2), round(middle + allowed, 2), origin)
 
 
 def spread_of(values: Any) -> float:
@@ -80,7 +85,7 @@ def spread_of(values: Any) -> float:
     return float(finite.std()) if finite.size else 0.0
 
 
-def onset_band(method: str, number: int, values: Any) -> tuple[float, float, str]:
+def onset_band(method: str, number: int, values: Any) -> tuple[Band, str]:
     """Band of an onset's median delay.
 
     Parameters
@@ -94,24 +99,21 @@ def onset_band(method: str, number: int, values: Any) -> tuple[float, float, str
 
     Returns
     -------
-    low, high : float
+    band : Band
         [s].
     note : str
-        Where they come from.
+        What else is to be known.
     """
     if method != "M1":
-        return (*around(*CHART_ONSET[number]), SPREAD)
+        return around(*CHART_ONSET[number], CHART), ""
     if ("onset", number) in SHEWHART_RANGES:
-        return (*SHEWHART_RANGES["onset", number], "prototype's range over the satellites")
+        return Band(*SHEWHART_RANGES["onset", number], SATELLITES), ""
     middle = SHEWHART_ONSET[number]
     assert middle is not None
-    note = "prototype's median, and the standard deviation of our runs"
-    if number >= 4:
-        note += "; the paper's depends on a satellite that it does not tell"
-    return (*around(middle, spread_of(values)), note)
+    return around(middle, spread_of(values), SHEWHART), DEPENDS if number >= 4 else ""
 
 
-def end_band(method: str, number: int) -> tuple[float, float, str]:
+def end_band(method: str, number: int) -> tuple[Band, str]:
     """Band of a termination's median delay.
 
     Parameters
@@ -123,17 +125,15 @@ def end_band(method: str, number: int) -> tuple[float, float, str]:
 
     Returns
     -------
-    low, high : float
+    band : Band
         [s].
     note : str
-        Where they come from.
+        What else is to be known.
     """
     if method == "M2":
-        return (*around(*CHART_END[number]), SPREAD)
+        return around(*CHART_END[number], CHART), ""
     if method == "M1" and ("end", number) in SHEWHART_RANGES:
-        note = "last alarm within the attack; prototype's range over the satellites"
-        return (*SHEWHART_RANGES["end", number], note)
-    note = ONE_EPOCH
+        return Band(*SHEWHART_RANGES["end", number], SATELLITES), "last alarm within the attack"
     if method == "M1":
-        note += "; upper limit alone: after the end it alarms on the other side, see below"
-    return FIRST_S, FIRST_S + EPOCH_S, note
+        return PROMPT, "upper limit alone: after the end it alarms on the other side, see below"
+    return PROMPT, ""

@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 Spec = Mapping[str, Any]
 
 SATELLITE = "S15"
-"""What stands for the paper's PRN1: nearest to the notes' satellite in redundancy."""
+"""What stands for the paper's PRN1, whose place in the sky is not printed."""
 SATELLITES = ("S05", "S06", "S09", "S10", "S11", "S14", "S15", "S30")
 EPOCH_S = 0.5
 AFTER_S = 30.0

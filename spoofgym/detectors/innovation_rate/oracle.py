@@ -84,7 +84,7 @@ class OracleStep(_Oracle):
     ----------
     false_alarm, threshold, weight_scale, correlation_per_s, noise, memory_s
         As in `InnovationRate`; M3 weighs as M2 does.
-    start_s, settled_s, max_exclusion_s, min_satellites
+    start_s, settled_s, max_exclusion_s, min_satellites, alarm_scale
         As in `InnovationRate`.
     channels : tuple of str or None
         Satellites that are attacked; None for all.
@@ -115,7 +115,7 @@ class OracleRamp(_Oracle):
     ----------
     false_alarm, threshold, weight_scale, correlation_per_s, noise, memory_s
         As in `InnovationRate`; M4 weighs as M2 does.
-    start_s, settled_s, max_exclusion_s, min_satellites
+    start_s, settled_s, max_exclusion_s, min_satellites, alarm_scale
         As in `InnovationRate`.
     channels : tuple of str or None
         Satellites that are attacked; None for all.

@@ -51,7 +51,7 @@ class ConsistencyTest(Detector):
         super().bind(context)
         b, n = context.receivers, context.channels
         check_channels(n)
-        sigma = noise_sd(self.sigma_m, context.noise_variance, n)
+        sigma = noise_sd(self.sigma_m, context.epoch_sd, n)
         most = max(n, MIN_SATELLITES)
         self._limit = fit_thresholds(sigma, 1.0 - self.confidence, most)
         self._alarm_limit = fit_thresholds(sigma, self.false_alarm, most)

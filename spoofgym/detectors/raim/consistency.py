@@ -283,21 +283,13 @@ def fit_thresholds(sigma_m: float, false_alarm: float, most: int) -> FloatArray:
     return np.asarray(np.where(degrees > 0, sigma_m**2 * quantile, 0.0))
 
 
-def noise_sd(sigma_m: float | None, noise_variance: FloatArray, channels: int) -> float:
-    """Noise of a pseudorange: a setting, or what the receiver assumes.
+def noise_sd(sigma_m: float | None, epoch_sd: FloatArray, channels: int) -> float:
+    """Noise of a pseudorange: a setting, or the largest that the receiver assumes of one epoch.
 
-    `sigma_m`: the setting [m]; `noise_variance` (m,) of the receiver, pseudoranges first [m^2];
-    returns Sigma [m].
+    `sigma_m`: the setting [m]; `epoch_sd` (m,) of the receiver, pseudoranges first [m]; returns
+    Sigma [m].
     """
-    if sigma_m is not None:
-        return sigma_m
-    assumed = noise_variance[:channels]
-    if not (assumed == assumed[0]).all():
-        raise ValueError(
-            "the receiver's pseudoranges differ in their noise, "
-            f"{np.sqrt(assumed.min()):g} to {np.sqrt(assumed.max()):g} m; set `sigma_m`"
-        )
-    return math.sqrt(assumed[0])
+    return float(epoch_sd[:channels].max()) if sigma_m is None else sigma_m
 
 
 def check_test(sigma_m: float | None, confidence: float) -> None:

@@ -1,19 +1,22 @@
 """What a spoofer commands: a list of small terms, each with names and a linear map.
 
 Every element of an action lies in [-1, 1].  A term maps its elements to the command that the attack
-takes; the commands of all terms are added, and the attack limits their sum.
+takes; the commands of all terms are added, and the attack limits their sum.  A set-point is the
+exception: it stands alone, its elements are a wanted rate, and the acceleration follows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._registry import check_finite
 from ...simulators.setup import Setup
+from .._kernels import follow_rate
 
 FloatArray = NDArray[np.float64]
 
@@ -39,6 +42,18 @@ def _columns(setup: Setup, wanted: Sequence[str], word: str) -> list[int]:
     return [stems.index(stem) for stem in wanted]
 
 
+def _horizontal_limit(setup: Setup, whose: str) -> float:
+    """Limit of the rate north and east, which must be the same [m/s]."""
+    north, east = _columns(setup, ("north", "east"), "axis")
+    limits = np.broadcast_to(setup.attack.rate_limit_mps, len(setup.action_names))
+    if limits[north] != limits[east]:
+        raise ValueError(
+            f"{whose} needs the same limit north and east, got "
+            f"{limits[north]:g} and {limits[east]:g}"
+        )
+    return float(limits[north])
+
+
 @dataclass(frozen=True)
 class FullCommand:
     """Every element that the attack takes, as it is."""
@@ -60,19 +75,15 @@ class AlongTarget:
     The attack must be a false position with commands north and east.
     """
 
+    along_target: ClassVar[bool] = True
+
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``along_target_acceleration`` or ``along_target_rate``."""
         if setup.target_heading_deg == "worst":
             raise ValueError(
                 "an element along the target direction needs one; `target_heading_deg` is 'worst'"
             )
-        north, east = _columns(setup, ("north", "east"), "axis")
-        limits = np.broadcast_to(setup.attack.rate_limit_mps, len(setup.action_names))
-        if limits[north] != limits[east]:
-            raise ValueError(
-                "an element along the target direction needs the same limit north and east, got "
-                f"{limits[north]:g} and {limits[east]:g}"
-            )
+        _horizontal_limit(setup, "an element along the target direction")
         return (f"along_target_{setup.attack.control}",)
 
     def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
@@ -152,7 +163,60 @@ class CommonOffset:
         return np.ones((len(heading_rad), len(setup.action_names), 1))
 
 
+@dataclass(frozen=True)
+class RateSetpoint:
+    r"""Wanted rate of the displacement; the acceleration follows within the attack's limits.
+
+    With the wanted rate w, the rate v so far, the attack's limits :math:`a_{max}` and
+    :math:`v_{max}` and the time :math:`\tau` between epochs, every epoch takes
+
+    .. math:: v^+ = \mathrm{cut}\left(v + \mathrm{cut}(w - v, a_{max} \tau), v_{max}\right)
+
+    where :math:`\mathrm{cut}(x, l)` shortens a vector x to the length l: first the limit of the
+    acceleration, then that of the rate.  An attack that is commanded by rate takes w at once, and
+    its limit must be as large as the full scale.  The attack must be a false position with commands
+    north and east.
+
+    Parameters
+    ----------
+    dimensions : {1, 2}
+        Along the target direction, or north and east.
+    full_scale_mps : float
+        Rate that an action of 1 asks for, above 0.  1 m/s over the default window of 150 s are
+        150 m; the attacks that go unnoticed there are at 0.02 to 0.9 m/s.
+    """
+
+    dimensions: int = 1
+    full_scale_mps: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if self.dimensions not in (1, 2) or isinstance(self.dimensions, bool):
+            raise ValueError(f"`dimensions` must be 1 or 2, got {self.dimensions!r}")
+        check_finite("full_scale_mps", self.full_scale_mps, "> 0")
+
+    @property
+    def along_target(self) -> bool:
+        """Whether everything is commanded along the target direction."""
+        return self.dimensions == 1
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``along_target_setpoint``, or ``north_setpoint`` and ``east_setpoint``."""
+        if self.along_target:
+            AlongTarget().names(setup)
+            return ("along_target_setpoint",)
+        _horizontal_limit(setup, "a rate set-point")
+        return ("north_setpoint", "east_setpoint")
+
+    def matrix(self, setup: Setup, heading_rad: FloatArray) -> FloatArray:
+        """Parts of the full scale along every axis."""
+        if self.along_target:
+            return AlongTarget().matrix(setup, heading_rad)
+        return Channels(("north", "east")).matrix(setup, heading_rad)
+
+
 ACTION_TERMS: dict[str, type[ActionTerm]] = {
+    "rate-setpoint": RateSetpoint,
     "full-command": FullCommand,
     "along-target": AlongTarget,
     "across-target": AcrossTarget,
@@ -162,34 +226,82 @@ ACTION_TERMS: dict[str, type[ActionTerm]] = {
 """Terms by name; one's own may be added."""
 
 
+def default_action(setup: Setup) -> tuple[ActionTerm, ...]:
+    """Action of an environment that is given none.
+
+    A victim with `Setup.follows_setpoint` takes the rate set-point where north and east are
+    commanded: along the target direction, in two dimensions where that is ``"worst"``.  Everything
+    else takes every element of the attack, as it is.
+    """
+    axes = {name.rsplit("_", 1)[0] for name in setup.action_names}
+    if not (setup.follows_setpoint and {"north", "east"} <= axes):
+        return (FullCommand(),)
+    return (RateSetpoint(2 if setup.target_heading_deg == "worst" else 1),)
+
+
 class CommandMap:
     """Commands of a list of terms, in the order of the action: `names` (k,) of its elements.
 
-    `is_plain` says that an action is the command.
+    - `terms`: the list;
+    - `is_plain`: whether an action is the command;
+    - `along_target`: whether all that can be commanded is along the target direction;
+    - `setpoint_mps`: rate that an action of 1 asks for; None without a set-point.
     """
 
     def __init__(self, terms: Sequence[ActionTerm], setup: Setup) -> None:
         if not terms:
             raise ValueError("an action needs at least one term")
-        self.setup, self._terms = setup, tuple(terms)
+        self.setup, self.terms = setup, tuple(terms)
         names = [name for term in terms for name in term.names(setup)]
         if len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1})
             raise ValueError(f"two terms command by the same name: {', '.join(twice)}")
         self.names = tuple(names)
-        self.is_plain = len(self._terms) == 1 and isinstance(self._terms[0], FullCommand)
+        first = self.terms[0]
+        alone = len(self.terms) == 1
+        if not alone and any(isinstance(term, RateSetpoint) for term in terms):
+            raise ValueError(
+                "a rate set-point commands everything: no other action term can be added to it, "
+                f"got {', '.join(type(term).__name__ for term in terms)}"
+            )
+        self.is_plain = alone and isinstance(first, FullCommand)
+        self.along_target = alone and bool(getattr(first, "along_target", False))
+        self.setpoint_mps = first.full_scale_mps if isinstance(first, RateSetpoint) else None
+        self._rules = np.zeros(3)
+        if self.setpoint_mps is not None:
+            self._rules = _following(setup, self.setpoint_mps)
         self._matrix = np.zeros((0, 0, 0))
+        self._out = np.zeros((0, 0))
 
     def aim(self, heading_rad: FloatArray) -> None:
         """Take the directions (B,) of the running episodes, clockwise from north."""
         if not self.is_plain:
-            parts = [term.matrix(self.setup, heading_rad) for term in self._terms]
+            parts = [term.matrix(self.setup, heading_rad) for term in self.terms]
             self._matrix = np.ascontiguousarray(np.concatenate(parts, axis=2))
+            self._out = np.empty(self._matrix.shape[:2])
 
-    def command(self, action: FloatArray) -> FloatArray:
-        """Command (B, a), C-contiguous, of an action (B, k) in [-1, 1]; the attack limits it."""
+    def command(self, action: FloatArray, rate: FloatArray) -> FloatArray:
+        """Command (B, a), C-contiguous, of an action (B, k) in [-1, 1]; the attack limits it.
+
+        `rate` (B, a) is what has been commanded so far [m/s].  The array is overwritten by the next
+        call.
+        """
         if self.is_plain:
             return action
-        # a sum of products, since the bits of a matrix product depend on the size of the batch
-        result: FloatArray = (self._matrix * action[:, None, :]).sum(axis=2)
-        return result
+        follow_rate(action, self._matrix, self._rules, rate, self._out)
+        return self._out
+
+
+def _following(setup: Setup, setpoint_mps: float) -> FloatArray:
+    """Factors of `follow_rate`: on the wanted rate, on the rate so far, and whether to shorten."""
+    attack = setup.attack
+    if attack.control == "rate":
+        limit = _horizontal_limit(setup, "a rate set-point")
+        if setpoint_mps > limit:
+            raise ValueError(
+                "`full_scale_mps` must be at most the limit of the rate by which the attack is "
+                f"commanded, {limit:g}, got {setpoint_mps:g}"
+            )
+        return np.array([setpoint_mps / limit, 0.0, 1.0])
+    most = attack.acceleration_limit_mps2 * setup.interval_s
+    return np.array([setpoint_mps / most, 1.0 / most, 1.0])

@@ -2,26 +2,35 @@
 
 Knowledge at run time has three levels: ``blind`` (own commands and time), ``tracking`` (also the
 target's true motion and the satellites in view) and ``oracle`` (also the victim's statistics and
-errors).  Every value is divided by a stated scale and clipped to finite bounds.
+errors).  To each of them ``reported`` may be added, the position that the victim itself broadcasts.
+Every value is divided by a stated scale and clipped to finite bounds.
 """
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..._registry import check_choice, check_finite
+from ...simulators.broadcast import KEPT, PastPositions, reports
 from ...simulators.divergence import Divergence
 from ...simulators.setup import Setup
 from .._kernels import own_command, time_fractions
 from .base import Snapshot
 
 FloatArray = NDArray[np.float64]
-KNOWLEDGE = ("blind", "tracking", "oracle")
+Units = tuple[tuple[str, float], ...]
+"""Unit of every element, and how much of it is observed as 1."""
+LEVELS = ("blind", "tracking", "oracle")
+REPORTED = "reported"
+KNOWLEDGE = (*LEVELS, *(f"{level}+{REPORTED}" for level in LEVELS))
+"""What a spoofer may know at run time."""
 
 
 class ObservationTerm(Protocol):
@@ -33,7 +42,8 @@ class ObservationTerm(Protocol):
     Attributes
     ----------
     knowledge : str
-        Least level of knowledge that it takes.
+        Least level of knowledge that it takes, and whether it takes ``reported``: one of
+        `KNOWLEDGE`, or ``"reported"`` at any level.
     """
 
     knowledge: ClassVar[str]
@@ -43,6 +53,8 @@ class ObservationTerm(Protocol):
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """Least and largest value of all elements, finite; the setup is not simulated yet."""
+
+    # optional: ``units(setup)`` gives the `Units` for tables
 
 
 class DynamicTerm(ObservationTerm, Protocol):
@@ -60,12 +72,23 @@ class _Term:
     """What the terms below share: fixed bounds, and settings that are scales above 0."""
 
     limits: ClassVar[tuple[float, float]] = (-10.0, 10.0)
+    unit: ClassVar[str] = "1"
+    may_be_0: ClassVar[tuple[str, ...]] = ()
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """Name of every element."""
+        raise NotImplementedError
+
+    def units(self, setup: Setup) -> Units:
+        """Unit of every element, and how much of it is observed as 1."""
+        return ((self.unit, 1.0),) * len(self.names(setup))
 
     def __post_init__(self) -> None:
         """Check the settings."""
         for name, value in vars(self).items():
-            if name != "largest":
-                check_finite(name, value, "> 0")
+            if isinstance(value, bool):
+                continue
+            check_finite(name, value, ">= 0" if name in self.may_be_0 else "> 0")
 
     def bounds(self, setup: Setup) -> tuple[float, float]:
         """Least and largest value of all elements."""
@@ -78,28 +101,57 @@ class OwnCommand(_Term):
 
     Parameters
     ----------
-    scale_m : float
-        Displacement that is observed as 1, above 0; the rate's scale is its limit.
+    scale_m, rate_scale_mps : float
+        Displacement and rate that are observed as 1, above 0.
+    along_target : bool
+        Whether their parts along the target direction are observed, instead of every axis; the
+        attack must be a false position with commands north and east.
     """
 
-    scale_m: float = 100.0
+    scale_m: float = 40.0
+    rate_scale_mps: float = 0.25
+    along_target: bool = False
     knowledge: ClassVar[str] = "blind"
+    limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """``own_displacement_*`` and ``own_rate_*`` for every element of the action."""
-        axes = [name.rsplit("_", 1)[0] for name in setup.action_names]
+        """``own_displacement_*`` and ``own_rate_*`` for every axis, or along the target."""
+        axes = self._axes(setup)
+        if self.along_target:
+            lacking = [axis for axis in ("north", "east") if axis not in axes]
+            if lacking:
+                raise ValueError(
+                    "a command along the target direction has parts north and east; the attack "
+                    f"commands {', '.join(axes)}"
+                )
+            axes = ["along_target"]
         return (*(f"own_displacement_{a}" for a in axes), *(f"own_rate_{a}" for a in axes))
 
-    def factors(self, setup: Setup) -> tuple[float, FloatArray]:
-        """Factors on displacement, and on the rate of every axis, for kernels that write both."""
-        limits = np.broadcast_to(setup.attack.rate_limit_mps, len(setup.action_names))
-        return 1.0 / self.scale_m, 1.0 / limits
+    def units(self, setup: Setup) -> Units:
+        """Metres, then metres per second."""
+        count = len(self.names(setup)) // 2
+        return (("m", self.scale_m),) * count + (("m/s", self.rate_scale_mps),) * count
+
+    @staticmethod
+    def _axes(setup: Setup) -> list[str]:
+        return [name.rsplit("_", 1)[0] for name in setup.action_names]
+
+    def factors(self, setup: Setup) -> tuple[float, FloatArray, int, int]:
+        """What kernels need that write both.
+
+        Factors on displacement and on the rate of every axis; columns north and east, where only
+        their parts along the target direction are observed, else -1.
+        """
+        axes = self._axes(setup)
+        columns = (axes.index("north"), axes.index("east")) if self.along_target else (-1, -1)
+        return 1.0 / self.scale_m, np.full(len(axes), 1.0 / self.rate_scale_mps), *columns
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write displacement and rate over their scales."""
-        simulator = snapshot.simulator
-        displacement, rate = simulator.commanded_displacement, simulator.commanded_rate
-        own_command(displacement, rate, *self.factors(snapshot.setup), out)
+        _, _, displacement, rate, direction = snapshot.simulator.step_arrays()
+        per_displacement, per_rate, north, east = self.factors(snapshot.setup)
+        columns = north, east
+        own_command(displacement, rate, direction, *columns, per_displacement, per_rate, out)
 
 
 @dataclass(frozen=True)
@@ -112,6 +164,10 @@ class Time(_Term):
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``time_since_onset`` and ``time_left``."""
         return ("time_since_onset", "time_left")
+
+    def units(self, setup: Setup) -> Units:
+        """Seconds, the window for 1."""
+        return (("s", setup.steps * setup.interval_s),) * 2
 
     def table(self, setup: Setup) -> NDArray[np.float32] | None:
         """The two fractions, where every epoch belongs to one onset."""
@@ -129,6 +185,14 @@ class Time(_Term):
         time_fractions(simulator.epochs, simulator.onset, snapshot.setup.steps, out)
 
 
+def _varying(setup: Setup, table: NDArray[Any], least: float) -> NDArray[np.intp]:
+    """Which columns of a table (K, k) change in the attack windows of all episodes by so much."""
+    bounds, each = setup.bounds, setup.epochs_each
+    first, last = bounds.first + setup.onset, bounds.last + setup.onset + setup.steps + setup.hold
+    windows = table.reshape(bounds.worlds, each, -1)[:, first : last + 1]
+    return np.flatnonzero(np.ptp(windows.reshape(-1, table.shape[1]), axis=0) >= least)
+
+
 @dataclass(frozen=True)
 class TargetMotion(_Term):
     """True position since the onset, and true velocity, in local axes at the onset.
@@ -137,19 +201,38 @@ class TargetMotion(_Term):
     ----------
     position_scale_m, velocity_scale_mps : float
         What is observed as 1, above 0.
+    least_change : float
+        An element that changes by less than this, in units of its scale, over the attack windows
+        of all episodes tells nothing, and is left out, where these windows are fixed; 0 for all.
     """
 
     position_scale_m: float = 10_000.0
     velocity_scale_mps: float = 100.0
+    least_change: float = 0.05
     knowledge: ClassVar[str] = "tracking"
+    may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``target_position_*`` and ``target_velocity_*``, as far as the victim has them."""
-        return tuple(f"target_{name}" for name in setup.motion_names)
+        names = tuple(f"target_{name}" for name in setup.motion_names)
+        table = self._table(setup)
+        if table is None:
+            return names
+        return tuple(names[k] for k in _varying(setup, table, self.least_change))
+
+    def units(self, setup: Setup) -> Units:
+        """Metres of positions, metres per second of velocities."""
+        scales = {"position": ("m", self.position_scale_m)}
+        velocity = "m/s", self.velocity_scale_mps
+        return tuple(scales.get(name.split("_")[1], velocity) for name in self.names(setup))
+
+    def _table(self, setup: Setup) -> NDArray[np.float32] | None:
+        return setup.motion_table(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps)
 
     def table(self, setup: Setup) -> NDArray[np.float32] | None:
         """Position and velocity over their scales, where every epoch belongs to one onset."""
-        return setup.motion_table(1.0 / self.position_scale_m, 1.0 / self.velocity_scale_mps)
+        table = self._table(setup)
+        return None if table is None else table[:, _varying(setup, table, self.least_change)]
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write position and velocity over their scales."""
@@ -175,20 +258,33 @@ class TargetDirection(_Term):
 
 @dataclass(frozen=True)
 class SatelliteGeometry(_Term):
-    """Line of sight to every slot in local axes, then whether it is visible, or spoofed."""
+    """Line of sight to every slot in local axes, then whether it is visible, or spoofed.
 
+    Parameters
+    ----------
+    least_change : float
+        As in `TargetMotion`: what changes by less is left out, such as all of it in a window of
+        minutes in one world.
+    """
+
+    least_change: float = 0.05
     knowledge: ClassVar[str] = "tracking"
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
+    may_be_0: ClassVar[tuple[str, ...]] = ("least_change",)
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``sight_*_SLOT``, and ``visible_SLOT`` or ``spoofed_SLOT``."""
         if not setup.geometry_names:
             raise ValueError(f"{setup.whose} has no satellites to observe")
-        return setup.geometry_names
+        table = setup.geometry_table()
+        if table is None:
+            return setup.geometry_names
+        return tuple(setup.geometry_names[k] for k in _varying(setup, table, self.least_change))
 
     def table(self, setup: Setup) -> FloatArray | None:
         """Unit vectors, 0 where not visible, then 1 or 0."""
-        return setup.geometry_table()
+        table = setup.geometry_table()
+        return None if table is None else table[:, _varying(setup, table, self.least_change)]
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write what is no table."""
@@ -246,7 +342,7 @@ class GainWeight(_Term):
 
 @dataclass(frozen=True)
 class EstimateError(_Term):
-    """Error of the victim's position in local axes at the onset.
+    """Error of the victim's position in the local axes of the epoch.
 
     Parameters
     ----------
@@ -254,12 +350,16 @@ class EstimateError(_Term):
         What is observed as 1, above 0.
     """
 
-    scale_m: float = 100.0
+    scale_m: float = 40.0
     knowledge: ClassVar[str] = "oracle"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``error_north``, ``error_east``, and ``error_down`` of some victims."""
         return tuple(f"error_{name}" for name in setup.error_names)
+
+    def units(self, setup: Setup) -> Units:
+        """Metres."""
+        return (("m", self.scale_m),) * len(setup.error_names)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write estimate minus truth."""
@@ -285,10 +385,105 @@ class DivergenceSpent(_Term):
         """``divergence_spent``."""
         return ("divergence_spent",)
 
+    def units(self, setup: Setup) -> Units:
+        """Nats."""
+        return (("nat", self.budget_nats),)
+
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
         """Write the part of the budget that is spent."""
         spent = snapshot.simulator.monitor(Divergence).memory["divergence"]
         out[:, 0] = spent / self.budget_nats
+
+
+@dataclass(frozen=True)
+class ReportedPosition(_Term):
+    """The victim's own broadcast position since the onset, in local axes there, and its age.
+
+    What the newest report says that has arrived; nothing, which is 0, before there is one.
+
+    Parameters
+    ----------
+    scale_m : float
+        What is observed as 1, above 0; of an age that is 1 s.
+    interval_s : float
+        Time between reports, above 0; at least an epoch.  Twice a second as of ADS-B.
+    latency_s : float
+        Largest latency of a report; that of each is drawn for itself between 0 and this.
+    step_m : float
+        Steps of the position; 0 for none.  An ideal link has neither latency nor steps.
+    """
+
+    scale_m: float = 10_000.0
+    interval_s: float = 0.5
+    latency_s: float = 0.6
+    step_m: float = 5.0
+    knowledge: ClassVar[str] = REPORTED
+    may_be_0: ClassVar[tuple[str, ...]] = ("latency_s", "step_m")
+    needs: ClassVar[tuple[type[PastPositions], ...]] = (PastPositions,)
+    word: ClassVar[str] = "position"
+
+    def names(self, setup: Setup) -> tuple[str, ...]:
+        """``reported_position_north``, ``reported_position_east`` and ``report_age``."""
+        every, latency = self._epochs(setup)
+        if every + latency > KEPT - 2:
+            most = (KEPT - 2) * setup.interval_s
+            raise ValueError(
+                "`interval_s` and `latency_s` of reports must be at most "
+                f"{most:g} s together with epochs of {setup.interval_s:g} s, got "
+                f"{self.interval_s:g} and {self.latency_s:g}"
+            )
+        return (*(f"reported_{self.word}_{axis}" for axis in ("north", "east")), "report_age")
+
+    def units(self, setup: Setup) -> Units:
+        """Metres, and seconds."""
+        return ("m", self.scale_m), ("m", self.scale_m), ("s", 1.0)
+
+    def _epochs(self, setup: Setup) -> tuple[int, float]:
+        """Epochs between reports, and of the largest latency."""
+        interval = setup.interval_s
+        return max(1, round(self.interval_s / interval)), self.latency_s / interval
+
+    def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
+        """Write position and age of the newest report."""
+        simulator, setup = snapshot.simulator, snapshot.setup
+        position, of = reports(simulator, *self._epochs(setup))
+        onset, known = simulator.onset, of >= 0
+        apart = position - setup.true_position[onset]
+        ground = (apart[:, :, None] * setup.C_en[onset]).sum(axis=1)[:, :2]
+        if self.step_m > 0.0:
+            ground = self.step_m * np.round(ground / self.step_m)
+        self._less(snapshot, of, ground)
+        out[:, :2] = np.where(known[:, None], ground / self.scale_m, 0.0)
+        out[:, 2] = np.where(known, (simulator.epochs - of) * setup.interval_s, 0.0)
+
+    def _less(self, snapshot: Snapshot, of: NDArray[np.int64], ground: FloatArray) -> None:
+        """Take off what the spoofer knows of it; (B, 2), overwritten."""
+
+
+@dataclass(frozen=True)
+class ReportedDeviation(ReportedPosition):
+    """The victim's own broadcast position less the target's true one at the time of the report.
+
+    The spoofer knows that time, and tracks the target; its own tracking error is not in this.
+
+    Parameters
+    ----------
+    scale_m : float
+        What is observed as 1, above 0; of an age that is 1 s.
+    interval_s, latency_s, step_m : float
+        As in `ReportedPosition`.
+    """
+
+    scale_m: float = 40.0
+    knowledge: ClassVar[str] = f"tracking+{REPORTED}"
+    limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)
+    word: ClassVar[str] = "deviation"
+
+    def _less(self, snapshot: Snapshot, of: NDArray[np.int64], ground: FloatArray) -> None:
+        """Take off the true position; (B, 2), overwritten."""
+        setup, onset = snapshot.setup, snapshot.simulator.onset
+        flown = setup.true_position[np.maximum(of, 0)] - setup.true_position[onset]
+        ground -= (flown[:, :, None] * setup.C_en[onset]).sum(axis=1)[:, :2]
 
 
 OBSERVATION_TERMS: dict[str, type[ObservationTerm]] = {
@@ -301,11 +496,15 @@ OBSERVATION_TERMS: dict[str, type[ObservationTerm]] = {
     "gain-weight": GainWeight,
     "estimate-error": EstimateError,
     "divergence-spent": DivergenceSpent,
+    "reported-position": ReportedPosition,
+    "reported-deviation": ReportedDeviation,
 }
 """Terms by name; one's own may be added."""
 
 
-def default_terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
+def default_terms(
+    setup: Setup, knowledge: str, *, along_target: bool = False
+) -> tuple[ObservationTerm, ...]:
     """Terms that a level of knowledge allows, with the scales of the victim.
 
     The target direction is among them where it differs from episode to episode.
@@ -314,8 +513,11 @@ def default_terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
     ----------
     setup : Setup
         Of any victim.
-    knowledge : {"blind", "tracking", "oracle"}
-        The level.
+    knowledge : str
+        One of `KNOWLEDGE`: the level, and ``+reported`` for what the victim broadcasts.
+    along_target : bool
+        Whether all commands are along the target direction, so that there is nothing else of the
+        own ones to observe.
 
     Returns
     -------
@@ -323,16 +525,83 @@ def default_terms(setup: Setup, knowledge: str) -> tuple[ObservationTerm, ...]:
         In the order of the observation.
     """
     check_choice("knowledge", knowledge, KNOWLEDGE)
-    scales = setup.scales
+    scales, whole = setup.scales, setup.detector.scope == "receiver"
+    level, reported = split_knowledge(knowledge)
+    report = ReportedDeviation(scales["length_m"]) if level else ReportedPosition()
     terms: list[ObservationTerm] = [
-        OwnCommand(scales["displacement_m"]),
+        OwnCommand(scales["length_m"], setup.rate_scale_mps, along_target),
         Time(),
+        *([TargetDirection()] if setup.target_heading_deg == "random" else []),
         TargetMotion(scales["position_m"], scales.get("velocity_mps", 1.0)),
         *([SatelliteGeometry()] if setup.geometry_names else []),
-        StatisticRatio(setup.ratio_is_largest),
+        *([] if setup.ratio_is_largest or whole else [StatisticRatio()]),
+        StatisticRatio(largest=True),
         GainWeight(),
-        EstimateError(scales["error_m"]),
-        *([TargetDirection()] if setup.target_heading_deg == "random" else []),
+        EstimateError(scales["length_m"]),
     ]
-    level = KNOWLEDGE.index(knowledge)
-    return tuple(term for term in terms if KNOWLEDGE.index(term.knowledge) <= level)
+    known = [term for term in terms if LEVELS.index(term.knowledge) <= level]
+    return (*known, report) if reported else tuple(known)
+
+
+class ObservationRow(NamedTuple):
+    """One line of a table of observations: elements `first` to `last`, which are alike.
+
+    `scale` of the unit is observed as 1; the slots of satellites are written as ``slotJJ``.
+    """
+
+    first: int
+    last: int
+    name: str
+    unit: str
+    scale: float
+    knowledge: str
+
+
+def observation_table(terms: Sequence[ObservationTerm], setup: Setup) -> list[ObservationRow]:
+    """Index, name, unit and scale of all elements that terms observe, those of slots together.
+
+    Parameters
+    ----------
+    terms : sequence of ObservationTerm
+        In the order of the observation.
+    setup : Setup
+        Of any victim.
+
+    Returns
+    -------
+    list of ObservationRow
+        In the order of the observation.
+    """
+    rows: list[ObservationRow] = []
+    start = 0
+    for term in terms:
+        names = term.names(setup)
+        units = term.units(setup) if hasattr(term, "units") else (("?", math.nan),) * len(names)
+        groups: dict[tuple[str, float], list[tuple[int, str]]] = {}
+        for index, (name, unit) in enumerate(zip(names, units, strict=True), start):
+            word = re.sub(r"slot\d+", "slotJJ", name)
+            if word == name:
+                rows.append(ObservationRow(index, index, name, unit[0], unit[1], term.knowledge))
+            else:
+                groups.setdefault(unit, []).append((index, word))
+        for unit, members in groups.items():
+            for words in _runs(members):
+                label = ", ".join(dict.fromkeys(word for _, word in words))
+                first, last = words[0][0], words[-1][0]
+                rows.append(ObservationRow(first, last, label, unit[0], unit[1], term.knowledge))
+        start += len(names)
+    return rows
+
+
+def _runs(members: Sequence[tuple[int, str]]) -> list[list[tuple[int, str]]]:
+    """Elements of slots by the quantity that they are of: the word before the first underscore."""
+    runs: dict[str, list[tuple[int, str]]] = {}
+    for index, word in members:
+        runs.setdefault(word.split("_")[0], []).append((index, word))
+    return list(runs.values())
+
+
+def split_knowledge(knowledge: str) -> tuple[int, bool]:
+    """Place of the level in `LEVELS`, and whether the victim's reports are known."""
+    level, _, more = knowledge.partition("+")
+    return (0 if level == REPORTED else LEVELS.index(level)), REPORTED in (level, more)

@@ -26,6 +26,8 @@ class Outcome(NamedTuple):
         (B,) what an alarm takes back of it [m], <= 0.
     detected : ndarray
         (B,) bool, whether it brought the first alarm.
+    excess : ndarray
+        (B,) bool, the same, unless a clean twin has alarmed by then.
     alarm : ndarray
         (B,) bool, whether there is an alarm now.
     action : ndarray
@@ -39,6 +41,7 @@ class Outcome(NamedTuple):
     gain: FloatArray
     retraction: FloatArray
     detected: NDArray[np.bool_]
+    excess: NDArray[np.bool_]
     alarm: NDArray[np.bool_]
     action: FloatArray
     undetected: FloatArray
@@ -46,7 +49,7 @@ class Outcome(NamedTuple):
 
 
 Share = tuple[str, float]
-SHARED = ("gain", "retraction", "detected", "alarm")
+SHARED = ("gain", "retraction", "excess", "alarm")
 """Fields of `Outcome` of which a term can be a share."""
 
 
@@ -123,7 +126,7 @@ class Retraction(_Shared):
 
 @dataclass(frozen=True)
 class AlarmPenalty(_Shared):
-    """Price of the first alarm.
+    """Price of the first alarm; with a clean twin, where that has not alarmed so far.
 
     Parameters
     ----------
@@ -131,9 +134,9 @@ class AlarmPenalty(_Shared):
         In metres of displacement, at least 0.
     """
 
-    penalty_m: float = 10.0
+    penalty_m: float = 60.0
     name: ClassVar[str] = "alarm"
-    field: ClassVar[str] = "detected"
+    field: ClassVar[str] = "excess"
     sign: ClassVar[float] = -1.0
 
 
@@ -210,8 +213,8 @@ REWARD_TERMS: dict[str, type[RewardTerm]] = {
 """Terms by name; one's own may be added."""
 
 
-def default_rewards(alarm_penalty_m: float = 10.0) -> tuple[RewardTerm, ...]:
-    """Undiscounted, their sum is the undetected displacement minus the alarm penalty."""
+def default_rewards(alarm_penalty_m: float) -> tuple[RewardTerm, ...]:
+    """Undiscounted, their sum is the undetected displacement minus the price of an alarm [m]."""
     return DisplacementGain(), Retraction(), AlarmPenalty(alarm_penalty_m)
 
 

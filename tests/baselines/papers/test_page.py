@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import sys
 
+import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from baselines.papers import page
 from baselines.papers.frame import Settings
 from baselines.papers.run import PaperRun, run_papers
+from baselines.papers.tables import COUNTS
 
 from . import toy
 
@@ -28,13 +31,24 @@ def test_a_page_is_made_of_a_stored_full_run(tmp_path, monkeypatch):
     (found,) = run_papers([full], 1, lambda part, now: None, lambda text: None)
     assert CliRunner().invoke(page.app, arguments).exit_code == 0
     stored = json.loads((tmp_path / "toy2025.json").read_text())
-    assert {key: stored[key] for key in ("paper", "runs", "seed", "rows")} == found.record()
+    agreed = ("paper", "runs", "seed", "origins", "rows")
+    assert {key: stored[key] for key in agreed} == found.record()
     written = (tmp_path / "toy2025.md").read_text()
     assert written == page.page_text(toy, stored)
     assert written.startswith("# Dice et al. (2025)\n")
     assert "python -m baselines.papers toy2025\n" in written
-    assert "| all | throws \\| all | - | 3000 | - | - | not told |" in written
-    assert "| all | impossible | 7 | 0 | 6.5 to 7.5 | NO | a finding |" in written
+    assert "| all | throws \\| all | - | 3000 | - | - | - | - | - | not printed |" in written
+    assert "| all | impossible | 7 | 0 | 6.5 to 7.5 | A | NO | - | - | a finding |" in written
+    assert "| all | excluded | 7 | 3.5 | 3 to 4 | B | NO | yes | - | not the paper's |" in written
+    assert "| all | largest | - | 6 | at most 6 | C | - | - | yes |  |" in written
+    assert "- **A** (tolerance): Half an eye to either side; seed 0." in written
+    assert "- 2 of 4 printed values lie inside the tolerance of the reproduction." in written
+    assert "- 1 of 1 of our values agree with an independent implementation." in written
+    assert "- 1 of 1 keep a limit from theory or of our own." in written
+    assert "- 1 of 6 rows have no band." in written
+    assert stored["pictures"] == ["dice_7.png"]
+    assert "![Figure 7, drawn from our runs](figures/dice_7.png)" in written
+    assert (tmp_path / "figures" / "dice_7.png").read_bytes().startswith(b"\x89PNG")
 
     monkeypatch.setattr(toy, "FOUND", "It is indeed.")
     assert CliRunner().invoke(page.app, [*arguments, "--texts-only"]).exit_code == 0
@@ -53,4 +67,17 @@ def test_an_unknown_key_lists_the_valid_ones():
     [(None, None, "-"), (1.0, None, "at least 1"), (None, 2.0, "at most 2"), (1, 2.5, "1 to 2.5")],
 )
 def test_a_band_in_words(low, high, text):
-    assert page.cells({**dict.fromkeys(page.HEAD), "low": low, "high": high})[4] == text
+    row = dict.fromkeys((*page.HEAD, "origin", *COUNTS))
+    assert page.cells({**row, "low": low, "high": high})[4] == text
+
+
+def test_a_picture_gets_small_and_stays_the_same_size(tmp_path):
+    path = tmp_path / "picture.png"
+    path.write_bytes(b"")
+    shades = np.linspace(0, 255, 300 * 200 * 3).astype(np.uint8).reshape(200, 300, 3)
+    Image.fromarray(shades).save(path)
+    page.small_picture(path)
+    with Image.open(path) as small:
+        assert small.size == (300, 200)
+        assert len(small.getcolors()) <= 64
+    assert list(tmp_path.iterdir()) == [path]

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 
 import pytest
 
-from baselines.papers.frame import Row, Settings
+from baselines.papers.frame import Settings
 from baselines.papers.page import DOCS, page_text
-from baselines.papers.paper import KEYS, check_rows, load_paper, parts_of
-from baselines.papers.tables import by_table
+from baselines.papers.paper import (
+    KEYS,
+    check_rows,
+    load_paper,
+    parts_of,
+    rows_from_record,
+    rows_record,
+)
+from baselines.papers.tables import COUNTS, by_table
 
 ROOT = Path(__file__).resolve().parents[3]
+FIGURES_OF_M2 = ("Fig. 8", "Fig. 10")
 
 
 @pytest.fixture(params=KEYS)
@@ -62,18 +71,129 @@ def test_a_page_agrees_with_its_json(key, stored):
     assert page == page_text(load_paper(key), stored), "run `python -m baselines.papers.page`"
 
 
-def test_stored_rows_are_finite_and_their_bands_in_order(key, stored):
-    rows = [
-        Row(**{name: value for name, value in row.items() if name != "inside"})
-        for row in stored["rows"]
-    ]
+@pytest.fixture
+def rows(stored):
+    return rows_from_record(stored)
+
+
+def test_stored_rows_are_finite_and_say_what_follows_from_them(key, stored, rows):
     check_rows(rows)
-    assert [row.inside for row in rows] == [row["inside"] for row in stored["rows"]]
+    assert {**stored, **rows_record(rows)} == stored
     assert stored["paper"] == key
     assert by_table(stored["rows"])
 
 
-def test_a_value_outside_its_band_has_a_note(key, stored):
+def test_a_band_that_excludes_the_printed_value_is_never_met(stored):
     for row in stored["rows"]:
-        if row["inside"] is False:
+        if row["paper"] is None or row["origin"] is None:
+            assert row["printed_inside"] is None
+            continue
+        low = -math.inf if row["low"] is None else row["low"]
+        high = math.inf if row["high"] is None else row["high"]
+        where = row["table"], row["row"], row["quantity"]
+        if not low <= row["paper"] <= high:
+            assert row["printed_inside"] is False, where
+        if row["ours"] is None or not low <= row["ours"] <= high:
+            assert row["printed_inside"] is False, where
+
+
+def test_an_independent_band_never_serves_as_a_margin_around_the_paper(stored):
+    for row in stored["rows"]:
+        kind = row["origin"] and stored["origins"][row["origin"]]["kind"]
+        assert (row["agrees"] is not None) == (kind == "independent")
+        assert (row["kept"] is not None) == (kind == "bound")
+
+
+def test_the_page_has_both_counts(key, stored):
+    page = (DOCS / f"{key}.md").read_text()
+    for verdict, words in (
+        ("printed_inside", "printed values lie inside the tolerance of the reproduction"),
+        ("agrees", "of our values agree with an independent implementation"),
+    ):
+        told = [row[verdict] for row in stored["rows"] if row[verdict] is not None]
+        assert f"- {sum(told)} of {len(told)} {words}." in page
+
+
+def test_a_row_without_a_band_says_why_and_so_does_one_that_is_not_met(stored):
+    for row in stored["rows"]:
+        said = [row[verdict] for verdict in COUNTS]
+        if row["origin"] is None or False in said:
             assert row["note"], (row["table"], row["row"], row["quantity"])
+
+
+def test_an_origin_says_whose_runs_and_seeds(stored):
+    for letter, origin in stored["origins"].items():
+        words = origin["text"]
+        assert "{" not in words, letter
+        assert re.search("seed|SeedSequence|no noise|processor time", words), (letter, words)
+        if origin["kind"] == "independent":
+            assert "second program" in words, letter
+
+
+def test_no_page_names_what_its_reader_cannot_see(key):
+    unseen = re.compile(r"\b(notes|prototypes?|prototype's|design notes)\b", re.IGNORECASE)
+    sources = [DOCS / f"{key}.md", DOCS / f"{key}.json"]
+    sources += sorted((ROOT / "baselines" / "papers" / key).glob("*.py"))
+    for path in sources:
+        found = unseen.findall(path.read_text())
+        assert not found, (path.name, found)
+
+
+def test_every_picture_is_stored_and_shown(key, stored):
+    page = (DOCS / f"{key}.md").read_text()
+    assert stored["pictures"]
+    for name in stored["pictures"]:
+        assert f"(figures/{name})" in page
+        assert (DOCS / "figures" / name).read_bytes().startswith(b"\x89PNG")
+    drawn = {path.name for path in (DOCS / "figures").glob(f"{key}*")}
+    assert drawn == set(stored["pictures"])
+
+
+def stored_rows(key):
+    record = json.loads((DOCS / f"{key}.json").read_text())
+    return {(row.table, row.row, row.quantity): row for row in rows_from_record(record)}
+
+
+def test_ke2022_has_what_is_printed_and_says_where_the_paper_contradicts_itself():
+    rows = stored_rows("ke2022")
+    shorter = {row.paper for (_, _, what), row in rows.items() if what == "shorter than M2 [%]"}
+    assert shorter == {64.0, 38.0, 41.5}
+    twice = [rows[figure, "M2, ramp 0.05 m/s", "detection time [s]"] for figure in FIGURES_OF_M2]
+    assert [row.paper for row in twice] == [157.0, 147.0]
+    assert all("contradicts itself" in row.note for row in twice)
+    assert sum(row.band is not None for row in twice) == 1  # one value of ours counts once
+
+
+@pytest.mark.parametrize(("table", "told", "paper"), [("6", "5 m", 74.0), ("8", "0.05 m/s", 42.0)])
+def test_ke2022_holds_its_misses_against_all_satellites(table, told, paper):
+    rows = stored_rows("ke2022")
+    row = rows[f"Table {table}", f"M2, {told}, each satellite in turn", "missed [%]"]
+    assert row.paper == paper
+    assert row.band is not None
+    assert "eight satellites" in row.band.origin.text
+
+
+def test_ke2022_holds_its_position_errors_against_single_runs():
+    errors = [
+        row for key, row in stored_rows("ke2022").items() if key[0] in ("Fig. 9b", "Fig. 10b")
+    ]
+    assert len(errors) == 16
+    assert all(row.band is not None and row.paper is not None for row in errors)
+
+
+def test_shadmehri2025_explains_the_alarms_of_its_smallest_r():
+    rows = stored_rows("shadmehri2025")
+    table = "Not in the paper: false alarms"
+    row = rows[table, "R of 0.17 m, fixed", "alarms per epoch, 20-35 s"]
+    assert row.agrees is False
+    assert "taken for white ones" in row.note
+    white, correlated = (
+        [other.ours for (_, name, _), other in rows.items() if name.startswith(begin)]
+        for begin in ("R of 0.17 m, fixed, white", "R of 0.17 m, fixed, correlated")
+    )
+    assert max(white) < 1e-3 < min(correlated)
+    assert correlated == sorted(correlated)
+
+
+def test_song2021_says_what_stands_for_its_seven_measurements():
+    assert "seven measurements (eq. 9)" in load_paper("song2021").READINGS

@@ -16,8 +16,15 @@ from baselines.papers import __main__ as command
 from baselines.papers import paper as papers
 from baselines.papers import run as running
 from baselines.papers import sources
-from baselines.papers.frame import Part, Row, Settings
-from baselines.papers.paper import check_rows, load_paper, parts_of
+from baselines.papers.frame import Band, Origin, Part, Row, Settings, fill_origins
+from baselines.papers.paper import (
+    check_rows,
+    letter_of,
+    load_paper,
+    parts_of,
+    rows_from_record,
+    rows_record,
+)
 from baselines.papers.run import PaperRun, PartError, run_papers
 from baselines.papers.store import Store
 
@@ -142,12 +149,18 @@ def test_json_has_the_fields_that_were_agreed_on(dice, threads, tmp_path):
     result = CliRunner().invoke(command.app, arguments)
     assert result.exit_code == 0
     told = json.loads(result.stdout)
-    assert list(told) == ["paper", "runs", "seed", "rows"]
+    assert list(told) == ["paper", "runs", "seed", "origins", "rows"]
     assert (told["paper"], told["runs"], told["seed"]) == (toy.KEY, 300, 0)
-    fields = ["table", "row", "quantity", "paper", "ours", "low", "high", "inside", "note"]
+    values = ["table", "row", "quantity", "paper", "ours", "low", "high", "origin"]
     for row in told["rows"]:
-        assert list(row) == fields
-    assert [row["inside"] for row in told["rows"]] == [True, True, None, False]
+        assert list(row) == [*values, "printed_inside", "agrees", "kept", "note"]
+    printed = [row["printed_inside"] for row in told["rows"]]
+    assert printed == [True, True, None, False, False, None]
+    assert [row["agrees"] for row in told["rows"]] == [None, None, None, None, True, None]
+    assert [row["kept"] for row in told["rows"]] == [None] * 5 + [True]
+    assert [row["origin"] for row in told["rows"]] == ["A", "A", None, "A", "B", "C"]
+    kinds = {letter: origin["kind"] for letter, origin in told["origins"].items()}
+    assert kinds == {"A": "tolerance", "B": "independent", "C": "bound"}
     every = CliRunner().invoke(command.app, ["all", *arguments[1:]])
     assert json.loads(every.stdout) == [told]
 
@@ -157,8 +170,9 @@ def test_tables_and_figures(dice, threads, tmp_path):
     result = CliRunner().invoke(command.app, [*arguments, "--figures", str(tmp_path / "fig")])
     assert result.exit_code == 0
     assert "Dice et al. (2025), Table 2" in result.stdout
-    assert "2 of 3 values lie in their bands; 1 have none." in result.stdout
-    assert (tmp_path / "fig" / toy.KEY / "dice.png").read_bytes().startswith(b"\x89PNG")
+    assert "2 of 4 printed values lie inside the tolerance of the reproduction." in result.stdout
+    assert "Bands B (independent): Another die." in result.stdout
+    assert (tmp_path / "fig" / toy.KEY / "dice_7.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_an_unknown_key_lists_the_valid_ones():
@@ -195,26 +209,88 @@ def test_parts_are_checked(part, message, monkeypatch):
     ],
 )
 def test_rows_are_checked(values, message):
+    paper, ours, low, high = values
+    band = None if low is None and high is None else Band(low, high, toy.NEAR)
     with pytest.raises(ValueError, match=message):
-        check_rows([Row("T", "r", "q", *values)])
-    row = Row("T", "r", "q", 1.0, 1.0, None, None)
+        check_rows([Row("T", "r", "q", paper, ours, band)])
+    row = Row("T", "r", "q", 1.0, 1.0)
     with pytest.raises(ValueError, match="stands there twice"):
         check_rows([row, row])
 
 
 @pytest.mark.parametrize(
-    ("low", "ours", "high", "inside"),
+    ("low", "value", "high", "inside"),
     [
         (1.0, 1.0, 2.0, True),
         (1.0, 2.5, 2.0, False),
         (None, 2.0, 2.0, True),
         (2.0, 1.0, None, False),
         (1.0, None, 2.0, False),
-        (None, 1.0, None, None),
+        (0.0, 0.0, 0.0, True),
     ],
 )
-def test_a_band_has_its_ends_and_may_be_open(low, ours, high, inside):
-    assert Row("T", "r", "q", None, ours, low, high).inside is inside
+def test_a_band_has_its_ends_and_may_be_open(low, value, high, inside):
+    assert Band(low, high, toy.NEAR).holds(value) is inside
+
+
+def test_a_band_has_an_end_and_says_where_it_comes_from():
+    with pytest.raises(ValueError, match="must have `low` or `high`"):
+        Band(None, None, toy.NEAR)
+    with pytest.raises(ValueError, match="valid: bound, independent, tolerance"):
+        Origin("guess", "A guess.")
+    with pytest.raises(ValueError, match="must say where it comes from"):
+        Origin("bound", " ")
+    assert (
+        Origin(
+            "bound",
+            """Some
+        text.""",
+        ).text
+        == "Some text."
+    )
+
+
+@pytest.mark.parametrize(
+    ("paper", "ours", "printed_inside"),
+    [
+        (1.5, 1.5, True),
+        (1.5, 2.5, False),
+        (2.5, 1.5, False),  # the band excludes the printed value, and holds ours
+        (1.5, None, False),
+        (None, 1.5, None),
+    ],
+)
+@pytest.mark.parametrize("origin", [toy.NEAR, toy.SECOND, toy.SIDES])
+def test_the_printed_value_and_ours_both_have_to_lie_in_the_band(
+    paper, ours, printed_inside, origin
+):
+    row = Row("T", "r", "q", paper, ours, Band(1.0, 2.0, origin))
+    assert row.printed_inside is printed_inside
+    mine = ours == 1.5
+    assert row.agrees is (mine if origin is toy.SECOND else None)
+    assert row.kept is (mine if origin is toy.SIDES else None)
+
+
+def test_a_row_without_a_band_says_nothing():
+    row = Row("T", "r", "q", 1.0, 1.0)
+    assert (row.printed_inside, row.agrees, row.kept) == (None,) * 3
+
+
+def test_rows_come_back_from_their_record():
+    rows = fill_origins(
+        [
+            Row("T", "r", "a", 1.0, 1.5, Band(1.0, None, toy.NEAR), "a note"),
+            Row("T", "r", "b", None, 1.5, Band(None, 2.0, toy.SECOND)),
+            Row("T", "r", "c", None, None),
+        ],
+        seed=4,
+    )
+    assert rows[0].band.origin.text == "Half an eye to either side; seed 4."
+    assert rows_from_record(json.loads(json.dumps(rows_record(rows)))) == rows
+
+
+def test_origins_are_named_by_letters():
+    assert [letter_of(n) for n in (0, 25, 26, 51, 52)] == ["A", "Z", "AA", "AZ", "BA"]
 
 
 def test_what_cannot_be_stored_is_named(tmp_path):

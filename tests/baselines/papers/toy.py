@@ -8,13 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from baselines.papers.frame import Part, Row, Settings
+from baselines.papers.frame import Band, Origin, Part, Row, Settings, fill_origins
 
 TITLE = "Dice et al. (2025)"
 CLAIMS = "The mean of a die is 3.5."
 FOUND = "It is."
 READINGS = "Six sides."
 KEY = "toy2025"
+NEAR = Origin("tolerance", "Half an eye to either side; seed {seed}.")
+SECOND = Origin("independent", "Another die.")
+SIDES = Origin("bound", "A die has six sides.")
 
 
 def throw(runs: int, seed: int, marks: str | None = None) -> dict[str, Any]:
@@ -49,14 +52,17 @@ def parts(settings: Settings) -> list[Part]:
 
 def rows(data: dict[str, dict[str, Any]], settings: Settings) -> list[Row]:
     made = [
-        Row("Table 1", name, "mean", 3.5, result["mean"], 3.0, 4.0) for name, result in data.items()
+        Row("Table 1", name, "mean", 3.5, result["mean"], Band(3.0, 4.0, NEAR))
+        for name, result in data.items()
     ]
     sizes = sum(len(result["eyes"]) for result in data.values())
-    return [
-        *made,
-        Row("Table 2", "all", "throws | all", None, sizes, None, None, "not told"),
-        Row("Table 2", "all", "impossible", 7.0, 0.0, 6.5, 7.5, "a finding"),
+    made += [
+        Row("Table 2", "all", "throws | all", None, sizes, note="not printed"),
+        Row("Table 2", "all", "impossible", 7.0, 0.0, Band(6.5, 7.5, NEAR), "a finding"),
+        Row("Table 2", "all", "excluded", 7.0, 3.5, Band(3.0, 4.0, SECOND), "not the paper's"),
+        Row("Table 2", "all", "largest", None, 6.0, Band(None, 6.0, SIDES)),
     ]
+    return fill_origins(made, seed=settings.seed)
 
 
 def figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
@@ -66,7 +72,7 @@ def figures(data: dict[str, dict[str, Any]], folder: Path) -> list[Path]:
     for name, result in data.items():
         axes.hist(result["eyes"], label=name)
     axes.set(title="Dice", xlabel="eyes [1]", ylabel="throws [1]")
-    path = folder / "dice.png"
+    path = folder / "dice_7.png"
     figure.savefig(path)
     plt.close(figure)
     return [path]

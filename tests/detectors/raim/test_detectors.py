@@ -150,9 +150,21 @@ def test_the_noise_is_the_receivers_own_or_a_setting(kind):
     )
     mixed = context(1)
     mixed.noise_variance[3] = 99.0
-    with pytest.raises(ValueError, match=r"differ in their noise, 4 to 9.9.* set `sigma_m`"):
-        detector.bind(mixed)
+    detector.bind(mixed)  # the largest, so that no satellite is taken for better than it is
+    assert detector.judge(sky_epoch(noise(8, 1))).threshold[0, 0] == pytest.approx(
+        np.sqrt(fit_thresholds(np.sqrt(99.0), 1e-5, 12)[12] / 8)
+    )
     kind(sigma_m=5.0).bind(mixed)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_noise_is_that_of_one_epoch_and_not_what_a_filter_makes_of_errors_that_stay(kind):
+    inflated = context(1, noise=40.0)
+    detector = kind()
+    detector.bind(inflated._replace(single_epoch_sd=np.full(24, 1.5)))
+    assert detector.judge(sky_epoch(noise(8, 1))).threshold[0, 0] == pytest.approx(
+        np.sqrt(fit_thresholds(1.5, 1e-5, 12)[12] / 8)
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -120,9 +120,9 @@ def test_an_attack_on_channels_has_no_commanded_position():
 
 
 def test_a_picture_is_titled_by_its_scenario():
-    core = tight(scenario="realistic-two-constellations")
+    core = tight(scenario="trolley-two-constellations")
     core.reset([np.random.default_rng(0)])
-    assert CoreRecorder(core).begin().title.startswith("realistic-two-constellations: ")
+    assert CoreRecorder(core).begin().title.startswith("trolley-two-constellations: ")
 
 
 def test_what_counts_is_drawn_up_to_the_last_command_and_not_beyond():

@@ -20,7 +20,7 @@ pytest.importorskip("matplotlib")
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
 IDS = {
-    "spoofgym/TightlyCoupled-v0": {"timeline": SHORT},
+    "spoofgym/TightlyCoupled-v0": {"timeline": SHORT, "action": "full-command"},
     "spoofgym/Snapshot-v0": {},
     "spoofgym/LooselyCoupled-v0": {},
     "spoofgym/WheeledRobot-v0": {},

@@ -90,7 +90,7 @@ def test_terms_of_a_file(tmp_path):
         ({"action": "along-target", "attack": "per-channel"}, ValueError, "no axis 'north'"),
         ({"end": {"limit_m": 5.0}}, TypeError, "it has no `name`; `spoofgym.envs.terms.written`"),
         ({"knowledge": "orakel", "observation": "time"}, ValueError, "did you mean 'oracle'"),
-        ({"reward": "alarm-penalty", "alarm_penalty_m": 5.0}, ValueError, "`reward` is given"),
+        ({"reward": "alarm-penalty", "alarm_price": 5.0}, ValueError, "`reward` is given"),
         ({"end": "at-alarm", "end_at_alarm": False}, ValueError, "`end` lists 'at-alarm', but"),
         ({"twin": "no"}, ValueError, "`twin` must be True or False, got 'no'"),
         ({"between": "linear"}, ValueError, "`between` 'linear' needs a `decision_interval_s`"),
@@ -195,7 +195,7 @@ def played(action, heading=90.0, attack="false-position", **kwargs):
 
 @pytest.mark.parametrize("heading", [0.0, 90.0, 215.0])
 def test_along_and_across_are_the_turned_axes(heading):
-    _, plain = played(None, heading)
+    _, plain = played("full-command", heading)
     envs, turned = played(["along-target", "across-target"], heading)
     assert envs.action_names == ("along_target_acceleration", "across_target_acceleration")
     angle = np.radians(heading)
@@ -207,11 +207,11 @@ def test_along_and_across_are_the_turned_axes(heading):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
 
-def test_the_full_command_is_the_default():
+def test_the_rate_setpoint_is_the_default():
     _, default = played(None)
-    _, named = played("full-command")
+    _, named = played("rate-setpoint")
     for _ in range(5):
-        np.testing.assert_array_equal(default([0.2, 0.5]), named([0.2, 0.5]))
+        np.testing.assert_array_equal(default([0.5]), named([0.5]))
 
 
 def test_channels_leave_the_others_alone():
@@ -296,5 +296,5 @@ def test_a_table_has_a_row_for_every_term():
 def test_a_plain_action_costs_nothing():
     env = single().unwrapped
     action = np.zeros((1, 2))
-    assert env.core._map.command(action) is action
+    assert env.core.command(action) is action
     assert FullCommand().matrix(env.core.setup, np.zeros(2)).shape == (2, 2, 2)

@@ -8,6 +8,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from spoofgym.envs.core import ALARM_PRICE
+
 from ..support import (
     HOLD,
     LIVE,
@@ -70,7 +72,8 @@ def test_an_alarm_after_an_early_end_takes_back_what_was_gained(kind):
         assert (again, terminated) == (steps, True)
         assert info["detected"] == taken
         if taken:
-            parts = info["reward_displacement"] + info["reward_retraction"] - 10.0
+            price = ALARM_PRICE * env.unwrapped.core.length_m
+            parts = info["reward_displacement"] + info["reward_retraction"] - price
             assert reward == pytest.approx(parts)
             assert info["undetected_displacement_m"] < kept["undetected_displacement_m"]
         else:

@@ -1,0 +1,68 @@
+"""Calibration of a campaign's detectors: what is missing is made, what is there is replayed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from ..detectors import Calibrated, Detector, PooledDetector
+from ..detectors.calibrated import resolve
+from ..simulators.calibration import calibrate, check, expected_runs
+from ..simulators.clean_runs import Progress
+from .specs import make_judge
+from .suite import Suite
+
+
+class _Rate(NamedTuple):
+    """Detectors that are asked for at one rate, of one variant."""
+
+    false_alarms_per_hour: float
+    rescaled: bool
+
+
+def _asked(suite: Suite) -> dict[_Rate, list[Detector]]:
+    """Detectors of a campaign that ask for a rate of the calibrations that are looked up."""
+    found: dict[_Rate, list[Detector]] = {}
+    for part in _parts(suite):
+        rate = part.false_alarms_per_hour
+        if part.scale is None and part.calibration is None and rate is not None:
+            found.setdefault(_Rate(rate, part.rescaled), []).append(part.detector)
+    return found
+
+
+def _parts(suite: Suite) -> Iterator[Calibrated]:
+    for entry in suite.detector_entries:
+        judge = make_judge(entry.spec)
+        parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
+        yield from (part for part in parts if isinstance(part, Calibrated))
+
+
+def missing_runs(suite: Suite) -> int:
+    """Clean runs that the campaign's calibrations lack."""
+    return sum(
+        expected_runs(
+            suite.world,
+            detectors,
+            false_alarms_per_hour=rate.false_alarms_per_hour,
+            rescaled=rate.rescaled,
+        )
+        for rate, detectors in _asked(suite).items()
+    )
+
+
+def calibrate_suite(
+    suite: Suite, *, threads: int | None = None, progress: Progress | None = None
+) -> None:
+    """Calibrate the detectors that ask for a rate, and replay the first runs of their files."""
+    for rate, detectors in _asked(suite).items():
+        found = calibrate(
+            suite.world,
+            detectors,
+            false_alarms_per_hour=rate.false_alarms_per_hour,
+            rescaled=rate.rescaled,
+            threads=threads,
+            progress=progress,
+        )
+        check(suite.world, found, detectors, threads=threads)
+    for part in _parts(suite):  # those of a file of the user's, too, which this looks up
+        resolve(part, suite.world)

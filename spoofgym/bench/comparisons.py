@@ -1,0 +1,126 @@
+"""Detectors compared with the negative controls, run by run, at one rate of false alarms.
+
+`never` does not alarm, and `lottery` alarms by chance at the rate that all are asked for.  A
+detector against which a spoofer comes farther than against them has done harm, and is marked: its
+interval lies above 0.  Detectors at different rates are never compared, and none at its nominal
+thresholds is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cells import Cell
+from .metrics import Estimate, bootstrap_mean, percentiles, resamples_of
+from .protection import MEASURES, Aim, Protection
+from .scores import SHARES, exceeded
+
+CONTROLS = ("never", "lottery")
+"""Names of the detectors that chance must not be told from."""
+FREE = "any"
+"""Footing of a detector that never alarms: it has none, and goes with any rate."""
+Footings = Mapping[str, str]
+
+
+def compare(
+    cells: Sequence[Cell],
+    protections: Sequence[Protection],
+    footings: Footings,
+) -> list[dict[str, Any]]:
+    """Paired differences, detector less control, over the runs that count for both.
+
+    Returns a row for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``,
+    ``difference_m``, ``above`` where its interval lies above 0.
+    """
+    found = []
+    for control in controls(footings):
+        for detector in footings:
+            if comparable(footings, detector, control):
+                found += _displacements(cells, detector, control)
+                found += _protections(protections, detector, control)
+    return found
+
+
+def controls(footings: Footings) -> list[str]:
+    """Labels of the negative controls that were played."""
+    return [label for label in footings if label.partition("(")[0] in CONTROLS]
+
+
+def comparable(footings: Footings, detector: str, other: str) -> bool:
+    """Whether two detectors were asked for one rate, and are not the same."""
+    mine, theirs = footings[detector], footings[other]
+    if detector == other or "nominal" in (mine, theirs):
+        return False
+    return mine == theirs or FREE in (mine, theirs)
+
+
+def _displacements(cells: Sequence[Cell], detector: str, control: str) -> list[dict[str, Any]]:
+    """Stealthy displacement, by spoofer."""
+    by_pair = {(cell.detector, cell.spoofer): cell for cell in cells}
+    found = []
+    for (label, spoofer), mine in by_pair.items():
+        theirs = by_pair.get((control, spoofer))
+        if label != detector or spoofer == "none" or theirs is None:
+            continue
+        gap = mine.displacement_m - theirs.displacement_m
+        both = mine.counts & theirs.counts
+        difference = _paired_mean(gap[both])
+        found.append(_row("stealthy displacement", spoofer, detector, control, difference))
+    return found
+
+
+def _paired_mean(gap: NDArray[np.float64]) -> Estimate:
+    if not len(gap):
+        return percentiles(float("nan"), gap)
+    return bootstrap_mean(gap, resamples_of(len(gap)))
+
+
+def _protections(
+    protections: Sequence[Protection], detector: str, control: str
+) -> list[dict[str, Any]]:
+    """Displacement that the worst attack exceeds, by share."""
+    by_label = {each.detector: each for each in protections}
+    mine, theirs = by_label.get(detector), by_label.get(control)
+    if mine is None or theirs is None:
+        return []
+    found = []
+    for share in SHARES:
+        aim = Aim(MEASURES[0], share)
+        x, y = (_displacement(each, aim) for each in (mine, theirs))
+        both = mine.counts & theirs.counts
+        difference = _paired_exceeded(x[both], y[both], share)
+        word = f"protection {100 * share:g} %"
+        found.append(_row(word, None, detector, control, difference))
+    return found
+
+
+def _displacement(protection: Protection, aim: Aim) -> NDArray[np.float64]:
+    winner = protection.winner(aim)
+    assert winner is not None  # each share of `SHARES` has one
+    return winner.displacement[aim.measure]
+
+
+def _paired_exceeded(x: NDArray[np.float64], y: NDArray[np.float64], share: float) -> Estimate:
+    if not len(x):
+        return percentiles(float("nan"), x)
+    rows = resamples_of(len(x))
+    place = max(int(np.ceil(share * len(x) - 1e-9)), 1) - 1
+    drawn = [-np.partition(-each[rows], place, axis=1)[:, place] for each in (x, y)]
+    return percentiles(exceeded(x, share) - exceeded(y, share), drawn[0] - drawn[1])
+
+
+def _row(
+    score: str, spoofer: str | None, detector: str, control: str, difference: Estimate
+) -> dict[str, Any]:
+    return {
+        "score": score,
+        "spoofer": spoofer,
+        "detector": detector,
+        "control": control,
+        "difference_m": difference.as_json(),
+        "above": bool(difference.low > 0.0),
+    }

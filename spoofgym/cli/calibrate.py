@@ -1,0 +1,194 @@
+"""Calibration of detectors on clean runs of a world."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from . import options as opt
+from .options import World, with_world
+from .output import print_json, print_lines, print_table, progress
+from .suites import specs_of, world_of
+
+if TYPE_CHECKING:
+    from ..bench.suite import Suite
+    from ..detectors import Calibration, Detector
+    from ..simulators.calibration import HoldOut
+
+HEAD = ("detector", "runs", "scale", "per hour", "per run", "warm-up alarms", "file")
+HELD_HEAD = ("detector", "runs", "alarms", "predicted", "holds", "per hour", "promised")
+
+
+@with_world
+def calibrate(
+    *,
+    detector: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Detector, may be repeated; an .onnx file, too; `all` for all that suit the "
+            f"victim. Default: those of the benchmark. {opt.SPEC_HELP}"
+        ),
+    ] = None,
+    runs: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=opt.LARGEST_RUNS,
+            help="Clean runs. Default: 20000, which passive detectors share, and 2000 of each one "
+            "that de-weights.",
+        ),
+    ] = None,
+    false_alarms_per_hour: Annotated[
+        float, typer.Option(help="Rate of false alarms that is to be had and shown.")
+    ] = 0.2,
+    rescaled: Annotated[
+        bool,
+        typer.Option("--rescaled", help="Rescale innovations, for tests with a drift term."),
+    ] = False,
+    hold_out: Annotated[
+        int | None,
+        typer.Option(min=1, max=opt.LARGEST_RUNS, help="Count alarms on so many fresh runs."),
+    ] = None,
+    transfer: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Another world to count alarms in, may be repeated: a scenario, or settings of "
+            "the victim that differ, as a JSON object. On as many runs as --hold-out, or 1000."
+        ),
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Replay the first runs of every calibration.")
+    ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Play again what has been calibrated.")
+    ] = False,
+    as_json: opt.Json = False,
+    world: World,
+    seed: opt.Seed = 0,
+    threads: opt.Threads = None,
+) -> None:
+    """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there."""
+    from ..simulators import calibration as work
+
+    suite = world_of(world)
+    setup, rate = suite.world, false_alarms_per_hour
+    judges = _judges(detector, suite, rate)
+    asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
+    left = work.expected_runs(setup, judges, **asked, overwrite=overwrite)
+    with progress(left) as bar:
+        found = work.calibrate(
+            setup,
+            judges,
+            **asked,
+            entropy=seed,
+            threads=threads,
+            progress=bar,
+            overwrite=overwrite,
+            strict=False,
+        )
+    rows, lines, sound = _rows(found, judges, rate)
+    if check:
+        work.check(setup, found, judges, threads=threads)
+    kept = [found[k] for k in sound], [judges[k] for k in sound]
+    counted: dict[str, list[HoldOut]] = {}
+    settings: dict[str, Any] = {"false_alarms_per_hour": rate, "threads": threads}
+    if hold_out is not None and sound:
+        with progress(len(sound) * hold_out) as bar:
+            held = work.hold_out(setup, *kept, runs=hold_out, progress=bar, **settings)
+            counted["hold-out"] = held
+    for text in transfer or () if sound else ():
+        count = hold_out or work.HOLDOUT_WEIGHING
+        with progress(len(sound) * count) as bar:
+            there = work.transfer(_other(suite, text), *kept, runs=count, progress=bar, **settings)
+            counted[f"in {text}"] = there
+    if as_json:
+        print_json(
+            {
+                "world": setup.conditions.settings,
+                "window_s": setup.window_s,
+                "calibrations": [dict(zip(HEAD, row, strict=True)) for row in rows],
+                "notes": lines,
+                **{title: [one.as_dict() for one in each] for title, each in counted.items()},
+            }
+        )
+        return
+    print_table(f"{setup.name}: thresholds for {rate:g} false alarms an hour", HEAD, rows)
+    print_lines(lines)
+    for title, each in counted.items():
+        print_table(f"{setup.name}: {title}", HELD_HEAD, [_held_row(one) for one in each])
+
+
+def _judges(texts: Sequence[str] | None, suite: Suite, rate: float) -> list[Detector]:
+    """Detectors without what they ask of their thresholds; those that never alarm are left out."""
+    from ..bench.specs import make_judge
+    from ..bench.victims import VICTIMS
+    from ..duel.opponents import make_opponent
+    from ..simulators.calibration import inner_detectors, suitable_detectors
+
+    specs: list[Any] = list(VICTIMS[suite.env].detectors) if not texts else specs_of(texts)
+    made: list[Any] = []
+    for spec in specs:
+        if spec["name"] == "all":
+            made += suitable_detectors(suite.world)
+        elif str(spec["name"]).endswith(".onnx"):
+            asked = {**spec, "false_alarms_per_hour": rate}
+            made.append(make_opponent(asked, suite.world.live))
+        else:
+            made.append(make_judge(spec))
+    judges = inner_detectors(made)
+    if not judges:
+        raise ValueError("there is no detector to calibrate: one that never alarms has no rate")
+    return judges
+
+
+def _other(suite: Suite, text: str) -> Any:
+    """Another world: settings of this one that differ."""
+    from ..bench.victims import VICTIMS
+    from ..envs.factory import make_setup
+
+    if text.lstrip().startswith("{"):
+        try:
+            changed = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"--transfer {text!r} is not JSON: {error}") from error
+    else:
+        (changed,) = ({"scenario": spec} for spec in specs_of([text]))
+    kind = VICTIMS[suite.env].setup
+    return make_setup(kind, {**suite.given, **changed, "detector": "never"})
+
+
+def _rows(
+    found: Sequence[Calibration], judges: Sequence[Detector], rate: float
+) -> tuple[list[tuple[str, ...]], list[str], list[int]]:
+    """Rows of the table, notes, and which detectors have an operating point."""
+    from ..detectors.calibrated import NOISY_WARMUP, noisy_warmup
+
+    rows: list[tuple[str, ...]] = []
+    lines: list[str] = []
+    sound: list[int] = []
+    for k, each in enumerate(found):
+        name = str(each.detector["name"])
+        try:
+            point = each.point(rate)
+        except ValueError as error:
+            lines.append(str(error))
+            rows.append((name, str(each.runs), "-", "-", "-", "-", str(each.path)))
+            continue
+        sound.append(k)
+        scale = f"{point.scale:.6g}{' (fitted tail)' if point.extrapolated else ''}"
+        shares = f"{100 * point.per_run:.3g} %", f"{100 * point.warmup_alarms:.2g} %"
+        rows.append((name, str(each.runs), scale, f"{rate:g}", *shares, str(each.path)))
+        if point.warmup_alarms > NOISY_WARMUP:
+            lines.append(noisy_warmup(name, point))
+    return rows, lines, sound
+
+
+def _held_row(one: HoldOut) -> tuple[str, ...]:
+    predicted = "-" if one.holds is None else f"{one.low} to {one.high}"
+    holds = {None: "-", True: "yes", False: "NO"}[one.holds]
+    promised = f"{100 * one.promised:.3g} % of runs"
+    rate = f"{one.per_hour:.3g}"
+    return one.name, str(one.runs), str(one.alarms), predicted, holds, rate, promised

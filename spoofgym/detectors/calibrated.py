@@ -1,0 +1,454 @@
+r"""A detector at a stated rate of false alarms: the thresholds are scaled, the weights are not.
+
+``{"name": "ewma", "false_alarms_per_hour": 0.2}`` is a detector whose thresholds are multiplied by
+the factor that clean runs of its world say (`calibration`).  Its alarm is
+
+.. math:: \text{statistic} > \text{scale} \times \text{threshold}
+
+and its weights stay as published: a factor on them would be another detector.  Where the alarm is a
+state that outlasts its cause, the detector itself takes the factor, `Detector.alarm_scale`.  A pool
+calibrates its members one by one, so that each keeps the rate, and with them any mixture.
+
+With ``"thresholds": "rescaled"`` the innovations are scaled before they are judged, their common
+mode and its complement by a factor each, so that their variance in clean runs is what the filter
+believes.  That is for tests with a drift term, whose sums a factor on the threshold can't mend.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import json
+import math
+import shlex
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._jit import njit
+from .._registry import check_choice, is_number
+from ..receiver.epoch import Epoch
+from .base import Detector, DetectorContext, Verdict
+from .calibration import (
+    Calibration,
+    Conditions,
+    OperatingPoint,
+    check_rate,
+    described,
+    nearest,
+    sources_of,
+    stored,
+)
+from .pool import PooledDetector
+
+FloatArray = NDArray[np.float64]
+DEFAULT_RATE: float | None = None
+"""False alarms an hour of a detector that is named in a world without a word on its thresholds;
+None for its nominal thresholds."""
+THRESHOLDS = ("nominal", "calibrated", "rescaled")
+"""Which thresholds a detector may be asked for with."""
+ASKED = ("false_alarms_per_hour", "thresholds", "threshold_scale", "calibration")
+"""Keys of a detector's spec that are not settings of its class."""
+STANDARD_RATE = 0.2
+"""False alarms an hour where calibrated thresholds are asked for without a rate."""
+NOISY_WARMUP = 0.2
+"""Share of clean runs that alarm before the attack from which on it is said."""
+
+
+class Asked(NamedTuple):
+    """What a spec asks of the thresholds: a rate, a variant, a factor, a file; None for nothing."""
+
+    false_alarms_per_hour: float | None = None
+    thresholds: str | None = None
+    threshold_scale: float | None = None
+    calibration: str | None = None
+
+
+class World(Protocol):
+    """What a calibration is looked up by: a `Setup`."""
+
+    @property
+    def conditions(self) -> Conditions:
+        """What a clean run depends on."""
+
+
+@dataclass
+class Calibrated(Detector):
+    """A detector with scaled thresholds; its weights stay as they are.
+
+    Parameters
+    ----------
+    detector : Detector
+        Any but a pool, which calibrates its members; copied with this one.
+    scale : float, optional
+        Factor on its thresholds, above 0; None to look it up where the world is known.
+    false_alarms_per_hour : float, optional
+        Rate by which to look it up, above 0.
+    rescaled : bool
+        Whether innovations are scaled before they are judged; for detectors with a drift term.
+    rescale : sequence of float, optional
+        Four factors on innovations: common mode and complement of the pseudoranges, then of the
+        range rates; None to look them up.
+    calibration : str, optional
+        File to take instead of those of the package and of the user.
+
+    Attributes
+    ----------
+    point : OperatingPoint or None
+        What it was looked up with.
+
+    Raises
+    ------
+    ValueError
+        When there is neither a scale nor a rate, or one is out of range.
+    TypeError
+        When `detector` is none, or is calibrated already.
+
+    Examples
+    --------
+    >>> from spoofgym.detectors import Calibrated, SnapshotChi2
+    >>> Calibrated(SnapshotChi2(), scale=0.8).scale
+    0.8
+    """
+
+    detector: Detector
+    scale: float | None = None
+    false_alarms_per_hour: float | None = None
+    rescaled: bool = False
+    rescale: tuple[float, ...] | None = None
+    calibration: str | None = None
+
+    paper: ClassVar[str] = "vovk2005"
+    measures: ClassVar[str] = "any"
+    point: ClassVar[OperatingPoint | None] = None
+    found_for: ClassVar[str | None] = None
+
+    def __post_init__(self) -> None:
+        """Check the settings, and take over what the detector declares."""
+        inner = self.detector
+        if not isinstance(inner, Detector) or isinstance(inner, Calibrated):
+            raise TypeError(f"`detector` must be a Detector that is not calibrated, got {inner!r}")
+        if isinstance(inner, PooledDetector):
+            raise TypeError("a pool calibrates its members: ask them for the rate, one by one")
+        if self.scale is None and self.false_alarms_per_hour is None:
+            raise ValueError("a calibrated detector needs `scale` or `false_alarms_per_hour`")
+        if self.scale is not None and not (
+            is_number(self.scale) and math.isfinite(self.scale) and self.scale > 0.0
+        ):
+            raise ValueError(f"`threshold_scale` must be finite and > 0, got {self.scale!r}")
+        if self.false_alarms_per_hour is not None:
+            self.false_alarms_per_hour = check_rate(self.false_alarms_per_hour)
+        if self.rescaled:
+            check_drifts(inner)
+        if self.rescale is not None:
+            self.rescale = tuple(float(factor) for factor in self.rescale)
+            if len(self.rescale) != 4 or not all(0.0 < x < math.inf for x in self.rescale):
+                raise ValueError(f"`rescale` must be four factors above 0, got {self.rescale}")
+        for name in ("paper", "needs", "scope", "measures", "oracle"):
+            setattr(self, name, getattr(inner, name))
+
+    @property
+    def resolved(self) -> bool:
+        """Whether its factors are known."""
+        return self.scale is not None and (self.rescale is not None or not self.rescaled)
+
+    def bind(self, context: DetectorContext) -> None:
+        """Prepare the detector; a ValueError where its factors are not known yet."""
+        if not self.resolved:
+            raise ValueError(
+                f"{type(self.detector).__name__} is asked for {self.false_alarms_per_hour:g} false "
+                "alarms an hour, and no world is known to look its thresholds up for: give it to "
+                "an environment, or take `thresholds` 'nominal'"
+            )
+        inner = self.detector
+        if inner.alarm_is_state:
+            inner = dataclasses.replace(inner, alarm_scale=self.scale)  # type: ignore[type-var]
+        self._judge, self._factors = inner, np.array(self.rescale or (1.0,) * 4)
+        inner.bind(context)
+        self.memory, self.silent_epochs = inner.memory, inner.silent_epochs
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget everything about some receivers."""
+        self._judge.reset(mask)
+
+    def armed(self, epoch: Epoch) -> NDArray[np.bool_] | None:
+        """Whose alarms are on, as of the detector."""
+        return self.detector.armed(epoch)
+
+    def judge(self, epoch: Epoch) -> Verdict:
+        """Let the detector judge, and compare with the scaled threshold."""
+        if self.rescaled:
+            innovation = np.empty(epoch.innovation.shape)
+            rescale_innovations(epoch.innovation, epoch.visible, self._factors, innovation)
+            epoch = epoch._replace(innovation=innovation)
+        verdict = self._judge.judge(epoch)
+        return verdict if self.detector.alarm_is_state else self.scaled(verdict)
+
+    def scaled(self, verdict: Verdict) -> Verdict:
+        """The same verdict with scaled thresholds."""
+        assert self.scale is not None  # as `bind` has made sure of
+        threshold = self.scale * verdict.threshold
+        return verdict._replace(threshold=threshold, alarm=verdict.statistic > threshold)
+
+    def is_unknown_in(self, world: World) -> bool:
+        """Whether its factors are to be looked up, or are those of another world."""
+        if not self.resolved:
+            return True
+        return self.found_for not in (None, world.conditions.digest)
+
+    def look_up(self, world: World) -> None:
+        """Take the factors from the calibration for a world; a ValueError where there is none."""
+        conditions, identity = world.conditions, identity_of(self.detector)
+        rate = check_rate(self.false_alarms_per_hour)
+        failure: ValueError | None = None
+        for found in self._found(conditions, identity):
+            try:
+                self.take(found, rate)
+                self.found_for = conditions.digest  # type: ignore[misc]
+                return
+            except ValueError as error:
+                failure = error
+        raise failure or ValueError(self._missing(conditions, identity))
+
+    def take(self, calibration: Calibration, rate: float) -> None:
+        """Take the factors of a calibration at a rate."""
+        point = calibration.point(rate)
+        self.scale, self.point = point.scale, point  # type: ignore[misc]
+        self.rescale = calibration.rescale if self.rescaled else None
+        if point.warmup_alarms > NOISY_WARMUP:
+            warnings.warn(noisy_warmup(identity_of(self.detector)["name"], point), stacklevel=2)
+
+    def _found(self, conditions: Conditions, identity: dict[str, Any]) -> list[Calibration]:
+        if self.calibration is None:
+            return list(stored(conditions, identity, self.rescaled))
+        found = Calibration.load(self.calibration)
+        unlike = found.differences(conditions.settings, identity)
+        if (found.rescale is not None) != self.rescaled:
+            unlike.append(f"rescaled: {found.rescale is not None} there, {self.rescaled} here")
+        if unlike:
+            raise ValueError(
+                f"{self.calibration} is a calibration for something else than "
+                f"{identity['name']} in {conditions.label}: {'; '.join(unlike)}"
+            )
+        return [found]
+
+    def _missing(self, conditions: Conditions, identity: dict[str, Any]) -> str:
+        name, rate = identity["name"], f"{self.false_alarms_per_hour:g}"
+        file = getattr(self.detector, "file", None)
+        shown = {"name": name, **self._asked_settings()}
+        spec = file or (str(name) if len(shown) == 1 else json.dumps(shown))
+        quoted = shlex.quote(str(spec))
+        variant = " --rescaled" if self.rescaled else ""
+        line = (
+            f"`spoofgym calibrate {conditions.options} --detector {quoted} "
+            f"--false-alarms-per-hour {rate}{variant}`"
+            if conditions.options
+            else "`spoofgym.simulators.calibrate(env.unwrapped.core.setup, ...)`, since no command "
+            "line can name this world"
+        )
+        near = nearest(conditions, identity, self.rescaled)
+        seen = ""
+        if near is not None and near[1]:
+            seen = f" The nearest one, {near[0]}, differs in {'; '.join(near[1][:4])}."
+        return (
+            f"there is no calibration of {name} in {conditions.label} to set its thresholds for "
+            f"{rate} false alarms an hour by. Make one with {line}, or take its nominal "
+            f'thresholds: {{"name": "{name}", "thresholds": "nominal"}}.{seen}'
+        )
+
+    def _asked_settings(self) -> dict[str, Any]:
+        """Settings of the detector that are not its defaults, JSON-able."""
+        own = inspect.signature(type(self.detector)).parameters
+        given = {key: getattr(self.detector, key, each.default) for key, each in own.items()}
+        if hasattr(self.detector, "identity"):
+            return {}
+        try:
+            return {key: described(x) for key, x in given.items() if x != own[key].default}
+        except (TypeError, ValueError):
+            return {}
+
+
+def check_drifts(detector: Detector) -> None:
+    """Raise unless a detector has a drift term, for which innovations are rescaled."""
+    if not detector.drifts:
+        raise ValueError(
+            f"`thresholds` 'rescaled' is for detectors with a drift term, which "
+            f"{type(detector).__name__} is not: there it is the same as a factor on the threshold"
+        )
+
+
+def noisy_warmup(name: str, point: OperatingPoint) -> str:
+    """Line on a detector that alarms before the attack in many clean runs."""
+    return (
+        f"{name} alarms before the attack in {100.0 * point.warmup_alarms:.0f} % of the clean runs "
+        f"at {point.false_alarms_per_hour:g} false alarms an hour: its memory is not settled when "
+        "the attack starts, or the world's beginning is not like the rest of it"
+    )
+
+
+@njit
+def rescale_innovations(
+    innovation: FloatArray,
+    visible: NDArray[np.bool_],
+    factors: FloatArray,
+    out: FloatArray,
+) -> None:
+    r"""Scale common mode and complement of the innovations of each signal.
+
+    .. math:: z' = a \bar z + b (z - \bar z)
+
+    `innovation`, `out` (B, 2n), written; `factors` (4,) a and b of the pseudoranges, then of the
+    range rates; the mean is over the visible channels.
+    """
+    receivers, n = visible.shape
+    for b in range(receivers):
+        for signal in range(2):
+            total, count = 0.0, 0
+            for j in range(n):
+                if visible[b, j]:
+                    total += innovation[b, signal * n + j]
+                    count += 1
+            mean = total / max(count, 1)
+            for j in range(n):
+                r = signal * n + j
+                out[b, r] = 0.0
+                if visible[b, j]:
+                    rest = innovation[b, r] - mean
+                    out[b, r] = factors[2 * signal] * mean + factors[2 * signal + 1] * rest
+
+
+def identity_of(detector: Detector) -> dict[str, Any]:
+    """Resolved settings of a detector, JSON-able: what its calibration belongs to.
+
+    Settings that are not its own, such as those of a policy, a class gives by a method `identity`.
+    """
+    from . import DETECTORS
+
+    own = getattr(detector, "identity", None)
+    if own is not None:
+        return dict(described(own()))
+    kind = type(detector)
+    names = {cls: name for name, cls in DETECTORS.items()}
+    name = names.get(kind, f"{kind.__module__}:{kind.__qualname__}")
+    parameters = inspect.signature(kind).parameters.values()
+    spread = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    settings = {p.name for p in parameters if p.kind not in spread} - {"alarm_scale"}
+    missing = sorted(key for key in settings if not hasattr(detector, key))
+    if missing:
+        raise TypeError(
+            f"detector {name!r} must keep its settings under their names to be calibrated; it has "
+            f"no {', '.join(map(repr, missing))}"
+        )
+    found = {"name": name, **{key: described(getattr(detector, key)) for key in sorted(settings)}}
+    sources = {} if kind in names else sources_of(detector)
+    return {**found, "sources": sources} if sources else found
+
+
+def resolve(detector: Detector, world: World) -> None:
+    """Look up the factors of a detector, or of the members of a pool, that are not known yet."""
+    parts = detector.judges if isinstance(detector, PooledDetector) else (detector,)
+    for part in parts:
+        if isinstance(part, Calibrated) and part.is_unknown_in(world):
+            part.look_up(world)
+
+
+def split_spec(spec: Any) -> tuple[Any, Asked]:
+    """A detector's spec without what it asks of the thresholds, and that."""
+    if not isinstance(spec, Mapping):
+        return spec, Asked()
+    plain = {key: value for key, value in spec.items() if key not in ASKED}
+    asked = Asked(**{key: spec[key] for key in ASKED if key in spec})
+    word = repr(spec.get("name"))
+    if asked.thresholds is not None:
+        check_choice("choice of `thresholds`", asked.thresholds, THRESHOLDS)
+    if asked.thresholds == "nominal" and any(
+        x is not None for x in asked._replace(thresholds=None)
+    ):
+        others = [key for key in ASKED if key != "thresholds" and getattr(asked, key) is not None]
+        raise ValueError(
+            f"detector {word} is asked for `thresholds` 'nominal' and for "
+            f"{', '.join(f'`{key}`' for key in others)}: leave out one"
+        )
+    if asked.threshold_scale is not None and asked.false_alarms_per_hour is not None:
+        raise ValueError(
+            f"detector {word} is asked for `threshold_scale` and for `false_alarms_per_hour`: "
+            "leave out one"
+        )
+    if asked.calibration is not None and not isinstance(asked.calibration, str | Path):
+        raise TypeError(f"`calibration` must be the path of a file, got {asked.calibration!r}")
+    return plain, asked
+
+
+def with_thresholds(detector: Detector, asked: Asked) -> Detector:
+    """A detector with the thresholds that are asked for; one that never alarms has but its own."""
+    rate, scale = asked.false_alarms_per_hour, asked.threshold_scale
+    if rate is None and scale is None and asked != Asked():
+        rate = STANDARD_RATE
+    if asked in (Asked(), Asked(thresholds="nominal")):
+        return detector
+    if not detector.calibrates:
+        if rate is not None:
+            check_rate(rate)
+        return detector
+    path = None if asked.calibration is None else str(asked.calibration)
+    rescaled = asked.thresholds == "rescaled"
+    return Calibrated(detector, scale, rate, rescaled=rescaled, calibration=path)
+
+
+def made_by(make: Callable[[Any], Detector], spec: Any, default: float | None = None) -> Detector:
+    """Detector of a spec that may ask for thresholds, made by `make` from the rest of it.
+
+    `default` is the rate where nothing is asked.  An object plays as it is.  A pool hands on to its
+    members, by names or dicts, what they do not ask for themselves.
+    """
+    if isinstance(spec, str):
+        spec = {"name": spec}
+    if not isinstance(spec, Mapping):
+        return make(spec)
+    plain, asked = split_spec(spec)
+    if asked == Asked() and default is not None:
+        asked = Asked(false_alarms_per_hour=default)
+    if plain.get("name") == "pool":
+        return make({**plain, "members": _members_asked(plain, asked)})
+    return with_thresholds(make(plain), asked)
+
+
+def _members_asked(pool: Mapping[str, Any], asked: Asked) -> Any:
+    """Members of a pool, each with what is asked of all."""
+    members = pool.get("members", PooledDetector.members)
+    if asked == Asked() or isinstance(members, str | Mapping) or not isinstance(members, Sequence):
+        return members
+    words = {key: value for key, value in asked._asdict().items() if value is not None}
+    named = [{"name": each} if isinstance(each, str) else each for each in members]
+    return [
+        {**each, **words} if isinstance(each, Mapping) and not {*ASKED} & {*each} else each
+        for each in named
+    ]
+
+
+def asked_by_default() -> dict[str, Any]:
+    """What a spec without a word on its thresholds asks for in a world, by the keys of `ASKED`."""
+    return {**dict.fromkeys(ASKED), "false_alarms_per_hour": DEFAULT_RATE}
+
+
+def spec_with_thresholds(detector: Detector, spec_of: Callable[[Any], Any]) -> dict[str, Any]:
+    """Spec from which an equal detector is made; `spec_of` gives that of one not calibrated."""
+    if not isinstance(detector, Calibrated):
+        spec = dict(spec_of(detector))
+        plain = DEFAULT_RATE is None or isinstance(detector, PooledDetector)
+        return spec if plain or not detector.calibrates else {**spec, "thresholds": "nominal"}
+    asked: dict[str, Any] = {}
+    if detector.false_alarms_per_hour is not None:
+        asked["false_alarms_per_hour"] = detector.false_alarms_per_hour
+    elif detector.scale is not None:
+        asked["threshold_scale"] = detector.scale
+    if detector.rescaled:
+        asked["thresholds"] = "rescaled"
+    if detector.calibration is not None:
+        asked["calibration"] = detector.calibration
+    return {**spec_of(detector.detector), **asked}

@@ -1,0 +1,242 @@
+r"""A tightly coupled filter with states for all that is not white, so that its innovations are.
+
+To the 17 states of `error_model` come
+
+- the 27 errors of scale, cross coupling and g-dependence of the inertial sensors, constants that
+  move attitude and velocity as biases of the size of the motion would,
+
+  .. math:: b_f = M_f f, \qquad b_\omega = M_\omega \omega + G f
+
+- for every satellite, as far as its world has them: a constant, an error of the code that wanders,
+  orbit and clock with their rate, the smoothed error of the code, and the last two readings of the
+  carrier, whose difference is the noise of the range rate;
+- the zenith delays of ionosphere and troposphere, with their rates.
+
+All are estimated.  The 17 are fed back to the strapdown as ever; the others stay in the filter,
+which takes what they predict out of the innovations and out of the strapdown's errors.  The
+covariance belongs to the estimates where the assumed errors are those of the world: innovations
+are then white, with the covariance S that the filter believes in.
+
+The measurement update is the textbook's, with Cholesky's or LU factors of S, receiver by receiver;
+it is not written for lanes, and costs tens of times as much as that of 17 states.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._memory import Memory
+from ..sim.gnss import GnssErrors
+from ..sim.imu import IMU_GRADES
+from ..sim.signal_errors import HALF_LIFE, SignalErrors, process_coefficients
+from .error_model import GYRO_BIAS, STATES
+
+FloatArray = NDArray[np.float64]
+MATRICES = 27
+"""Elements of M_f, M_w and G."""
+FIRST = STATES + MATRICES
+"""First state of the signals."""
+
+
+class SignalModel(NamedTuple):
+    """States of the signals: how they go on, and what of them is in codes and range rates.
+
+    `transition`, `driving` (q, q) over one interval; `first` (q,) variances at the start; `places`:
+    first state of every kind that there is; `smoothed` (4,) amplitudes of multipath and noise.
+    """
+
+    transition: FloatArray
+    driving: FloatArray
+    first: FloatArray
+    places: dict[str, int]
+    smoothed: tuple[float, ...]
+
+    def rows(
+        self, mapping: FloatArray, visible: NDArray[np.bool_], interval_s: float
+    ) -> FloatArray:
+        """(B, 2n, q) rows of the design matrix; `mapping` (B, n, 6) as `mappings_of` has it."""
+        b, n = visible.shape
+        H, s, places = np.zeros((b, 2 * n, len(self.first))), np.arange(n), self.places
+        for name in ("constant", "correlated", "orbit_clock"):
+            if name in places:
+                H[:, s, places[name] + s] = 1.0
+        if "orbit_clock" in places:
+            H[:, n + s, places["orbit_clock"] + n + s] = 1.0
+        if "smoothed" in places:
+            multipath, noise = mapping[:, :, 4], mapping[:, :, 5]
+            a, b_, c, d = self.smoothed
+            sizes = np.hypot(a + b_ * multipath, c + d * noise)
+            H[:, s, places["smoothed"] + s] = sizes
+        for k, (name, sign) in enumerate((("ionosphere", -1.0), ("troposphere", 1.0))):
+            if name in places:
+                j, slant, rate = places[name], mapping[:, :, 2 * k], mapping[:, :, 2 * k + 1]
+                H[:, :n, j] = slant
+                H[:, n:, j], H[:, n:, j + 1] = sign * rate, sign * slant
+        if "carrier" in places:
+            H[:, n + s, places["carrier"] + s] = 1.0 / interval_s
+            H[:, n + s, places["carrier"] + n + s] = -1.0 / interval_s
+        return H * np.hstack([visible, visible])[:, :, None]
+
+
+def _kinds(errors: GnssErrors, bias_sd: FloatArray) -> dict[str, int]:
+    """How many states of every kind some errors need."""
+    n, signals = len(bias_sd), errors.signals
+    wanted = {
+        "constant": (bias_sd.any(), n),
+        "correlated": (errors.correlated_sd_m > 0.0, n),
+    }
+    if signals is not None:
+        smoothed = max(*signals.multipath_sd_m, *signals.noise_sd_m)
+        wanted |= {
+            "ionosphere": (signals.ionosphere_sd_m > 0.0, 2),
+            "troposphere": (signals.troposphere_sd_m > 0.0, 2),
+            "orbit_clock": (signals.orbit_clock_sd_m > 0.0, 2 * n),
+            "smoothed": (smoothed > 0.0, n),
+            "carrier": (signals.carrier_sd_m > 0.0, 2 * n),
+        }
+    return {name: count for name, (there, count) in wanted.items() if there}
+
+
+def signal_model(errors: GnssErrors, bias_sd: FloatArray, interval_s: float) -> SignalModel:
+    """States of the signals for some errors; `bias_sd` (n,) of the constants of satellites [m]."""
+    counts, s = _kinds(errors, bias_sd), np.arange(len(bias_sd))
+    firsts = np.cumsum([0, *counts.values()]).tolist()
+    places, q = dict(zip(counts, firsts, strict=False)), firsts[-1]
+    signals = SignalErrors() if errors.signals is None else errors.signals
+    smoothed = (*signals.multipath_sd_m, *signals.noise_sd_m)
+    model = SignalModel(np.eye(q), np.zeros((q, q)), np.zeros(q), places, smoothed)
+    if "constant" in places:
+        model.first[places["constant"] + s] = bias_sd**2
+    for name, sd, time_s in (
+        ("correlated", errors.correlated_sd_m, errors.correlation_s),
+        ("smoothed", 1.0, signals.smoothing_s),
+    ):
+        if name in places:
+            j, alpha = places[name] + s, math.exp(-interval_s / time_s)
+            model.transition[j, j], model.first[j] = alpha, sd**2
+            model.driving[j, j] = (1.0 - alpha * alpha) * sd**2
+    for name, sd, time_s, which in (
+        ("ionosphere", signals.ionosphere_sd_m, signals.ionosphere_s, s[:1]),
+        ("troposphere", signals.troposphere_sd_m, signals.troposphere_s, s[:1]),
+        ("orbit_clock", signals.orbit_clock_sd_m, signals.orbit_clock_s, s),
+    ):
+        if name in places:
+            coefficients = process_coefficients(sd, time_s, interval_s)
+            _put_process(model, places[name] + which, coefficients)
+            model.first[places[name] + which] = sd**2
+            model.first[places[name] + len(which) + which] = (sd * HALF_LIFE / time_s) ** 2
+    if "carrier" in places:
+        j, k = places["carrier"] + s, places["carrier"] + len(s) + s
+        model.transition[j, j], model.transition[k, j], model.transition[k, k] = 0.0, 1.0, 0.0
+        model.driving[j, j] = model.first[j] = model.first[k] = signals.carrier_sd_m**2
+    return model
+
+
+def _put_process(model: SignalModel, j: NDArray[np.intp], coefficients: list[float]) -> None:
+    """Write second-order processes: values at `j`, as many rates behind them."""
+    D, Q, k = model.transition, model.driving, j + len(j)
+    f00, f01, f10, f11, l11, l21, l22 = coefficients
+    D[j, j], D[j, k], D[k, j], D[k, k] = f00, f01, f10, f11
+    Q[j, j], Q[j, k], Q[k, j], Q[k, k] = l11**2, l11 * l21, l11 * l21, l21**2 + l22**2
+
+
+def matrix_variances(grade: str) -> FloatArray:
+    """(27,) variances of the errors of scale, cross coupling and g-dependence of a grade."""
+    sheet = IMU_GRADES[grade]
+    parts = sheet.accel_matrix - np.eye(3), sheet.gyro_matrix - np.eye(3), sheet.g_dependence
+    return np.repeat([float(np.mean(part**2)) for part in parts], 9)
+
+
+class Predicted(NamedTuple):
+    """What an update needs of the prediction.
+
+    `gain` (B, N, m) P H'; `S` (B, m, m); `innovation` (B, m); `drift` (B, 17) error of the
+    strapdown that the matrices have brought; `enough` (B,) bool, satellites for an update.
+    """
+
+    gain: FloatArray
+    S: FloatArray
+    innovation: FloatArray
+    drift: FloatArray
+    enough: NDArray[np.bool_]
+
+
+class AugmentedFilter:
+    """Covariances and estimates of B receivers, in a memory.
+
+    `memory`: ``augmented_covariance`` (B, N, N) and ``augmented`` (B, N - 17), the estimates that
+    are not fed back.
+    """
+
+    def __init__(self, memory: Memory, model: SignalModel, interval_s: float) -> None:
+        self.memory, self.model, self.interval_s = memory, model, interval_s
+        b, size = memory.receivers, FIRST + len(model.first)
+        memory.declare("augmented_covariance", np.zeros((b, size, size)))
+        memory.declare("augmented", np.zeros((b, size - STATES)))
+
+    def begin(self, rows: NDArray[np.intp], covariance: FloatArray, grade: str) -> None:
+        """Begin new episodes; `covariance` (17, 17) of the states of `error_model`."""
+        more = np.concatenate([matrix_variances(grade), self.model.first])
+        P = np.diag(np.concatenate([np.zeros(STATES), more]))
+        P[:STATES, :STATES] = covariance
+        self.memory["augmented_covariance"][rows] = P
+        self.memory["augmented"][rows] = 0.0
+
+    def predict(
+        self,
+        transition: FloatArray,
+        imu_delta: FloatArray,
+        noise_psd: FloatArray,
+        tau: FloatArray,
+        design: FloatArray,
+        mapping: FloatArray,
+        visible: NDArray[np.bool_],
+        innovation: FloatArray,
+        noise_variance: FloatArray,
+        fewest: int,
+    ) -> Predicted:
+        """Go on by one interval, and form the innovations, as arrays of `Epoch` and the filter."""
+        P, a = self.memory["augmented_covariance"], self.memory["augmented"]
+        D, b = self.model.transition, len(tau)
+        turned = np.ascontiguousarray(transition[:, :3, GYRO_BIAS : GYRO_BIAS + 3])  # C tau
+        f, w = imu_delta[:, :3] / tau[:, None], imu_delta[:, 3:] / tau[:, None]
+        moved = np.zeros((b, STATES, MATRICES))
+        by_force = (turned[:, :, :, None] * f[:, None, None, :]).reshape(b, 3, 9)
+        moved[:, 3:6, :9] = moved[:, :3, 18:] = by_force
+        moved[:, :3, 9:18] = (turned[:, :, :, None] * w[:, None, None, :]).reshape(b, 3, 9)
+        top = np.concatenate([transition, moved], axis=2)
+        index, half = np.arange(STATES), 0.5 * tau[:, None] * noise_psd
+        P[:, index, index] += half
+        P[:, :STATES] = top @ P[:, :FIRST]
+        P[:, :, :STATES] = P[:, :, :FIRST] @ top.transpose(0, 2, 1)
+        P[:, index, index] += half
+        P[:, FIRST:] = D @ P[:, FIRST:]
+        P[:, :, FIRST:] = P[:, :, FIRST:] @ D.T
+        P[:, FIRST:, FIRST:] += self.model.driving
+        drift = (moved @ a[:, :MATRICES, None])[:, :, 0]
+        a[:, MATRICES:] = (D @ a[:, MATRICES:, None])[:, :, 0]
+        signals = self.model.rows(mapping, visible, self.interval_s)
+        H = np.concatenate([design, np.zeros((*design.shape[:2], MATRICES)), signals], axis=2)
+        known = (design @ drift[:, :, None] + signals @ a[:, MATRICES:, None])[:, :, 0]
+        gain = P @ H.transpose(0, 2, 1)
+        S = H @ gain
+        rows, seen = np.arange(S.shape[1]), np.hstack([visible, visible])
+        S[:, rows, rows] += np.where(seen, noise_variance, 1.0)
+        return Predicted(gain, S, innovation - known, drift, visible.sum(axis=1) >= fewest)
+
+    def update(self, predicted: Predicted, weights: FloatArray | None) -> FloatArray:
+        """Update with weights (B, m) on the columns of the gain; (B, 17) errors to feed back."""
+        gain, S, z, drift, enough = predicted
+        P, a = self.memory["augmented_covariance"], self.memory["augmented"]
+        used = z if weights is None else weights * z
+        solved = np.linalg.solve(S, np.concatenate([used[:, :, None], gain.transpose(0, 2, 1)], 2))
+        change = (gain @ solved[:, :, :1])[:, :, 0] * enough[:, None]
+        P -= (gain @ solved[:, :, 1:]) * enough[:, None, None]
+        P += P.transpose(0, 2, 1).copy()
+        P *= 0.5
+        a += change[:, STATES:]
+        return drift + change[:, :STATES]

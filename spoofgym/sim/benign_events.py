@@ -1,0 +1,130 @@
+"""What looks like spoofing and is none: a step of the clock, a lost satellite, a front above."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .signal_errors import IONOSPHERE_HEIGHT_M, NEVER, SHELL_RADIUS_M
+
+FloatArray = NDArray[np.float64]
+STREAM = 0xBE
+"""Key of the stream of an episode's domain from which its events are drawn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenignEvents:
+    """Events that come to some episodes, each at a time that is drawn; by default none does.
+
+    All are drawn uniformly, times between the first epoch that detectors judge and the end of the
+    episode.  A front of the ionosphere comes to the lines of sight one after the other, and behind
+    it the delay grows by its slope times its speed, over its width; codes are delayed and carriers
+    advanced.
+
+    Parameters
+    ----------
+    clock_step, satellite_loss, front : float
+        Part of the episodes that have such an event, 0 to 1.
+    clock_step_m : tuple of float
+        Range of the size of a step of the receiver's clock; its sign is drawn.
+    satellite_loss_s : tuple of float
+        Range of the time for which a satellite in view is lost.
+    front_slope_mm_per_km, front_width_km, front_speed_mps : tuple of float
+        Ranges of slope, width, and speed against the lines of sight.
+
+    Notes
+    -----
+    Fronts as `dattabarua2010` describes them, whose steepest had 425 mm/km; the default slopes are
+    those of a mild one.  The other ranges have no source: they are a choice.
+    """
+
+    clock_step: float = 0.0
+    clock_step_m: tuple[float, float] = (1.0, 10.0)
+    satellite_loss: float = 0.0
+    satellite_loss_s: tuple[float, float] = (10.0, 60.0)
+    front: float = 0.0
+    front_slope_mm_per_km: tuple[float, float] = (20.0, 100.0)
+    front_width_km: tuple[float, float] = (25.0, 200.0)
+    front_speed_mps: tuple[float, float] = (100.0, 300.0)
+
+    def __post_init__(self) -> None:
+        """Check parts and ranges."""
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name in ("clock_step", "satellite_loss", "front"):
+                if not 0.0 <= value <= 1.0:
+                    raise ValueError(f"`{item.name}` must be 0 to 1, got {value}")
+                continue
+            pair = tuple(float(x) for x in value) if np.shape(value) == (2,) else ()
+            if not (pair and 0.0 < pair[0] <= pair[1] < math.inf):
+                raise ValueError(
+                    f"`{item.name}` must be two numbers above 0, the least first, got {value!r}"
+                )
+            object.__setattr__(self, item.name, pair)
+
+    @property
+    def any(self) -> bool:
+        """Whether there can be an event."""
+        return max(self.clock_step, self.satellite_loss, self.front) > 0.0
+
+
+class Window(NamedTuple):
+    """When events may come, and what is in view.
+
+    `first`, `last`: epochs; `interval_s` between epochs; `visible`, `azimuth`, `elevation` (K, n)
+    at all epochs.
+    """
+
+    first: int
+    last: int
+    interval_s: float
+    visible: NDArray[np.bool_]
+    azimuth: FloatArray
+    elevation: FloatArray
+
+
+def draw_events(events: BenignEvents, key: NDArray[np.uint64], window: Window) -> dict[str, Any]:
+    """Events of one episode, by fields of `signal_errors.signal_shapes`.
+
+    `key` (2,) of the episode's domain.  All numbers are drawn, so that one event does not depend on
+    whether another may come.
+    """
+    rng = np.random.default_rng([*key.tolist(), STREAM])
+    u = rng.random(12)
+    span = window.last - window.first + 1
+    epochs = window.first + (u[:3] * span).astype(int)
+    found: dict[str, Any] = {}
+    if u[3] < events.clock_step:
+        size = _between(events.clock_step_m, u[4])
+        found["clock_step"] = (float(epochs[0]), math.copysign(size, u[5] - 0.5))
+    seen = np.flatnonzero(window.visible[epochs[1]])
+    if u[6] < events.satellite_loss:
+        lasts = _between(events.satellite_loss_s, u[7]) / window.interval_s
+        slot = seen[int(rng.random() * len(seen))]
+        found["loss"] = (float(slot), float(epochs[1]), float(epochs[1]) + max(round(lasts), 1))
+    if u[8] < events.front:
+        slope = 1e-6 * _between(events.front_slope_mm_per_km, u[9])
+        width = 1e3 * _between(events.front_width_km, u[10])
+        speed = _between(events.front_speed_mps, u[11])
+        heading = 2.0 * math.pi * rng.random()
+        k = epochs[2]
+        along = _pierce_distance(window.elevation[k]) * np.cos(window.azimuth[k] - heading)
+        arrival = k + (along - along.min()) / (speed * window.interval_s)
+        found["front"] = (slope * speed * window.interval_s, slope * width)
+        found["front_arrival"] = np.where(window.visible[k], arrival, NEVER)
+    return found
+
+
+def _between(pair: tuple[float, float], u: float) -> float:
+    return pair[0] + u * (pair[1] - pair[0])
+
+
+def _pierce_distance(elevation: FloatArray) -> FloatArray:
+    """Distance along the ground to where a line of sight pierces the shell [m]."""
+    E = np.maximum(elevation, 0.0)
+    inside = SHELL_RADIUS_M / (SHELL_RADIUS_M + IONOSPHERE_HEIGHT_M) * np.cos(E)
+    return SHELL_RADIUS_M * (0.5 * math.pi - E - np.arcsin(inside))

@@ -1,0 +1,82 @@
+"""A spoofer with a factor on what it commands, by which any of them is fitted to a budget."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._registry import check_finite
+from .base import FloatArray, Spoofer, SpooferContext
+
+AMPLITUDE = "amplitude"
+"""Key of a spoofer's spec that is no setting of its class: the factor on its commands."""
+SMALLEST, LARGEST = 1e-3, 10.0
+"""Range of a search for an amplitude."""
+
+
+class Scaled(Spoofer):
+    """A spoofer whose actions are multiplied by a factor, and cut to what the attack allows.
+
+    It observes and remembers what the spoofer does, and displaces so many times as far for the same
+    commands, as long as none is cut.
+
+    Parameters
+    ----------
+    spoofer : Spoofer
+        Any that transmits; not scaled already.
+    amplitude : float
+        Factor, above 0.
+
+    Examples
+    --------
+    >>> from spoofgym.spoofers import make_spoofer
+    >>> make_spoofer({"name": "step", "amplitude": 0.5}).amplitude
+    0.5
+    """
+
+    tunable: ClassVar[str | None] = AMPLITUDE
+
+    def __init__(self, spoofer: Spoofer, amplitude: float) -> None:
+        if isinstance(spoofer, Scaled) or not isinstance(spoofer, Spoofer):
+            raise TypeError(f"`spoofer` must be a Spoofer that is not scaled, got {spoofer!r}")
+        check_finite(AMPLITUDE, amplitude, "> 0")
+        self.spoofer, self.amplitude = spoofer, float(amplitude)
+        for name in ("knowledge", "label", "designed_on", "transmits"):
+            setattr(self, name, getattr(spoofer, name))
+        if hasattr(spoofer, "card"):
+            self.card = spoofer.card
+
+    def bind(self, context: SpooferContext) -> None:
+        """Prepare for a batch of receivers."""
+        self.spoofer.bind(context)
+        self.context, self.memory = context, self.spoofer.memory
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget everything about some receivers."""
+        self.spoofer.reset(mask)
+
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Command the attack for the coming epoch: (B, a) in [-1, 1]."""
+        action = self.amplitude * np.asarray(self.spoofer.act(observation), dtype=np.float64)
+        return np.ascontiguousarray(np.clip(action, -1.0, 1.0))
+
+    @classmethod
+    def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
+        """From a thousandth of the commands to ten times as much."""
+        return SMALLEST, LARGEST
+
+
+def split_amplitude(spec: Any) -> tuple[Any, float | None]:
+    """A spoofer's spec without its amplitude, and that; None where it has none."""
+    if not isinstance(spec, Mapping) or AMPLITUDE not in spec:
+        return spec, None
+    rest = {key: value for key, value in spec.items() if key != AMPLITUDE}
+    return rest, spec[AMPLITUDE]
+
+
+def with_amplitude(spoofer: Spoofer, amplitude: float | None) -> Spoofer:
+    """A spoofer as it is, or scaled."""
+    return spoofer if amplitude is None else Scaled(spoofer, amplitude)

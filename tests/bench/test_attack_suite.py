@@ -1,0 +1,60 @@
+"""Whom every detector meets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spoofgym.bench.attack_suite import (
+    FAMILIES,
+    fitting_members,
+    grid_of,
+    members_of,
+    suite_digest,
+)
+from spoofgym.bench.decisions import make_bound_spoofer
+from spoofgym.bench.victims import VICTIMS
+from spoofgym.envs.factory import make_setup
+from spoofgym.envs.spoofer_binding import spoofer_context
+from spoofgym.spoofers import SPOOFERS
+
+
+@pytest.mark.parametrize("env", VICTIMS)
+def test_every_member_fits_every_victim_over_its_whole_range(env: str) -> None:
+    setup = make_setup(VICTIMS[env].setup, {"detector": "never"})
+    context = spoofer_context(setup)
+    members = fitting_members(setup, context)
+    letters = [member.letter for member in members]
+    assert letters == sorted(letters)
+    wanted = {"a", "b", "h"} | ({"e"} if "feedback" in SPOOFERS else set())
+    assert set(letters) == wanted <= set(FAMILIES)
+    assert len({member.entry.label for member in members}) == len(members)
+    for member in members:
+        assert member.entry.tuned
+        assert member.budgeted == (member.letter != "h")
+        grid = grid_of(member.entry, context, 4)
+        assert grid == sorted(set(grid))
+        for value in (grid[0], grid[-1]):
+            make_bound_spoofer(member.entry.with_value(value), setup, 1)
+
+
+def test_the_digest_follows_the_members() -> None:
+    setup = make_setup(VICTIMS["spoofgym/TightlyCoupled-v0"].setup, {"detector": "never"})
+    context = spoofer_context(setup)
+    members = members_of(context)
+    assert suite_digest(members) == suite_digest(members_of(context))
+    assert suite_digest(members) != suite_digest(members[1:])
+    longer = members_of(context._replace(steps=2 * context.steps))
+    assert suite_digest(members) != suite_digest(longer)
+
+
+def test_profiles_are_smooth_and_within_the_limits() -> None:
+    setup = make_setup(VICTIMS["spoofgym/TightlyCoupled-v0"].setup, {"detector": "never"})
+    context = spoofer_context(setup)
+    profiles = [member for member in members_of(context) if member.letter == "b"]
+    knot_s = context.steps * context.interval_s / 12.0
+    for member in profiles:
+        rates = np.array(member.entry.spec["rates_mps"])
+        assert (rates >= 0.0).all()
+        assert rates.max() <= context.rate_limit_mps
+        assert np.diff(rates).max() / knot_s <= context.acceleration_limit_mps2

@@ -1,0 +1,73 @@
+"""A campaign's detectors at a rate: calibrated from their names alone."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from spoofgym.bench.calibrations import calibrate_suite, missing_runs
+from spoofgym.bench.campaign import run_campaign
+from spoofgym.bench.store import ResultsFolder
+from spoofgym.bench.suite import Suite
+from spoofgym.detectors import SnapshotChi2, calibrated
+from spoofgym.detectors.calibration import FOLDER_VARIABLE
+from spoofgym.simulators import calibration
+
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
+
+
+@dataclass
+class Toy(SnapshotChi2):
+    """A detector that nobody has heard of."""
+
+
+@pytest.fixture(autouse=True)
+def few(tmp_path, monkeypatch):
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "own"))
+    monkeypatch.setattr(calibration, "PASSIVE_RUNS", 60)
+    monkeypatch.setattr(calibration, "WEIGHING_RUNS", 40)
+
+
+def small(*detectors):
+    return Suite(detectors=detectors, spoofers=["none"], timeline=SHORT, runs=4)
+
+
+def test_a_toy_detector_is_calibrated_and_scored_from_its_name(tmp_path):
+    name = f"{__name__}:Toy"
+    suite = small({"name": name, "false_alarms_per_hour": 20.0}, "never")
+    with pytest.raises(ValueError, match=r"detector Toy.* does not fit .*there is no calibration"):
+        suite.check_fit()
+    assert missing_runs(suite) == 60
+    calibrate_suite(suite)
+    assert missing_runs(suite) == 0
+    suite.check_fit()
+    (caption,) = suite.captions
+    assert caption == (
+        "Toy(false_alarms_per_hour=20): 20 false alarms an hour, 9.01 % of runs of 17 s (60 clean "
+        "runs)"
+    )
+    assert caption in suite.config["notes"]
+    point = suite.config["calibrations"]["Toy(false_alarms_per_hour=20)"][0]
+    assert (point["runs"], point["rank"]) == (60, 5)
+    folder = ResultsFolder(tmp_path / "results")
+    folder.open(suite)
+    run_campaign(suite, folder, threads=1)
+    assert folder.cell("Toy(false_alarms_per_hour=20)", "none").runs == 4
+    calibrate_suite(suite)  # replays what is there
+
+
+def test_specs_say_what_is_asked_of_thresholds(monkeypatch):
+    rate = {"name": "ewma", "false_alarms_per_hour": 0.5}
+    (entry,) = small(rate).detector_entries
+    assert entry.label == "ewma(false_alarms_per_hour=0.5)"
+    assert small(entry.spec).detector_entries == (entry,)
+    assert [each.label for each in small("ewma").detector_entries] == ["ewma"]
+    nominal = {"name": "ewma", "thresholds": "nominal"}
+    assert small(nominal).detector_entries == small("ewma").detector_entries
+    monkeypatch.setattr(calibrated, "DEFAULT_RATE", 0.5)
+    assert [each.label for each in small("ewma", nominal).detector_entries] == [
+        "ewma",
+        "ewma(thresholds=nominal)",
+    ]
+    assert small("ewma").detector_entries[0].spec == entry.spec
+    (entry,) = small(nominal).detector_entries
+    assert small(entry.spec).detector_entries == (entry,)

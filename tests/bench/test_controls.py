@@ -1,0 +1,179 @@
+"""A campaign at one rate of false alarms: controls, a toy detector, and thresholds as published."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from spoofgym.bench import ResultsFolder, run_campaign, summarize
+from spoofgym.bench.calibrations import calibrate_suite
+from spoofgym.bench.protection import MEASURES
+from spoofgym.bench.report import markdown
+from spoofgym.bench.searches import Selection, Tuning
+from spoofgym.bench.tables import attack_rows, detector_rows, groups, published_rows
+from spoofgym.detectors import DETECTORS, Detector, Verdict
+
+from .support import small_suite
+
+RATE = 20.0
+"""So many an hour are an alarm in 13 % of the runs of 25 s."""
+LABEL = "false_alarms_per_hour=20"
+RUNS = 60
+
+
+@dataclass
+class Toy(Detector):
+    """Largest normalised innovation of an epoch."""
+
+    unit: float = 3.0
+
+    paper: ClassVar[str] = "barshalom2001"
+
+    def bind(self, context: Any) -> None:
+        super().bind(context)
+
+    def judge(self, epoch: Any) -> Verdict:
+        size = np.abs(epoch.innovation) / np.sqrt(epoch.innovation_variance)
+        statistic = size.max(axis=1, keepdims=True)
+        threshold = np.full_like(statistic, self.unit)
+        return Verdict(statistic, threshold, statistic > threshold)
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Results of `never`, `lottery`, a detector of the package, and one that is new to it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(DETECTORS, "toy", Toy)
+        patch.setenv("SPOOFGYM_CALIBRATIONS", str(tmp_path_factory.mktemp("calibrations")))
+        # fewer clean runs than by default: an alarm in 13 % of them needs few
+        patch.setattr("spoofgym.simulators.calibration.PASSIVE_RUNS", 200)
+        suite = small_suite(
+            detectors=[
+                "never",
+                *({"name": n, "false_alarms_per_hour": RATE} for n in ("lottery", "snapshot-chi2")),
+                {"name": "toy", "false_alarms_per_hour": RATE},
+            ],
+            spoofers=[
+                {"name": "ramp", "rate_mps": "tuned"},
+                {"name": "step", "amplitude": "tuned"},
+            ],
+            tuning=Tuning(runs=24, sift_runs=8, values=5, refined=2, budget=0.2),
+            attack={"name": "false-position", "acceleration_limit_mps2": 0.5},
+            selection=Selection(runs=24, sift_runs=8, values=4),
+            published=True,
+            runs=RUNS,
+        )
+        calibrate_suite(suite, threads=1)
+        folder = ResultsFolder(tmp_path_factory.mktemp("played") / "results")
+        folder.open(suite)
+        run_campaign(suite, folder, threads=1)
+        yield suite, folder, summarize(folder)
+
+
+def test_never_and_lottery_can_not_be_told_apart(played: Any) -> None:
+    _, _, summary = played
+    rows = [
+        row
+        for row in summary["comparisons"]
+        if {row["detector"].partition("(")[0], row["control"].partition("(")[0]}
+        == {"never", "lottery"}
+    ]
+    scores = {row["score"] for row in rows}
+    assert scores == {"stealthy displacement", "protection 50 %", "protection 5 %"}
+    for row in rows:
+        gap = row["difference_m"]
+        assert gap["low"] <= 0.0 <= gap["high"]
+        assert not row["above"]
+    lottery = next(row for row in summary["detectors"] if "lottery" in row["detector"])
+    # it does alarm, and by chance alone
+    assert lottery["false_alarm_per_run"]["value"] > 0.0
+
+
+def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played: Any) -> None:
+    suite, _, summary = played
+    label = f"toy({LABEL})"
+    row = next(row for row in summary["detectors"] if row["detector"] == label)
+    (point,) = suite.points(suite.detector_entries[-1])
+    assert (
+        row["claimed"]["per_run"] == point.per_run == pytest.approx(1 - np.exp(-RATE * 25 / 3600))
+    )
+    low, high = (row["false_alarm_per_run"][key] for key in ("low", "high"))
+    assert low <= 1.6 * point.per_run
+    assert high >= 0.6 * point.per_run
+    cells = [cell for cell in summary["cells"] if cell["detector"] == label]
+    assert [cell["spoofer"] for cell in cells] == ["none", "ramp(tuned)", "step"]
+    for cell in cells[1:]:
+        assert cell["stealthy_displacement_m"]["value"] > 0.0
+    (found,) = [each for each in summary["protection"] if each["detector"] == label]
+    half, few = (
+        next(
+            row
+            for row in found["exceeded"]
+            if (row["measure"], row["share"], row["worst_skies"]) == (MEASURES[0], share, False)
+        )
+        for share in (0.5, 0.05)
+    )
+    assert 0.0 < half["value"] <= few["value"]
+    assert "toy, as published" in {row["detector"] for row in summary["published"]}
+
+
+def test_a_detector_helps_where_never_does_not(played: Any) -> None:
+    _, _, summary = played
+    gaps = {
+        row["detector"]: row["difference_m"]["high"]
+        for row in summary["comparisons"]
+        if row["control"] == "never" and row["score"] == "protection 50 %"
+    }
+    assert gaps[f"toy({LABEL})"] < 0.0
+
+
+def test_every_table_has_one_rate_and_thresholds_as_published_have_their_own(played: Any) -> None:
+    _, folder, summary = played
+    (group,) = groups(summary)
+    assert (group.rate, len(group.detectors)) == ("20", 4)
+    assert len(detector_rows(summary, group)) == 4
+    assert len(attack_rows(summary, group)) == 8
+    rows = published_rows(summary)
+    names = [row[1] for row in rows]
+    assert names == sorted(names) == ["lottery", "snapshot-chi2", "toy"]
+    text = markdown(folder.config(), summary)
+    for part in (
+        "## Detectors at 20 false alarms an hour",
+        "## As published",
+        "| clean runs with an alarm [%] | detector |",
+        "the suite spoofgym-scripted 1",
+        "lottery(false_alarms_per_hour=20) less never",
+    ):
+        assert part in text
+    assert "nan" not in text
+
+
+def test_detectors_at_different_rates_share_no_table() -> None:
+    rates = {"a": "0.2", "b": "0.002", "never": "any", "c": "nominal"}
+    summary = {"detectors": [{"detector": k, "footing": v} for k, v in rates.items()]}
+    found = {group.rate: group.detectors for group in groups(summary)}
+    assert found == {"0.002": ["b", "never"], "0.2": ["a", "never"], "": ["c"]}
+
+
+def test_a_protection_of_another_campaign_or_damaged_is_refused(
+    played: Any, tmp_path: Path
+) -> None:
+    import shutil
+
+    _, folder, _ = played
+    copied = ResultsFolder(tmp_path / "copied")
+    shutil.copytree(folder.path, copied.path)
+    path = copied.path / "protection" / "never.json"
+    text = path.read_text()
+    path.write_text(text.replace('"entropy": 0', '"entropy": 9'))
+    with pytest.raises(ValueError, match=r"never.json is of another campaign .* entropy is 9"):
+        summarize(copied)
+    path.write_text(text[:-40])
+    with pytest.raises(ValueError, match=r"never.json is damaged"):
+        summarize(copied)
+    path.unlink()
+    assert "never / attack suite" in summarize(copied)["missing"]

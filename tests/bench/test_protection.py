@@ -1,0 +1,160 @@
+"""The worst attack of the suite: chosen on its own runs, kept by run, scored by formula."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spoofgym.bench import protection as module
+from spoofgym.bench.attack_suite import Member
+from spoofgym.bench.comparisons import compare
+from spoofgym.bench.entries import spoofer_entry
+from spoofgym.bench.protection import MEASURES, Aim, Protection, Search, Winner, aims_of
+from spoofgym.bench.scores import exceeded
+from spoofgym.bench.searches import Selection
+from spoofgym.bench.summary import score_protection
+
+RUNS = 120
+FIRST = MEASURES[0]
+
+
+class Start:
+    """Runs at the onset, by formula; under twelve skies."""
+
+    def __init__(self, receivers: int = RUNS) -> None:
+        self.receivers, self.setup = receivers, self
+        self.epochs_each = 10
+        self.warmup_alarm = np.arange(receivers) % 10 == 0
+        self.first_alarm = np.where(np.arange(receivers) % 10 == 1, 5, 0)
+        self.onset = 10 * (np.arange(receivers) % 12)
+
+    def first(self, count: int) -> Start:
+        return Start(count)
+
+
+def member(letter: str, **spec: Any) -> Member:
+    return Member(letter, spoofer_entry(spec), True)
+
+
+MEMBERS = (
+    member("a", name="ramp", rate_mps="tuned"),
+    member("h", name="dash", rate_mps="tuned", last_s=5.0),
+)
+
+
+@pytest.fixture
+def search(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The ramp is best at 0.3 m/s in half of the runs, the dash at 2 m/s in a few."""
+
+    def fake_play(start: Any, spec: dict[str, Any], **_: Any) -> dict[str, Any]:
+        return spec
+
+    def fake_measured(setup: Start, spec: Any, twin: Any) -> dict[str, Any]:
+        run, rate = np.arange(setup.receivers), spec["rate_mps"]
+        if spec["name"] == "ramp":
+            moved = 50.0 * np.exp(-abs(np.log(rate / 0.3))) + np.zeros(len(run))
+        else:
+            moved = np.where(run % 12 == 7, 500.0 * np.exp(-abs(np.log(rate / 2.0))), 1.0)
+        return {FIRST: moved, "undetected_total_m": moved + 1.0}
+
+    monkeypatch.setattr(module, "play", fake_play)
+    monkeypatch.setattr(module, "measured", fake_measured)
+    from spoofgym.spoofers import SpooferContext
+
+    context = SpooferContext(1, 0.5, 40, "rate", 1.0, 10.0, ("east_rate", "north_rate"))
+    start: Any = Start()
+    return Search(start, start, MEMBERS, context, Selection(runs=RUNS, sift_runs=36, values=9))
+
+
+def test_each_aim_has_its_worst_attack(search: Any) -> None:
+    found = search.winners([40.0, 200.0])
+    by_aim = {aim: MEMBERS[m].letter for (m, _), aims in found.items() for aim in aims}
+    assert by_aim[Aim(FIRST, 0.5)] == "a"
+    assert by_aim[Aim(FIRST, 0.05)] == "h"  # a twelfth of the runs is more than 5 %
+    assert by_aim[Aim(FIRST, limit_m=40.0)] == "a"
+    assert by_aim[Aim(FIRST, limit_m=200.0)] == "h"
+    values = {aim: value for (_, value), aims in found.items() for aim in aims}
+    assert values[Aim(FIRST, 0.5)] == pytest.approx(0.3, rel=0.25)
+    assert values[Aim(FIRST, 0.05)] == pytest.approx(2.0, rel=0.25)
+    # the tenth of twelve skies is two of them, by the attack that is worst in half of the runs
+    assert len(search.skies) == 2
+    assert Aim(FIRST, 0.5, skies=True) in by_aim
+
+
+def test_runs_that_do_not_count_choose_nobody(search: Any) -> None:
+    assert not search.counts[[0, 1, 10, 11]].any()
+    assert search.counts[[2, 3]].all()
+
+
+def protected(label: str, displacement: Any, counts: Any = None) -> Protection:
+    x = np.asarray(displacement, dtype=np.float64)
+    measures = {FIRST: x, "undetected_total_m": x + 2.0}
+    aims = aims_of(list(measures), [10.0], skies=True)
+    winner = Winner("a", "ramp(tuned)", "rate_mps", 0.5, {"name": "ramp"}, aims, measures)
+    kept = np.ones(len(x), dtype=np.bool_) if counts is None else np.asarray(counts)
+    sky = np.arange(len(x)) % 20
+    return Protection({"detector": label}, (winner,), kept, sky, np.array([3, 4]))
+
+
+def test_the_scores_are_what_the_runs_say() -> None:
+    x = np.arange(200.0)
+    counts = np.arange(200) % 2 == 0
+    found = score_protection(protected("ewma", x, counts), [10.0])
+    assert found["counted"] == 100
+    by_aim = {(r["measure"], r["share"], r["worst_skies"]): r for r in found["exceeded"]}
+    assert by_aim[FIRST, 0.5, False]["value"] == exceeded(x[counts], 0.5)
+    assert by_aim[FIRST, 0.05, False]["value"] == exceeded(x[counts], 0.05)
+    assert by_aim["undetected_total_m", 0.5, False]["value"] == exceeded(x[counts] + 2.0, 0.5)
+    under = counts & np.isin(np.arange(200) % 20, (3, 4))
+    worst = by_aim[FIRST, 0.5, True]
+    assert (worst["value"], worst["runs"]) == (exceeded(x[under], 0.5), under.sum())
+    for row in found["exceeded"]:
+        assert row["low"] <= row["value"] <= row["high"]
+        assert (row["letter"], row["setting"], row["at"]) == ("a", "rate_mps", 0.5)
+    (p,) = found["p_hmi"]
+    assert p["value"] == pytest.approx((x[counts] > 10.0).mean(), abs=1e-6)
+
+
+def test_it_comes_back_as_it_was_written() -> None:
+    made = protected("ewma", [1.0, 2.5, 3.0], [True, False, True])
+    again = Protection.from_text(made.to_text())
+    assert again.to_text() == made.to_text()
+    assert again.winner(Aim(FIRST, 0.5)) is not None
+    np.testing.assert_array_equal(again.counts, made.counts)
+
+
+def test_detectors_are_compared_over_the_runs_that_count_for_both() -> None:
+    rng = np.random.default_rng(1)
+    x = rng.exponential(10.0, 300)
+    drawn = rng.random(300) > 0.05
+    lottery = protected("lottery", np.where(drawn, x, 0.0), drawn)
+    worse = protected("worse", x + 5.0)
+    footings = {"never": "any", "lottery": "0.2", "worse": "0.2", "mine": "0.3", "as-is": "nominal"}
+    others = [protected(label, x + 9.0) for label in ("mine", "as-is")]
+    rows = compare([], [protected("never", x), lottery, worse, *others], footings)
+    found = {(r["detector"], r["control"], r["score"]): r for r in rows}
+    for score in ("protection 50 %", "protection 5 %"):
+        # what chance takes out counts for neither
+        same = found["lottery", "never", score]["difference_m"]
+        assert same == {"value": 0.0, "low": 0.0, "high": 0.0}
+        assert found["worse", "never", score]["above"]
+        assert found["worse", "lottery", score]["difference_m"]["value"] == pytest.approx(5.0)
+        assert ("mine", "never", score) in found
+        # never at different rates, and never as published
+        assert ("mine", "lottery", score) not in found
+        assert ("as-is", "never", score) not in found
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"runs": 0}, "`selection.runs` must be a whole number of at least 1"),
+        ({"sift_runs": 1.5}, "`selection.sift_runs` must be a whole number"),
+        ({"values": 1}, "`selection.values` must be a whole number of at least 2"),
+    ],
+)
+def test_bad_selections_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises((ValueError, TypeError), match=message):
+        Selection(**settings)

@@ -1,0 +1,76 @@
+"""The tables of observations in the docstrings say what the terms observe, and in which units."""
+
+import re
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import spoofgym  # noqa: F401  (registers the ids)
+from spoofgym.envs.terms.action import CommandMap, default_action
+from spoofgym.envs.terms.observation import default_terms, observation_table
+from spoofgym.envs.victims import LooselyCoupledEnv, SnapshotEnv, SpoofEnv, WheeledRobotEnv
+
+MOST = "oracle+reported"
+TABLES = {
+    "TightlyCoupled": (SpoofEnv, 0),
+    "RandomStart": (SpoofEnv, 1),
+    "LooselyCoupled": (LooselyCoupledEnv, 0),
+    "Snapshot": (SnapshotEnv, 0),
+    "WheeledRobot": (WheeledRobotEnv, 0),
+    # the views are of the same class of victims, and say so
+    "SpooferView": (SpoofEnv, 0),
+}
+
+
+def told(kind, number):
+    """Rows of a table in a docstring: index, name, unit, scale, knowledge."""
+    rule = r"^ *=====  =+ .*$"
+    parts = re.split(rule, kind.__doc__, flags=re.MULTILINE)
+    rows = parts[3 * number + 2].strip().splitlines()
+    return [re.split(r" {2,}", row.strip()) for row in rows]
+
+
+@pytest.fixture(params=TABLES)
+def name(request):
+    return request.param
+
+
+def test_a_table_is_what_the_terms_observe(name):
+    setup = gym.make(f"spoofgym/{name}-v0", knowledge=MOST).unwrapped.core.setup
+    along = CommandMap(default_action(setup), setup).along_target
+    rows = [
+        [
+            str(row.first) if row.first == row.last else f"{row.first}-{row.last}",
+            row.name,
+            row.unit,
+            f"{float(f'{row.scale:.4g}'):g}",
+            row.knowledge,
+        ]
+        for row in observation_table(default_terms(setup, MOST, along_target=along), setup)
+    ]
+    assert told(*TABLES[name]) == rows
+
+
+def test_the_table_has_every_element_once(name):
+    names = gym.make(f"spoofgym/{name}-v0", knowledge=MOST).unwrapped.observation_names
+    indices = []
+    for index, words, *_ in told(*TABLES[name]):
+        first, _, last = index.partition("-")
+        for place in range(int(first), int(last or first) + 1):
+            assert re.sub(r"slot\d+", "slotJJ", names[place]) in words.split(", ")
+            indices.append(place)
+    assert indices == list(range(len(names)))
+
+
+def test_bounds_are_finite(name):
+    space = gym.make(f"spoofgym/{name}-v0", knowledge=MOST).observation_space
+    assert np.isfinite(space.low).all()
+    assert np.isfinite(space.high).all()
+
+
+def test_less_is_known_from_the_front(name):
+    full = gym.make(f"spoofgym/{name}-v0", knowledge="oracle").unwrapped.observation_names
+    for knowledge in ("blind", "tracking"):
+        seen = gym.make(f"spoofgym/{name}-v0", knowledge=knowledge).unwrapped.observation_names
+        assert full[: len(seen)] == seen

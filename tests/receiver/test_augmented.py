@@ -1,0 +1,132 @@
+"""The filter with states for all that is not white: in its own world its innovations are white."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spoofgym.receiver import TightlyCoupled, augmented
+from spoofgym.sim.gnss import ERRORS
+from spoofgym.sim.scenario import Scenario
+from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulators.base import run_serially
+
+SHORT = {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
+DRAWN = {"turn_on": "drawn", "events": {}}
+
+
+def begun(scenario, receivers, domain=None, **settings):
+    """Receivers with the augmented filter at their first epoch."""
+    if isinstance(scenario, str):
+        scenario = {"name": scenario, "imu_rate_hz": 20.0}
+    settings = {"receiver": "augmented", "detector": "never", "timeline": SHORT, **settings}
+    setup = TightlyCoupledSetup(scenario=scenario, domain=domain, **settings)
+    setup.fields = setup.fields | {"innovation_cov"}
+    simulator = setup.simulator(receivers, run_serially)
+    simulator.begin([np.random.default_rng([7, row]) for row in range(receivers)])
+    return simulator
+
+
+def whitened(simulator, epochs):
+    """(K, B, 2n) innovations by the filter's own belief, NaN where nothing is measured."""
+    found = []
+    for _ in range(epochs):
+        epoch = simulator.advance()
+        factor = np.linalg.cholesky(epoch.innovation_cov)
+        y = np.linalg.solve(factor, epoch.innovation[:, :, None])[:, :, 0]
+        found.append(np.where(np.hstack([epoch.visible, epoch.visible]), y, np.nan))
+        simulator.update(None)
+    return np.array(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["trolley", "aviation-overbound"])
+def test_in_its_own_world_innovations_are_white_and_of_the_size_that_it_believes(name):
+    """NIS within 1 % of its degrees of freedom, correlation of neighbours within 0.01 of 0."""
+    settled = whitened(begun(name, 64, DRAWN), 500)[100:]
+    assert np.nanmean(settled**2) == pytest.approx(1.0, abs=0.01)
+    assert np.nanmean(settled[1:] * settled[:-1]) == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_matched_receiver_believes_in_far_too_large_innovations_of_pseudoranges():
+    n = begun("trolley", 1).setup.world.channels
+    matched = whitened(begun("trolley", 16, receiver="matched"), 200)[100:, :, :n]
+    assert np.nanmean(matched**2) < 0.1
+
+
+def test_the_covariance_is_that_of_the_errors():
+    simulator = begun("trolley", 150, DRAWN)
+    simulator.quiet_epochs(240)
+    error = simulator.error_n()
+    epoch = int(simulator.epochs[0])
+    C = simulator.setup.world.C_en[epoch]
+    P = C.T @ simulator.buffers.covariance[0][6:9, 6:9] @ C
+    ratio = (error**2).mean(axis=0) / np.diag(P)
+    np.testing.assert_allclose(ratio, 1.0, atol=5.0 * np.sqrt(2.0 / 150))
+    quadratic = np.einsum("bi,ij,bj->b", error, np.linalg.inv(P), error)
+    assert quadratic.mean() == pytest.approx(3.0, abs=5.0 * np.sqrt(6.0 / 150))
+
+
+@pytest.mark.parametrize("name", ["trolley", "aviation-actual"])
+def test_a_receiver_is_the_same_in_any_batch(name):
+    whole = begun(name, 9)
+    for size in (1, 3):
+        part = begun(name, size)
+        for simulator in (whole, part):
+            simulator.begin([np.random.default_rng([3, row]) for row in range(simulator.receivers)])
+            simulator.quiet_epochs(6)
+            simulator.step(np.full((simulator.receivers, 2), 0.3))
+        for field in ("position_e", "C_eb", "clock", "packed_covariance"):
+            mine, theirs = (each.buffers.fields[field] for each in (part, whole))
+            assert mine.tobytes() == theirs[:size].tobytes()
+
+
+def test_the_states_are_those_that_the_errors_need():
+    interval, bias = 0.5, np.full(4, 0.85)
+    trolley = augmented.signal_model(ERRORS["trolley"], bias, interval)
+    assert trolley.places == {"constant": 0, "correlated": 4}
+    np.testing.assert_allclose(trolley.first, np.repeat([0.85**2, 0.75**2], 4))
+    airborne = augmented.signal_model(ERRORS["aviation-actual"], 0.0 * bias, interval)
+    kinds = ["ionosphere", "troposphere", "orbit_clock", "smoothed", "carrier"]
+    assert list(airborne.places) == kinds
+    for model in (trolley, airborne):  # stationary from the first epoch on
+        P = np.diag(model.first)
+        kept = model.transition @ P @ model.transition.T + model.driving
+        if "carrier" in model.places:
+            k = model.places["carrier"]
+            kept[k:, k:] = P[k:, k:] = 0.0
+        np.testing.assert_allclose(kept, P, rtol=0, atol=1e-12)
+    none = augmented.signal_model(ERRORS["white"], 0.0 * bias, interval)
+    assert none.first.size == 0
+
+
+def test_with_too_few_satellites_it_coasts():
+    victim = TightlyCoupled(grade="aviation", tuning="augmented", min_satellites=32)
+    simulator = begun("trolley", 2, receiver=victim)
+    before = simulator.memory["augmented"].copy()
+    simulator.quiet_epochs(3)
+    assert simulator.coasting.all()
+    np.testing.assert_array_equal(simulator.memory["augmented"], before)
+    assert np.isfinite(simulator.position).all()
+
+
+def test_what_does_not_go_with_it_is_refused():
+    with pytest.raises(ValueError, match='`covariance_update` must be "unweighted" with'):
+        TightlyCoupled(tuning="augmented", covariance_update="general")
+    with pytest.raises(ValueError, match=r"'augmented' takes one grade of inertial sensors"):
+        begun(Scenario(errors="trolley"), 1, {"imu": ("aviation", "tactical")})
+
+
+def test_detectors_weights_hold_the_filter_back():
+    simulator = begun("trolley", 2)
+    simulator.quiet_epochs(5)
+    simulator.advance()
+    before = simulator.buffers.fields["clock"].copy()
+    simulator.update(np.zeros_like(simulator.ones))
+    held = simulator.buffers.fields["clock"] - before
+    simulator.advance()
+    before = simulator.buffers.fields["clock"].copy()
+    simulator.update(None)
+    assert not held.any()
+    assert (simulator.buffers.fields["clock"] != before).all()

@@ -1,0 +1,61 @@
+"""Feedback goes by the statistic: forward while there is room, back when there is none."""
+
+import numpy as np
+import pytest
+
+from spoofgym.envs.spoofer_binding import bound_spoofer
+from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.spoofers import Feedback
+from spoofgym.testing import check_spoofer
+
+
+def bound(detector="ewma", receivers=3, **settings):
+    setup = TightlyCoupledSetup(detector=detector)
+    spoofer = Feedback(**settings)
+    context, observer, _ = bound_spoofer(spoofer, setup, receivers)
+    spoofer.bind(context)
+    spoofer.reset()
+    return spoofer, observer.names
+
+
+def wanted(spoofer, names, ratios):
+    seen = np.zeros((len(ratios), len(names)), dtype=np.float32)
+    seen[:, names.index("statistic_ratio")] = ratios
+    return spoofer.wanted_rate(seen)
+
+
+def test_the_wanted_rate_is_the_rule():
+    spoofer, names = bound(rate_mps=0.2, growth=4.0, full_ratio=0.5, zero_ratio=1.0, back=-0.8)
+    rates = wanted(spoofer, names, [0.2, 0.75, 2.0])
+    np.testing.assert_allclose(rates, [0.2, 0.1, -0.16], rtol=1e-6)
+    spoofer.memory["step"][:] = 150.0
+    np.testing.assert_allclose(wanted(spoofer, names, [0.2, 1.0, 1.1]), [0.5, 0.0, -0.1], rtol=1e-5)
+
+
+@pytest.mark.parametrize("detector", ["ewma", "joint-chart", "snapshot-chi2"])
+def test_it_keeps_the_contract_of_spoofers(detector):
+    spoofer, names = bound(detector)
+    assert names.count("statistic_ratio") == 1
+    if detector == "ewma":
+        check_spoofer(spoofer)
+
+
+def test_a_blind_view_is_refused():
+    setup = TightlyCoupledSetup()
+    context, *_ = bound_spoofer(Feedback(), setup, 1)
+    with pytest.raises(ValueError, match="feedback needs statistic_ratio among the observations"):
+        Feedback().bind(context._replace(observation_names=("time_left",)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"zero_ratio": 0.4}, "`zero_ratio` must be above `full_ratio` = 0.47, got 0.4"),
+        ({"back": 0.5}, r"`back` must be in \[-1, 0\], got 0.5"),
+        ({"growth": -1.0}, "`growth` must be finite and >= 0"),
+        ({"rate_mps": np.nan}, "`rate_mps` must be a finite number"),
+    ],
+)
+def test_a_wrong_setting_says_what_is_valid(settings, message):
+    with pytest.raises(ValueError, match=message):
+        Feedback(**settings)

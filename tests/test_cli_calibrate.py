@@ -1,0 +1,71 @@
+"""spoofgym calibrate, and commands that calibrate what they lack."""
+
+import json
+
+import pytest
+
+from spoofgym.detectors.calibration import FOLDER_VARIABLE
+
+from .test_cli import SHORT, call, refused
+
+RATE = ["--false-alarms-per-hour", "20"]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "own"))
+    return tmp_path / "own"
+
+
+def test_a_calibration_is_made_shown_and_used(folder):
+    line = ["calibrate", *SHORT, *RATE, "--detector", "snapshot-chi2", "--runs", "40"]
+    made = call(*line, "--hold-out", "40", "--transfer", "groves", "--check", "--json")
+    assert made.exit_code == 0, made.output
+    found = json.loads(made.stdout)
+    (row,) = found["calibrations"]
+    assert (row["detector"], row["runs"], row["per hour"]) == ("snapshot-chi2", "40", "20")
+    assert row["per run"] == "13 %"
+    assert row["file"].startswith(str(folder))
+    assert found["hold-out"][0]["holds"] is True
+    assert found["in groves"][0]["holds"] is None
+    again = call(*line)
+    assert again.exit_code == 0, again.output
+    assert row["scale"] in again.stdout
+    played = call(
+        "run", *SHORT, *RATE, "--detector", "snapshot-chi2", "--no-picture", "--spoofer", "step"
+    )
+    assert played.exit_code == 0, played.output
+    assert "20 false alarms an hour, 13 % of runs of 25 s (40 clean runs" in played.stdout
+
+
+def test_the_line_of_the_error_is_a_line_that_helps():
+    """What an environment says is run as it stands."""
+    import shlex
+
+    from spoofgym.envs import SnapshotEnv
+
+    times = {"warmup_s": 10.0, "live_s": 10.0, "attack_s": 20.0}
+    asked = {"name": "raim", "confidence": 0.99, "false_alarms_per_hour": 20.0}
+    settings = {"detector": asked, "timeline": times, "satellites": 9}
+    with pytest.raises(ValueError, match="there is no calibration of raim in snapshot") as told:
+        SnapshotEnv(**settings)
+    line = str(told.value).split("`")[1]
+    result = call(*shlex.split(line)[1:], "--runs", "60")
+    assert result.exit_code == 0, result.output
+    assert SnapshotEnv(**settings).core.setup.detector.point.runs == 60
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--runs", "5"], "5 clean runs are too few: it takes at least 7"),
+        (["--detector", "never"], "one that never alarms has no rate"),
+        (["--false-alarms-per-hour", "0"], "must be a finite number > 0, got 0.0"),
+        (["--false-alarms-per-hour", "-1"], "must be a finite number > 0, got -1.0"),
+        (["--rescaled"], "'rescaled' is for detectors with a drift term"),
+        (["--detector", "ewmo"], "did you mean 'ewma'?"),
+    ],
+)
+def test_wrong_input(arguments, message):
+    assert message in refused("calibrate", *SHORT, *RATE, *arguments)

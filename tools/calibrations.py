@@ -1,0 +1,83 @@
+"""Make the calibrations that are shipped, in spoofgym/calibrations.
+
+    python -m tools.calibrations                   # what is missing, in all worlds
+    python -m tools.calibrations zhong2025 --runs 200000 --overwrite
+
+The worlds are those of the environments' default settings and of the papers' ids.  Detectors that
+de-weight have a hundredth of the runs, at least 2000.  Killed, it goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+from spoofgym._registry import check_choice
+from spoofgym.bench.victims import VICTIMS
+from spoofgym.detectors.calibration import SHIPPED_FOLDER
+from spoofgym.envs.factory import make_setup
+from spoofgym.envs.spoofer_binding import ENV_ID
+from spoofgym.simulators.calibration import WEIGHING_RUNS, calibrate, suitable_detectors
+from spoofgym.simulators.clean_runs import weighs
+from spoofgym.simulators.setup import Setup
+from spoofgym.tasks import PAPERS
+
+RANDOM_START = {"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"}
+WORLDS = {**PAPERS, "random-start": (ENV_ID, RANDOM_START)}
+"""Environments and their settings, by the names of the worlds."""
+
+
+class Lines:
+    """Says once a minute how far it is."""
+
+    def __init__(self) -> None:
+        self.runs, self.said = 0.0, time.monotonic()
+
+    def advance(self, amount: float, now: str) -> None:
+        """Count runs."""
+        self.runs += amount
+        if time.monotonic() - self.said > 60.0:
+            print(f"  {self.runs:.0f} runs, {now}", flush=True)
+            self.said = time.monotonic()
+
+
+def setup_of(name: str) -> Setup:
+    """The world of a name, without a defence."""
+    env_id, settings = WORLDS[name]
+    return make_setup(VICTIMS[env_id].setup, {**settings, "detector": "never"})
+
+
+def main(arguments: list[str]) -> None:
+    """Calibrate all detectors that suit each world."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("worlds", nargs="*", help=f"of {', '.join(WORLDS)}; by default all")
+    parser.add_argument("--runs", type=int, default=20_000, help="of passive detectors")
+    parser.add_argument("--threads", type=int, default=None)
+    parser.add_argument("--overwrite", action="store_true")
+    given = parser.parse_args(arguments)
+    for name in given.worlds:
+        check_choice("world", name, WORLDS)
+    for name in given.worlds or WORLDS:
+        setup = setup_of(name)
+        detectors = suitable_detectors(setup)
+        heavy = [each for each in detectors if weighs(setup, each)]
+        light = [each for each in detectors if not any(each is other for other in heavy)]
+        fewer = max(WEIGHING_RUNS, given.runs // 100)
+        for group, runs in ((light, given.runs), (heavy, fewer)):
+            found = calibrate(
+                setup,
+                group,
+                runs=runs,
+                threads=given.threads,
+                progress=Lines(),
+                folder=SHIPPED_FOLDER,
+                overwrite=given.overwrite,
+                strict=False,
+            )
+            for each in found:
+                print(name, each.detector["name"], each.runs, each.path, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
