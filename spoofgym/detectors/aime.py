@@ -52,42 +52,34 @@ def largest_average(
     judged: NDArray[np.bool_],
     first: int,
     windows: NDArray[np.int64],
-    past: FloatArray,
-    taken: NDArray[np.bool_],
+    sums: FloatArray,
+    counts: NDArray[np.int64],
     place: NDArray[np.int64],
     statistic: FloatArray,
 ) -> None:
     """Remember an epoch, and average over all windows.
 
-    `white` (B, r) whitened innovations; `judged` (B, n) bool; `past` (B, W, r) memory, overwritten:
-    whitened innovations of the last W epochs; `taken` (B, W, r) bool, memory, overwritten: rows
-    that were judged; `place` (B,) memory, overwritten: where the next epoch goes; `statistic` (B,)
-    written: largest q of the windows.
+    `white` (B, r) whitened innovations; `judged` (B, n) bool; `sums`, `counts` (B, W + 1, r)
+    memory, overwritten: running sums of the whitened innovations and of the epochs that were
+    judged, as they stood after each of the last W + 1 epochs; `place` (B,) memory, overwritten:
+    that of the last epoch; `statistic` (B,) written: largest q of the windows.
     """
     receivers, size = white.shape
-    n, most = judged.shape[1], past.shape[1]
-    total, count = np.empty(size), np.empty(size)
+    n, length = judged.shape[1], sums.shape[1]
     for b in range(receivers):
-        newest = place[b]
-        place[b] = (newest + 1) % most
+        last = place[b]
+        place[b] = now = (last + 1) % length
         for r in range(size):
-            past[b, newest, r] = white[b, r]
-            taken[b, newest, r] = judged[b, (first + r) % n]
-        total[:] = 0.0
-        count[:] = 0.0
+            sums[b, now, r] = sums[b, last, r] + white[b, r]
+            counts[b, now, r] = counts[b, last, r] + judged[b, (first + r) % n]
         statistic[b] = 0.0
-        done = 0
         for w in range(len(windows)):
-            for i in range(done, windows[w]):
-                k = (newest - i) % most
-                for r in range(size):
-                    total[r] += past[b, k, r]
-                    count[r] += taken[b, k, r]
-            done = windows[w]
+            start = (now - windows[w]) % length
             q = 0.0
             for r in range(size):
-                if taken[b, newest, r]:
-                    q += total[r] * total[r] / count[r]
+                if judged[b, (first + r) % n]:
+                    total = sums[b, now, r] - sums[b, start, r]
+                    q += total * total / (counts[b, now, r] - counts[b, start, r])
             statistic[b] = max(statistic[b], q)
 
 
@@ -137,9 +129,9 @@ class Aime(InnovationTest):
         first, last = self._rows
         self._windows = np.array([epochs_of(w, context) for w in self.windows_s], dtype=np.int64)
         self.memory_epochs = self._bias_window + int(self._windows[-1])
-        shape = (context.receivers, int(self._windows[-1]), last - first)
-        self.memory.declare("past", np.zeros(shape))
-        self.memory.declare("taken", np.zeros(shape, dtype=np.bool_))
+        shape = (context.receivers, int(self._windows[-1]) + 1, last - first)
+        self.memory.declare("sums", np.zeros(shape))
+        self.memory.declare("counts", np.zeros(shape, dtype=np.int64))
         self.memory.declare("place", np.zeros(context.receivers, dtype=np.int64))
         share = self.false_alarm / len(self._windows)
         self._thresholds = chi2_thresholds(share, last - first)[:: self._per_satellite]
@@ -149,7 +141,7 @@ class Aime(InnovationTest):
         white, judged = self._whitened(epoch)
         first = self._rows[0]
         statistic = np.empty((len(judged), 1))
-        ring = (self.memory["past"], self.memory["taken"], self.memory["place"])
+        ring = (self.memory["sums"], self.memory["counts"], self.memory["place"])
         largest_average(white, judged, first, self._windows, *ring, statistic[:, 0])
         threshold = self._thresholds[judged.sum(axis=1)][:, None]
         return Verdict(statistic, threshold, statistic > threshold)

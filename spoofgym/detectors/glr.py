@@ -75,71 +75,64 @@ def ramp_evidence(n: float, m: float, moment: float, total: float) -> float:
     area = 0.5 * n * (n + 1.0)
     # both sides times (n + m), so that one division is enough
     numerator = moment * (n + m) - area * total
-    squares = area * (2.0 * n + 1.0) / 3.0
+    squares = area * (2.0 * n + 1.0) * (1.0 / 3.0)
     return numerator * numerator / ((n + m) * (squares * (n + m) - area * area))
 
 
 @inlined
-def split_sums(
-    ring: NDArray[np.float32],
-    base: float,
-    last: int,
-    onsets: int,
-    baseline: int,
-    ramp: bool,
-    scratch: FloatArray,
-) -> None:
-    """Sums on both sides of every onset, from the newest on.
-
-    `ring` (L,) float32, last values, value k at ``k % L``, 0 where there is none yet; `base`: sum
-    of the at most `baseline` values before the last one; `scratch` (2, W), written: the sum since
-    the onset and that of the baseline; for a ramp the moment since the onset and the sum of all.
-    """
+def latest(ring: FloatArray, last: int, count: int, out: FloatArray) -> None:
+    """Copy values ``last - count + 1`` to `last`; `ring` (L,) has value k at ``k % L``."""
     length = ring.shape[0]
-    now, old = last % length, (last - baseline) % length
-    since = moment = 0.0
-    before = base + float(ring[now]) - float(ring[old])
-    first, second = scratch[0], scratch[1]
-    done = 0
-    while done < onsets:
-        # a stretch in which no index passes the end of the ring
-        stretch = min(onsets - done, now + 1, old + 1)
-        for i in range(stretch):
-            value = float(ring[now - i])
-            since += value
-            moment += since  # every value since the onset counts once more
-            before += float(ring[old - i]) - value
-            first[done + i] = moment if ramp else since
-            second[done + i] = since + before if ramp else before
-        done += stretch
-        now = now - stretch if now >= stretch else length - 1
-        old = old - stretch if old >= stretch else length - 1
+    first = (last - count + 1) % length
+    head = min(count, length - first)
+    out[:head] = ring[first : first + head]
+    out[head:count] = ring[: count - head]
 
 
 @inlined
 def largest_evidence(
-    ages: FloatArray, count: int, onsets: int, baseline: int, ramp: bool, scratch: FloatArray
+    sums: FloatArray,
+    areas: FloatArray,
+    known: int,
+    onsets: int,
+    ramp: bool,
+    ages: FloatArray,
+    scratch: FloatArray,
 ) -> float:
-    """Largest evidence over all onsets.
+    r"""Largest evidence over all onsets after the value of number `known`.
 
-    `ages` (W,) epochs since each onset, 1, 2 and so on; `scratch` (2, W) as `split_sums` leaves it,
+    With the running sums :math:`P_k = \sum_{j \le k} z_j` and :math:`A_k = \sum_{j < k} P_j`,
+
+    .. math:: \sum y = P_k - P_{k-n}, \qquad \sum_i i \, y_i = n P_k - (A_k - A_{k-n})
+
+    `sums` (L,) P, L = W + baseline + 1, value k at ``k % L``, 0 where there is none yet; `areas`
+    (W + 1,) A likewise, for a ramp; `ages` (W,) epochs since the onset, W to 1; `scratch` (4, W),
     overwritten.
     """
-    longest, known = float(baseline), float(count)
-    first, second = scratch[0], scratch[1]
-    for i in range(onsets):  # apart from the next loop, so that it is vectorized
-        n = ages[i]
-        m = known - n
-        m = longest if m > longest else m
-        if ramp:
-            first[i] = ramp_evidence(n, m, first[i], second[i])
-        else:
-            first[i] = step_evidence(n, m, first[i], second[i])
+    window, length = ages.shape[0], sums.shape[0]
+    baseline = length - window - 1
+    before, old, area, found = scratch[0], scratch[1], scratch[2], scratch[3]
+    ages = ages[window - onsets :]
+    latest(sums, known - 1, onsets, before)
+    latest(sums, known - 1 - baseline, onsets, old)
+    now, count, longest = sums[known % length], float(known + 1), float(baseline)
+    if ramp:
+        latest(areas, known - 1, onsets, area)
+        last = areas[known % areas.shape[0]]
+        for i in range(onsets):
+            n = ages[i]
+            m = min(count - n, longest)
+            found[i] = ramp_evidence(n, m, n * now - (last - area[i]), now - old[i])
+    else:
+        for i in range(onsets):
+            n = ages[i]
+            m = min(count - n, longest)
+            found[i] = step_evidence(n, m, now - before[i], before[i] - old[i])
     a = b = c = d = 0.0
     for i in range(onsets % 4):
-        a = max(a, first[i])
+        a = max(a, found[i])
     for i in range(onsets % 4, onsets, 4):  # four side by side, since each waits for its last
-        w, x, y, z = first[i], first[i + 1], first[i + 2], first[i + 3]
+        w, x, y, z = found[i], found[i + 1], found[i + 2], found[i + 3]
         a = w if w > a else a
         b = x if x > b else b
         c = y if y > c else c
@@ -154,26 +147,25 @@ def scan_channels(
     visible: NDArray[np.bool_],
     first_row: int,
     signals: int,
-    baseline: int,
     ramp: bool,
     ages: FloatArray,
     quantiles: FloatArray,
     scratch: FloatArray,
-    ring: NDArray[np.float32],
-    base: FloatArray,
+    sums: FloatArray,
+    areas: FloatArray,
     count: NDArray[np.int64],
     statistic: FloatArray,
     threshold: FloatArray,
 ) -> None:
     """Take in one epoch, and look for changes.
 
-    `ages` (W,) epochs since each onset, 1, 2 and so on; `quantiles` (n+1,) thresholds by the number
-    of visible satellites; `scratch` (2, W), overwritten; `ring`, `base` (B, signals * n, L)
-    float32, (B, signals * n) memory, overwritten; `count` (B, n) int64 memory, overwritten;
-    `statistic`, `threshold` (B, n), written.
+    `ages` (W,) epochs since each onset, W to 1; `quantiles` (n+1,) thresholds by the number of
+    visible satellites; `scratch` (4, W), overwritten; `sums` (B, signals * n, W + baseline + 1),
+    `areas` (B, signals * n, W + 1), `count` (B, n) int64, memory, overwritten; `statistic`,
+    `threshold` (B, n), written.
     """
     channels = visible.shape[1]
-    length = ring.shape[2]
+    length, long = sums.shape[2], areas.shape[2]
     for b in range(visible.shape[0]):
         seen = 0
         for j in range(channels):
@@ -186,20 +178,19 @@ def scan_channels(
             onsets = min(ages.shape[0], known)
             for signal in range(signals):
                 s = signal * channels + j
-                values = ring[b, s]
+                P, A = sums[b, s], areas[b, s]
                 if not visible[b, j]:
-                    base[b, s] = 0.0
                     if known > 0:
-                        values[:] = 0.0
+                        P[:] = 0.0
+                        A[:] = 0.0
                     continue
                 row = first_row + s
-                if known > 0:
-                    base[b, s] += float(values[(known - 1) % length])
-                if known > baseline:
-                    base[b, s] -= float(values[(known - 1 - baseline) % length])
-                values[known % length] = innovation[b, row] / math.sqrt(innovation_variance[b, row])
-                split_sums(values, base[b, s], known, onsets, baseline, ramp, scratch)
-                found = largest_evidence(ages, known + 1, onsets, baseline, ramp, scratch)
+                value = innovation[b, row] / math.sqrt(innovation_variance[b, row])
+                before = P[(known - 1) % length]
+                P[known % length] = before + value
+                if ramp:
+                    A[known % long] = A[(known - 1) % long] + before
+                found = largest_evidence(P, A, known, onsets, ramp, ages, scratch)
                 statistic[b, j] = max(statistic[b, j], found)
 
 
@@ -230,14 +221,12 @@ class _Glr(Detector):
         self._first_row = n if self.signals == "range_rate" else 0
         self._signals = 2 if self.signals == "both" else 1
         series = (receivers, self._signals * n)
-        # single precision is enough for deviates, and half as much to go through at every epoch
-        ring = np.zeros((*series, self.window + self.baseline), dtype=np.float32)
-        self.memory.declare("ring", ring)
         self.memory_epochs = self.window + self.baseline
-        self.memory.declare("base", np.zeros(series))
+        self.memory.declare("sums", np.zeros((*series, self.window + self.baseline + 1)))
+        self.memory.declare("areas", np.zeros((*series, self.window + 1 if self.ramp else 1)))
         self.memory.declare("count", np.zeros((receivers, n), dtype=np.int64))
-        self._ages = np.arange(1.0, self.window + 1.0)
-        self._scratch = np.empty((2, self.window))
+        self._ages = np.arange(self.window, 0.0, -1.0)
+        self._scratch = np.empty((4, self.window))
         tests = self.window * self._signals
         self._quantiles = np.array(
             [
@@ -259,13 +248,12 @@ class _Glr(Detector):
             epoch.visible,
             self._first_row,
             self._signals,
-            self.baseline,
             self.ramp,
             self._ages,
             self._quantiles,
             self._scratch,
-            self.memory["ring"],
-            self.memory["base"],
+            self.memory["sums"],
+            self.memory["areas"],
             self.memory["count"],
             statistic,
             threshold,

@@ -59,7 +59,7 @@ def test_the_statistic_is_that_of_a_regression(kind, signals, window, baseline):
                     for row in rows
                 )
                 want = want if visible[k, b, j] else 0.0
-                assert verdict.statistic[b, j] == pytest.approx(want, rel=1e-4, abs=1e-4)
+                assert verdict.statistic[b, j] == pytest.approx(want, rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.nojit
