@@ -1,20 +1,25 @@
 """Make the calibrations that are shipped, in spoofgym/calibrations.
 
     python -m tools.calibrations                   # what is missing, in all worlds
-    python -m tools.calibrations zhong2025 --runs 200000 --overwrite
+    python -m tools.calibrations headline-zhong2025 --runs 200000 --overwrite
+    python -m tools.calibrations headline-zhong2025 --hold-out 100000 --out holdout.json
 
-The worlds are those of the environments' default settings and of the papers' ids.  Detectors that
-de-weight have a hundredth of the runs, at least 2000.  Killed, it goes on where it was.
+The worlds are the three of the headlines, those of the environments' default settings, and those of
+the papers' ids.  Detectors that de-weight have a hundredth of the runs, at least 2000.  Killed, it
+goes on where it was.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
+from pathlib import Path
+from typing import Any
 
 from spoofgym._registry import check_choice
-from spoofgym.bench.victims import VICTIMS
+from spoofgym.bench.victims import HEADLINE_DOMAIN, VICTIMS
 from spoofgym.detectors.calibration import SHIPPED_FOLDER
 from spoofgym.envs.factory import make_setup
 from spoofgym.envs.spoofer_binding import ENV_ID
@@ -24,7 +29,21 @@ from spoofgym.simulators.setup import Setup
 from spoofgym.tasks import PAPERS
 
 RANDOM_START = {"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"}
-WORLDS = {**PAPERS, "random-start": (ENV_ID, RANDOM_START)}
+HEADLINES: dict[str, dict[str, Any]] = {
+    "headline-zhong2025": {"domain": HEADLINE_DOMAIN},
+    "headline-trolley": {"scenario": "trolley", "receiver": "matched", "domain": HEADLINE_DOMAIN},
+    "headline-aviation-actual": {
+        "scenario": "aviation-actual",
+        "receiver": "matched",
+        "domain": HEADLINE_DOMAIN,
+    },
+}
+"""Worlds of the table of all detectors, drawn for every run."""
+WORLDS = {
+    **{name: (ENV_ID, settings) for name, settings in HEADLINES.items()},
+    **PAPERS,
+    "random-start": (ENV_ID, RANDOM_START),
+}
 """Environments and their settings, by the names of the worlds."""
 
 
