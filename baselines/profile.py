@@ -27,6 +27,7 @@ from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.suite import Suite, Tuning
 from spoofgym.bench.tuning_table import ALARMS_HEAD, alarm_texts
 from spoofgym.cli import INTERRUPTED, clear_errors
+from spoofgym.cli.suites import calibrate_with_progress
 from spoofgym.simulators import Timeline
 from spoofgym.tasks import task_of
 
@@ -104,7 +105,7 @@ def main(
         Path | None, typer.Option(help="Card of a profile to begin at, instead of the ramps.")
     ] = None,
     warmup_s: Annotated[float, typer.Option(help="Clean run before the attack, in seconds.")] = 200,
-    live_s: Annotated[float, typer.Option(help="Its last part, with the detector live.")] = 60.0,
+    live_s: Annotated[float, typer.Option(help="Its last part, with the detector live.")] = 180.0,
     attack_s: Annotated[float, typer.Option(help="Command phase, in seconds.")] = 150.0,
     time_to_alert_s: Annotated[float, typer.Option(help="Time to alert, in seconds.")] = 10.0,
     threads: Annotated[
@@ -154,6 +155,7 @@ def main(
         entropy=seed,
         tuning=Tuning(runs=select_runs, sift_runs=max(select_runs // 16, 1), budget=budget),
     )
+    calibrate_with_progress(suite, threads)
     bounds = Bounds.of(seconds, generations)
     run = ProfileRun(suite, settings, out, start=start, threads=threads, resume=resume)
     try:

@@ -81,8 +81,10 @@ class Task:
         return {**self.world_kwargs, "detectors": (self.detector,), **limit}
 
 
-EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
-RANGE_RATES = {"name": "sequential-chi2", "signals": "range_rate"}
+NOMINAL = {"thresholds": "nominal"}
+"""Thresholds of the papers, and at present those of the tasks."""
+EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3, **NOMINAL}
+RANGE_RATES = {"name": "sequential-chi2", "signals": "range_rate", **NOMINAL}
 EVERYTHING = {
     "start_s": [0.0, None],
     "turned_deg": [0.0, 360.0],
@@ -99,7 +101,7 @@ TASKS: dict[str, Task] = {
             "T1",
             "snapshot chi-square, ideal spoofer",
             {"scenario": "zhong2025", "attack": "false-position-ideal"},
-            ({"name": "snapshot-chi2"},),
+            ({"name": "snapshot-chi2", **NOMINAL},),
         ),
         Task(
             "T2",
@@ -125,7 +127,14 @@ TASKS: dict[str, Task] = {
                 "decision_interval_s": 10.0,
                 "between": "linear",
             },
-            ({"name": "snapshot-chi2", "signals": "range_rate", "false_alarm": 1e-6},),
+            (
+                {
+                    "name": "snapshot-chi2",
+                    "signals": "range_rate",
+                    "false_alarm": 1e-6,
+                    **NOMINAL,
+                },
+            ),
             556.0,
         ),
         Task(
@@ -146,10 +155,10 @@ TASKS: dict[str, Task] = {
             {"scenario": "zhong2025", "attack": "false-position-ideal"},
             (
                 EWMA,
-                {"name": "snapshot-chi2"},
-                {"name": "cusum"},
-                {"name": "innovation-rate"},
-                {"name": "aime"},
+                {"name": "snapshot-chi2", **NOMINAL},
+                {"name": "cusum", **NOMINAL},
+                {"name": "innovation-rate", **NOMINAL},
+                {"name": "aime", **NOMINAL},
             ),
         ),
     )
@@ -203,13 +212,27 @@ PAPERS: dict[str, tuple[str, dict[str, Any]]] = {
         {
             "scenario": "ke2022",
             "attack": "paper-ideal",
-            "detector": {"name": "innovation-rate"},
+            "detector": {"name": "innovation-rate", **NOMINAL},
             "timeline": {"warmup_s": 350.0, "live_s": 150.0, "attack_s": 200.0},
         },
     ),
-    "shadmehri2025": ("spoofgym/LooselyCoupled-v0", {}),
-    "song2021": ("spoofgym/WheeledRobot-v0", {}),
-    "wu2024": ("spoofgym/Snapshot-v0", {}),
+    "shadmehri2025": (
+        "spoofgym/LooselyCoupled-v0",
+        {
+            "detector": {
+                "name": "windowed-chi2",
+                "window": 1,
+                "covariance": "estimated",
+                "covariance_window": 100,
+                **NOMINAL,
+            }
+        },
+    ),
+    "song2021": (
+        "spoofgym/WheeledRobot-v0",
+        {"detector": {"name": "acna", "variant": "production", **NOMINAL}},
+    ),
+    "wu2024": ("spoofgym/Snapshot-v0", {"detector": {"name": "srv-raim", **NOMINAL}}),
     "zhong2025": (
         "spoofgym/TightlyCoupled-v0",
         {"scenario": "zhong2025", "attack": "paper-ideal", "detector": EWMA},

@@ -57,6 +57,26 @@ def _window_of_the_tests() -> Iterator[None]:
         matplotlib.use(WINDOW)
 
 
+def pytest_configure() -> None:
+    """Let detectors without a word on their thresholds have the nominal ones.
+
+    Most tests play worlds that are too short and too many to be calibrated; those of the pages, and
+    those that ask for `default_rate`, play as users do.
+    """
+    from spoofgym.detectors import calibrated
+
+    calibrated.DEFAULT_RATE = None
+
+
+@pytest.fixture
+def default_rate(monkeypatch: pytest.MonkeyPatch) -> float:
+    """The rate of false alarms that users have by default."""
+    from spoofgym.detectors import calibrated
+
+    monkeypatch.setattr(calibrated, "DEFAULT_RATE", calibrated.STANDARD_RATE)
+    return calibrated.STANDARD_RATE
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _no_word_of_compiling() -> None:
     """In which test the notice would appear on stderr depends on the machine and the order."""

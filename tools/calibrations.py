@@ -2,7 +2,6 @@
 
     python -m tools.calibrations                   # what is missing, in all worlds
     python -m tools.calibrations headline-zhong2025 --runs 200000 --overwrite
-    python -m tools.calibrations headline-zhong2025 --hold-out 100000 --out holdout.json
 
 The worlds are the three of the headlines, those of the environments' default settings, and those of
 the papers' ids.  Detectors that de-weight have a hundredth of the runs, at least 2000.  Killed, it
@@ -12,18 +11,22 @@ goes on where it was.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 from spoofgym._registry import check_choice
 from spoofgym.bench.victims import HEADLINE_DOMAIN, VICTIMS
+from spoofgym.detectors import Detector
 from spoofgym.detectors.calibration import SHIPPED_FOLDER
 from spoofgym.envs.factory import make_setup
 from spoofgym.envs.spoofer_binding import ENV_ID
-from spoofgym.simulators.calibration import WEIGHING_RUNS, calibrate, suitable_detectors
+from spoofgym.simulators.calibration import (
+    WEIGHING_RUNS,
+    calibrate,
+    inner_detectors,
+    suitable_detectors,
+)
 from spoofgym.simulators.clean_runs import weighs
 from spoofgym.simulators.setup import Setup
 from spoofgym.tasks import PAPERS
@@ -67,6 +70,13 @@ def setup_of(name: str) -> Setup:
     return make_setup(VICTIMS[env_id].setup, {**settings, "detector": "never"})
 
 
+def detectors_of(name: str, setup: Setup) -> list[Detector]:
+    """All detectors that suit a world, and those that its environment and benchmark name."""
+    env_id, settings = WORLDS[name]
+    own = [settings["detector"]] if "detector" in settings else []
+    return inner_detectors([*suitable_detectors(setup), *VICTIMS[env_id].detectors, *own])
+
+
 def main(arguments: list[str]) -> None:
     """Calibrate all detectors that suit each world."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -79,15 +89,18 @@ def main(arguments: list[str]) -> None:
         check_choice("world", name, WORLDS)
     for name in given.worlds or WORLDS:
         setup = setup_of(name)
-        detectors = suitable_detectors(setup)
+        detectors = detectors_of(name, setup)
         heavy = [each for each in detectors if weighs(setup, each)]
         light = [each for each in detectors if not any(each is other for other in heavy)]
         fewer = max(WEIGHING_RUNS, given.runs // 100)
-        for group, runs in ((light, given.runs), (heavy, fewer)):
+        drifting = [each for each in light if each.drifts]
+        groups = (light, given.runs, False), (drifting, given.runs, True), (heavy, fewer, False)
+        for group, runs, rescaled in groups:
             found = calibrate(
                 setup,
                 group,
                 runs=runs,
+                rescaled=rescaled,
                 threads=given.threads,
                 progress=Lines(),
                 folder=SHIPPED_FOLDER,

@@ -32,7 +32,7 @@ class Settings:
     """Rollouts, with learning, of each measurement; one more comes before and does not count."""
     num_envs: int = 128
     """Receivers side by side."""
-    detector: str = "ewma"
+    detector: str = "ewma:thresholds=nominal"
     """Detector, as in train.ppo_spoofer."""
     knowledge: str = "blind"
     """What the spoofer observes: blind, tracking or oracle."""

@@ -88,6 +88,7 @@ from spoofgym.bench.scores import Stealth, counted, stealth_of
 from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.suite import Suite, Tuning, versions
 from spoofgym.bench.tune import Trial, TuningResult, tune
+from spoofgym.cli.suites import calibrate_with_progress
 from spoofgym.detectors import DETECTORS
 from spoofgym.envs import Observer, Setup, default_terms
 from spoofgym.envs.spoofer_binding import spoofer_context
@@ -98,6 +99,7 @@ from spoofgym.envs.terms.reward import (
     RewardTerm,
 )
 from spoofgym.sb3 import SpoofVecEnv
+from spoofgym.simulators import Timeline
 from spoofgym.spoofers import KNOWLEDGE, Profile, card_of, shipped
 from spoofgym.spoofers.aim import direction
 from spoofgym.spoofers.card import Card, fields_of
@@ -267,7 +269,7 @@ class Arguments:
             "attack": parse_spec(self.attack),
             "timeline": {
                 "warmup_s": self.warmup_s,
-                "live_s": min(self.warmup_s, 60.0),
+                "live_s": min(self.warmup_s, Timeline().live_s),
                 "attack_s": self.attack_s,
             },
             "knowledge": self.knowledge,
@@ -835,6 +837,7 @@ def train(
     """
     began = time.perf_counter()
     torch.set_num_threads(args.torch_threads)
+    calibrate_with_progress(args.suite, args.threads)
     config = open_folder(args, console)
     engine = SpoofVecEnv(
         args.num_envs,

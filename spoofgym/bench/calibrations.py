@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 from ..detectors import Calibrated, Detector, PooledDetector
 from ..detectors.calibrated import resolve
 from ..simulators.calibration import calibrate, check, expected_runs
 from ..simulators.clean_runs import Progress
+from .entries import Entry
 from .specs import make_judge
 from .suite import Suite
 
@@ -23,18 +24,17 @@ class _Rate(NamedTuple):
 def _asked(suite: Suite) -> dict[_Rate, list[Detector]]:
     """Detectors of a campaign that ask for a rate of the calibrations that are looked up."""
     found: dict[_Rate, list[Detector]] = {}
-    for part in _parts(suite):
+    for part in (part for entry in suite.detector_entries for part in _parts(entry)):
         rate = part.false_alarms_per_hour
         if part.scale is None and part.calibration is None and rate is not None:
             found.setdefault(_Rate(rate, part.rescaled), []).append(part.detector)
     return found
 
 
-def _parts(suite: Suite) -> Iterator[Calibrated]:
-    for entry in suite.detector_entries:
-        judge = make_judge(entry.spec)
-        parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
-        yield from (part for part in parts if isinstance(part, Calibrated))
+def _parts(entry: Entry) -> Iterator[Calibrated]:
+    judge = make_judge(entry.spec)
+    parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
+    yield from (part for part in parts if isinstance(part, Calibrated))
 
 
 def missing_runs(suite: Suite) -> int:
@@ -51,9 +51,17 @@ def missing_runs(suite: Suite) -> int:
 
 
 def calibrate_suite(
-    suite: Suite, *, threads: int | None = None, progress: Progress | None = None
-) -> None:
-    """Calibrate the detectors that ask for a rate, and replay the first runs of their files."""
+    suite: Suite,
+    *,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    optional: Collection[str] = (),
+) -> dict[str, str]:
+    """Calibrate the detectors that ask for a rate, and replay the first runs of their files.
+
+    `optional`: labels of detectors that may be left out where no factor on their thresholds makes
+    the rate; returns why, by their labels.
+    """
     for rate, detectors in _asked(suite).items():
         found = calibrate(
             suite.world,
@@ -62,7 +70,16 @@ def calibrate_suite(
             rescaled=rate.rescaled,
             threads=threads,
             progress=progress,
+            strict=False,
         )
         check(suite.world, found, detectors, threads=threads)
-    for part in _parts(suite):  # those of a file of the user's, too, which this looks up
-        resolve(part, suite.world)
+    refused = {}
+    for entry in suite.detector_entries:
+        try:
+            for part in _parts(entry):  # those of a file of the user's, too, which this looks up
+                resolve(part, suite.world)
+        except ValueError as error:
+            if entry.label not in optional:
+                raise
+            refused[entry.label] = str(error)
+    return refused

@@ -33,7 +33,7 @@ Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 ENV = "spoofgym/TightlyCoupled-v0"
 SETTINGS: dict[str, Any] = {
     "scenario": {"name": "zhong2025", "epoch_interval_s": 1.0},
-    "detector": "ewma",
+    "detector": {"name": "ewma", "thresholds": "nominal"},
     "end_at_alarm": False,
 }
 COMMAND = 0.5

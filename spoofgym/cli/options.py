@@ -55,7 +55,7 @@ Rate = Annotated[
     Option(
         "--false-alarms-per-hour",
         help="Rate of false alarms of all detectors that ask for no thresholds of their own; "
-        "calibrated here where that has not been done. Default: their nominal thresholds.",
+        "calibrated here where that has not been done. Default: 0.2.",
     ),
 ]
 Oracles = Annotated[

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from .options import ENV, SCENARIO_OPTIONS, TASK_OPTIONS, TIMES, World
@@ -56,7 +57,14 @@ def suite_of(
     `settings`: those of a suite that no task decides.
     """
     suite, reports = _suite(world, detectors, task, rate, settings, headline)
-    _calibrate(suite, threads)
+    # of what `all` means, those without a calibration are left out
+    named = {spec["name"] for spec in specs_of(detectors)} if detectors else {"all"}
+    labels = [entry.label for entry in suite.detector_entries if entry.spec["name"] not in named]
+    refused = calibrate_with_progress(suite, threads, labels if "all" in named else ())
+    if refused:
+        kept = [e.spec for e in suite.detector_entries if e.label not in refused]
+        notes = (*suite.notes, *(f"{label} is left out: {why}" for label, why in refused.items()))
+        suite = replace(suite, detectors=kept, notes=notes)
     suite.check_fit()
     return suite, reports
 
@@ -82,7 +90,7 @@ def _suite(
                 del decided[name]  # its option has its default
         specs = specs_of(detectors) if detectors else None
         if headline:
-            specs = _with_controls(world, specs)
+            specs = _with_controls(world, specs, rate is not None)
             if world.env == ENV and world.track is None and "domain" not in own:
                 from ..bench.victims import HEADLINE_DOMAIN
 
@@ -111,11 +119,17 @@ def _at_rate(world: World, specs: list[dict[str, Any]] | None, rate: float) -> l
     check_choice("environment of the benchmark", world.env, VICTIMS)
     named = list(VICTIMS[world.env].detectors) if specs is None else specs
     asked = {"false_alarms_per_hour": rate}
-    return [spec if {*ASKED} & {*spec} else {**spec, **asked} for spec in named]
+    free = [not {*ASKED} & {*spec} or spec.get("thresholds") == "rescaled" for spec in named]
+    return [{**asked, **spec} if any_ else spec for spec, any_ in zip(named, free, strict=True)]
 
 
-def _with_controls(world: World, specs: list[dict[str, Any]] | None) -> list[dict[str, Any]]:
-    """Detectors of a headline: the usual ones and the controls by default, `all` for all."""
+def _with_controls(
+    world: World, specs: list[dict[str, Any]] | None, rescaled: bool
+) -> list[dict[str, Any]]:
+    """Detectors of a headline: the usual ones and the controls by default, `all` for all.
+
+    `rescaled`: whether tests with a drift term are among all a second time, rescaled.
+    """
     from .._registry import check_choice
     from ..bench.victims import CONTROLS, VICTIMS
 
@@ -128,9 +142,15 @@ def _with_controls(world: World, specs: list[dict[str, Any]] | None) -> list[dic
     from ..simulators.calibration import suitable_detectors
 
     named = [spec for spec in specs if spec["name"] != "all"]
-    found = [{"name": spec_of_judge(each)["name"]} for each in suitable_detectors(_world(world))]
-    given = [spec["name"] for spec in named]
-    return [*named, *(spec for spec in (*CONTROLS, *found) if spec["name"] not in given)]
+    given = {spec["name"] for spec in named}
+    found = [dict(each) for each in CONTROLS]
+    for each in suitable_detectors(_world(world)):
+        own = {"name": spec_of_judge(each)["name"]}
+        if own not in found:
+            found.append(own)
+        if rescaled and each.drifts:
+            found.append({**own, "thresholds": "rescaled"})
+    return [*named, *(spec for spec in found if spec["name"] not in given)]
 
 
 def _world(world: World) -> Setup:
@@ -138,15 +158,19 @@ def _world(world: World) -> Setup:
     return world_of(world).world
 
 
-def _calibrate(suite: Suite, threads: int | None) -> None:
-    """Calibrate the detectors that ask for a rate of false alarms, and show how far that is."""
+def calibrate_with_progress(
+    suite: Suite, threads: int | None, optional: Collection[str] = ()
+) -> dict[str, str]:
+    """Calibrate the detectors that ask for a rate of false alarms, and show how far that is.
+
+    `optional`: labels of those that may have no calibration; returns why, by their labels.
+    """
     from ..bench.calibrations import calibrate_suite, missing_runs
 
     if left := missing_runs(suite):
         with progress(left) as bar:
-            calibrate_suite(suite, threads=threads, progress=bar)
-    else:
-        calibrate_suite(suite, threads=threads)
+            return calibrate_suite(suite, threads=threads, progress=bar, optional=optional)
+    return calibrate_suite(suite, threads=threads, optional=optional)
 
 
 def tuning_of(runs: int, budget: float) -> Tuning:

@@ -47,15 +47,15 @@ from .calibration import (
 from .pool import PooledDetector
 
 FloatArray = NDArray[np.float64]
-DEFAULT_RATE: float | None = None
-"""False alarms an hour of a detector that is named in a world without a word on its thresholds;
-None for its nominal thresholds."""
 THRESHOLDS = ("nominal", "calibrated", "rescaled")
 """Which thresholds a detector may be asked for with."""
 ASKED = ("false_alarms_per_hour", "thresholds", "threshold_scale", "calibration")
 """Keys of a detector's spec that are not settings of its class."""
 STANDARD_RATE = 0.2
 """False alarms an hour where calibrated thresholds are asked for without a rate."""
+DEFAULT_RATE: float | None = STANDARD_RATE
+"""False alarms an hour of a detector that is named in a world without a word on its thresholds;
+None for its nominal thresholds."""
 NOISY_WARMUP = 0.2
 """Share of clean runs that alarm before the attack from which on it is said."""
 

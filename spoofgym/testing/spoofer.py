@@ -86,7 +86,7 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
         return TightlyCoupledSetup(
             attack=attack,
             timeline=TIMELINE,
-            detector="ewma",
+            detector={"name": "ewma", "thresholds": "nominal"},
             target_heading_deg="random" if follows else 90.0,
         )
     own = setup_of_card(card)

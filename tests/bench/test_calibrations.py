@@ -1,13 +1,17 @@
 """A campaign's detectors at a rate: calibrated from their names alone."""
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from spoofgym.bench.calibrations import calibrate_suite, missing_runs
 from spoofgym.bench.campaign import run_campaign
 from spoofgym.bench.store import ResultsFolder
 from spoofgym.bench.suite import Suite
+from spoofgym.cli import app
 from spoofgym.detectors import SnapshotChi2, calibrated
 from spoofgym.detectors.calibration import FOLDER_VARIABLE
 from spoofgym.simulators import calibration
@@ -71,3 +75,23 @@ def test_specs_say_what_is_asked_of_thresholds(monkeypatch):
     assert small("ewma").detector_entries[0].spec == entry.spec
     (entry,) = small(nominal).detector_entries
     assert small(entry.spec).detector_entries == (entry,)
+
+
+def test_of_all_detectors_those_without_a_calibration_are_left_out(monkeypatch):
+    """In this receiver's belief clean innovations never exceed what a CUSUM allows for."""
+    monkeypatch.chdir(calibration.user_folder().parent)
+    times = "--warmup-s 20 --live-s 10 --attack-s 15 --time-to-alert-s 2 --seeds 2"
+    world = "--scenario trolley --tuning matched --selection-seeds 0 --spoofer none --json"
+    asked = f"bench {times} {world} --false-alarms-per-hour 20 --set domain={{}}".split()
+    named = CliRunner().invoke(app, [*asked, "--detector", "cusum"])
+    assert named.exit_code == 2, named.output
+    assert "the statistic of cusum is degenerate" in named.output
+    found = CliRunner().invoke(app, [*asked, "--detector", "all"])
+    assert found.exit_code == 0, found.output
+    summary = json.loads(found.stdout)
+    labels = [row["detector"] for row in summary["detectors"]]
+    assert "cusum(false_alarms_per_hour=20)" not in labels
+    assert any("cusum" in label and "rescaled" in label for label in labels)
+    assert any("snapshot-chi2" in label for label in labels)
+    config = json.loads((Path(summary["folder"]) / "config.json").read_text())
+    assert any("cusum" in note and "is left out" in note for note in config["notes"])
