@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -57,15 +59,20 @@ def _window_of_the_tests() -> Iterator[None]:
         matplotlib.use(WINDOW)
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Let detectors without a word on their thresholds have the nominal ones.
 
     Most tests play worlds that are too short and too many to be calibrated; those of the pages, and
-    those that ask for `default_rate`, play as users do.
+    those that ask for `default_rate`, play as users do.  What tests calibrate all the same goes to
+    a folder that all their processes share, and that ends with them.
     """
     from spoofgym.detectors import calibrated
+    from spoofgym.detectors.calibration import FOLDER_VARIABLE
 
     calibrated.DEFAULT_RATE = None
+    if not hasattr(config, "workerinput"):
+        os.environ[FOLDER_VARIABLE] = folder = tempfile.mkdtemp(prefix="calibrations-")
+        config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
 
 
 @pytest.fixture

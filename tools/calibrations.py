@@ -4,7 +4,7 @@
     python -m tools.calibrations headline-zhong2025 --runs 200000 --overwrite
 
 The worlds are the three of the headlines, those of the environments' default settings, and those of
-the papers' ids.  Detectors that de-weight have a hundredth of the runs, at least 2000.  Killed, it
+the papers' ids.  Detectors that de-weight have a fifth of the runs, at least 2000.  Killed, it
 goes on where it was.
 """
 
@@ -92,7 +92,7 @@ def main(arguments: list[str]) -> None:
         detectors = detectors_of(name, setup)
         heavy = [each for each in detectors if weighs(setup, each)]
         light = [each for each in detectors if not any(each is other for other in heavy)]
-        fewer = max(WEIGHING_RUNS, given.runs // 100)
+        fewer = max(WEIGHING_RUNS, given.runs // 5)
         drifting = [each for each in light if each.drifts]
         groups = (light, given.runs, False), (drifting, given.runs, True), (heavy, fewer, False)
         for group, runs, rescaled in groups:

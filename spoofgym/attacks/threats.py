@@ -12,6 +12,7 @@ THREATS: dict[str, dict[str, Any]] = {
         "name": "false-position",
         "tracking": {"sd_m": 1.0, "correlation_s": 30.0},
     },
+    "quiet": {"name": "false-position", "errors": "quiet"},
     "partial-constellation": {"name": "false-position", "channels": "E*"},
     "meaconer": {
         "name": "meaconer",
@@ -29,6 +30,8 @@ THREATS: dict[str, dict[str, Any]] = {
     One false position, with perfect knowledge of the true one.
 ``tracking-1m``
     A false position by a spoofer that tracks its target to 1 m along each axis.
+``quiet``
+    A false position whose signals have thermal noise alone, blended in over 30 s.
 ``partial-constellation``
     A false position by one of two constellations, that whose ids begin with E; it needs a world
     that has it, such as ``trolley-two-constellations``.

@@ -12,6 +12,9 @@ from spoofgym.duel.payoff import RunningThreshold, Weighted
 from ..spoofers.policies import network
 from .pages import blocks_of, broken_links, run, text_of
 
+# as users have it
+pytestmark = pytest.mark.usefixtures("default_rate")
+
 NAME = "duel.md"
 PAGE = text_of(NAME)
 SMALLER = [("TURNS, STEPS, RUNS = 4, 20_000, 200", "TURNS, STEPS, RUNS = 2, 64, 19"), ("512", "64")]

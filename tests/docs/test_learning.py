@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+# as users have it
+pytestmark = pytest.mark.usefixtures("default_rate")
+
 pytest.importorskip("stable_baselines3")
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "learning.md").read_text()

@@ -15,6 +15,9 @@ from spoofgym.detectors import DETECTORS
 from spoofgym.spoofers import SPOOFERS
 from spoofgym.testing import check_detector
 
+# as users have it
+pytestmark = pytest.mark.usefixtures("default_rate")
+
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
@@ -50,7 +53,8 @@ def test_the_first_output_is_typical_of_its_push():
     ((printed, alarm),) = re.findall(r"`undetected: (\S+) m, alarm: (True|False)`", README)
     assert alarm == str(alarmed[int(seed)]) == str(alarmed.sum() > 50)
     assert float(printed) == pytest.approx(reached[int(seed)], abs=0.051)
-    assert np.percentile(reached, 40) < float(printed) < np.percentile(reached, 60)
+    low, high = np.percentile(reached, [40, 60])
+    assert low - 0.05 < float(printed) < high + 0.05  # as it is rounded
 
 
 def test_it_says_how_to_install_and_with_which_extras():

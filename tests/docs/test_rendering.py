@@ -14,6 +14,9 @@ from spoofgym.cli import app
 
 from .pages import blocks_of, broken_links, run, text_of
 
+# as users have it
+pytestmark = pytest.mark.usefixtures("default_rate")
+
 pytest.importorskip("matplotlib")
 PAGE = "rendering.md"
 SMALL = "--warmup-s 20 --live-s 10 --attack-s 6 --time-to-alert-s 2 --out run.gif"

@@ -15,6 +15,9 @@ from spoofgym.envs.terms.registry import TERMS, term_table
 
 from .pages import blocks_of
 
+# as users have it
+pytestmark = pytest.mark.usefixtures("default_rate")
+
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = ("terms.md", "own_observation_term.md")
 
@@ -56,8 +59,9 @@ def test_the_keys_of_the_information_are_those_of_the_table():
         "spoofgym/TightlyCoupled-v0",
         timeline={"warmup_s": 6, "live_s": 2, "attack_s": 5, "time_to_alert_s": 1},
         attack={"name": "false-position", "capture": {}},
+        detector={"name": "ewma", "thresholds": "nominal"},
         end={"name": "at-displacement", "limit_m": 5.0},
-        watch="cusum",
+        watch={"name": "cusum", "thresholds": "nominal"},
         twin=True,
     )
     _, begun = env.reset(seed=0)

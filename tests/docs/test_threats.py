@@ -9,6 +9,9 @@ import pytest
 
 from spoofgym.attacks import THREATS
 
+# as users have it
+pytestmark = pytest.mark.usefixtures("default_rate")
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "threats.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)

@@ -17,6 +17,8 @@ torch = pytest.importorskip("torch")
 for name in ("stable_baselines3", "onnxscript", "tyro", "tensorboard", "cmaes"):
     pytest.importorskip(name)
 
+# as users have it
+pytestmark = pytest.mark.usefixtures("default_rate")
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "train_your_own.md").read_text()
 CODE = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
@@ -36,6 +38,9 @@ SMALL = {
 """What is appended to a command; the last of an option counts."""
 IN_ONE_PROCESS = """
 import json, runpy, sys
+from spoofgym.simulators import calibration
+
+calibration.PASSIVE_RUNS = 3000
 for words in json.load(sys.stdin):
     sys.argv = words
     try:
