@@ -5,14 +5,10 @@ feedback in several sizes, by factors of about two.  The score of a policy is it
 displacement with alarmed runs counted 0, on the same runs as the mean return.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from spoofgym.detectors.ewma import Ewma
-from spoofgym.detectors.snapshot_chi2 import SnapshotChi2
 from spoofgym.envs import SpoofCore
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.simulators import TightlyCoupledSetup
@@ -32,29 +28,6 @@ POLICIES = [
     ),
     *({"name": "feedback", "rate_mps": r} for r in np.geomspace(0.03, 1.2, 6).tolist()),
 ]
-
-
-class _Scaled:
-    """A detector whose alarm threshold is scaled; weights stay as they are."""
-
-    factor: float
-
-    def judge(self, epoch):
-        verdict = super().judge(epoch)
-        threshold = verdict.threshold * self.factor
-        return verdict._replace(threshold=threshold, alarm=verdict.statistic > threshold)
-
-
-@dataclass(kw_only=True)
-class ScaledEwma(_Scaled, Ewma):
-    factor: float = 1.403
-    """The 99 % quantile of the largest ratio of 1024 clean runs."""
-
-
-@dataclass(kw_only=True)
-class ScaledSnapshot(_Scaled, SnapshotChi2):
-    factor: float = 0.1787
-    """Likewise."""
 
 
 def played(detector):
@@ -82,8 +55,9 @@ def played(detector):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("detector", [ScaledEwma(), ScaledSnapshot()], ids=["ewma", "snapshot"])
-def test_at_one_percent_the_return_ranks_as_the_score_and_its_best_is_stealthy(detector):
+@pytest.mark.usefixtures("default_rate")
+@pytest.mark.parametrize("detector", ["ewma", "snapshot-chi2"])
+def test_by_default_the_return_ranks_as_the_score_and_its_best_is_stealthy(detector):
     rows, clean = played(detector)
     assert len(rows) == 30
     assert 0.001 < clean < 0.03

@@ -1,0 +1,37 @@
+"""The page on calibration: its code runs, and what it says of numbers of runs is so."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from spoofgym.detectors.calibration import fewest_runs, run_probability
+
+from .pages import blocks_of, broken_links, run, text_of
+
+# as users have it
+pytestmark = pytest.mark.usefixtures("default_rate")
+
+PAGE = "calibration.md"
+
+
+def test_the_code_runs_in_its_order():
+    scope = {}
+    for _, code in blocks_of(PAGE):
+        run(code.replace("runs=1000", "runs=24"), PAGE, scope)
+    point = scope["env"].unwrapped.core.setup.detector.point
+    assert point.false_alarms_per_hour == 0.2
+    assert [each.detector["name"] for each in scope["found"]] == ["snapshot-chi2", "ewma"]
+    assert [each.runs for each in scope["held"]] == [24, 24]
+
+
+@pytest.mark.parametrize(("rate", "window_s"), [(0.2, 160.0), (0.002, 160.0)])
+def test_it_takes_as_many_runs_as_the_page_says(rate, window_s):
+    least = fewest_runs(run_probability(rate, window_s))
+    said = rf"{least:,} (clean runs )?for {rate:g} an hour"
+    assert re.search(said, text_of(PAGE)), said
+
+
+def test_links_lead_somewhere():
+    assert broken_links(PAGE) == []
