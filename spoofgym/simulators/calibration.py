@@ -209,14 +209,15 @@ def inner_detectors(specs: DetectorSpec | Iterable[DetectorSpec]) -> list[Detect
 
 
 def suitable_detectors(setup: Setup) -> list[Detector]:
-    """All detectors of the package that measure what this victim does, with their own settings.
+    """All detectors of the package that fit this victim, with their own settings.
 
     Without pools, oracles, and those that never alarm.
     """
     measured = "satellites" if setup.geometry_names else "position"
     kinds = [kind for name, kind in DETECTORS.items() if name != "pool"]
     wanted = [kind for kind in kinds if kind.calibrates and not kind.oracle]
-    return [kind() for kind in wanted if kind.measures in (measured, "any")]
+    fit = [kind for kind in wanted if kind.measures in (measured, "any")]
+    return [kind() for kind in fit if kind.needs <= setup.has]
 
 
 @contextmanager

@@ -7,13 +7,22 @@ import numpy as np
 import pytest
 from scipy.stats import betabinom
 
+from spoofgym.bench.victims import VICTIMS
 from spoofgym.detectors import Calibrated, Cusum, Ewma, JointChart, make_detector
 from spoofgym.detectors.calibration import FOLDER_VARIABLE, TOLERANCE
 from spoofgym.envs import SnapshotEnv, SpoofEnv, SpoofVectorEnv
+from spoofgym.envs.factory import make_setup
 from spoofgym.simulators import Engine, SnapshotSetup, TightlyCoupledSetup, calibration
 from spoofgym.simulators._kernels import NO_FORM
 from spoofgym.simulators.base import run_serially
-from spoofgym.simulators.calibration import bisect, calibrate, check, hold_out, transfer
+from spoofgym.simulators.calibration import (
+    bisect,
+    calibrate,
+    check,
+    hold_out,
+    suitable_detectors,
+    transfer,
+)
 from spoofgym.simulators.clean_runs import Player, weighs
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
@@ -342,3 +351,14 @@ def test_states_of_charts_are_scaled_in_the_loop(setup):
         verdict = never.step(attacked=False)
         assert not verdict.alarm.any()
     assert (verdict.weights < 1.0).any()
+
+
+@pytest.mark.parametrize("name", sorted(VICTIMS))
+def test_every_suitable_detector_fits(name):
+    setup = make_setup(VICTIMS[name].setup, {"detector": "never"})
+    found = suitable_detectors(setup)
+    assert len(found) > 1
+    for detector in found:
+        setup.altered(detector=detector).simulator(1, run_serially)
+    names = {type(each) for each in found}
+    assert {type(make_detector(spec)) for spec in VICTIMS[name].detectors} <= names
