@@ -437,3 +437,13 @@ def test_processes_of_async_vector_env_after_threads_in_the_parent() -> None:
         processes.close()
     again = threaded.step(action)  # nor are the parent's threads disturbed
     assert threaded.observation_space.contains(again[0])
+
+
+@pytest.mark.usefixtures("default_rate")
+@pytest.mark.parametrize("name", IDS)
+def test_it_plays_as_users_have_it(name):
+    """With the detector that it has by default, at the rate that is shipped."""
+    env = gym.make(name)
+    env.reset(seed=1)
+    env.step(env.action_space.sample())
+    env.close()

@@ -1,0 +1,61 @@
+"""The page on scores shows what is kept of the three worlds, and the file is as it was made."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from spoofgym._describe import digest_of
+from tools.headlines import BEGIN, END, KEPT, SPOOFERS, WORLDS, shown
+
+from .pages import broken_links, text_of
+
+PAGE = "scores.md"
+
+
+@pytest.fixture(scope="module")
+def kept():
+    return json.loads(KEPT.read_text())
+
+
+def test_the_tables_are_those_of_the_file(kept):
+    assert text_of(PAGE).partition(BEGIN)[2].partition(END)[0] == f"\n{shown(kept)}"
+
+
+def test_the_digest_is_that_of_the_worlds(kept):
+    assert kept["digest"] == digest_of(kept["worlds"])
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_every_detector_has_the_same_rate_and_its_attacks(kept, name):
+    world = kept["worlds"][name]
+    points = [point for each in world["calibrations"].values() for point in each]
+    assert {point["false_alarms_per_hour"] for point in points} == {0.2}
+    assert not any(point["extrapolated"] for point in points)
+    labels = {row["detector"] for row in world["detectors"]}
+    assert {"never", "snapshot-chi2", "ewma"} < labels
+    assert len(labels) >= 15
+    assert {row["detector"] for row in world["protection"]} == labels
+    met = {
+        label: {c["spoofer"] for c in world["cells"] if c["detector"] == label} for label in labels
+    }
+    assert {len(each) for each in met.values()} == {len(SPOOFERS) + 1}
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_chance_is_worth_nothing(kept, name):
+    """The controls can't be told apart, in any score."""
+    rows = [
+        row
+        for row in kept["worlds"][name]["comparisons"]
+        if {row["detector"].split("(")[0], row["control"].split("(")[0]} == {"never", "lottery"}
+    ]
+    assert len(rows) > 4
+    for row in rows:
+        low, high = row["difference_m"]["low"], row["difference_m"]["high"]
+        assert low <= 0.0 <= high, row
+
+
+def test_links_lead_somewhere():
+    assert broken_links(PAGE) == []
