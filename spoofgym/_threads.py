@@ -10,8 +10,32 @@ from collections.abc import Callable
 
 END_S = 5.0
 """How long they are waited for when the interpreter ends."""
-_running: dict[threading.Thread, Callable[[], None]] = {}
+LOOK_S = 1e-3
+"""How often it is looked whether they have ended."""
+_known: dict[_Thread, Callable[[], None]] = {}
 _generation = object()
+
+
+class _Thread(threading.Thread):
+    """A thread that can tell whether it is gone, also where its start was interrupted."""
+
+    _done = False
+
+    def run(self) -> None:
+        """Work."""
+        try:
+            super().run()
+        finally:
+            self._done = True
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has run and left the interpreter.
+
+        Without `_done`, one that has yet to begin would count as over, and so would one whose
+        `join` was interrupted: Python 3.11 takes that for its end.
+        """
+        return self._done and not self.is_alive()
 
 
 def generation() -> object:
@@ -21,7 +45,7 @@ def generation() -> object:
 
 def _forget() -> None:
     global _generation
-    _running.clear()
+    _known.clear()
     _generation = object()
 
 
@@ -30,18 +54,21 @@ if hasattr(os, "register_at_fork"):  # a child inherits none of them
 
 
 def start(target: Callable[[], None], stop: Callable[[], None], name: str) -> threading.Thread:
-    """Start a thread that ends soon after `stop` has been called."""
+    """Start a thread that ends soon after `stop` has been called, be it before it has begun.
 
-    def run() -> None:
-        """Work, and be known as long as that lasts."""
-        _running[threading.current_thread()] = stop
-        try:
-            target()
-        finally:
-            _running.pop(threading.current_thread(), None)
-
-    thread = threading.Thread(target=run, name=name, daemon=True)
-    thread.start()
+    It is known from before its first moment until after its last one, so that none is left out by
+    `end_all`, wherever an interrupt comes.
+    """
+    for each in list(_known):
+        if each.is_over:
+            _known.pop(each, None)
+    thread = _Thread(target=target, name=name, daemon=True)
+    _known[thread] = stop
+    try:
+        thread.start()
+    except Exception:  # there can't be another one
+        del _known[thread]
+        raise
     return thread
 
 
@@ -51,11 +78,10 @@ def end_all() -> None:
     deadline = time.monotonic() + END_S
     while time.monotonic() < deadline:
         try:
-            threads = list(_running.items())
-            for _, stop in threads:
+            for stop in list(_known.values()):
                 stop()
-            for thread, _ in threads:
-                thread.join(max(0.0, deadline - time.monotonic()))
+            while time.monotonic() < deadline and not all(each.is_over for each in list(_known)):
+                time.sleep(LOOK_S)
         except BaseException:  # the process ends already
             continue
         break

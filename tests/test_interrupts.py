@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -16,7 +17,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from spoofgym import _threads
 from spoofgym.cli import app
+from spoofgym.cli.output import progress
 
 SEED = 10
 IN_TIME_S = 10.0 if os.getloadavg()[0] <= (os.cpu_count() or 1) else 300.0
@@ -55,6 +58,25 @@ class Failing(Ewma):
         if not Failing.left:
             raise ArithmeticError("on purpose")
         return super().judge(epoch)
+"""
+AFTER_THE_INTERPRETER = """
+import atexit, ctypes, os, signal, sys
+from spoofgym.cli import app, main
+
+# a call that is none any more without an interpreter, as of a thread that comes back too late
+late = ctypes.cast(ctypes.pythonapi.PyThreadState_Get, ctypes.c_void_p)
+assert ctypes.pythonapi.Py_AtExit(late) == 0
+atexit.register(print, "hook", end="")
+
+
+@app.command()
+def interrupted() -> None:
+    print("kept", end=" ")
+    os.kill(os.getpid(), signal.Signals[os.environ["NUMBER"]])
+
+
+sys.argv[1:] = ["interrupted"]
+main()
 """
 pytestmark = pytest.mark.slow
 
@@ -163,3 +185,23 @@ def test_an_environment_with_warm_ups_in_the_background_ends(
         process.send_signal(signal.SIGINT)
     code, said = code_of(process, IN_TIME_S)
     assert code == expected, said
+
+
+@pytest.mark.parametrize(("number", "expected"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_an_interrupt_ends_the_program_before_the_interpreter(
+    number: str, expected: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBER", number)
+    process = started("-c", AFTER_THE_INTERPRETER, folder=tmp_path)
+    printed, said = process.communicate(timeout=120.0)
+    assert process.returncode == expected, said.decode()
+    assert printed == b"kept hook"
+
+
+def test_progress_leaves_no_thread_that_nobody_waits_for() -> None:
+    before = set(threading.enumerate())
+    with progress(1.0) as bar:
+        bar.advance(0.5, "half")
+        assert set(threading.enumerate()) - before
+        _threads.end_all()
+        assert not set(threading.enumerate()) - before

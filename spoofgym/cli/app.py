@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import os
 import signal
 import sys
 from collections.abc import Callable
-from typing import Annotated, Any, ParamSpec, TypeVar
+from typing import Annotated, Any, NoReturn, ParamSpec, TypeVar
 
 import typer
 
 signals: list[int] = []
 """What has asked the program to end."""
+HEARD = (signal.SIGINT, signal.SIGTERM)
 P = ParamSpec("P")
 R = TypeVar("R")
 TRACEBACK_VARIABLE = "SPOOFGYM_TRACEBACK"
@@ -66,13 +68,32 @@ def _interrupt(number: int, _: Any) -> None:
     raise KeyboardInterrupt
 
 
+def _leave(code: int) -> NoReturn:
+    """End the process without taking the interpreter down first; another interrupt ends it at once.
+
+    An interrupt can leave a thread, of this package or of another, somewhere in compiled code.  One
+    that comes back while the interpreter is taken down aborts the process, whose exit code is lost.
+    Nothing else is: files are whole or absent (`_files`), and what waits for the end, temporary
+    folders and threads, has exit hooks, which are run.
+    """
+    try:
+        for number in HEARD:
+            if signal.getsignal(number) is _interrupt:
+                signal.signal(number, signal.SIG_DFL)
+        atexit._run_exitfuncs()
+        for stream in (sys.stderr, sys.stdout):
+            stream.flush()
+    finally:
+        os._exit(code)
+
+
 def main() -> None:
     """Run the command line; Ctrl-C and SIGTERM end it in order, with 130 and 143."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in HEARD:
         if signal.getsignal(number) != signal.SIG_IGN:  # as in the background of a shell
             signal.signal(number, _interrupt)
     try:
         app()
     finally:
         if signals:
-            sys.exit(128 + signals[0])
+            _leave(128 + signals[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from .. import _threads
 from .app import signals
 
 if TYPE_CHECKING:
@@ -49,6 +51,10 @@ def print_table(
     console.print(table)
 
 
+REFRESH_S = 0.1
+"""How often the time in a progress bar is drawn anew."""
+
+
 @dataclass(frozen=True)
 class _Bar:
     """Progress of a campaign on the terminal, by `update` of its task."""
@@ -78,7 +84,19 @@ def progress(total: float) -> Iterator[Progress]:
         bars.TimeRemainingColumn(),
         console=Console(stderr=True),
         transient=True,
+        auto_refresh=False,  # its thread is one that nobody waits for
     )
     task = shown.add_task("compiling, a minute the first time", total=max(total, 1e-9))
+    over = threading.Event()
+
+    def refresh() -> None:
+        while not over.wait(REFRESH_S):
+            shown.refresh()
+
     with shown:
-        yield _Bar(functools.partial(shown.update, task))
+        thread = _threads.start(refresh, over.set, "spoofgym-progress")
+        try:
+            yield _Bar(functools.partial(shown.update, task))
+        finally:
+            over.set()
+            thread.join()

@@ -112,13 +112,20 @@ class Workers:
         if self._generation is _threads.generation():
             return
         jobs: list[SimpleQueue[Job | None]] = [SimpleQueue() for _ in range(self.count)]
-        self._threads = [
-            _threads.start(
-                partial(_serve, queue, self.pieces), partial(queue.put, None), f"spoofgym-{number}"
-            )
-            for number, queue in enumerate(jobs)
-        ]
-        self._busy, self._jobs, self._generation = False, jobs, _threads.generation()
+        try:
+            self._threads = [
+                _threads.start(
+                    partial(_serve, queue, self.pieces),
+                    partial(queue.put, None),
+                    f"spoofgym-{number}",
+                )
+                for number, queue in enumerate(jobs)
+            ]
+            self._busy, self._jobs, self._generation = False, jobs, _threads.generation()
+        except BaseException:  # those that have been started have no owner
+            for queue in jobs:
+                queue.put(None)
+            raise
 
     def close(self) -> None:
         """End the threads, and wait for them; what needs them later starts new ones."""

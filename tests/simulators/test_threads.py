@@ -131,6 +131,28 @@ def test_an_interrupt_at_any_bytecode_leaves_no_slice_behind(workers, function, 
     assert moment > least  # it was a trace of all of it
 
 
+def test_an_interrupted_start_leaves_no_thread_behind():
+    before, moment = set(threading.enumerate()), 0
+    trace = sys.gettrace()
+    try:
+        while True:
+            moment += 1
+            workers = Workers(SLICES - 1)
+            try:
+                interrupted_at(workers, Work(), moment, Workers._start.__code__)
+            except KeyboardInterrupt:
+                workers.close()
+                for thread in set(threading.enumerate()) - before:
+                    thread.join(PATIENCE_S / 10)
+                    assert not thread.is_alive(), moment
+            else:
+                break
+    finally:
+        sys.settrace(trace)
+    workers.close()
+    assert moment > 30  # it was a trace of all of it
+
+
 def test_what_a_slice_fails_with_is_raised_when_all_have_ended(workers):
     for failing in range(SLICES):
         work = Work(5e-3, [failing])
