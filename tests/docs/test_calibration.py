@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import pytest
 
 from spoofgym.detectors.calibration import fewest_runs, run_probability
+
+from tools.holdouts import BEGIN, END, KEPT, shown
 
 from .pages import blocks_of, broken_links, run, text_of
 
@@ -35,3 +38,12 @@ def test_it_takes_as_many_runs_as_the_page_says(rate, window_s):
 
 def test_links_lead_somewhere():
     assert broken_links(PAGE) == []
+
+
+def test_the_hold_outs_are_those_of_the_file_and_hold():
+    kept = json.loads(KEPT.read_text())
+    assert text_of(PAGE).partition(BEGIN)[2].partition(END)[0] == f"\n{shown(kept)}"
+    assert kept["cells"] == sum(len(world["detectors"]) for world in kept["worlds"])
+    for world in kept["worlds"]:
+        assert all(row["holds"] for row in world["detectors"])
+        assert abs(world["mean_passive_per_hour"] / kept["rate"] - 1.0) < 0.1

@@ -1,0 +1,148 @@
+"""Do the calibrations of the headlines hold on fresh runs?  Counted, kept and shown.
+
+    python -m tools.holdouts                    # counts, and writes docs/holdouts.json
+    python -m tools.holdouts --tables-only      # the tables of docs/calibration.md again
+
+The seeds are those of the split `holdout`, runs 0 to N - 1, entropy 0: fixed before the first
+count, and never drawn again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from spoofgym._files import write_file
+from spoofgym.bench.report import markdown_table
+from spoofgym.detectors import Calibration, Detector
+from spoofgym.detectors.calibrated import STANDARD_RATE, identity_of
+from spoofgym.detectors.calibration import SHIPPED_FOLDER, hourly_rate, stored
+from spoofgym.simulators.calibration import HOLDOUT_WEIGHING, hold_out, transfer
+from spoofgym.simulators.clean_runs import weighs
+from spoofgym.simulators.setup import Setup
+from tools.calibrations import HEADLINES, Lines, detectors_of, setup_of
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+KEPT, PAGE = DOCS / "holdouts.json", DOCS / "calibration.md"
+BEGIN, END = "<!-- holdouts:begin -->", "<!-- holdouts:end -->"
+TRANSFERRED = 1_000
+"""Runs in another world."""
+
+
+class World(NamedTuple):
+    """A world, its detectors that have a calibration, and those whose statistic is degenerate."""
+
+    name: str
+    setup: Setup
+    passive: list[tuple[Calibration, Detector]]
+    weighing: list[tuple[Calibration, Detector]]
+    degenerate: list[str]
+
+
+def world_of(name: str) -> World:
+    """A world with what is shipped for it."""
+    found = World(name, setup_of(name), [], [], [])
+    for detector in detectors_of(name, found.setup):
+        made = next(stored(found.setup.conditions, identity_of(detector), False, SHIPPED_FOLDER))
+        try:
+            made.point(STANDARD_RATE)
+        except ValueError:
+            found.degenerate.append(str(made.detector["name"]))
+            continue
+        group = found.weighing if weighs(found.setup, detector) else found.passive
+        group.append((made, detector))
+    return found
+
+
+def counted(world: World, others: list[World], runs: int, cells: int) -> dict[str, Any]:
+    """Hold-out of a world, and the rate of its thresholds in the other ones."""
+    rows = []
+    for group, count in ((world.passive, runs), (world.weighing, min(runs, 10 * HOLDOUT_WEIGHING))):
+        made, detectors = zip(*group, strict=True)
+        asked: dict[str, Any] = {"false_alarms_per_hour": STANDARD_RATE, "progress": Lines()}
+        held = hold_out(world.setup, made, detectors, runs=count, cells=cells, **asked)
+        there = {
+            other.name: transfer(other.setup, made, detectors, runs=TRANSFERRED, **asked)
+            for other in others
+        }
+        for k, one in enumerate(held):
+            elsewhere = {name: each[k].as_dict()["per_hour"] for name, each in there.items()}
+            kind = {"calibrated": made[k].runs, "passive": group is world.passive}
+            rows.append({**one.as_dict(), **kind, "in": elsewhere})
+    passive = [row for row in rows if row["passive"]]
+    shares = [row["alarms"] / row["runs"] for row in passive]
+    mean = hourly_rate(math.fsum(shares) / len(shares), world.setup.window_s)
+    return {
+        "world": world.name,
+        "settings": world.setup.conditions.digest,
+        "degenerate": world.degenerate,
+        "mean_passive_per_hour": mean,
+        "detectors": rows,
+    }
+
+
+def shown(kept: dict[str, Any]) -> str:
+    """Tables of all worlds, for the page."""
+    return "\n".join(line for world in kept["worlds"] for line in _lines(world))
+
+
+def _lines(world: dict[str, Any]) -> Iterator[str]:
+    others = list(world["detectors"][0]["in"])
+    short = [name.removeprefix("headline-") for name in others]
+    head = ["detector", "calibrated on", "fresh runs", "with an alarm", "predicted", "per hour"]
+    head += [f"per hour in {name}" for name in short]
+    yield f"**{world['world'].removeprefix('headline-')}**"
+    yield ""
+    rows = []
+    for row in world["detectors"]:
+        predicted = f"{row['low']} to {row['high']}" + ("" if row["holds"] else ", outside")
+        there = [_rate(row["in"][name]) for name in others]
+        counts = (f"{row['calibrated']:,}", f"{row['runs']:,}", f"{row['alarms']:,}", predicted)
+        rows.append((row["name"], *counts, _rate(row["per_hour"]), *there))
+    yield from markdown_table(head, rows)
+    yield ""
+    text = f"Mean over the passive detectors: {world['mean_passive_per_hour']:.3g} an hour."
+    if world["degenerate"]:
+        text += f" Without a calibration, since degenerate: {', '.join(world['degenerate'])}."
+    yield text
+    yield ""
+
+
+def _rate(per_hour: float | None) -> str:
+    return "every run" if per_hour is None else f"{per_hour:.3g}"
+
+
+def write_page(kept: dict[str, Any]) -> None:
+    """Put the tables into the page."""
+    before, _, rest = PAGE.read_text().partition(BEGIN)
+    _, _, after = rest.partition(END)
+    write_file(PAGE, f"{before}{BEGIN}\n{shown(kept)}{END}{after}".encode())
+
+
+def main(arguments: list[str]) -> None:
+    """Count in all worlds of the headlines."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--runs", type=int, default=100_000, help="of passive detectors")
+    parser.add_argument("--tables-only", action="store_true", help="count nothing")
+    given = parser.parse_args(arguments)
+    if not given.tables_only:
+        worlds = [world_of(name) for name in HEADLINES]
+        cells = sum(len(world.passive) + len(world.weighing) for world in worlds)
+        found = []
+        for world in worlds:
+            others = [other for other in worlds if other is not world]
+            found.append(counted(world, others, given.runs, cells))
+            print(world.name, found[-1]["mean_passive_per_hour"], flush=True)
+        kept = {"rate": STANDARD_RATE, "split": "holdout", "cells": cells, "worlds": found}
+        text = json.dumps(kept, indent=1, allow_nan=False) + "\n"
+        write_file(KEPT, text.encode())
+    write_page(json.loads(KEPT.read_text()))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
