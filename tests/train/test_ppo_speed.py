@@ -39,7 +39,11 @@ def call(monkeypatch, capsys):
 
 def test_the_ratio_is_that_of_the_speeds(call):
     found = json.loads(call("--rounds", "1", "--rollouts", "1", "--num-envs", "2", "--json"))
-    assert (found["num_envs"], found["detector"], found["knowledge"]) == (2, "ewma", "blind")
+    assert (found["num_envs"], found["detector"], found["knowledge"]) == (
+        2,
+        "ewma:thresholds=nominal",
+        "blind",
+    )
     engine, nothing = found["engine_steps_per_s"], found["without_physics_steps_per_s"]
     assert engine > 0.0
     assert nothing > 0.0
