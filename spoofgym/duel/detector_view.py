@@ -45,6 +45,30 @@ class DetectorView(CoreEnv[DetectorCore]):
     ----------
     observation_names, action_names : tuple of str
         Name of every element.
+
+    Notes
+    -----
+    What is observed, over its scale; 12 slots JJ, XXX for three axes,
+
+    =====  ========================  =====  =====
+    index  name                      unit   scale
+    =====  ========================  =====  =====
+    0-11   range_innovation_slotJJ   sd     1
+    12-23  rate_innovation_slotJJ    sd     1
+    24-35  range_average_slotJJ      sd     1
+    36-47  rate_average_slotJJ       sd     1
+    48-59  range_sd_slotJJ           m      10
+    60-71  rate_sd_slotJJ            m/s    1
+    72     chi_square_ratio          1      1
+    73-84  visible_slotJJ            1      1
+    85-87  predicted_velocity_XXX    m/s    100
+    88-90  specific_force_XXX        m/s^2  10
+    91-93  angular_rate_XXX          rad/s  0.1
+    94     elapsed                   s      600
+    95     exclusion_left            1      1
+    =====  ========================  =====  =====
+
+    where sd is the standard deviation that the filter believes in.
     """
 
     def __init__(

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import spoofgym  # noqa: F401  (registers the ids)
+from spoofgym.duel import DetectorView
+from spoofgym.duel.detector_terms import Elapsed, InnovationSd, PredictedMotion
 from spoofgym.envs.terms.action import CommandMap, default_action
 from spoofgym.envs.terms.observation import default_terms, observation_table
 from spoofgym.envs.victims import LooselyCoupledEnv, SnapshotEnv, SpoofEnv, WheeledRobotEnv
@@ -74,3 +76,27 @@ def test_less_is_known_from_the_front(name):
     for knowledge in ("blind", "tracking"):
         seen = gym.make(f"spoofgym/{name}-v0", knowledge=knowledge).unwrapped.observation_names
         assert full[: len(seen)] == seen
+
+
+def test_the_table_of_the_detector_s_view_is_what_it_observes():
+    names = gym.make("spoofgym/DetectorView-v0").unwrapped.observation_names
+    scales = {
+        "range_sd": InnovationSd.range_scale_m,
+        "rate_sd": InnovationSd.rate_scale_mps,
+        "predicted_velocity": PredictedMotion.velocity_scale_mps,
+        "specific_force": PredictedMotion.force_scale_mps2,
+        "angular_rate": PredictedMotion.rate_scale_rps,
+        "elapsed": Elapsed.scale_s,
+    }
+    next_one = 0
+    rule = r"^ *=====  =+ .*$"
+    table = re.split(rule, DetectorView.__doc__, flags=re.MULTILINE)[2]
+    for line in table.strip().splitlines():
+        index, words, _, scale = re.split(r" {2,}", line.strip())
+        first, _, last = index.partition("-")
+        word = re.sub(r"_(slotJJ|XXX)$", "", words)
+        assert int(first) == next_one
+        next_one = int(last or first) + 1
+        assert {name.startswith(word) for name in names[int(first) : next_one]} == {True}
+        assert float(scale) == scales.get(word, 1.0)
+    assert next_one == len(names)
