@@ -34,7 +34,8 @@ import itertools, random, sys, time
 from spoofgym.envs import SpoofVectorEnv
 
 times = {"warmup_s": 100.0, "live_s": 50.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
-envs = SpoofVectorEnv(64, threads=2, timeline=times)
+detector = {"name": "ewma", "thresholds": "nominal"}
+envs = SpoofVectorEnv(64, threads=2, timeline=times, detector=detector)
 envs.reset(seed=1)
 print("begun", flush=True)
 end, lasting_s = sys.argv[1], float(sys.argv[2])
@@ -78,7 +79,8 @@ def interrupted() -> None:
 sys.argv[1:] = ["interrupted"]
 main()
 """
-pytestmark = pytest.mark.slow
+# as the processes that they start
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("default_rate")]
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -168,6 +168,7 @@ def bench(
         allow_oracles=allow_oracles,
         threads=threads,
         rate=None if nominal else rate,
+        nominal=nominal,
         headline=task is None,
         selection=selection_of(selection_seeds),
         published=not nominal and task is None,

@@ -46,17 +46,19 @@ def suite_of(
     *,
     task: str | None = None,
     rate: float | None = None,
+    nominal: bool = False,
     threads: int | None = None,
     headline: bool = False,
     **settings: Any,
 ) -> tuple[Suite, Reports]:
     """The suite of the options or of a task, calibrated, and the reports of real input.
 
-    `rate`: false alarms an hour of detectors that ask for no thresholds of their own; `headline`:
+    `rate`: false alarms an hour of detectors that ask for no thresholds of their own, or `nominal`:
+    whether these have thresholds as published, or else the default; `headline`:
     whether there are negative controls, and a drawn world, where nothing else is asked for;
     `settings`: those of a suite that no task decides.
     """
-    suite, reports = _suite(world, detectors, task, rate, settings, headline)
+    suite, reports = _suite(world, detectors, task, rate, settings, headline, nominal)
     # of what `all` means, those without a calibration are left out
     named = {spec["name"] for spec in specs_of(detectors)} if detectors else {"all"}
     labels = [entry.label for entry in suite.detector_entries if entry.spec["name"] not in named]
@@ -76,6 +78,7 @@ def _suite(
     rate: float | None,
     settings: dict[str, Any],
     headline: bool = False,
+    nominal: bool = False,
 ) -> tuple[Suite, Reports]:
     """The suite as it is asked for."""
     from ..bench.suite import Suite
@@ -95,7 +98,11 @@ def _suite(
                 from ..bench.victims import HEADLINE_DOMAIN
 
                 decided["domain"] = HEADLINE_DOMAIN
-        decided["detectors"] = specs if rate is None else _at_rate(world, specs, rate)
+        if rate is not None:
+            specs = _asking(world, specs, {"false_alarms_per_hour": rate})
+        elif nominal:
+            specs = _asking(world, specs, {"thresholds": "nominal"})
+        decided["detectors"] = specs
     else:
         for option in world.given(TASK_OPTIONS).values():
             raise ValueError(f"{option} can't be given with --task, which decides it")
@@ -110,15 +117,16 @@ def world_of(world: World) -> Suite:
     return _suite(world, ["never"], None, None, {"spoofers": []})[0]
 
 
-def _at_rate(world: World, specs: list[dict[str, Any]] | None, rate: float) -> list[dict[str, Any]]:
-    """Detectors at a rate of false alarms, but for those that ask for something else."""
+def _asking(
+    world: World, specs: list[dict[str, Any]] | None, asked: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Detectors that are asked for some thresholds, but for those that ask for others."""
     from .._registry import check_choice
     from ..bench.victims import VICTIMS
     from ..detectors.calibrated import ASKED
 
     check_choice("environment of the benchmark", world.env, VICTIMS)
     named = list(VICTIMS[world.env].detectors) if specs is None else specs
-    asked = {"false_alarms_per_hour": rate}
     free = [not {*ASKED} & {*spec} or spec.get("thresholds") == "rescaled" for spec in named]
     return [{**asked, **spec} if any_ else spec for spec, any_ in zip(named, free, strict=True)]
 

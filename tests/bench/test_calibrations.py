@@ -95,3 +95,16 @@ def test_of_all_detectors_those_without_a_calibration_are_left_out(monkeypatch):
     assert any("snapshot-chi2" in label for label in labels)
     config = json.loads((Path(summary["folder"]) / "config.json").read_text())
     assert any("cusum" in note and "is left out" in note for note in config["notes"])
+
+
+@pytest.mark.usefixtures("default_rate")
+def test_nominal_is_what_it_says_whatever_the_default(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    times = "--warmup-s 20 --live-s 10 --attack-s 15 --time-to-alert-s 2 --seeds 2"
+    asked = f"bench {times} --nominal --selection-seeds 0 --spoofer none --set domain={{}}".split()
+    found = CliRunner().invoke(app, asked)
+    assert found.exit_code == 0, found.output
+    config = json.loads((tmp_path / "results" / "config.json").read_text())
+    assert config["calibrations"] == {}
+    labels = [entry["label"] for entry in config["detectors"]]
+    assert "ewma(thresholds=nominal)" in labels
