@@ -523,7 +523,8 @@ def predict_group(a, w, group, what):
                 set_lane(w.added, s, each, a.range_offset[follows, s])
                 set_lane(w.added, n + s, each, a.rate_offset[follows, s])
             for s in range(2 * n):
-                set_lane(w.added, 2 * n + s, each, a.authentic[follows, s])
+                stays = a.authentic[follows, s] if a.authentic.shape[0] else 1.0
+                set_lane(w.added, 2 * n + s, each, stays)
         picked_up = w.rest[: DISTURBED * n if a.signals.shape[0] else 0]
         if a.signals.shape[0]:
             disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up)
@@ -587,7 +588,7 @@ def arrays_at(table, work, channels):
     """Name the arrays of a table that begins with those of `Arrays` (`state.kernel_table`)."""
     n, epochs, epoch_time = channels, integers_at(table, 7), floats_at(table, 12)
     receivers, run = epochs.shape[0], floats_at(table, 11)
-    mappings = floats_at(table, 17)
+    authentic, mappings = floats_at(table, 10), floats_at(table, 17)
     return Arrays(
         rows_at(table, 0, work),
         floats_at(table, 1),
@@ -599,7 +600,7 @@ def arrays_at(table, work, channels):
         epochs,
         floats_at(table, 8).reshape((receivers, n)),
         floats_at(table, 9).reshape((receivers, n)),
-        floats_at(table, 10).reshape((receivers, 2 * n)),
+        authentic.reshape((authentic.shape[0] // (2 * n), 2 * n)),
         run.reshape((8, run.shape[0] // 8)),
         epoch_time,
         integers_at(table, 13),

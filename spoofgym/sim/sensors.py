@@ -66,11 +66,18 @@ class SensorBuffers:
     - `range_offset`, `rate_offset` (B, n) what the attack adds [m], [m/s];
     - `authentic` (B, 2n) part of the errors of the authentic signals that stays, pseudoranges
       first: 1, or down to 0 where a counterfeit signal has taken their place, and -1 where the
-      receiver's own noise is replaced, too;
+      receiver's own noise is replaced, too; without any row where no attack replaces errors;
     - `signals`: of `signal_shapes`, or without any row where nobody has such errors.
     """
 
-    def __init__(self, receivers: int, channels: int, *, with_signals: bool = False) -> None:
+    def __init__(
+        self,
+        receivers: int,
+        channels: int,
+        *,
+        with_signals: bool = False,
+        with_authentic: bool = False,
+    ) -> None:
         self.receivers, self.channels = receivers, channels
         self.signals = LaneFields(receivers, signal_shapes(channels) if with_signals else {})
         self.fields = LaneFields(receivers, sensor_shapes(channels))
@@ -78,7 +85,7 @@ class SensorBuffers:
         self.epoch = np.zeros(receivers, dtype=np.int64)
         self.range_offset = np.zeros((receivers, channels))
         self.rate_offset = np.zeros((receivers, channels))
-        self.authentic = np.ones((receivers, 2 * channels))
+        self.authentic = np.ones((receivers if with_authentic else 0, 2 * channels))
 
     @property
     def keys(self) -> NDArray[np.uint64]:
@@ -90,8 +97,10 @@ class SensorBuffers:
         self.fields.copy_rows(to, other.fields, rows)
         self.words.copy_rows(to, other.words, rows)
         self.signals.copy_rows(to, other.signals, rows)
-        for name in ("epoch", "range_offset", "rate_offset", "authentic"):
+        for name in ("epoch", "range_offset", "rate_offset"):
             getattr(self, name)[to] = getattr(other, name)[rows]
+        if len(self.authentic):
+            self.authentic[to] = other.authentic[rows]
 
     def draw_keys(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
         """Take the keys of a new episode.
@@ -149,7 +158,8 @@ class SensorBuffers:
         for name, value in values.items():
             self.fields.put(name, rows, value)
         self.range_offset[rows] = self.rate_offset[rows] = 0.0
-        self.authentic[rows] = 1.0
+        if len(self.authentic):
+            self.authentic[rows] = 1.0
         deviates, biases = np.empty(padded(n)), np.empty((len(rows), n))
         for bias, (k0, k1) in zip(biases, self.words.get("bias", rows), strict=True):
             normals(k0, k1, 0, deviates)

@@ -242,8 +242,12 @@ class TightlyCoupledSimulator(Simulator):
         augmented = self.setup.receiver.tuning == "augmented"
         wanted = self.fields | AUGMENTED_NEEDS if augmented else self.fields
         self.buffers = ReceiverBuffers(receivers, world.channels, wanted)
-        signals = self.setup.combinations.with_signals
-        self.sensors = SensorBuffers(receivers, world.channels, with_signals=signals)
+        self.sensors = SensorBuffers(
+            receivers,
+            world.channels,
+            with_signals=self.setup.combinations.with_signals,
+            with_authentic=self.setup.attack.replaces_errors,
+        )
         self.epoch = epoch_view(self.buffers)
         self._everyone = np.arange(receivers)
         self._serial = receivers <= LANES
@@ -430,7 +434,8 @@ class TightlyCoupledSimulator(Simulator):
         if self.clean is not None:
             spared = lo + np.flatnonzero(self.clean[lo:hi])
             sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
-            sensors.authentic[spared] = 1.0
+            if self.attack.replaces_errors:
+                sensors.authentic[spared] = 1.0
 
     def _measure(self, command: FloatArray | None) -> None:
         self.predict(command)

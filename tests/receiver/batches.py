@@ -96,10 +96,10 @@ REALISTIC = GnssErrors(
 class Batch:
     """Receivers of some numbers, predicted up to an epoch of their own."""
 
-    def __init__(self, numbers, wanted=SEEN, world=WORLD):
+    def __init__(self, numbers, wanted=SEEN, world=WORLD, with_authentic=True):
         self.numbers, self.world, count = list(numbers), world, len(numbers)
         self.buffers = ReceiverBuffers(count, N, wanted)
-        self.sensors = SensorBuffers(count, N)
+        self.sensors = SensorBuffers(count, N, with_authentic=with_authentic)
         self.weights = np.ones((count, 2 * N))
         with np.errstate(over="ignore"):  # unsigned words wrap around
             for row, number in enumerate(self.numbers):
@@ -141,7 +141,8 @@ class Batch:
         if number % 2:  # attacked
             sensors.range_offset[row] = rng.normal(0.0, 50.0, N)
             sensors.rate_offset[row] = rng.normal(0.0, 1.0, N)
-            sensors.authentic[row] = rng.choice([0.0, 1.0], 2 * N)
+            if len(sensors.authentic):
+                sensors.authentic[row] = rng.choice([0.0, 1.0], 2 * N)
         self.weights[row] = rng.uniform(0.0, 1.0, 2 * N) if number % 4 > 1 else 1.0
 
     def run(

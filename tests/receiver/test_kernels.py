@@ -59,6 +59,18 @@ def test_corrections_are_fed_back(covariance_update, receivers):
     assert not batch.buffers.coasting.any()
 
 
+@pytest.mark.nojit
+@pytest.mark.parametrize("receivers", [1, 9])
+def test_errors_that_nobody_replaces_all_stay(receivers):
+    told = Batch(range(receivers))
+    told.sensors.authentic[:] = 1.0
+    untold = Batch(range(receivers), with_authentic=False)
+    for batch in (told, untold):
+        batch.run(MEASURE + PREDICT + SHOW)
+    for row in range(receivers):
+        check_same(untold.everything(row), told.everything(row))
+
+
 @pytest.mark.parametrize("orthonormal", [False, True])
 @pytest.mark.parametrize("covariance_update", COVARIANCE_UPDATES)
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def measured(sensors, keys, epoch, tau, sky, noise, added, out):
 
 
 def begun(errors, bias_sd, seeds, grade="aviation"):
-    buffers = SensorBuffers(len(seeds), N)
+    buffers = SensorBuffers(len(seeds), N, with_authentic=True)
     rows = np.arange(len(seeds))
     buffers.draw_keys(rows, [np.random.default_rng(seed) for seed in seeds])
     buffers.begin(rows, IMU_GRADES[grade], errors, np.full(N, float(bias_sd)))

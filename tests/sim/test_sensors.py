@@ -17,7 +17,8 @@ BIAS_SD = np.linspace(1.0, 3.0, N)
 
 def begun(seeds, rows=None, receivers=None, errors=ERRORS["groves"], grade="tactical"):
     rows = np.arange(len(seeds)) if rows is None else np.array(rows)
-    buffers = SensorBuffers(len(seeds) if receivers is None else receivers, N)
+    count = len(seeds) if receivers is None else receivers
+    buffers = SensorBuffers(count, N, with_authentic=True)
     generators = [np.random.default_rng(seed) for seed in seeds]
     buffers.draw_keys(rows, generators)
     buffers.begin(rows, IMU_GRADES[grade], errors, BIAS_SD)
@@ -39,7 +40,9 @@ def test_every_receiver_has_all_quantities(receivers, channels):
         assert buffers.fields[name].shape == (receivers, *shape)
     assert buffers.keys.shape == (len(SOURCES), receivers, 2)
     assert buffers.keys.dtype == np.uint64
-    assert buffers.authentic.all()
+    assert buffers.authentic.size == 0
+    attacked = SensorBuffers(receivers, channels, with_authentic=True).authentic
+    np.testing.assert_array_equal(attacked, np.ones((receivers, 2 * channels)))
 
 
 def test_an_episode_begins_with_the_errors_of_the_grade():
@@ -52,7 +55,7 @@ def test_an_episode_begins_with_the_errors_of_the_grade():
         zenith_tropo_sd_m=0.0,
         clock=clock,
     )
-    buffers = SensorBuffers(2, N)
+    buffers = SensorBuffers(2, N, with_authentic=True)
     buffers.fields.data[:] = np.nan
     buffers.range_offset[:] = buffers.rate_offset[:] = buffers.authentic[:] = np.nan
     generators = [np.random.default_rng(seed) for seed in (1, 2)]
@@ -155,7 +158,7 @@ def test_a_copy_has_arrays_of_its_own(way, seeds):
 @pytest.mark.parametrize(("here", "there"), [(1, 9), (9, 1), (17, 9)])
 def test_receivers_are_taken_over_from_a_batch_of_any_width(here, there):
     mine, other = begun(range(here)), begun(range(100, 100 + there), grade="consumer")
-    other.range_offset[:], other.epoch[:] = 3.0, 7
+    other.range_offset[:], other.epoch[:], other.authentic[:] = 3.0, 7, 0.5
     before = copy.deepcopy(mine)
     mine.copy_rows(np.array([here - 1]), other, np.array([there - 1]))
     theirs, old = arrays_of(other), arrays_of(before)
