@@ -92,7 +92,8 @@ class Rig:
         sizes = padded(6 * world.most_samples), padded(2 * world.channels)
         rules = victim.covariance_code, victim.min_satellites, victim.orthonormalize, *sizes
         # parts leave the receivers as they like, and so have copies
-        self._kept = simulator.buffers.fields, simulator.sensors.fields, simulator.sensors.words
+        buffers, sensors = simulator.buffers, simulator.sensors
+        self._kept = buffers.fields, buffers.assumed, sensors.fields, sensors.words
         self.fields, self._kept = copy.deepcopy(self._kept), copy.deepcopy(self._kept)
         rows = kernels.work_rows(world.channels, *sizes)
         self._works = [self.fields[0].scratch(rows) for _ in range(threads)]
@@ -261,7 +262,7 @@ def bytes_by_owner(core: SpoofCore) -> dict[str, float]:
     simulator: Any = core.engine.simulator
     buffers, sensors = simulator.buffers, simulator.sensors
     owners = {
-        "filter": buffers.fields,
+        "filter": (buffers.fields, buffers.assumed),
         "epoch": (buffers.seen_floats, buffers.visible, buffers.coasting),
         "sensors": sensors.fields,
         "keys of the noise": sensors.words,

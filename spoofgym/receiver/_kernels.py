@@ -47,20 +47,19 @@ from ..sim.noise import BLOCK, deviates, whole_number
 from ..sim.signal_errors import MAPPINGS, deviates_of
 from . import kalman
 from .error_model import INDEX, TERMS, propagate_covariance, transition_terms
-from .state import receiver_shapes
+from .state import assumed_shapes, receiver_shapes
 from .strapdown import strapdown_step
 
 _ROWS = first_rows(receiver_shapes(1))
 C_EB, VELOCITY, POSITION = _ROWS["C_eb"], _ROWS["velocity_e"], _ROWS["position_e"]
 ACCEL_BIAS, GYRO_BIAS, CLOCK = _ROWS["accel_bias_b"], _ROWS["gyro_bias_b"], _ROWS["clock"]
-IMU_DELTA, NOISE_PSD, COVARIANCE = (
-    _ROWS["imu_delta"],
-    _ROWS["noise_psd"],
-    _ROWS["packed_covariance"],
-)
+IMU_DELTA, COVARIANCE = _ROWS["imu_delta"], _ROWS["packed_covariance"]
 CHANNELS = _ROWS["measured"]
 """First row of what there is of every channel: the following numbers of rows for n of them."""
-MEASURED, INNOVATION, VARIANCE, SIGHT, VISIBLE, ALL = 0, 2, 4, 6, 9, 10
+MEASURED, INNOVATION, SIGHT, VISIBLE, ALL = 0, 2, 4, 7, 8
+_ASSUMED = first_rows(assumed_shapes(1))
+NOISE_PSD, VARIANCE = _ASSUMED["noise_psd"], _ASSUMED["noise_variance"]
+"""First rows of what is assumed; the last 2 n are the variances."""
 MEASURE, PREDICT, UPDATE, SHOW = 1, 2, 4, 8
 PRODUCT_ROWS = 187
 
@@ -146,8 +145,11 @@ def mechanize(x, base, samples, dt, count, active, force):
 
 
 @njit
-def propagate(x, base, force, tau, terms, product):
-    """Propagate a group's covariance over one interval."""
+def propagate(x, base, assumed, first, force, tau, terms, product):
+    """Propagate a group's covariance over one interval.
+
+    `assumed`, `first`: lane array and first row of what the group assumes.
+    """
     C = (
         load(x, base + C_EB),
         load(x, base + C_EB + 1),
@@ -162,7 +164,7 @@ def propagate(x, base, force, tau, terms, product):
     r = load(x, base + POSITION), load(x, base + POSITION + 1), load(x, base + POSITION + 2)
     f = load(force, 0), load(force, 1), load(force, 2)
     transition_terms(C, r, f, tau, terms)
-    propagate_covariance(x, base + COVARIANCE, terms, tau, x, base + NOISE_PSD, product)
+    propagate_covariance(x, base + COVARIANCE, terms, tau, assumed, first + NOISE_PSD, product)
 
 
 @njit
@@ -215,12 +217,12 @@ def innovate(x, base, n, tau, sky):
 
 
 @njit
-def correct(x, base, n, weights, rules, work, precision):
+def correct(x, base, assumed, first, n, weights, rules, work, precision):
     """Update a group's state and covariance; lanes with too few satellites stay as they are.
 
-    `weights`: 2 n rows; `rules`: covariance update, fewest satellites, and whether to
-    re-orthonormalize; `work`, `precision`: scratch memory of `kalman.WORK` and 2 n rows; returns
-    which lanes have satellites enough.
+    `assumed`, `first`: as in `propagate`; `weights`: 2 n rows; `rules`: covariance update, fewest
+    satellites, and whether to re-orthonormalize; `work`, `precision`: scratch memory of
+    `kalman.WORK` and 2 n rows; returns which lanes have satellites enough.
     """
     c = base + CHANNELS
     seen = splat(0.0, x)
@@ -229,7 +231,7 @@ def correct(x, base, n, weights, rules, work, precision):
     enough = seen >= float(rules[1])
     for s in range(2 * n):
         used = (load(x, c + VISIBLE * n + s % n) > 0.0) & enough
-        store(precision, s, select(used, 1.0 / load(x, c + VARIANCE * n + s), 0.0))
+        store(precision, s, select(used, 1.0 / load(assumed, first + VARIANCE + s), 0.0))
     u, z = c + SIGHT * n, c + INNOVATION * n
     for half in range(2):
         for power in range(1 if rules[0] == kalman.UNWEIGHTED else 3):
@@ -305,7 +307,8 @@ def show(a, w, base, b, some):
     """Write what is looked at of a group's predicted epoch, receiver by receiver (`state.SEEN`)."""
     (receivers, n), x, out, places = a.visible.shape, a.x, a.out, a.places
     c, m = base + CHANNELS, 2 * n
-    P, R, u, seen = base + COVARIANCE, c + VARIANCE * n, c + SIGHT * n, c + VISIBLE * n
+    P, u, seen = base + COVARIANCE, c + SIGHT * n, c + VISIBLE * n
+    R = assumed_row(a, b // lanes_of(x)) + VARIANCE
     for each in range(some):
         out[b + each] = a.epoch_time[w.index[0, each]]
         out[receivers + b + each] = lane(w.tau, 0, each)
@@ -313,7 +316,7 @@ def show(a, w, base, b, some):
             a.visible[b + each, s] = lane(x, seen + s, each) > 0.0
     show_position(a, base, b, some)
     spread(x, c + INNOVATION * n, m, out, places[SEEN_INNOVATION], b, some)
-    kalman.innovation_variance(x, P, u, R, seen, n, w.added)
+    kalman.innovation_variance(x, P, u, a.assumed, R, seen, n, w.added)
     spread(w.added, 0, m, out, places[SEEN_VARIANCE], b, some)
     if places[SEEN_DELTA] >= 0:
         spread(x, base + IMU_DELTA, 6, out, places[SEEN_DELTA], b, some)
@@ -322,7 +325,7 @@ def show(a, w, base, b, some):
     if places[SEEN_RATE] >= 0:
         spread(x, c + n, n, out, places[SEEN_RATE], b, some)
     if places[SEEN_S] >= 0:
-        kalman.innovation_covariance(x, P, u, R, seen, n, w.rest, w.product)
+        kalman.innovation_covariance(x, P, u, a.assumed, R, seen, n, w.rest, w.product)
     for each in range(some):
         r = b + each
         if places[SEEN_SATELLITE] >= 0:
@@ -418,7 +421,8 @@ def sample(a, w, sensor_base, key_row, epoch, measured, base):
 class Arrays(NamedTuple):
     """What a batch of receivers reads and writes at an epoch, as kernels pass it on.
 
-    - `x`, `sensors`, `keys`: lane arrays of `receiver_shapes`, `sensor_shapes` and `SOURCES`;
+    - `x`, `assumed`, `sensors`, `keys`: lane arrays of `receiver_shapes`, `assumed_shapes`,
+      `sensor_shapes` and `SOURCES`; `assumed` may be of one group, for all of them;
     - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
     - `visible`, `coasting`: (B, n) and (B,) bool;
     - `epochs` (B,) that each receiver is at;
@@ -432,6 +436,7 @@ class Arrays(NamedTuple):
     """
 
     x: Any
+    assumed: Any
     out: Any
     places: Any
     visible: Any
@@ -491,6 +496,12 @@ def name_scratch(a, work):
     )
 
 
+@inlined
+def assumed_row(a, group):
+    """First row of what a group assumes."""
+    return group * (VARIANCE + 2 * a.visible.shape[1]) % a.assumed.shape[0]
+
+
 @njit
 def predict_group(a, w, group, what):
     """First half of an epoch of one group: measure, mechanize, propagate, innovate.
@@ -545,7 +556,7 @@ def predict_group(a, w, group, what):
         )
     if what & PREDICT:
         sample(a, w, sensor_base, key_row, epoch, what & MEASURE == 0, base)
-        propagate(x, base, w.force, tau, w.terms, w.product)
+        propagate(x, base, a.assumed, assumed_row(a, group), w.force, tau, w.terms, w.product)
         innovate(x, base, n, tau, w.sky)
     if what & SHOW:
         show(a, w, base, b, some)
@@ -577,7 +588,8 @@ def update_group(a, w, group, weights):
     for each in range(lanes):
         for s in range(2 * n):
             set_lane(w.added, s, each, weights[min(b + each, receivers - 1), s])
-    store(w.tau, 0, correct(a.x, base, n, w.added, a.rules, w.solution, w.precision))
+    given = a.assumed, assumed_row(a, group), n, w.added, a.rules
+    store(w.tau, 0, correct(a.x, base, *given, w.solution, w.precision))
     for each in range(some):
         a.coasting[b + each] = lane(w.tau, 0, each) < a.rules[1]
     show_position(a, base, b, some)
@@ -586,27 +598,28 @@ def update_group(a, w, group, weights):
 @njit
 def arrays_at(table, work, channels):
     """Name the arrays of a table that begins with those of `Arrays` (`state.kernel_table`)."""
-    n, epochs, epoch_time = channels, integers_at(table, 7), floats_at(table, 12)
-    receivers, run = epochs.shape[0], floats_at(table, 11)
-    authentic, mappings = floats_at(table, 10), floats_at(table, 17)
+    n, epochs, epoch_time = channels, integers_at(table, 8), floats_at(table, 13)
+    receivers, run = epochs.shape[0], floats_at(table, 12)
+    authentic, mappings = floats_at(table, 11), floats_at(table, 18)
     return Arrays(
         rows_at(table, 0, work),
-        floats_at(table, 1),
-        integers_at(table, 2),
-        flags_at(table, 3).reshape((receivers, n)),
-        flags_at(table, 4),
-        rows_at(table, 5, work),
-        words_at(table, 6, work),
+        rows_at(table, 1, work),
+        floats_at(table, 2),
+        integers_at(table, 3),
+        flags_at(table, 4).reshape((receivers, n)),
+        flags_at(table, 5),
+        rows_at(table, 6, work),
+        words_at(table, 7, work),
         epochs,
-        floats_at(table, 8).reshape((receivers, n)),
         floats_at(table, 9).reshape((receivers, n)),
+        floats_at(table, 10).reshape((receivers, n)),
         authentic.reshape((authentic.shape[0] // (2 * n), 2 * n)),
         run.reshape((8, run.shape[0] // 8)),
         epoch_time,
-        integers_at(table, 13),
-        floats_at(table, 14).reshape((epoch_time.shape[0], n, SKY)),
-        integers_at(table, 15),
-        rows_at(table, 16, work),
+        integers_at(table, 14),
+        floats_at(table, 15).reshape((epoch_time.shape[0], n, SKY)),
+        integers_at(table, 16),
+        rows_at(table, 17, work),
         mappings.reshape((mappings.shape[0] // (MAPPINGS * n), n, MAPPINGS)),
     )
 

@@ -272,7 +272,7 @@ def replay(
 
     buffers = ReceiverBuffers(1, n)
     load_initial(buffers, receiver, initial)
-    buffers.fields["noise_psd"] = receiver.noise_psd()
+    buffers.assumed["noise_psd"] = receiver.noise_psd()
     sensors = SensorBuffers(1, n)
     rules = np.array(
         [
@@ -301,7 +301,7 @@ def replay(
     coasting = np.zeros(epochs, dtype=np.bool_)
     fields = buffers.fields
     for k in range(epochs):
-        fields["measured"], fields["noise_variance"] = measured[k], variance[k]
+        fields["measured"], buffers.assumed["noise_variance"] = measured[k], variance[k]
         _kernels.run_epoch(*given, _kernels.PREDICT + _kernels.SHOW)
         innovation = buffers.seen["innovation"][0].copy()
         _kernels.run_epoch(*given, _kernels.UPDATE)

@@ -241,7 +241,8 @@ class TightlyCoupledSimulator(Simulator):
         world, receivers = self.setup.world, self.receivers
         augmented = self.setup.receiver.tuning == "augmented"
         wanted = self.fields | AUGMENTED_NEEDS if augmented else self.fields
-        self.buffers = ReceiverBuffers(receivers, world.channels, wanted)
+        alike = self.setup.combinations.assume_alike
+        self.buffers = ReceiverBuffers(receivers, world.channels, wanted, alike=alike)
         self.sensors = SensorBuffers(
             receivers,
             world.channels,
@@ -371,15 +372,15 @@ class TightlyCoupledSimulator(Simulator):
     def _start_combinations(self) -> None:
         """Draw the errors, and give the victims what they assume."""
         indices, combinations = self.memory["combination"], self.setup.combinations
-        fields = self.buffers.fields
+        assumed = self.buffers.assumed
         for index in np.unique(indices).tolist():
             its, rows = combinations[index], np.flatnonzero(indices == index)
             drawn, interval_s = combinations.drawn, self.setup.interval_s
             self.sensors.begin(
                 rows, its.grade, its.errors, its.bias_sd, interval_s=interval_s, drawn=drawn
             )
-            fields.put("noise_variance", rows, its.noise_variance)
-            fields.put("noise_psd", rows, its.noise_psd)
+            assumed.put("noise_variance", rows, its.noise_variance)
+            assumed.put("noise_psd", rows, its.noise_psd)
             self.buffers.put_covariance(rows, its.covariance)
             if self.augmented is not None:
                 self.augmented.begin(rows, its.covariance, self.setup.receiver.grade)
@@ -448,18 +449,18 @@ class TightlyCoupledSimulator(Simulator):
         if self.augmented is None:
             return
         buffers, setup, n = self.buffers, self.setup, self.setup.world.channels
-        seen, fields = buffers.seen, buffers.fields
+        seen, assumed = buffers.seen, buffers.assumed
         mapping = setup.mappings[self.epochs] if setup.mappings.size else np.zeros((1, n, MAPPINGS))
         predicted = self.augmented.predict(
             seen["transition"],
             seen["imu_delta"],
-            fields["noise_psd"],
+            assumed["noise_psd"],
             buffers.interval,
             seen["design"],
             mapping,
             buffers.visible,
             seen["innovation"],
-            fields["noise_variance"],
+            assumed["noise_variance"],
             setup.receiver.min_satellites,
         )
         self._predicted = predicted

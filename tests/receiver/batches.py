@@ -96,9 +96,9 @@ REALISTIC = GnssErrors(
 class Batch:
     """Receivers of some numbers, predicted up to an epoch of their own."""
 
-    def __init__(self, numbers, wanted=SEEN, world=WORLD, with_authentic=True):
+    def __init__(self, numbers, wanted=SEEN, world=WORLD, with_authentic=True, alike=False):
         self.numbers, self.world, count = list(numbers), world, len(numbers)
-        self.buffers = ReceiverBuffers(count, N, wanted)
+        self.buffers = ReceiverBuffers(count, N, wanted, alike=alike)
         self.sensors = SensorBuffers(count, N, with_authentic=with_authentic)
         self.weights = np.ones((count, 2 * N))
         with np.errstate(over="ignore"):  # unsigned words wrap around
@@ -113,6 +113,7 @@ class Batch:
         rng, rows = np.random.default_rng(number), np.array([row])
         z, R = measured(rng, N)
         u, visible = sky(rng, N), rng.uniform(size=N) < 0.9
+        assumed = {"noise_psd": rng.uniform(0.0, 1e-3, 17) ** 2, "noise_variance": R}
         values = {
             "C_eb": np.linalg.qr(rng.standard_normal((3, 3)))[0],
             "velocity_e": rng.normal(0.0, 100.0, 3),
@@ -120,15 +121,15 @@ class Batch:
             "accel_bias_b": rng.normal(0.0, 1e-3, 3),
             "gyro_bias_b": rng.normal(0.0, 1e-6, 3),
             "clock": rng.normal([1e4, 100.0], [6.0, 0.3]),
-            "noise_psd": rng.uniform(0.0, 1e-3, 17) ** 2,
             "measured": rng.normal(self.world.satellites[number % EPOCHS + 1, :, 6:].T, 10.0) + 1e4,
             "innovation": z * np.tile(visible, 2),
-            "noise_variance": R,
             "line_of_sight": u * visible[:, None],
             "visible": visible,
         }
         for name, value in values.items():
             self.fields.put(name, rows, value)
+        for name, value in assumed.items():
+            self.buffers.assumed.put(name, rows, value)
         self.buffers.put_covariance(rows, covariance(rng))
         sensors = self.sensors
         sensors.draw_keys(rows, [np.random.default_rng([number, 1])])
@@ -208,6 +209,7 @@ class Batch:
         plain = ("time", "interval", "position_e", "velocity_e", "visible", "coasting")
         found = {
             **{name: buffers.fields.get(name, rows)[0] for name in buffers.fields.shapes},
+            **{name: buffers.assumed.get(name, rows)[0] for name in buffers.assumed.shapes},
             **{
                 f"sensor {name}": sensors.fields.get(name, rows)[0]
                 for name in sensors.fields.shapes

@@ -34,7 +34,7 @@ def test_corrections_are_fed_back(covariance_update, receivers):
             before.buffers.covariance[b],
             old["line_of_sight"][b],
             old["innovation"][b],
-            old["noise_variance"][b],
+            before.buffers.assumed["noise_variance"][b],
             weights[b],
             old["visible"][b] > 0.0,
             covariance_update,
@@ -69,6 +69,21 @@ def test_errors_that_nobody_replaces_all_stay(receivers):
         batch.run(MEASURE + PREDICT + SHOW)
     for row in range(receivers):
         check_same(untold.everything(row), told.everything(row))
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("receivers", [1, 3, 17])
+def test_what_all_assume_is_kept_once_and_used_by_all(receivers):
+    each, together = Batch(range(receivers)), Batch(range(receivers), alike=True)
+    assert together.buffers.assumed.groups == 1
+    last = {name: each.buffers.assumed[name][-1] for name in each.buffers.assumed.shapes}
+    for batch in (each, together):
+        for name, value in last.items():
+            batch.buffers.assumed[name] = value
+        batch.run(MEASURE + PREDICT + SHOW)
+        batch.update()
+    for row in range(receivers):
+        check_same(together.everything(row), each.everything(row))
 
 
 @pytest.mark.parametrize("orthonormal", [False, True])
@@ -158,7 +173,7 @@ def test_lanes_without_a_receiver_follow_the_last(what):
     for _ in range(3):
         batch.run(what)
         batch.run(UPDATE)
-    for fields in (batch.fields, batch.sensors.fields):
+    for fields in (batch.fields, batch.buffers.assumed, batch.sensors.fields):
         group = fields.data.reshape(2, fields.rows, LANES)[1]
         for index in range(3, LANES):
             assert group[:, index].tobytes() == group[:, 2].tobytes()
@@ -255,6 +270,7 @@ def test_what_is_shown_of_an_epoch_is_what_the_update_uses(receivers):
     batch, before = Batch(range(receivers)), Batch(range(receivers))
     batch.predict()
     fields, seen, tau = batch.fields, batch.buffers.seen, batch.buffers.interval
+    assumed = batch.buffers.assumed
     np.testing.assert_array_equal(seen["innovation"], fields["innovation"])
     np.testing.assert_array_equal(seen["predicted_cov"], batch.buffers.covariance)
     np.testing.assert_array_equal(seen["imu_delta"], fields["imu_delta"])
@@ -264,7 +280,7 @@ def test_what_is_shown_of_an_epoch_is_what_the_update_uses(receivers):
     np.testing.assert_array_equal(seen["satellite_position"], now[:, :, :3])
     np.testing.assert_array_equal(seen["satellite_velocity"], now[:, :, 3:6])
     for b in range(receivers):
-        visible, R = batch.buffers.visible[b], fields["noise_variance"][b]
+        visible, R = batch.buffers.visible[b], assumed["noise_variance"][b]
         H, P, S = seen["design"][b], seen["predicted_cov"][b], seen["innovation_cov"][b]
         np.testing.assert_array_equal(H, design(fields["line_of_sight"][b], visible))
         want = H @ P @ H.T + np.diag(np.where(np.tile(visible, 2), R, 1.0))
@@ -272,7 +288,7 @@ def test_what_is_shown_of_an_epoch_is_what_the_update_uses(receivers):
         np.testing.assert_array_equal(S, S.T)
         np.testing.assert_allclose(seen["innovation_variance"][b], np.diag(S), rtol=1e-12)
         Phi = seen["transition"][b]
-        Q = np.diag(fields["noise_psd"][b] * tau[b])
+        Q = np.diag(assumed["noise_psd"][b] * tau[b])
         want = Phi @ (before.buffers.covariance[b] + Q / 2) @ Phi.T + Q / 2
         sd = np.sqrt(np.diag(want))
         np.testing.assert_allclose(
@@ -304,10 +320,10 @@ def test_an_invisible_slot_tells_nothing_whatever_it_holds(receivers, covariance
     clean, odd = Batch(range(receivers), wanted), Batch(range(receivers), wanted, strange)
     unseen = hidden[clean.sensors.epoch + 1]
     assert unseen.any()
-    R, measured = odd.fields.get("noise_variance"), odd.fields.get("measured")
+    R, measured = odd.buffers.assumed.get("noise_variance"), odd.fields.get("measured")
     R[np.tile(unseen, 2)] = np.nan
     measured[np.repeat(unseen[:, None], 2, axis=1)] = np.nan
-    odd.fields["noise_variance"], odd.fields["measured"] = R, measured
+    odd.buffers.assumed["noise_variance"], odd.fields["measured"] = R, measured
     for batch in (clean, odd):
         batch.predict()
         batch.update(batch.weights, update=covariance_update)

@@ -60,6 +60,7 @@ def everything(simulator, rows=slice(None)):
     plain = ("time", "interval", "position_e", "velocity_e", "visible", "coasting")
     arrays = {
         **{name: buffers.fields[name] for name in buffers.fields.shapes},
+        **{name: buffers.assumed[name] for name in buffers.assumed.shapes},
         **{f"sensor {name}": sensors.fields[name] for name in sensors.fields.shapes},
         **{f"signal {name}": sensors.signals[name] for name in sensors.signals.shapes},
         **{f"seen {name}": array for name, array in buffers.seen.items()},
