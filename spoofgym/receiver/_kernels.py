@@ -28,6 +28,7 @@ from ..earth.wgs84 import EARTH_RATE
 from ..sim._kernels import CHANNELS as SENSOR_CHANNELS
 from ..sim._kernels import (
     CHUNK,
+    CONSTANT_ROWS,
     CORRELATED_KEY,
     DISTURBED,
     IMU_KEY,
@@ -54,9 +55,9 @@ _ROWS = first_rows(receiver_shapes(1))
 C_EB, VELOCITY, POSITION = _ROWS["C_eb"], _ROWS["velocity_e"], _ROWS["position_e"]
 ACCEL_BIAS, GYRO_BIAS, CLOCK = _ROWS["accel_bias_b"], _ROWS["gyro_bias_b"], _ROWS["clock"]
 IMU_DELTA, COVARIANCE = _ROWS["imu_delta"], _ROWS["packed_covariance"]
-CHANNELS = _ROWS["measured"]
+CHANNELS = _ROWS["innovation"]
 """First row of what there is of every channel: the following numbers of rows for n of them."""
-MEASURED, INNOVATION, SIGHT, VISIBLE, ALL = 0, 2, 4, 7, 8
+INNOVATION, SIGHT, VISIBLE, ALL = 0, 2, 5, 6
 _ASSUMED = first_rows(assumed_shapes(1))
 NOISE_PSD, VARIANCE = _ASSUMED["noise_psd"], _ASSUMED["noise_variance"]
 """First rows of what is assumed; the last 2 n are the variances."""
@@ -169,7 +170,10 @@ def propagate(x, base, assumed, first, force, tau, terms, product):
 
 @njit
 def innovate(x, base, n, tau, sky):
-    """Propagate the clock, and write innovations and lines of sight; 0 where invisible."""
+    """Propagate the clock, and write lines of sight, and innovations in place of measurements.
+
+    All are 0 where a satellite is invisible.
+    """
     drift = load(x, base + CLOCK + 1)
     clock = load(x, base + CLOCK) + drift * tau
     store(x, base + CLOCK, clock)
@@ -209,8 +213,8 @@ def innovate(x, base, n, tau, sky):
             vy,
             vz,
         )
-        store(x, z, select(visible, load(x, c + s) - (rho + clock), 0.0))
-        store(x, z + n, select(visible, load(x, c + n + s) - (rate + drift), 0.0))
+        store(x, z, select(visible, load(x, z) - (rho + clock), 0.0))
+        store(x, z + n, select(visible, load(x, z + n) - (rate + drift), 0.0))
         store(x, u, select(visible, ux, 0.0))
         store(x, u + 1, select(visible, uy, 0.0))
         store(x, u + 2, select(visible, uz, 0.0))
@@ -303,6 +307,16 @@ def show_position(a, base, b, some):
 
 
 @njit
+def show_measured(a, row, b, some):
+    """Write the measurements of a group where they are looked at; `row`: their first row."""
+    n, places = a.visible.shape[1], a.places
+    if places[SEEN_RANGE] >= 0:
+        spread(a.x, row, n, a.out, places[SEEN_RANGE], b, some)
+    if places[SEEN_RATE] >= 0:
+        spread(a.x, row + n, n, a.out, places[SEEN_RATE], b, some)
+
+
+@njit
 def show(a, w, base, b, some):
     """Write what is looked at of a group's predicted epoch, receiver by receiver (`state.SEEN`)."""
     (receivers, n), x, out, places = a.visible.shape, a.x, a.out, a.places
@@ -320,10 +334,6 @@ def show(a, w, base, b, some):
     spread(w.added, 0, m, out, places[SEEN_VARIANCE], b, some)
     if places[SEEN_DELTA] >= 0:
         spread(x, base + IMU_DELTA, 6, out, places[SEEN_DELTA], b, some)
-    if places[SEEN_RANGE] >= 0:
-        spread(x, c, n, out, places[SEEN_RANGE], b, some)
-    if places[SEEN_RATE] >= 0:
-        spread(x, c + n, n, out, places[SEEN_RATE], b, some)
     if places[SEEN_S] >= 0:
         kalman.innovation_covariance(x, P, u, a.assumed, R, seen, n, w.rest, w.product)
     for each in range(some):
@@ -389,7 +399,7 @@ def show_transition(terms, tau, index, Phi):
 
 
 @njit
-def sample(a, w, sensor_base, key_row, epoch, measured, base):
+def sample(a, w, group, epoch, measured, base):
     """Measure a group's inertial samples of one interval, and mechanize them.
 
     Rows 1 and 2 of `w.index` say where in `run` each lane's interval begins, and how many samples
@@ -397,6 +407,8 @@ def sample(a, w, sensor_base, key_row, epoch, measured, base):
     """
     first, counts, start = w.index[1], w.index[2], w.index[3]
     lanes, size = counts.shape[0], a.rules[3]
+    sensor_base, key_row = group * (SENSOR_CHANNELS + 2 * a.visible.shape[1]), group * KEYS
+    sensors = a.sensors, sensor_base, a.constants, constant_row(a, group)
     samples, work = w.rest[:size], w.rest[size:]
     dt, truth, active = work[: size // 6], work[size // 6 :], w.force[3:4]
     for leader in range(lanes):
@@ -414,15 +426,16 @@ def sample(a, w, sensor_base, key_row, epoch, measured, base):
         else:
             keys = load(a.keys, key_row + IMU_KEY), load(a.keys, key_row + IMU_KEY + 1)
             deviates(keys[0], keys[1], epoch, size, 6 * count, samples)
-            sense(a.run, start, count, a.sensors, sensor_base, samples, dt, truth, active)
+            sense(a.run, start, count, *sensors, samples, dt, truth, active)
         mechanize(a.x, base, samples, dt, count, active, w.force)
 
 
 class Arrays(NamedTuple):
     """What a batch of receivers reads and writes at an epoch, as kernels pass it on.
 
-    - `x`, `assumed`, `sensors`, `keys`: lane arrays of `receiver_shapes`, `assumed_shapes`,
-      `sensor_shapes` and `SOURCES`; `assumed` may be of one group, for all of them;
+    - `x`, `assumed`, `sensors`, `constants`, `keys`: lane arrays of `receiver_shapes`,
+      `assumed_shapes`, `sensor_shapes`, `CONSTANTS` and `SOURCES`; `assumed` and `constants` may
+      be of one group, for all of them;
     - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
     - `visible`, `coasting`: (B, n) and (B,) bool;
     - `epochs` (B,) that each receiver is at;
@@ -442,6 +455,7 @@ class Arrays(NamedTuple):
     visible: Any
     coasting: Any
     sensors: Any
+    constants: Any
     keys: Any
     epochs: Any
     range_offset: Any
@@ -502,6 +516,12 @@ def assumed_row(a, group):
     return group * (VARIANCE + 2 * a.visible.shape[1]) % a.assumed.shape[0]
 
 
+@inlined
+def constant_row(a, group):
+    """First row of a group's constants."""
+    return group * CONSTANT_ROWS % a.constants.shape[0]
+
+
 @njit
 def predict_group(a, w, group, what):
     """First half of an epoch of one group: measure, mechanize, propagate, innovate.
@@ -542,6 +562,8 @@ def predict_group(a, w, group, what):
         measure(
             a.sensors,
             sensor_base,
+            a.constants,
+            constant_row(a, group),
             n,
             a.keys,
             key_row,
@@ -554,8 +576,10 @@ def predict_group(a, w, group, what):
             x,
             c,
         )
+    if what & SHOW:
+        show_measured(a, c + INNOVATION * n, b, some)
     if what & PREDICT:
-        sample(a, w, sensor_base, key_row, epoch, what & MEASURE == 0, base)
+        sample(a, w, group, epoch, what & MEASURE == 0, base)
         propagate(x, base, a.assumed, assumed_row(a, group), w.force, tau, w.terms, w.product)
         innovate(x, base, n, tau, w.sky)
     if what & SHOW:
@@ -598,9 +622,9 @@ def update_group(a, w, group, weights):
 @njit
 def arrays_at(table, work, channels):
     """Name the arrays of a table that begins with those of `Arrays` (`state.kernel_table`)."""
-    n, epochs, epoch_time = channels, integers_at(table, 8), floats_at(table, 13)
-    receivers, run = epochs.shape[0], floats_at(table, 12)
-    authentic, mappings = floats_at(table, 11), floats_at(table, 18)
+    n, epochs, epoch_time = channels, integers_at(table, 9), floats_at(table, 14)
+    receivers, run = epochs.shape[0], floats_at(table, 13)
+    authentic, mappings = floats_at(table, 12), floats_at(table, 19)
     return Arrays(
         rows_at(table, 0, work),
         rows_at(table, 1, work),
@@ -609,17 +633,18 @@ def arrays_at(table, work, channels):
         flags_at(table, 4).reshape((receivers, n)),
         flags_at(table, 5),
         rows_at(table, 6, work),
-        words_at(table, 7, work),
+        rows_at(table, 7, work),
+        words_at(table, 8, work),
         epochs,
-        floats_at(table, 9).reshape((receivers, n)),
         floats_at(table, 10).reshape((receivers, n)),
+        floats_at(table, 11).reshape((receivers, n)),
         authentic.reshape((authentic.shape[0] // (2 * n), 2 * n)),
         run.reshape((8, run.shape[0] // 8)),
         epoch_time,
-        integers_at(table, 14),
-        floats_at(table, 15).reshape((epoch_time.shape[0], n, SKY)),
-        integers_at(table, 16),
-        rows_at(table, 17, work),
+        integers_at(table, 15),
+        floats_at(table, 16).reshape((epoch_time.shape[0], n, SKY)),
+        integers_at(table, 17),
+        rows_at(table, 18, work),
         mappings.reshape((mappings.shape[0] // (MAPPINGS * n), n, MAPPINGS)),
     )
 

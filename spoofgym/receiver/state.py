@@ -25,8 +25,8 @@ def receiver_shapes(channels: int) -> dict[str, tuple[int, ...]]:
     - `clock` (2,) estimated receiver clock bias [m] and drift [m/s];
     - `imu_delta` (6,) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval;
     - `packed_covariance` in the order of `error_model.INDEX`;
-    - `measured` (2, n) pseudoranges [m] and range rates [m/s] of the epoch, 0 where invisible;
-    - `innovation` (2n,) 0 where invisible;
+    - `innovation` (2n,) pseudoranges [m] and range rates [m/s] of the epoch as measured, until what
+      is predicted of them is taken away; 0 where invisible;
     - `line_of_sight` (n, 3) unit vectors to the satellites, ECEF, 0 where invisible;
     - `visible` (n,) 1 or 0.
     """
@@ -40,7 +40,6 @@ def receiver_shapes(channels: int) -> dict[str, tuple[int, ...]]:
         "clock": (2,),
         "imu_delta": (6,),
         "packed_covariance": (PACKED,),
-        "measured": (2, n),
         "innovation": (2 * n,),
         "line_of_sight": (n, 3),
         "visible": (n,),
@@ -176,6 +175,7 @@ def kernel_table(
             buffers.visible,
             buffers.coasting,
             sensors.fields.data,
+            sensors.constants.data,
             sensors.words.data,
             sensors.epoch,
             sensors.range_offset,

@@ -248,6 +248,7 @@ class TightlyCoupledSimulator(Simulator):
             world.channels,
             with_signals=self.setup.combinations.with_signals,
             with_authentic=self.setup.attack.replaces_errors,
+            alike=self.setup.combinations.sense_alike,
         )
         self.epoch = epoch_view(self.buffers)
         self._everyone = np.arange(receivers)
@@ -362,7 +363,8 @@ class TightlyCoupledSimulator(Simulator):
         self._epochs(MEASURE, 0, b)
         world, fields = setup.world, self.buffers.fields
         position_e, velocity_e, clock = np.empty((b, 3)), np.empty((b, 3)), np.empty((b, 2))
-        guess_e, now = world.position_e[first], (fields["measured"], world.satellites, first)
+        measured = fields["innovation"].reshape(b, 2, world.channels)
+        guess_e, now = world.position_e[first], (measured, world.satellites, first)
         _kernels_of_receiver.first_fix(*now, guess_e, position_e, velocity_e, clock)
         fields["position_e"], fields["velocity_e"], fields["clock"] = position_e, velocity_e, clock
         fields["C_eb"] = combinations.first_C_eb(choice.grade, first)

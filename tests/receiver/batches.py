@@ -13,7 +13,7 @@ import numpy as np
 from spoofgym._simd import ArrayTable
 from spoofgym.earth.frames import geodetic_to_ecef
 from spoofgym.receiver import _kernels
-from spoofgym.receiver._kernels import PREDICT, SHOW, UPDATE
+from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 from spoofgym.receiver.state import SEEN, ReceiverBuffers, kernel_table
 from spoofgym.sim.clock import TCXO, ReceiverClock
@@ -100,7 +100,7 @@ class Batch:
         self.numbers, self.world, count = list(numbers), world, len(numbers)
         self.buffers = ReceiverBuffers(count, N, wanted, alike=alike)
         self.sensors = SensorBuffers(count, N, with_authentic=with_authentic)
-        self.weights = np.ones((count, 2 * N))
+        self.weights, self.measured = np.ones((2, count, 2 * N))
         with np.errstate(over="ignore"):  # unsigned words wrap around
             for row, number in enumerate(self.numbers):
                 self._fill(row, number)
@@ -114,6 +114,7 @@ class Batch:
         z, R = measured(rng, N)
         u, visible = sky(rng, N), rng.uniform(size=N) < 0.9
         assumed = {"noise_psd": rng.uniform(0.0, 1e-3, 17) ** 2, "noise_variance": R}
+        truth = self.world.satellites[number % EPOCHS + 1, :, 6:].T
         values = {
             "C_eb": np.linalg.qr(rng.standard_normal((3, 3)))[0],
             "velocity_e": rng.normal(0.0, 100.0, 3),
@@ -121,13 +122,13 @@ class Batch:
             "accel_bias_b": rng.normal(0.0, 1e-3, 3),
             "gyro_bias_b": rng.normal(0.0, 1e-6, 3),
             "clock": rng.normal([1e4, 100.0], [6.0, 0.3]),
-            "measured": rng.normal(self.world.satellites[number % EPOCHS + 1, :, 6:].T, 10.0) + 1e4,
             "innovation": z * np.tile(visible, 2),
             "line_of_sight": u * visible[:, None],
             "visible": visible,
         }
         for name, value in values.items():
             self.fields.put(name, rows, value)
+        self.measured[row] = rng.normal(truth, 10.0).ravel() + 1e4
         for name, value in assumed.items():
             self.buffers.assumed.put(name, rows, value)
         self.buffers.put_covariance(rows, covariance(rng))
@@ -158,7 +159,12 @@ class Batch:
         orthonormal=False,
         count=1,
     ):
-        """Call the engine's kernel, without an attack and a detector of its own."""
+        """Call the engine's kernel, without an attack and a detector of its own.
+
+        What it predicts without measuring has been measured before.
+        """
+        if what & PREDICT and not what & MEASURE:
+            self.fields.put("innovation", slice(lo, hi), self.measured[lo:hi])
         buffers, sensors, world = self.buffers, self.sensors, self.world
         sizes = padded(6 * MOST), padded(2 * N)
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
@@ -211,8 +217,9 @@ class Batch:
             **{name: buffers.fields.get(name, rows)[0] for name in buffers.fields.shapes},
             **{name: buffers.assumed.get(name, rows)[0] for name in buffers.assumed.shapes},
             **{
-                f"sensor {name}": sensors.fields.get(name, rows)[0]
-                for name in sensors.fields.shapes
+                f"sensor {name}": each.get(name, rows)[0]
+                for each in (sensors.fields, sensors.constants)
+                for name in each.shapes
             },
             **{f"seen {name}": array[row] for name, array in buffers.seen.items()},
             **{f"plain {name}": getattr(buffers, name)[row] for name in plain},

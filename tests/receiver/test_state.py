@@ -36,7 +36,7 @@ def test_shapes():
     buffers = ReceiverBuffers(3, 7, SEEN)
     assert buffers.assumed["noise_variance"].shape == (3, 14)
     assert buffers.assumed["noise_psd"].shape == (3, 17)
-    assert buffers.fields["measured"].shape == (3, 2, 7)
+    assert buffers.fields["innovation"].shape == (3, 14)
     assert buffers.visible.shape == (3, 7)
     shapes = {name: array.shape[1:] for name, array in buffers.seen.items()}
     assert shapes == {
