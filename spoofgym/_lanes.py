@@ -27,13 +27,16 @@ class LaneFields:
     ``fields[name]`` gathers a quantity, (B, ...), as a copy that can't be written to;
     ``fields[name] = values`` and `put` write it.
 
-    `shapes`: what a receiver has of every quantity, in the order of the rows.
+    `shapes`: what a receiver has of every quantity, in the order of the rows; `shared`: whether all
+    receivers have the same, which is kept once, as one group: what is put for some is so for all.
     """
 
-    def __init__(self, receivers: int, shapes: Shapes, dtype: type = np.float64) -> None:
-        self.receivers, self.shapes = receivers, dict(shapes)
+    def __init__(
+        self, receivers: int, shapes: Shapes, dtype: type = np.float64, *, shared: bool = False
+    ) -> None:
+        self.receivers, self.shapes, self.shared = receivers, dict(shapes), shared
         self.lanes = 1 if receivers == 1 else LANES
-        self.groups = -(-receivers // self.lanes)
+        self.groups = 1 if shared else -(-receivers // self.lanes)
         self.first = first_rows(shapes)
         self.rows = sum(int(np.prod(shape, dtype=int)) for shape in shapes.values())
         self.data = _aligned(self.groups * self.rows * self.lanes, dtype)
@@ -53,6 +56,8 @@ class LaneFields:
         """A quantity of some receivers, all by default: (b, ...), a copy."""
         part = self._grouped[:, self._rows_of(name)].transpose(0, 2, 1)
         part = part.reshape(self.groups * self.lanes, -1)[: self.receivers]
+        if self.shared:
+            part = np.broadcast_to(part[0], (self.receivers, part.shape[1]))
         values = part.copy() if receivers is None else part[receivers]
         return values.reshape(len(values), *self.shapes[name])
 
@@ -69,8 +74,19 @@ class LaneFields:
         flat = np.broadcast_to(np.asarray(values), shape).reshape(
             len(index), rows.stop - rows.start
         )
+        if self.shared:
+            self._put_shared(rows, flat)
+            return
         self._grouped[index // self.lanes, rows, index % self.lanes] = flat
         self._fill_lanes()
+
+    def _put_shared(self, rows: slice, values: NDArray[Any]) -> None:
+        """Write rows of all receivers; `values` (b, rows) of some of them, all the same."""
+        if not len(values):
+            return
+        if (values != values[0]).any():
+            raise ValueError("receivers that share their quantities can't have different ones")
+        self._grouped[0, rows] = values[0][:, None]
 
     def __setitem__(self, name: str, values: Any) -> None:
         """Write a quantity of all receivers."""
@@ -78,7 +94,11 @@ class LaneFields:
 
     def copy_rows(self, to: NDArray[np.intp], other: LaneFields, rows: NDArray[np.intp]) -> None:
         """Take over receivers `rows` of other fields, which have the same quantities."""
-        taken = other._grouped[rows // other.lanes, :, rows % other.lanes]
+        groups = 0 * rows if other.shared else rows // other.lanes
+        taken = other._grouped[groups, :, rows % other.lanes]
+        if self.shared:
+            self._put_shared(slice(0, self.rows), taken)
+            return
         self._grouped[to // self.lanes, :, to % self.lanes] = taken
         self._fill_lanes()
 

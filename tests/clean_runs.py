@@ -63,7 +63,7 @@ def state_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
     A bias is what an accelerometer or a gyro adds in straight flight at the present specific force:
     errors of scale act on it as on a bias.  What they make of a rotation is no bias.
     """
-    state, sensors = simulator.buffers.fields, simulator.sensors.fields
+    state, sensors = simulator.buffers.fields, simulator.sensors.constants
     world = simulator.setup.world
     first, last = world.epoch_end[epoch_of(simulator) - 1 : epoch_of(simulator) + 1]
     force = world.run[:3, first:last].mean(axis=1)
@@ -76,7 +76,7 @@ def state_error(simulator: TightlyCoupledSimulator) -> np.ndarray:
             position_error(simulator),
             accel_bias - state["accel_bias_b"],
             gyro_bias - state["gyro_bias_b"],
-            sensors["clock"] - state["clock"],
+            simulator.sensors.fields["clock"] - state["clock"],
         ]
     )
 

@@ -156,6 +156,52 @@ def test_a_receiver_may_be_taken_over_several_times_and_from_the_same_batch():
 
 
 @pytest.mark.parametrize("receivers", SIZES)
+def test_what_is_shared_is_kept_once_for_all(receivers):
+    fields = LaneFields(receivers, SHAPES, shared=True)
+    assert fields.data.shape == ((ROWS,) if receivers == 1 else (ROWS, LANES))
+    fields["attitude"] = np.arange(9.0).reshape(3, 3)
+    fields.put("speed", np.array([receivers - 1]), 7.0)
+    fields.put("bias", np.array([], dtype=int), 1.0)
+    assert fields["attitude"].shape == (receivers, 3, 3)
+    np.testing.assert_array_equal(fields["attitude"][-1], np.arange(9.0).reshape(3, 3))
+    np.testing.assert_array_equal(fields["speed"], np.full(receivers, 7.0))
+    np.testing.assert_array_equal(fields.get("speed", np.array([0, 0])), [7.0, 7.0])
+    assert not fields["bias"].any()
+    rows = fields.data.reshape(ROWS, -1)
+    np.testing.assert_array_equal(rows, rows[:, :1].repeat(fields.lanes, axis=1))
+    other = copy.deepcopy(fields)
+    other["speed"] = 8.0
+    np.testing.assert_array_equal(fields["speed"], np.full(receivers, 7.0))
+
+
+@pytest.mark.parametrize("there", [1, 9])
+@pytest.mark.parametrize("here", [1, 9])
+@pytest.mark.parametrize("shared", [(True, True), (True, False), (False, True)])
+def test_what_is_shared_is_taken_over_for_all(here, there, shared):
+    mine, theirs = shared
+    fields = LaneFields(here, SHAPES, shared=mine)
+    other = LaneFields(there, SHAPES, shared=theirs)
+    other["bias"], other["speed"] = np.arange(5.0), 3.0
+    fields.copy_rows(np.array([here - 1]), other, np.array([there - 1]))
+    taken = slice(None) if mine else slice(here - 1, None)
+    assert (fields["speed"][taken] == 3.0).all()
+    assert (fields["bias"][taken] == np.arange(5.0)).all()
+    assert not fields["speed"][: 0 if mine else here - 1].any()
+    fields.copy_rows(np.array([], dtype=int), other, np.array([], dtype=int))
+
+
+def test_what_is_shared_cannot_differ():
+    fields = LaneFields(3, SHAPES, shared=True)
+    with pytest.raises(ValueError, match="share their quantities can't have different ones"):
+        fields["speed"] = np.arange(3.0)
+    other = LaneFields(3, SHAPES)
+    other["speed"] = np.arange(3.0)
+    with pytest.raises(ValueError, match="share their quantities can't have different ones"):
+        fields.copy_rows(np.arange(3), other, np.arange(3))
+    assert not fields.data.any()
+
+
+@pytest.mark.parametrize("receivers", SIZES)
 def test_scratch_memory_is_as_wide_as_the_fields_and_aligned(receivers):
     fields = LaneFields(receivers, SHAPES)
     for rows in (1, 2, 3, 50):

@@ -92,7 +92,9 @@ class Rig:
         sizes = padded(6 * world.most_samples), padded(2 * world.channels)
         rules = victim.covariance_code, victim.min_satellites, victim.orthonormalize, *sizes
         # parts leave the receivers as they like, and so have copies
-        self._kept = simulator.buffers.fields, simulator.sensors.fields, simulator.sensors.words
+        buffers, sensors = simulator.buffers, simulator.sensors
+        filters = buffers.fields, buffers.assumed
+        self._kept = *filters, sensors.fields, sensors.constants, sensors.words
         self.fields, self._kept = copy.deepcopy(self._kept), copy.deepcopy(self._kept)
         rows = kernels.work_rows(world.channels, *sizes)
         self._works = [self.fields[0].scratch(rows) for _ in range(threads)]
@@ -256,14 +258,15 @@ def _run(receivers: int, threads: int, us: Mapping[str, float]) -> dict[str, Any
 def bytes_by_owner(core: SpoofCore) -> dict[str, float]:
     """Bytes per receiver of the arrays that a step reads or writes, by what they belong to.
 
-    All of an array counts; what all receivers share (the world, scratch memory) does not.
+    All of an array counts, also what a batch keeps once for all its receivers; what batches share
+    (the world, scratch memory) does not.
     """
     simulator: Any = core.engine.simulator
     buffers, sensors = simulator.buffers, simulator.sensors
     owners = {
-        "filter": buffers.fields,
+        "filter": (buffers.fields, buffers.assumed),
         "epoch": (buffers.seen_floats, buffers.visible, buffers.coasting),
-        "sensors": sensors.fields,
+        "sensors": (sensors.fields, sensors.constants),
         "keys of the noise": sensors.words,
         "offsets of the attack": (sensors.range_offset, sensors.rate_offset, sensors.authentic),
         "attack": simulator.attack.memory,

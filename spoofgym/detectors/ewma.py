@@ -142,11 +142,12 @@ class Ewma(Detector):
         self.memory_epochs = epochs_to_settle(self.smoothing)
         self.memory.declare("average", np.zeros(shape))
         self.memory.declare("decay", np.ones(shape))
-        self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
         self._quantile = two_sided_quantile(self.false_alarm)
         self._longest = longest_exclusion(self.max_exclusion_s, context.epoch_interval_s)
-
-        self.limits_exclusions = self.max_exclusion_s is not None or self.min_satellites > 0
+        limited = self.max_exclusion_s is not None or self.min_satellites > 0
+        self.limits_exclusions = limited and self.weight_scale is not None
+        if self.limits_exclusions:
+            self.memory.declare("excluded", np.zeros(shape, dtype=np.int64))
         scale = 1.0 if self.weight_scale is None else self.weight_scale
         self.kernel_settings = np.array([self.smoothing, self._quantile, scale])
 
@@ -173,7 +174,7 @@ class Ewma(Detector):
             weights,
         )
         in_loop = None if self.weight_scale is None else weights
-        if self.limits_exclusions and in_loop is not None:
+        if self.limits_exclusions:
             limit_exclusions(
                 size,
                 threshold,
@@ -181,7 +182,7 @@ class Ewma(Detector):
                 self._longest,
                 self.min_satellites,
                 self.memory["excluded"],
-                in_loop,
+                weights,
             )
         return Verdict(size, threshold, size > threshold, in_loop)
 

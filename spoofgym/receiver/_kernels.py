@@ -28,6 +28,7 @@ from ..earth.wgs84 import EARTH_RATE
 from ..sim._kernels import CHANNELS as SENSOR_CHANNELS
 from ..sim._kernels import (
     CHUNK,
+    CONSTANT_ROWS,
     CORRELATED_KEY,
     DISTURBED,
     IMU_KEY,
@@ -47,20 +48,19 @@ from ..sim.noise import BLOCK, deviates, whole_number
 from ..sim.signal_errors import MAPPINGS, deviates_of
 from . import kalman
 from .error_model import INDEX, TERMS, propagate_covariance, transition_terms
-from .state import receiver_shapes
+from .state import assumed_shapes, receiver_shapes
 from .strapdown import strapdown_step
 
 _ROWS = first_rows(receiver_shapes(1))
 C_EB, VELOCITY, POSITION = _ROWS["C_eb"], _ROWS["velocity_e"], _ROWS["position_e"]
 ACCEL_BIAS, GYRO_BIAS, CLOCK = _ROWS["accel_bias_b"], _ROWS["gyro_bias_b"], _ROWS["clock"]
-IMU_DELTA, NOISE_PSD, COVARIANCE = (
-    _ROWS["imu_delta"],
-    _ROWS["noise_psd"],
-    _ROWS["packed_covariance"],
-)
-CHANNELS = _ROWS["measured"]
+IMU_DELTA, COVARIANCE = _ROWS["imu_delta"], _ROWS["packed_covariance"]
+CHANNELS = _ROWS["innovation"]
 """First row of what there is of every channel: the following numbers of rows for n of them."""
-MEASURED, INNOVATION, VARIANCE, SIGHT, VISIBLE, ALL = 0, 2, 4, 6, 9, 10
+INNOVATION, SIGHT, VISIBLE, ALL = 0, 2, 5, 6
+_ASSUMED = first_rows(assumed_shapes(1))
+NOISE_PSD, VARIANCE = _ASSUMED["noise_psd"], _ASSUMED["noise_variance"]
+"""First rows of what is assumed; the last 2 n are the variances."""
 MEASURE, PREDICT, UPDATE, SHOW = 1, 2, 4, 8
 PRODUCT_ROWS = 187
 
@@ -146,8 +146,11 @@ def mechanize(x, base, samples, dt, count, active, force):
 
 
 @njit
-def propagate(x, base, force, tau, terms, product):
-    """Propagate a group's covariance over one interval."""
+def propagate(x, base, assumed, first, force, tau, terms, product):
+    """Propagate a group's covariance over one interval.
+
+    `assumed`, `first`: lane array and first row of what the group assumes.
+    """
     C = (
         load(x, base + C_EB),
         load(x, base + C_EB + 1),
@@ -162,12 +165,15 @@ def propagate(x, base, force, tau, terms, product):
     r = load(x, base + POSITION), load(x, base + POSITION + 1), load(x, base + POSITION + 2)
     f = load(force, 0), load(force, 1), load(force, 2)
     transition_terms(C, r, f, tau, terms)
-    propagate_covariance(x, base + COVARIANCE, terms, tau, x, base + NOISE_PSD, product)
+    propagate_covariance(x, base + COVARIANCE, terms, tau, assumed, first + NOISE_PSD, product)
 
 
 @njit
 def innovate(x, base, n, tau, sky):
-    """Propagate the clock, and write innovations and lines of sight; 0 where invisible."""
+    """Propagate the clock, and write lines of sight, and innovations in place of measurements.
+
+    All are 0 where a satellite is invisible.
+    """
     drift = load(x, base + CLOCK + 1)
     clock = load(x, base + CLOCK) + drift * tau
     store(x, base + CLOCK, clock)
@@ -207,20 +213,20 @@ def innovate(x, base, n, tau, sky):
             vy,
             vz,
         )
-        store(x, z, select(visible, load(x, c + s) - (rho + clock), 0.0))
-        store(x, z + n, select(visible, load(x, c + n + s) - (rate + drift), 0.0))
+        store(x, z, select(visible, load(x, z) - (rho + clock), 0.0))
+        store(x, z + n, select(visible, load(x, z + n) - (rate + drift), 0.0))
         store(x, u, select(visible, ux, 0.0))
         store(x, u + 1, select(visible, uy, 0.0))
         store(x, u + 2, select(visible, uz, 0.0))
 
 
 @njit
-def correct(x, base, n, weights, rules, work, precision):
+def correct(x, base, assumed, first, n, weights, rules, work, precision):
     """Update a group's state and covariance; lanes with too few satellites stay as they are.
 
-    `weights`: 2 n rows; `rules`: covariance update, fewest satellites, and whether to
-    re-orthonormalize; `work`, `precision`: scratch memory of `kalman.WORK` and 2 n rows; returns
-    which lanes have satellites enough.
+    `assumed`, `first`: as in `propagate`; `weights`: 2 n rows; `rules`: covariance update, fewest
+    satellites, and whether to re-orthonormalize; `work`, `precision`: scratch memory of
+    `kalman.WORK` and 2 n rows; returns which lanes have satellites enough.
     """
     c = base + CHANNELS
     seen = splat(0.0, x)
@@ -229,7 +235,7 @@ def correct(x, base, n, weights, rules, work, precision):
     enough = seen >= float(rules[1])
     for s in range(2 * n):
         used = (load(x, c + VISIBLE * n + s % n) > 0.0) & enough
-        store(precision, s, select(used, 1.0 / load(x, c + VARIANCE * n + s), 0.0))
+        store(precision, s, select(used, 1.0 / load(assumed, first + VARIANCE + s), 0.0))
     u, z = c + SIGHT * n, c + INNOVATION * n
     for half in range(2):
         for power in range(1 if rules[0] == kalman.UNWEIGHTED else 3):
@@ -301,11 +307,22 @@ def show_position(a, base, b, some):
 
 
 @njit
+def show_measured(a, row, b, some):
+    """Write the measurements of a group where they are looked at; `row`: their first row."""
+    n, places = a.visible.shape[1], a.places
+    if places[SEEN_RANGE] >= 0:
+        spread(a.x, row, n, a.out, places[SEEN_RANGE], b, some)
+    if places[SEEN_RATE] >= 0:
+        spread(a.x, row + n, n, a.out, places[SEEN_RATE], b, some)
+
+
+@njit
 def show(a, w, base, b, some):
     """Write what is looked at of a group's predicted epoch, receiver by receiver (`state.SEEN`)."""
     (receivers, n), x, out, places = a.visible.shape, a.x, a.out, a.places
     c, m = base + CHANNELS, 2 * n
-    P, R, u, seen = base + COVARIANCE, c + VARIANCE * n, c + SIGHT * n, c + VISIBLE * n
+    P, u, seen = base + COVARIANCE, c + SIGHT * n, c + VISIBLE * n
+    R = assumed_row(a, b // lanes_of(x)) + VARIANCE
     for each in range(some):
         out[b + each] = a.epoch_time[w.index[0, each]]
         out[receivers + b + each] = lane(w.tau, 0, each)
@@ -313,16 +330,12 @@ def show(a, w, base, b, some):
             a.visible[b + each, s] = lane(x, seen + s, each) > 0.0
     show_position(a, base, b, some)
     spread(x, c + INNOVATION * n, m, out, places[SEEN_INNOVATION], b, some)
-    kalman.innovation_variance(x, P, u, R, seen, n, w.added)
+    kalman.innovation_variance(x, P, u, a.assumed, R, seen, n, w.added)
     spread(w.added, 0, m, out, places[SEEN_VARIANCE], b, some)
     if places[SEEN_DELTA] >= 0:
         spread(x, base + IMU_DELTA, 6, out, places[SEEN_DELTA], b, some)
-    if places[SEEN_RANGE] >= 0:
-        spread(x, c, n, out, places[SEEN_RANGE], b, some)
-    if places[SEEN_RATE] >= 0:
-        spread(x, c + n, n, out, places[SEEN_RATE], b, some)
     if places[SEEN_S] >= 0:
-        kalman.innovation_covariance(x, P, u, R, seen, n, w.rest, w.product)
+        kalman.innovation_covariance(x, P, u, a.assumed, R, seen, n, w.rest, w.product)
     for each in range(some):
         r = b + each
         if places[SEEN_SATELLITE] >= 0:
@@ -386,7 +399,7 @@ def show_transition(terms, tau, index, Phi):
 
 
 @njit
-def sample(a, w, sensor_base, key_row, epoch, measured, base):
+def sample(a, w, group, epoch, measured, base):
     """Measure a group's inertial samples of one interval, and mechanize them.
 
     Rows 1 and 2 of `w.index` say where in `run` each lane's interval begins, and how many samples
@@ -394,6 +407,8 @@ def sample(a, w, sensor_base, key_row, epoch, measured, base):
     """
     first, counts, start = w.index[1], w.index[2], w.index[3]
     lanes, size = counts.shape[0], a.rules[3]
+    sensor_base, key_row = group * (SENSOR_CHANNELS + 2 * a.visible.shape[1]), group * KEYS
+    sensors = a.sensors, sensor_base, a.constants, constant_row(a, group)
     samples, work = w.rest[:size], w.rest[size:]
     dt, truth, active = work[: size // 6], work[size // 6 :], w.force[3:4]
     for leader in range(lanes):
@@ -411,14 +426,16 @@ def sample(a, w, sensor_base, key_row, epoch, measured, base):
         else:
             keys = load(a.keys, key_row + IMU_KEY), load(a.keys, key_row + IMU_KEY + 1)
             deviates(keys[0], keys[1], epoch, size, 6 * count, samples)
-            sense(a.run, start, count, a.sensors, sensor_base, samples, dt, truth, active)
+            sense(a.run, start, count, *sensors, samples, dt, truth, active)
         mechanize(a.x, base, samples, dt, count, active, w.force)
 
 
 class Arrays(NamedTuple):
     """What a batch of receivers reads and writes at an epoch, as kernels pass it on.
 
-    - `x`, `sensors`, `keys`: lane arrays of `receiver_shapes`, `sensor_shapes` and `SOURCES`;
+    - `x`, `assumed`, `sensors`, `constants`, `keys`: lane arrays of `receiver_shapes`,
+      `assumed_shapes`, `sensor_shapes`, `CONSTANTS` and `SOURCES`; `assumed` and `constants` may
+      be of one group, for all of them;
     - `out`, `places`: `seen_floats` and `places` of `ReceiverBuffers`;
     - `visible`, `coasting`: (B, n) and (B,) bool;
     - `epochs` (B,) that each receiver is at;
@@ -432,11 +449,13 @@ class Arrays(NamedTuple):
     """
 
     x: Any
+    assumed: Any
     out: Any
     places: Any
     visible: Any
     coasting: Any
     sensors: Any
+    constants: Any
     keys: Any
     epochs: Any
     range_offset: Any
@@ -491,6 +510,18 @@ def name_scratch(a, work):
     )
 
 
+@inlined
+def assumed_row(a, group):
+    """First row of what a group assumes."""
+    return group * (VARIANCE + 2 * a.visible.shape[1]) % a.assumed.shape[0]
+
+
+@inlined
+def constant_row(a, group):
+    """First row of a group's constants."""
+    return group * CONSTANT_ROWS % a.constants.shape[0]
+
+
 @njit
 def predict_group(a, w, group, what):
     """First half of an epoch of one group: measure, mechanize, propagate, innovate.
@@ -523,13 +554,16 @@ def predict_group(a, w, group, what):
                 set_lane(w.added, s, each, a.range_offset[follows, s])
                 set_lane(w.added, n + s, each, a.rate_offset[follows, s])
             for s in range(2 * n):
-                set_lane(w.added, 2 * n + s, each, a.authentic[follows, s])
+                stays = a.authentic[follows, s] if a.authentic.shape[0] else 1.0
+                set_lane(w.added, 2 * n + s, each, stays)
         picked_up = w.rest[: DISTURBED * n if a.signals.shape[0] else 0]
         if a.signals.shape[0]:
             disturb_group(a, w, group, sensor_base, key_row, epoch, tau, picked_up)
         measure(
             a.sensors,
             sensor_base,
+            a.constants,
+            constant_row(a, group),
             n,
             a.keys,
             key_row,
@@ -542,9 +576,11 @@ def predict_group(a, w, group, what):
             x,
             c,
         )
+    if what & SHOW:
+        show_measured(a, c + INNOVATION * n, b, some)
     if what & PREDICT:
-        sample(a, w, sensor_base, key_row, epoch, what & MEASURE == 0, base)
-        propagate(x, base, w.force, tau, w.terms, w.product)
+        sample(a, w, group, epoch, what & MEASURE == 0, base)
+        propagate(x, base, a.assumed, assumed_row(a, group), w.force, tau, w.terms, w.product)
         innovate(x, base, n, tau, w.sky)
     if what & SHOW:
         show(a, w, base, b, some)
@@ -576,7 +612,8 @@ def update_group(a, w, group, weights):
     for each in range(lanes):
         for s in range(2 * n):
             set_lane(w.added, s, each, weights[min(b + each, receivers - 1), s])
-    store(w.tau, 0, correct(a.x, base, n, w.added, a.rules, w.solution, w.precision))
+    given = a.assumed, assumed_row(a, group), n, w.added, a.rules
+    store(w.tau, 0, correct(a.x, base, *given, w.solution, w.precision))
     for each in range(some):
         a.coasting[b + each] = lane(w.tau, 0, each) < a.rules[1]
     show_position(a, base, b, some)
@@ -585,27 +622,29 @@ def update_group(a, w, group, weights):
 @njit
 def arrays_at(table, work, channels):
     """Name the arrays of a table that begins with those of `Arrays` (`state.kernel_table`)."""
-    n, epochs, epoch_time = channels, integers_at(table, 7), floats_at(table, 12)
-    receivers, run = epochs.shape[0], floats_at(table, 11)
-    mappings = floats_at(table, 17)
+    n, epochs, epoch_time = channels, integers_at(table, 9), floats_at(table, 14)
+    receivers, run = epochs.shape[0], floats_at(table, 13)
+    authentic, mappings = floats_at(table, 12), floats_at(table, 19)
     return Arrays(
         rows_at(table, 0, work),
-        floats_at(table, 1),
-        integers_at(table, 2),
-        flags_at(table, 3).reshape((receivers, n)),
-        flags_at(table, 4),
-        rows_at(table, 5, work),
-        words_at(table, 6, work),
+        rows_at(table, 1, work),
+        floats_at(table, 2),
+        integers_at(table, 3),
+        flags_at(table, 4).reshape((receivers, n)),
+        flags_at(table, 5),
+        rows_at(table, 6, work),
+        rows_at(table, 7, work),
+        words_at(table, 8, work),
         epochs,
-        floats_at(table, 8).reshape((receivers, n)),
-        floats_at(table, 9).reshape((receivers, n)),
-        floats_at(table, 10).reshape((receivers, 2 * n)),
+        floats_at(table, 10).reshape((receivers, n)),
+        floats_at(table, 11).reshape((receivers, n)),
+        authentic.reshape((authentic.shape[0] // (2 * n), 2 * n)),
         run.reshape((8, run.shape[0] // 8)),
         epoch_time,
-        integers_at(table, 13),
-        floats_at(table, 14).reshape((epoch_time.shape[0], n, SKY)),
         integers_at(table, 15),
-        rows_at(table, 16, work),
+        floats_at(table, 16).reshape((epoch_time.shape[0], n, SKY)),
+        integers_at(table, 17),
+        rows_at(table, 18, work),
         mappings.reshape((mappings.shape[0] // (MAPPINGS * n), n, MAPPINGS)),
     )
 

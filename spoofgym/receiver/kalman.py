@@ -372,13 +372,13 @@ def _weighted(P, first, covariance_update, work):
 
 
 @njit
-def innovation_covariance(x, P, u, R, visible, n, S, t):
+def innovation_covariance(x, P, u, noise, R, visible, n, S, t):
     r"""Write the innovation covariance :math:`S = H P H^T + R`, on and above the diagonal.
 
-    `x`: lane array; `P`, `u`, `R`, `visible`: first rows in it of the packed covariance, lines of
-    sight (3 n rows), noise variances (2 n) and of n rows that are above 0 where a satellite is
-    visible; an invisible slot has the row and column of the identity; `S`: lane array of 4 n^2
-    rows, row by row; `t`: scratch memory of 8 rows.
+    `x`: lane array; `P`, `u`, `visible`: first rows in it of the packed covariance, lines of sight
+    (3 n rows), and of n rows that are above 0 where a satellite is visible; `noise`, `R`: lane
+    array and first row of the noise variances (2 n); an invisible slot has the row and column of
+    the identity; `S`: lane array of 4 n^2 rows, row by row; `t`: scratch memory of 8 rows.
     """
     m = 2 * n
     for k in range(m):
@@ -404,12 +404,12 @@ def innovation_covariance(x, P, u, R, visible, n, S, t):
                 load(x, a + 2) * load(t, b + 2) + load(t, b + 3)
             )
             if j == k:
-                value += load(x, R + k)
+                value += load(noise, R + k)
             store(S, k * m + j, select(both, value, load(S, k * m + j)))
 
 
 @njit
-def innovation_variance(x, P, u, R, visible, n, out):
+def innovation_variance(x, P, u, noise, R, visible, n, out):
     """Write the diagonal of S, 2 n rows; the others as in `innovation_covariance`."""
     for half in range(2):
         o = 4 * half
@@ -430,5 +430,5 @@ def innovation_variance(x, P, u, R, visible, n, out):
                 (ux * p03 + uy * p13) + (uz * p23 + p33),
             )
             k = s + half * n
-            value = ((ux * t0 + uy * t1) + (uz * t2 + t3)) + load(x, R + k)
+            value = ((ux * t0 + uy * t1) + (uz * t2 + t3)) + load(noise, R + k)
             store(out, k, select(load(x, visible + s) > 0.0, value, 1.0))

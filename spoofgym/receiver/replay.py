@@ -268,11 +268,11 @@ def replay(
     satellites[1:, :, :3] = np.where(visible[:, :, None], position, 0.0)
     satellites[1:, :, 3:6] = np.where(visible[:, :, None], velocity, 0.0)
     satellites[1:, :, 6] = visible
-    measured = np.where(visible[:, None], np.stack([range_, rate], axis=1), 0.0)
+    measured = np.where(np.hstack([visible, visible]), np.hstack([range_, rate]), 0.0)
 
     buffers = ReceiverBuffers(1, n)
     load_initial(buffers, receiver, initial)
-    buffers.fields["noise_psd"] = receiver.noise_psd()
+    buffers.assumed["noise_psd"] = receiver.noise_psd()
     sensors = SensorBuffers(1, n)
     rules = np.array(
         [
@@ -301,7 +301,7 @@ def replay(
     coasting = np.zeros(epochs, dtype=np.bool_)
     fields = buffers.fields
     for k in range(epochs):
-        fields["measured"], fields["noise_variance"] = measured[k], variance[k]
+        fields["innovation"], buffers.assumed["noise_variance"] = measured[k], variance[k]
         _kernels.run_epoch(*given, _kernels.PREDICT + _kernels.SHOW)
         innovation = buffers.seen["innovation"][0].copy()
         _kernels.run_epoch(*given, _kernels.UPDATE)

@@ -24,11 +24,9 @@ def receiver_shapes(channels: int) -> dict[str, tuple[int, ...]]:
     - `accel_bias_b`, `gyro_bias_b` (3,) estimated sensor biases [m/s^2], [rad/s];
     - `clock` (2,) estimated receiver clock bias [m] and drift [m/s];
     - `imu_delta` (6,) bias-corrected delta-v [m/s] and delta-theta [rad] of the interval;
-    - `noise_psd` (17,) power spectral density of the noise that drives each state;
     - `packed_covariance` in the order of `error_model.INDEX`;
-    - `measured` (2, n) pseudoranges [m] and range rates [m/s] of the epoch, 0 where invisible;
-    - `innovation` (2n,) 0 where invisible;
-    - `noise_variance` (2n,) R, pseudoranges first;
+    - `innovation` (2n,) pseudoranges [m] and range rates [m/s] of the epoch as measured, until what
+      is predicted of them is taken away; 0 where invisible;
     - `line_of_sight` (n, 3) unit vectors to the satellites, ECEF, 0 where invisible;
     - `visible` (n,) 1 or 0.
     """
@@ -41,14 +39,20 @@ def receiver_shapes(channels: int) -> dict[str, tuple[int, ...]]:
         "gyro_bias_b": (3,),
         "clock": (2,),
         "imu_delta": (6,),
-        "noise_psd": (STATES,),
         "packed_covariance": (PACKED,),
-        "measured": (2, n),
         "innovation": (2 * n,),
-        "noise_variance": (2 * n,),
         "line_of_sight": (n, 3),
         "visible": (n,),
     }
+
+
+def assumed_shapes(channels: int) -> dict[str, tuple[int, ...]]:
+    """What every receiver assumes of the noise, in the order of the lane array.
+
+    - `noise_psd` (17,) power spectral density of the noise that drives each state;
+    - `noise_variance` (2n,) R, pseudoranges first.
+    """
+    return {"noise_psd": (STATES,), "noise_variance": (2 * channels,)}
 
 
 SEEN = (
@@ -78,6 +82,7 @@ class ReceiverBuffers:
     """The memory of a batch of receivers.
 
     - `fields`: of `receiver_shapes`, in lane arrays;
+    - `assumed`: of `assumed_shapes`, once where all receivers are `alike`;
     - `time`, `interval` (B,) time of the epoch and time since the last one [s];
     - `position_e`, `velocity_e` (B, 3) estimated, ECEF [m], [m/s], as the last kernel left them;
     - `visible` (B, n) bool; `coasting` (B,) bool, whether the last epoch had no update;
@@ -85,10 +90,18 @@ class ReceiverBuffers:
       `seen_floats` each lies, -1 where nobody does.
     """
 
-    def __init__(self, receivers: int, channels: int, wanted: Iterable[str] = ()) -> None:
+    def __init__(
+        self,
+        receivers: int,
+        channels: int,
+        wanted: Iterable[str] = (),
+        *,
+        alike: bool = False,
+    ) -> None:
         self.receivers, self.channels = receivers, channels
         self.fields = LaneFields(receivers, receiver_shapes(channels))
-        self.fields["noise_variance"] = 1.0
+        self.assumed = LaneFields(receivers, assumed_shapes(channels), shared=alike)
+        self.assumed["noise_variance"] = 1.0
         self.visible = np.zeros((receivers, channels), dtype=np.bool_)
         self.coasting = np.zeros(receivers, dtype=np.bool_)
         shapes = _seen_shapes(channels)
@@ -137,6 +150,7 @@ class ReceiverBuffers:
     ) -> None:
         """Take over receivers of another batch."""
         self.fields.copy_rows(to, other.fields, rows)
+        self.assumed.copy_rows(to, other.assumed, rows)
         for name in ("time", "interval", "position_e", "velocity_e", "visible", "coasting"):
             getattr(self, name)[to] = getattr(other, name)[rows]
         for name, mine in self.seen.items():
@@ -155,11 +169,13 @@ def kernel_table(
     return ArrayTable(
         [
             buffers.fields.data,
+            buffers.assumed.data,
             buffers.seen_floats,
             buffers.places,
             buffers.visible,
             buffers.coasting,
             sensors.fields.data,
+            sensors.constants.data,
             sensors.words.data,
             sensors.epoch,
             sensors.range_offset,

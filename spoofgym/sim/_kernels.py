@@ -19,19 +19,21 @@ from .._simd import (
 from ..earth.ranging import range_and_rate
 from .clock import advance_clock
 from .noise import deviates, exponential
-from .sensors import SOURCES, sensor_shapes
+from .sensors import CONSTANTS, SOURCES, sensor_shapes
 from .signal_errors import MAPPINGS, deviates_of, signal_shapes
 
 _ROWS = first_rows(sensor_shapes(1))
-ACCEL_BIAS, ACCEL_MATRIX = _ROWS["accel_bias"], _ROWS["accel_matrix"]
+RESIDUAL, CLOCK = _ROWS["residual"], _ROWS["clock"]
+_CONSTANTS = first_rows(CONSTANTS)
+ACCEL_BIAS, ACCEL_MATRIX = _CONSTANTS["accel_bias"], _CONSTANTS["accel_matrix"]
 GYRO_BIAS, GYRO_MATRIX, G_DEPENDENCE = (
-    _ROWS["gyro_bias"],
-    _ROWS["gyro_matrix"],
-    _ROWS["g_dependence"],
+    _CONSTANTS["gyro_bias"],
+    _CONSTANTS["gyro_matrix"],
+    _CONSTANTS["g_dependence"],
 )
-IMU_NOISE, RESIDUAL = _ROWS["imu_noise"], _ROWS["residual"]
-CLOCK, CLOCK_PSD = _ROWS["clock"], _ROWS["clock_psd"]
-GNSS_NOISE, CORRELATED_NOISE = _ROWS["gnss_noise"], _ROWS["correlated_noise"]
+IMU_NOISE, CLOCK_PSD = _CONSTANTS["imu_noise"], _CONSTANTS["clock_psd"]
+GNSS_NOISE, CORRELATED_NOISE = _CONSTANTS["gnss_noise"], _CONSTANTS["correlated_noise"]
+CONSTANT_ROWS = CORRELATED_NOISE + 2
 CHANNELS = _ROWS["satellite_bias"]
 """First row of the biases; n rows later the correlated errors."""
 IMU_KEY, CLOCK_KEY, GNSS_KEY, CORRELATED_KEY = (
@@ -120,7 +122,7 @@ def _keep(sensors, row, now, value):
 
 
 @njit
-def sense(run, first, count, sensors, base, samples, dt, truth, active):
+def sense(run, first, count, sensors, base, constants, fixed, samples, dt, truth, active):
     r"""Measure the samples of one interval, in place of the deviates that their noise is made of.
 
     .. math:: x_i &= b + \sqrt{S / \Delta t_i} \, n_i + M (f_i, w_i) \\
@@ -132,13 +134,14 @@ def sense(run, first, count, sensors, base, samples, dt, truth, active):
 
     `run` (8, N) true samples, their lengths and root rates; `first` (lanes,) first sample of each
     lane's interval; `count`: samples of all of them; `sensors`, `base`: errors of the group, and
-    its first row; `samples`: lane array, rows c count + i for sensor c and sample i; `dt`: lane
-    array, written: lengths [s]; `truth`: scratch memory of 8 `CHUNK` rows; `active`: one
-    row, 1 or 0, which lanes keep what is carried on.
+    its first row; `constants`, `fixed`: the same of what stays as it is; `samples`: lane array,
+    rows c count + i for sensor c and sample i; `dt`: lane array, written: lengths [s]; `truth`:
+    scratch memory of 8 `CHUNK` rows; `active`: one row, 1 or 0, which lanes keep what is carried
+    on.
     """
-    b = base
-    level_a, level_g = load(sensors, b + IMU_NOISE), load(sensors, b + IMU_NOISE + 1)
-    qa, qg = load(sensors, b + IMU_NOISE + 2), load(sensors, b + IMU_NOISE + 3)
+    b, k = base, fixed
+    level_a, level_g = load(constants, k + IMU_NOISE), load(constants, k + IMU_NOISE + 1)
+    qa, qg = load(constants, k + IMU_NOISE + 2), load(constants, k + IMU_NOISE + 3)
     ia, ig = select(qa > 0.0, 1.0 / qa, 0.0), select(qg > 0.0, 1.0 / qg, 0.0)
     c0, c1 = load(sensors, b + RESIDUAL), load(sensors, b + RESIDUAL + 1)
     c2, c3 = load(sensors, b + RESIDUAL + 2), load(sensors, b + RESIDUAL + 3)
@@ -155,30 +158,30 @@ def sense(run, first, count, sensors, base, samples, dt, truth, active):
             w0, w1, w2 = load(truth, t + 3), load(truth, t + 4), load(truth, t + 5)
             store(dt, i, load(truth, t + 6))
             rate = load(truth, t + 7)
-            a, g, d = b + ACCEL_BIAS, b + GYRO_BIAS, b + G_DEPENDENCE
-            c0 += (load(sensors, a) + level_a * load(samples, i) * rate) + _row(
-                sensors, b + ACCEL_MATRIX, f0, f1, f2
+            a, g, d = k + ACCEL_BIAS, k + GYRO_BIAS, k + G_DEPENDENCE
+            c0 += (load(constants, a) + level_a * load(samples, i) * rate) + _row(
+                constants, k + ACCEL_MATRIX, f0, f1, f2
             )
-            c1 += (load(sensors, a + 1) + level_a * load(samples, n + i) * rate) + _row(
-                sensors, b + ACCEL_MATRIX + 3, f0, f1, f2
+            c1 += (load(constants, a + 1) + level_a * load(samples, n + i) * rate) + _row(
+                constants, k + ACCEL_MATRIX + 3, f0, f1, f2
             )
-            c2 += (load(sensors, a + 2) + level_a * load(samples, 2 * n + i) * rate) + _row(
-                sensors, b + ACCEL_MATRIX + 6, f0, f1, f2
+            c2 += (load(constants, a + 2) + level_a * load(samples, 2 * n + i) * rate) + _row(
+                constants, k + ACCEL_MATRIX + 6, f0, f1, f2
             )
             c3 += (
-                (load(sensors, g) + level_g * load(samples, 3 * n + i) * rate)
-                + _row(sensors, d, f0, f1, f2)
-                + _row(sensors, b + GYRO_MATRIX, w0, w1, w2)
+                (load(constants, g) + level_g * load(samples, 3 * n + i) * rate)
+                + _row(constants, d, f0, f1, f2)
+                + _row(constants, k + GYRO_MATRIX, w0, w1, w2)
             )
             c4 += (
-                (load(sensors, g + 1) + level_g * load(samples, 4 * n + i) * rate)
-                + _row(sensors, d + 3, f0, f1, f2)
-                + _row(sensors, b + GYRO_MATRIX + 3, w0, w1, w2)
+                (load(constants, g + 1) + level_g * load(samples, 4 * n + i) * rate)
+                + _row(constants, d + 3, f0, f1, f2)
+                + _row(constants, k + GYRO_MATRIX + 3, w0, w1, w2)
             )
             c5 += (
-                (load(sensors, g + 2) + level_g * load(samples, 5 * n + i) * rate)
-                + _row(sensors, d + 6, f0, f1, f2)
-                + _row(sensors, b + GYRO_MATRIX + 6, w0, w1, w2)
+                (load(constants, g + 2) + level_g * load(samples, 5 * n + i) * rate)
+                + _row(constants, d + 6, f0, f1, f2)
+                + _row(constants, k + GYRO_MATRIX + 6, w0, w1, w2)
             )
             m0, m1, m2 = _rounded(c0, qa, ia), _rounded(c1, qa, ia), _rounded(c2, qa, ia)
             m3, m4, m5 = _rounded(c3, qg, ig), _rounded(c4, qg, ig), _rounded(c5, qg, ig)
@@ -210,16 +213,16 @@ def recorded(run, first, count, samples, dt):
 
 
 @njit
-def advance_correlated(sensors, base, channels, key0, key1, epoch, tau, noise):
+def advance_correlated(sensors, base, channels, sd, time, key0, key1, epoch, tau, noise):
     r"""Correlated code errors at the next epoch: first-order Gauss-Markov.
 
     .. math:: c^+ = \alpha c + \sigma \sqrt{1 - \alpha^2}\, w, \qquad \alpha = e^{-\tau / T}
 
     which is exact for any interval, and stationary since it begins with :math:`\sigma w`.
 
-    `tau`: time since the epoch before [s]; 0 for the first epoch; `noise`: scratch memory.
+    `sd`, `time`: :math:`\sigma` [m] and T [s]; `tau`: time since the epoch before [s]; 0 for the
+    first epoch; `noise`: scratch memory.
     """
-    sd, time = load(sensors, base + CORRELATED_NOISE), load(sensors, base + CORRELATED_NOISE + 1)
     alpha = select(tau > 0.0, exponential(-tau / time), 0.0)
     driving = sd * sqrt(1.0 - alpha * alpha)
     deviates(key0, key1, epoch, noise.shape[0], channels, noise)
@@ -328,19 +331,34 @@ def disturb(signals, base, n, key0, key1, number, epoch, tau, mapping, noise, sk
 
 @njit
 def measure(
-    sensors, base, channels, keys, key_row, epoch, tau, sky, noise, replaced, picked_up, out, first
+    sensors,
+    base,
+    constants,
+    fixed,
+    channels,
+    keys,
+    key_row,
+    epoch,
+    tau,
+    sky,
+    noise,
+    replaced,
+    picked_up,
+    out,
+    first,
 ):
     """Measure a group's pseudoranges and range rates at one epoch.
 
-    `epoch`, `tau`: of each lane, and time since the epoch before [s]; 0 leaves the clock alone;
-    `sky`: of `gather_sky`; `noise`: scratch memory for the deviates; `replaced`: lane array of 4 n
-    rows, what an attack adds to pseudoranges and range rates, and what stays of their authentic
-    errors (`SensorBuffers`); `picked_up`: lane array of what `disturb` wrote, or of no row;
-    `out`: lane array; its 2 n rows from `first` on are written, 0 where invisible.
+    `sensors`, `base`, `constants`, `fixed`: as in `sense`; `epoch`, `tau`: of each lane, and time
+    since the epoch before [s]; 0 leaves the clock alone; `sky`: of `gather_sky`; `noise`: scratch
+    memory for the deviates; `replaced`: lane array of 4 n rows, what an attack adds to pseudoranges
+    and range rates, and what stays of their authentic errors (`SensorBuffers`); `picked_up`: lane
+    array of what `disturb` wrote, or of no row; `out`: lane array; its 2 n rows from `first` on are
+    written, 0 where invisible.
     """
     n = channels
     b, k = base, key_row
-    phase, frequency = load(sensors, b + CLOCK_PSD), load(sensors, b + CLOCK_PSD + 1)
+    phase, frequency = load(constants, fixed + CLOCK_PSD), load(constants, fixed + CLOCK_PSD + 1)
     a, w = splat(0.0, sensors), splat(0.0, sensors)
     if any_lane((phase > 0.0) | (frequency > 0.0)):
         deviates(
@@ -357,12 +375,16 @@ def measure(
     )
     store(sensors, b + CLOCK, bias)
     store(sensors, b + CLOCK + 1, drift)
-    if any_lane(load(sensors, b + CORRELATED_NOISE) > 0.0):
+    sd, time = (
+        load(constants, fixed + CORRELATED_NOISE),
+        load(constants, fixed + CORRELATED_NOISE + 1),
+    )
+    if any_lane(sd > 0.0):
         key0, key1 = load(keys, k + CORRELATED_KEY), load(keys, k + CORRELATED_KEY + 1)
-        advance_correlated(sensors, b, n, key0, key1, epoch, tau, noise)
+        advance_correlated(sensors, b, n, sd, time, key0, key1, epoch, tau, noise)
     key0, key1 = load(keys, k + GNSS_KEY), load(keys, k + GNSS_KEY + 1)
     deviates(key0, key1, epoch, noise.shape[0], 2 * n, noise)
-    code_sd, rate_sd = load(sensors, b + GNSS_NOISE), load(sensors, b + GNSS_NOISE + 1)
+    code_sd, rate_sd = load(constants, fixed + GNSS_NOISE), load(constants, fixed + GNSS_NOISE + 1)
     for s in range(n):
         true_range = load(sky, SKY * s + 6)
         visible = true_range > 0.0

@@ -28,57 +28,69 @@ the keys of the others as they are."""
 def sensor_shapes(channels: int) -> dict[str, tuple[int, ...]]:
     """What is kept of every receiver's sensors, in the order of the lane array.
 
-    - `accel_bias`, `gyro_bias` (3,) body axes [m/s^2], [rad/s];
-    - `accel_matrix`, `gyro_matrix`, `g_dependence` (3, 3) I + M_a, I + M_g and G_g;
-    - `imu_noise` (4,) root PSD of accelerometers and gyros, quantization levels;
     - `residual` (6,) what quantization carries to the next sample;
-    - `clock`, `clock_psd` (2,) true clock bias [m] and drift [m/s], and their noise;
-    - `gnss_noise` (2,) white noise of pseudoranges [m] and range rates [m/s];
-    - `correlated_noise` (2,) standard deviation [m] and correlation time [s] of the correlated
-      code errors;
+    - `clock` (2,) true clock bias [m] and drift [m/s];
     - `satellite_bias` (n,) constant for an episode [m];
     - `correlated` (n,) correlated code errors of the present epoch [m].
     """
     n = channels
-    return {
-        "accel_bias": (3,),
-        "gyro_bias": (3,),
-        "accel_matrix": (3, 3),
-        "gyro_matrix": (3, 3),
-        "g_dependence": (3, 3),
-        "imu_noise": (4,),
-        "residual": (6,),
-        "clock": (2,),
-        "clock_psd": (2,),
-        "gnss_noise": (2,),
-        "correlated_noise": (2,),
-        "satellite_bias": (n,),
-        "correlated": (n,),
-    }
+    return {"residual": (6,), "clock": (2,), "satellite_bias": (n,), "correlated": (n,)}
+
+
+CONSTANTS: dict[str, tuple[int, ...]] = {
+    "accel_bias": (3,),
+    "gyro_bias": (3,),
+    "accel_matrix": (3, 3),
+    "gyro_matrix": (3, 3),
+    "g_dependence": (3, 3),
+    "imu_noise": (4,),
+    "clock_psd": (2,),
+    "gnss_noise": (2,),
+    "correlated_noise": (2,),
+}
+"""What stays the same of every receiver's sensors for an episode, in the order of the lane array.
+
+- `accel_bias`, `gyro_bias` body axes [m/s^2], [rad/s];
+- `accel_matrix`, `gyro_matrix`, `g_dependence` I + M_a, I + M_g and G_g;
+- `imu_noise` root PSD of accelerometers and gyros, quantization levels;
+- `clock_psd` noise of clock bias and drift;
+- `gnss_noise` white noise of pseudoranges [m] and range rates [m/s];
+- `correlated_noise` standard deviation [m] and correlation time [s] of the correlated code errors.
+"""
 
 
 class SensorBuffers:
     """The memory of a batch of sensors, and what an attack adds to their measurements.
 
     - `fields`: of `sensor_shapes`;
+    - `constants`: of `CONSTANTS`, once where all receivers are `alike`;
     - `words`: key of the noise of each of `SOURCES`, (2,) uint64;
     - `epoch` (B,) int64, the epoch that each receiver is at;
     - `range_offset`, `rate_offset` (B, n) what the attack adds [m], [m/s];
     - `authentic` (B, 2n) part of the errors of the authentic signals that stays, pseudoranges
       first: 1, or down to 0 where a counterfeit signal has taken their place, and -1 where the
-      receiver's own noise is replaced, too;
+      receiver's own noise is replaced, too; without any row where no attack replaces errors;
     - `signals`: of `signal_shapes`, or without any row where nobody has such errors.
     """
 
-    def __init__(self, receivers: int, channels: int, *, with_signals: bool = False) -> None:
+    def __init__(
+        self,
+        receivers: int,
+        channels: int,
+        *,
+        with_signals: bool = False,
+        with_authentic: bool = False,
+        alike: bool = False,
+    ) -> None:
         self.receivers, self.channels = receivers, channels
         self.signals = LaneFields(receivers, signal_shapes(channels) if with_signals else {})
         self.fields = LaneFields(receivers, sensor_shapes(channels))
+        self.constants = LaneFields(receivers, CONSTANTS, shared=alike)
         self.words = LaneFields(receivers, dict.fromkeys(SOURCES, (2,)), np.uint64)
         self.epoch = np.zeros(receivers, dtype=np.int64)
         self.range_offset = np.zeros((receivers, channels))
         self.rate_offset = np.zeros((receivers, channels))
-        self.authentic = np.ones((receivers, 2 * channels))
+        self.authentic = np.ones((receivers if with_authentic else 0, 2 * channels))
 
     @property
     def keys(self) -> NDArray[np.uint64]:
@@ -88,10 +100,13 @@ class SensorBuffers:
     def copy_rows(self, to: NDArray[np.intp], other: SensorBuffers, rows: NDArray[np.intp]) -> None:
         """Take over receivers of another batch."""
         self.fields.copy_rows(to, other.fields, rows)
+        self.constants.copy_rows(to, other.constants, rows)
         self.words.copy_rows(to, other.words, rows)
         self.signals.copy_rows(to, other.signals, rows)
-        for name in ("epoch", "range_offset", "rate_offset", "authentic"):
+        for name in ("epoch", "range_offset", "rate_offset"):
             getattr(self, name)[to] = getattr(other, name)[rows]
+        if len(self.authentic):
+            self.authentic[to] = other.authentic[rows]
 
     def draw_keys(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
         """Take the keys of a new episode.
@@ -132,24 +147,25 @@ class SensorBuffers:
         episode, as large as those of the grade.
         """
         clock, n = errors.clock, len(bias_sd)
-        values: dict[str, Any] = {
+        constants: dict[str, Any] = {
             "accel_bias": grade.accel_bias,
             "gyro_bias": grade.gyro_bias,
             "accel_matrix": grade.accel_matrix,
             "gyro_matrix": grade.gyro_matrix,
             "g_dependence": grade.g_dependence,
             "imu_noise": grade.noise,
-            "residual": 0.0,
-            "clock": (clock.offset_m, clock.drift_mps),
             "clock_psd": (clock.phase_psd, clock.frequency_psd),
             "gnss_noise": (errors.code_sd_m, errors.range_rate_sd_mps),
             "correlated_noise": (errors.correlated_sd_m, errors.correlation_s),
-            "correlated": 0.0,
         }
-        for name, value in values.items():
+        for name, value in constants.items():
+            self.constants.put(name, rows, value)
+        first = {"residual": 0.0, "clock": (clock.offset_m, clock.drift_mps), "correlated": 0.0}
+        for name, value in first.items():
             self.fields.put(name, rows, value)
         self.range_offset[rows] = self.rate_offset[rows] = 0.0
-        self.authentic[rows] = 1.0
+        if len(self.authentic):
+            self.authentic[rows] = 1.0
         deviates, biases = np.empty(padded(n)), np.empty((len(rows), n))
         for bias, (k0, k1) in zip(biases, self.words.get("bias", rows), strict=True):
             normals(k0, k1, 0, deviates)
@@ -178,5 +194,5 @@ class SensorBuffers:
         first = 0
         for name, (mean, spread) in means.items():
             own = deviates[:, first : first + spread.size].reshape(len(rows), *spread.shape)
-            self.fields.put(name, rows, mean + np.sqrt(np.mean(spread**2)) * own)
+            self.constants.put(name, rows, mean + np.sqrt(np.mean(spread**2)) * own)
             first += spread.size

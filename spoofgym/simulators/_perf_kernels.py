@@ -45,10 +45,11 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
     the first group, as often as there are groups.  Its deviates stay in registers, and it takes
     the first half of the samples twice, so that what it touches stays in the nearest cache.
 
-    `epoch`: of all receivers; `lanes`: x, sensors and keys; `truth`: run, epoch_time, epoch_end and
-    satellites, and `rules`, as in `receiver._kernels.Arrays`; `work`: lane array of `work_rows`.
+    `epoch`: of all receivers; `lanes`: x, assumed, sensors, constants and keys; `truth`: run,
+    epoch_time, epoch_end and satellites, and `rules`, as in `receiver._kernels.Arrays`; `work`:
+    lane array of `work_rows`.
     """
-    x, sensors, keys = lanes
+    x, assumed, sensors, constants, keys = lanes
     run, epoch_time, epoch_end, satellites = truth
     n, size, gnss_size = satellites.shape[1], rules[3], rules[4]
     rows, sensor_rows = filters.CHANNELS + filters.ALL * n, world.CHANNELS + 2 * n
@@ -76,9 +77,12 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
         for group in range(leader, -(-hi // lanes_of(x))):
             here = leader if part == FLOOR else group
             base, sensor_base, key = here * rows, here * sensor_rows, here * world.KEYS
+            fixed = here * world.CONSTANT_ROWS % constants.shape[0]
+            of_sensors = sensors, sensor_base, constants, fixed
             c, P = base + filters.CHANNELS, base + filters.COVARIANCE
-            u, R = c + filters.SIGHT * n, c + filters.VARIANCE * n
-            seen = c + filters.VISIBLE * n
+            u, seen = c + filters.SIGHT * n, c + filters.VISIBLE * n
+            believed = here * (filters.VARIANCE + 2 * n) % assumed.shape[0]
+            R = believed + filters.VARIANCE
             if part in (NOISE, FLOOR):
                 k0, k1 = load(keys, key + world.IMU_KEY), load(keys, key + world.IMU_KEY + 1)
                 if part == NOISE or lanes_of(x) == 1:  # which makes vectors of one lane
@@ -87,29 +91,26 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
                     store(row, 0, noise_in_registers(k0, k1, k, size))
             if part == FLOOR:
                 for some in (half, count - half):
-                    world.sense(
-                        run, first, some, sensors, sensor_base, samples, dt, gathered, active
-                    )
+                    world.sense(run, first, some, *of_sensors, samples, dt, gathered, active)
                     filters.mechanize(x, base, samples, dt, some, active, force)
             if part == SENSE:
-                world.sense(run, first, count, sensors, sensor_base, samples, dt, gathered, active)
+                world.sense(run, first, count, *of_sensors, samples, dt, gathered, active)
             if part == MECHANIZE:
                 filters.mechanize(x, base, samples, dt, count, active, force)
             if part == MEASURE:
                 world.gather_sky(satellites, now, sky)
             if part in (MEASURE, FLOOR):
-                world.measure(
-                    sensors, sensor_base, n, keys, key, k, tau, sky, noise, added, added[:0], x, c
-                )
+                world.measure(*of_sensors, n, keys, key, k, tau, sky, noise, added, added[:0], x, c)
             if part in (PROPAGATE, FLOOR):
-                filters.propagate(x, base, force, tau, terms, product)
+                filters.propagate(x, base, assumed, believed, force, tau, terms, product)
             if part in (INNOVATE, FLOOR):
                 filters.innovate(x, base, n, tau, sky)
-                kalman.innovation_variance(x, P, u, R, seen, n, precision)
+                kalman.innovation_variance(x, P, u, assumed, R, seen, n, precision)
             if part == COVARIANCE_S:
-                kalman.innovation_covariance(x, P, u, R, seen, n, S, product)
+                kalman.innovation_covariance(x, P, u, assumed, R, seen, n, S, product)
             if part in (UPDATE, FLOOR):
-                filters.correct(x, base, n, weights, rules, solution, precision)
+                given = assumed, believed, n, weights, rules
+                filters.correct(x, base, *given, solution, precision)
 
 
 @njit

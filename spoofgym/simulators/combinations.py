@@ -141,6 +141,24 @@ class Combinations:
         return self._all[index]
 
     @property
+    def assume_alike(self) -> bool:
+        """Whether victims assume the same noise in all of them."""
+        first = self._all[0]
+        return all(
+            np.array_equal(case.noise_variance, first.noise_variance)
+            and np.array_equal(case.noise_psd, first.noise_psd)
+            for case in self._all
+        )
+
+    @property
+    def sense_alike(self) -> bool:
+        """Whether sensors have the same constants in all episodes of all of them."""
+        first = self._all[0]
+        return not self.drawn and all(
+            case.grade is first.grade and case.errors == first.errors for case in self._all
+        )
+
+    @property
     def largest_epoch_variance(self) -> FloatArray:
         """(2n,) largest variance of one epoch alone of all combinations."""
         largest: FloatArray = np.max([case.epoch_variance for case in self._all], axis=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import numpy as np
@@ -50,7 +51,9 @@ def record_run(
     count = setup.onset + setup.steps if epochs is None else epochs
     if not 1 <= count < setup.world.epochs:
         raise ValueError(f"`epochs` must be 1 to {setup.world.epochs - 1}, got {count}")
-    victim = setup.simulator(1, run_serially)
+    told = copy.copy(setup)
+    told.fields = setup.fields | {"pseudorange", "range_rate"}
+    victim = told.simulator(1, run_serially)
     victim.begin([rng])
     buffers, clock = victim.buffers, victim.buffers.fields["clock"][0]
     initial = NavState(
@@ -67,9 +70,9 @@ def record_run(
             epoch = victim.advance()
         else:
             epoch = victim.predict(command(k - setup.onset))
-        seen, measured = epoch.visible[0], buffers.fields["measured"][0]
+        seen, measured = epoch.visible[0], (epoch.pseudorange, epoch.range_rate)
         sky = setup.world.satellites[int(victim.epochs[0])]
-        ranges = [np.where(seen, each, np.nan) for each in measured]
+        ranges = [np.where(seen, each[0], np.nan) for each in measured]
         victim.update(None)
         kept.append((samples, *ranges, sky, buffers.position_e[0].copy()))
     imu_samples, pseudorange, range_rate, satellites, position_e = map(
@@ -99,5 +102,6 @@ def _next_samples(victim: TightlyCoupledSimulator) -> FloatArray:
     key0, key1 = sensors.words["imu"][0]
     deviates(key0, key1, np.uint64(k + 1), len(samples), 6 * count, samples)
     truth, active = np.empty(8 * CHUNK), np.ones(1)
-    sense(world.run, np.array([first]), count, kept, 0, samples, dt, truth, active)
+    given = kept, 0, sensors.constants.data, 0
+    sense(world.run, np.array([first]), count, *given, samples, dt, truth, active)
     return samples[: 6 * count].reshape(6, -1).T.copy()

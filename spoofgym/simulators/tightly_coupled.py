@@ -241,9 +241,15 @@ class TightlyCoupledSimulator(Simulator):
         world, receivers = self.setup.world, self.receivers
         augmented = self.setup.receiver.tuning == "augmented"
         wanted = self.fields | AUGMENTED_NEEDS if augmented else self.fields
-        self.buffers = ReceiverBuffers(receivers, world.channels, wanted)
-        signals = self.setup.combinations.with_signals
-        self.sensors = SensorBuffers(receivers, world.channels, with_signals=signals)
+        alike = self.setup.combinations.assume_alike
+        self.buffers = ReceiverBuffers(receivers, world.channels, wanted, alike=alike)
+        self.sensors = SensorBuffers(
+            receivers,
+            world.channels,
+            with_signals=self.setup.combinations.with_signals,
+            with_authentic=self.setup.attack.replaces_errors,
+            alike=self.setup.combinations.sense_alike,
+        )
         self.epoch = epoch_view(self.buffers)
         self._everyone = np.arange(receivers)
         self._serial = receivers <= LANES
@@ -357,7 +363,8 @@ class TightlyCoupledSimulator(Simulator):
         self._epochs(MEASURE, 0, b)
         world, fields = setup.world, self.buffers.fields
         position_e, velocity_e, clock = np.empty((b, 3)), np.empty((b, 3)), np.empty((b, 2))
-        guess_e, now = world.position_e[first], (fields["measured"], world.satellites, first)
+        measured = fields["innovation"].reshape(b, 2, world.channels)
+        guess_e, now = world.position_e[first], (measured, world.satellites, first)
         _kernels_of_receiver.first_fix(*now, guess_e, position_e, velocity_e, clock)
         fields["position_e"], fields["velocity_e"], fields["clock"] = position_e, velocity_e, clock
         fields["C_eb"] = combinations.first_C_eb(choice.grade, first)
@@ -367,15 +374,15 @@ class TightlyCoupledSimulator(Simulator):
     def _start_combinations(self) -> None:
         """Draw the errors, and give the victims what they assume."""
         indices, combinations = self.memory["combination"], self.setup.combinations
-        fields = self.buffers.fields
+        assumed = self.buffers.assumed
         for index in np.unique(indices).tolist():
             its, rows = combinations[index], np.flatnonzero(indices == index)
             drawn, interval_s = combinations.drawn, self.setup.interval_s
             self.sensors.begin(
                 rows, its.grade, its.errors, its.bias_sd, interval_s=interval_s, drawn=drawn
             )
-            fields.put("noise_variance", rows, its.noise_variance)
-            fields.put("noise_psd", rows, its.noise_psd)
+            assumed.put("noise_variance", rows, its.noise_variance)
+            assumed.put("noise_psd", rows, its.noise_psd)
             self.buffers.put_covariance(rows, its.covariance)
             if self.augmented is not None:
                 self.augmented.begin(rows, its.covariance, self.setup.receiver.grade)
@@ -430,7 +437,8 @@ class TightlyCoupledSimulator(Simulator):
         if self.clean is not None:
             spared = lo + np.flatnonzero(self.clean[lo:hi])
             sensors.range_offset[spared] = sensors.rate_offset[spared] = 0.0
-            sensors.authentic[spared] = 1.0
+            if self.attack.replaces_errors:
+                sensors.authentic[spared] = 1.0
 
     def _measure(self, command: FloatArray | None) -> None:
         self.predict(command)
@@ -443,18 +451,18 @@ class TightlyCoupledSimulator(Simulator):
         if self.augmented is None:
             return
         buffers, setup, n = self.buffers, self.setup, self.setup.world.channels
-        seen, fields = buffers.seen, buffers.fields
+        seen, assumed = buffers.seen, buffers.assumed
         mapping = setup.mappings[self.epochs] if setup.mappings.size else np.zeros((1, n, MAPPINGS))
         predicted = self.augmented.predict(
             seen["transition"],
             seen["imu_delta"],
-            fields["noise_psd"],
+            assumed["noise_psd"],
             buffers.interval,
             seen["design"],
             mapping,
             buffers.visible,
             seen["innovation"],
-            fields["noise_variance"],
+            assumed["noise_variance"],
             setup.receiver.min_satellites,
         )
         self._predicted = predicted

@@ -175,6 +175,7 @@ def played(attack, steps=15, receivers=3, **settings):
         timeline=TIMELINE,
         **settings,
     )
+    setup.fields = frozenset({"pseudorange", "range_rate"})
     core = SpoofCore(receivers, setup, knowledge="blind", threads=1)
     core.reset([np.random.default_rng([3, row]) for row in range(receivers)])
     results = [core.step(np.zeros((receivers, len(core.action_names)))) for _ in range(steps)]
@@ -203,7 +204,7 @@ def test_counterfeit_errors_replace_the_authentic_ones():
         simulator, world = core.engine.simulator, core.setup.world
         k, seen = int(simulator.epochs[0]), world.visible[int(simulator.epochs[0])]
         clock = simulator.sensors.fields["clock"]
-        ranges, rates = simulator.buffers.fields["measured"].transpose(1, 0, 2)
+        ranges, rates = simulator.epoch.pseudorange, simulator.epoch.range_rate
         code = ranges - world.satellites[k, :, 6] - clock[:, :1]
         rate = rates - world.satellites[k, :, 7] - clock[:, 1:]
         taken = seen & core.setup.attack.captured(world)
@@ -236,7 +237,7 @@ def test_replaced_errors_leave_the_noise_of_the_receiver_as_its_world_has_it():
         simulator, world = core.engine.simulator, core.setup.world
         k, fields = int(simulator.epochs[0]), simulator.sensors.fields
         seen = world.visible[k]
-        ranges, rates = simulator.buffers.fields["measured"].transpose(1, 0, 2)
+        ranges, rates = simulator.epoch.pseudorange, simulator.epoch.range_rate
         code = ranges - world.satellites[k, :, 6] - fields["clock"][:, :1]
         if core is inherited:
             code -= fields["satellite_bias"] + fields["correlated"]

@@ -73,6 +73,21 @@ def test_without_limits_all_can_be_locked_out_for_good():
         assert np.all(found[20:] == 0.0)
 
 
+@pytest.mark.parametrize(
+    ("settings", "remembers"),
+    [
+        ({}, False),
+        ({"max_exclusion_s": 10.0}, True),
+        ({"min_satellites": 4}, True),
+        ({"min_satellites": 4, "weight_scale": None}, False),  # without weights
+    ],
+)
+def test_exclusions_are_counted_where_they_are_limited(settings, remembers):
+    detector = Ewma(**settings)
+    detector.bind(context(3, N))
+    assert ("excluded" in detector.memory) == remembers
+
+
 def test_the_joint_chart_is_limited_by_default_and_the_ewma_chart_is_not():
     assert (JointChart().max_exclusion_s, JointChart().min_satellites) == (60.0, 5)
     assert (Ewma().max_exclusion_s, Ewma().min_satellites) == (None, 0)

@@ -13,7 +13,7 @@ import numpy as np
 from spoofgym._simd import ArrayTable
 from spoofgym.earth.frames import geodetic_to_ecef
 from spoofgym.receiver import _kernels
-from spoofgym.receiver._kernels import PREDICT, SHOW, UPDATE
+from spoofgym.receiver._kernels import MEASURE, PREDICT, SHOW, UPDATE
 from spoofgym.receiver.kalman import COVARIANCE_UPDATES
 from spoofgym.receiver.state import SEEN, ReceiverBuffers, kernel_table
 from spoofgym.sim.clock import TCXO, ReceiverClock
@@ -96,11 +96,11 @@ REALISTIC = GnssErrors(
 class Batch:
     """Receivers of some numbers, predicted up to an epoch of their own."""
 
-    def __init__(self, numbers, wanted=SEEN, world=WORLD):
+    def __init__(self, numbers, wanted=SEEN, world=WORLD, with_authentic=True, alike=False):
         self.numbers, self.world, count = list(numbers), world, len(numbers)
-        self.buffers = ReceiverBuffers(count, N, wanted)
-        self.sensors = SensorBuffers(count, N)
-        self.weights = np.ones((count, 2 * N))
+        self.buffers = ReceiverBuffers(count, N, wanted, alike=alike)
+        self.sensors = SensorBuffers(count, N, with_authentic=with_authentic)
+        self.weights, self.measured = np.ones((2, count, 2 * N))
         with np.errstate(over="ignore"):  # unsigned words wrap around
             for row, number in enumerate(self.numbers):
                 self._fill(row, number)
@@ -113,6 +113,8 @@ class Batch:
         rng, rows = np.random.default_rng(number), np.array([row])
         z, R = measured(rng, N)
         u, visible = sky(rng, N), rng.uniform(size=N) < 0.9
+        assumed = {"noise_psd": rng.uniform(0.0, 1e-3, 17) ** 2, "noise_variance": R}
+        truth = self.world.satellites[number % EPOCHS + 1, :, 6:].T
         values = {
             "C_eb": np.linalg.qr(rng.standard_normal((3, 3)))[0],
             "velocity_e": rng.normal(0.0, 100.0, 3),
@@ -120,15 +122,15 @@ class Batch:
             "accel_bias_b": rng.normal(0.0, 1e-3, 3),
             "gyro_bias_b": rng.normal(0.0, 1e-6, 3),
             "clock": rng.normal([1e4, 100.0], [6.0, 0.3]),
-            "noise_psd": rng.uniform(0.0, 1e-3, 17) ** 2,
-            "measured": rng.normal(self.world.satellites[number % EPOCHS + 1, :, 6:].T, 10.0) + 1e4,
             "innovation": z * np.tile(visible, 2),
-            "noise_variance": R,
             "line_of_sight": u * visible[:, None],
             "visible": visible,
         }
         for name, value in values.items():
             self.fields.put(name, rows, value)
+        self.measured[row] = rng.normal(truth, 10.0).ravel() + 1e4
+        for name, value in assumed.items():
+            self.buffers.assumed.put(name, rows, value)
         self.buffers.put_covariance(rows, covariance(rng))
         sensors = self.sensors
         sensors.draw_keys(rows, [np.random.default_rng([number, 1])])
@@ -141,7 +143,8 @@ class Batch:
         if number % 2:  # attacked
             sensors.range_offset[row] = rng.normal(0.0, 50.0, N)
             sensors.rate_offset[row] = rng.normal(0.0, 1.0, N)
-            sensors.authentic[row] = rng.choice([0.0, 1.0], 2 * N)
+            if len(sensors.authentic):
+                sensors.authentic[row] = rng.choice([0.0, 1.0], 2 * N)
         self.weights[row] = rng.uniform(0.0, 1.0, 2 * N) if number % 4 > 1 else 1.0
 
     def run(
@@ -156,7 +159,12 @@ class Batch:
         orthonormal=False,
         count=1,
     ):
-        """Call the engine's kernel, without an attack and a detector of its own."""
+        """Call the engine's kernel, without an attack and a detector of its own.
+
+        What it predicts without measuring has been measured before.
+        """
+        if what & PREDICT and not what & MEASURE:
+            self.fields.put("innovation", slice(lo, hi), self.measured[lo:hi])
         buffers, sensors, world = self.buffers, self.sensors, self.world
         sizes = padded(6 * MOST), padded(2 * N)
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
@@ -207,9 +215,11 @@ class Batch:
         plain = ("time", "interval", "position_e", "velocity_e", "visible", "coasting")
         found = {
             **{name: buffers.fields.get(name, rows)[0] for name in buffers.fields.shapes},
+            **{name: buffers.assumed.get(name, rows)[0] for name in buffers.assumed.shapes},
             **{
-                f"sensor {name}": sensors.fields.get(name, rows)[0]
-                for name in sensors.fields.shapes
+                f"sensor {name}": each.get(name, rows)[0]
+                for each in (sensors.fields, sensors.constants)
+                for name in each.shapes
             },
             **{f"seen {name}": array[row] for name, array in buffers.seen.items()},
             **{f"plain {name}": getattr(buffers, name)[row] for name in plain},

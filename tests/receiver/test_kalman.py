@@ -191,8 +191,8 @@ def test_rejected_satellites_are_as_good_as_absent_in_the_state(update):
 def belief_of_the_measurements(x, S, variance, t):
     n = variance.shape[0] // 2
     u, R, visible = PACKED, PACKED + 3 * n, PACKED + 5 * n
-    kalman.innovation_covariance(x, 0, u, R, visible, n, S, t)
-    kalman.innovation_variance(x, 0, u, R, visible, n, variance)
+    kalman.innovation_covariance(x, 0, u, x, R, visible, n, S, t)
+    kalman.innovation_variance(x, 0, u, x, R, visible, n, variance)
 
 
 @pytest.mark.nojit

@@ -34,7 +34,7 @@ def test_corrections_are_fed_back(covariance_update, receivers):
             before.buffers.covariance[b],
             old["line_of_sight"][b],
             old["innovation"][b],
-            old["noise_variance"][b],
+            before.buffers.assumed["noise_variance"][b],
             weights[b],
             old["visible"][b] > 0.0,
             covariance_update,
@@ -57,6 +57,31 @@ def test_corrections_are_fed_back(covariance_update, receivers):
             batch.buffers.covariance[b] / np.outer(SD, SD), P / np.outer(SD, SD), rtol=0, atol=1e-9
         )
     assert not batch.buffers.coasting.any()
+
+
+@pytest.mark.parametrize("receivers", [1, 9])
+def test_errors_that_nobody_replaces_all_stay(receivers):
+    told = Batch(range(receivers))
+    told.sensors.authentic[:] = 1.0
+    untold = Batch(range(receivers), with_authentic=False)
+    for batch in (told, untold):
+        batch.run(MEASURE + PREDICT + SHOW)
+    for row in range(receivers):
+        check_same(untold.everything(row), told.everything(row))
+
+
+@pytest.mark.parametrize("receivers", [1, 3, 17])
+def test_what_all_assume_is_kept_once_and_used_by_all(receivers):
+    each, together = Batch(range(receivers)), Batch(range(receivers), alike=True)
+    assert together.buffers.assumed.groups == 1
+    last = {name: each.buffers.assumed[name][-1] for name in each.buffers.assumed.shapes}
+    for batch in (each, together):
+        for name, value in last.items():
+            batch.buffers.assumed[name] = value
+        batch.run(MEASURE + PREDICT + SHOW)
+        batch.update()
+    for row in range(receivers):
+        check_same(together.everything(row), each.everything(row))
 
 
 @pytest.mark.parametrize("orthonormal", [False, True])
@@ -146,7 +171,8 @@ def test_lanes_without_a_receiver_follow_the_last(what):
     for _ in range(3):
         batch.run(what)
         batch.run(UPDATE)
-    for fields in (batch.fields, batch.sensors.fields):
+    sensors = batch.sensors.fields, batch.sensors.constants
+    for fields in (batch.fields, batch.buffers.assumed, *sensors):
         group = fields.data.reshape(2, fields.rows, LANES)[1]
         for index in range(3, LANES):
             assert group[:, index].tobytes() == group[:, 2].tobytes()
@@ -230,7 +256,7 @@ def test_innovations_are_measured_less_predicted(receivers):
                 assert (z, zdot) == (0.0, 0.0)
                 continue
             rho, rate, *sights[s] = range_and_rate(*satellites[s, :6], *r, *v)
-            measured = fields["measured"][b, :, s]
+            measured = before.measured[b, [s, N + s]]
             assert abs(z - (measured[0] - rho - bias)) <= 1e-8
             assert abs(zdot - (measured[1] - rate - drift)) <= 1e-9
         np.testing.assert_allclose(fields["line_of_sight"][b], sights, rtol=0, atol=1e-15)
@@ -243,16 +269,17 @@ def test_what_is_shown_of_an_epoch_is_what_the_update_uses(receivers):
     batch, before = Batch(range(receivers)), Batch(range(receivers))
     batch.predict()
     fields, seen, tau = batch.fields, batch.buffers.seen, batch.buffers.interval
+    assumed = batch.buffers.assumed
     np.testing.assert_array_equal(seen["innovation"], fields["innovation"])
     np.testing.assert_array_equal(seen["predicted_cov"], batch.buffers.covariance)
     np.testing.assert_array_equal(seen["imu_delta"], fields["imu_delta"])
-    np.testing.assert_array_equal(seen["pseudorange"], fields["measured"][:, 0])
-    np.testing.assert_array_equal(seen["range_rate"], fields["measured"][:, 1])
+    measured = np.hstack([seen["pseudorange"], seen["range_rate"]])
+    np.testing.assert_array_equal(measured, before.measured)
     now = WORLD.satellites[batch.sensors.epoch]
     np.testing.assert_array_equal(seen["satellite_position"], now[:, :, :3])
     np.testing.assert_array_equal(seen["satellite_velocity"], now[:, :, 3:6])
     for b in range(receivers):
-        visible, R = batch.buffers.visible[b], fields["noise_variance"][b]
+        visible, R = batch.buffers.visible[b], assumed["noise_variance"][b]
         H, P, S = seen["design"][b], seen["predicted_cov"][b], seen["innovation_cov"][b]
         np.testing.assert_array_equal(H, design(fields["line_of_sight"][b], visible))
         want = H @ P @ H.T + np.diag(np.where(np.tile(visible, 2), R, 1.0))
@@ -260,7 +287,7 @@ def test_what_is_shown_of_an_epoch_is_what_the_update_uses(receivers):
         np.testing.assert_array_equal(S, S.T)
         np.testing.assert_allclose(seen["innovation_variance"][b], np.diag(S), rtol=1e-12)
         Phi = seen["transition"][b]
-        Q = np.diag(fields["noise_psd"][b] * tau[b])
+        Q = np.diag(assumed["noise_psd"][b] * tau[b])
         want = Phi @ (before.buffers.covariance[b] + Q / 2) @ Phi.T + Q / 2
         sd = np.sqrt(np.diag(want))
         np.testing.assert_allclose(
@@ -292,15 +319,13 @@ def test_an_invisible_slot_tells_nothing_whatever_it_holds(receivers, covariance
     clean, odd = Batch(range(receivers), wanted), Batch(range(receivers), wanted, strange)
     unseen = hidden[clean.sensors.epoch + 1]
     assert unseen.any()
-    R, measured = odd.fields.get("noise_variance"), odd.fields.get("measured")
-    R[np.tile(unseen, 2)] = np.nan
-    measured[np.repeat(unseen[:, None], 2, axis=1)] = np.nan
-    odd.fields["noise_variance"], odd.fields["measured"] = R, measured
+    R = odd.buffers.assumed.get("noise_variance")
+    R[np.tile(unseen, 2)] = odd.measured[np.tile(unseen, 2)] = np.nan
+    odd.buffers.assumed["noise_variance"] = R
     for batch in (clean, odd):
         batch.predict()
         batch.update(batch.weights, update=covariance_update)
     for row in range(receivers):
         mine, theirs = odd.everything(row), clean.everything(row)
-        for name in ("noise_variance", "measured"):
-            del mine[name], theirs[name]
+        del mine["noise_variance"], theirs["noise_variance"]
         check_same(mine, theirs)

@@ -34,8 +34,9 @@ def test_what_is_seen_fills_its_buffer_without_overlap(receivers, channels, want
 
 def test_shapes():
     buffers = ReceiverBuffers(3, 7, SEEN)
-    assert buffers.fields["noise_variance"].shape == (3, 14)
-    assert buffers.fields["measured"].shape == (3, 2, 7)
+    assert buffers.assumed["noise_variance"].shape == (3, 14)
+    assert buffers.assumed["noise_psd"].shape == (3, 17)
+    assert buffers.fields["innovation"].shape == (3, 14)
     assert buffers.visible.shape == (3, 7)
     shapes = {name: array.shape[1:] for name, array in buffers.seen.items()}
     assert shapes == {
@@ -91,11 +92,13 @@ def test_a_copy_has_arrays_of_its_own(way, receivers):
     assert buffers.visible.all()
 
 
+@pytest.mark.parametrize("alike", [False, True])
 @pytest.mark.parametrize("wanted", [(), SEEN])
 @pytest.mark.parametrize(("here", "there"), [(1, 9), (9, 1), (9, 17), (8, 8)])
-def test_receivers_are_taken_over_from_a_batch_of_any_width(here, there, wanted):
-    mine, other = ReceiverBuffers(here, 4, wanted), ReceiverBuffers(there, 4, SEEN)
-    rng = np.random.default_rng(3)
+def test_receivers_are_taken_over_from_a_batch_of_any_width(here, there, wanted, alike):
+    mine = ReceiverBuffers(here, 4, wanted, alike=alike)
+    other, rng = ReceiverBuffers(there, 4, SEEN, alike=alike), np.random.default_rng(3)
+    other.assumed["noise_psd"] = rng.standard_normal(17)
     other.fields.data[:] = rng.standard_normal(other.fields.data.shape)
     other.seen_floats[:] = rng.standard_normal(len(other.seen_floats))
     other.visible[:], other.coasting[:] = rng.random((there, 4)) < 0.5, rng.random(there) < 0.5
@@ -108,6 +111,11 @@ def test_receivers_are_taken_over_from_a_batch_of_any_width(here, there, wanted)
     for name, array in mine.seen.items():
         np.testing.assert_array_equal(array[to], other.seen[name][rows])
         np.testing.assert_array_equal(array[:-1], before.seen[name][:-1])
+    for name in mine.assumed.shapes:
+        taken = other.assumed.get(name, rows)
+        np.testing.assert_array_equal(mine.assumed[name][to], taken)
+        rest = np.tile(taken, (here - 1, 1)) if alike else before.assumed[name][:-1]
+        np.testing.assert_array_equal(mine.assumed[name][:-1], rest)
     for name in mine.fields.shapes:
         np.testing.assert_array_equal(mine.fields[name][to], other.fields.get(name, rows))
         np.testing.assert_array_equal(mine.fields[name][:-1], before.fields[name][:-1])

@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from spoofgym._jit import njit
-from spoofgym._lanes import LaneFields
+from spoofgym._lanes import LaneFields, first_rows
 from spoofgym._simd import LANES, load
 from spoofgym.sim._kernels import CHUNK, IMU_KEY, sense
 from spoofgym.sim.noise import deviates
-from spoofgym.sim.sensors import sensor_shapes
+from spoofgym.sim.sensors import CONSTANTS, sensor_shapes
 
 from ..lanes import in_all_lanes
 
+SHAPES = {**sensor_shapes(4), **CONSTANTS}
+FIXED = first_rows(SHAPES)["accel_bias"]
+"""First row of the constants, here behind the other quantities."""
 PERFECT = {
     "accel_matrix": np.eye(3),
     "gyro_matrix": np.eye(3),
@@ -21,14 +24,14 @@ PERFECT = {
 
 @njit
 def sense_group(run, first, count, sensors, samples, dt, active, truth):
-    sense(run, first, count, sensors, 0, samples, dt, truth, active)
+    sense(run, first, count, sensors, 0, sensors, FIXED, samples, dt, truth, active)
 
 
 @njit
-def draw_group(run, first, count, keys, epoch, sensors, samples, dt, active, truth):
+def draw_group(run, first, count, keys, epoch, sensors, constants, samples, dt, active, truth):
     k0, k1 = load(keys, IMU_KEY), load(keys, IMU_KEY + 1)
     deviates(k0, k1, load(epoch, 0), samples.shape[0], 6 * count, samples)
-    sense(run, first, count, sensors, 0, samples, dt, truth, active)
+    sense(run, first, count, sensors, 0, constants, 0, samples, dt, truth, active)
 
 
 def run_of(truth, lengths):
@@ -38,7 +41,7 @@ def run_of(truth, lengths):
 
 def sensors_of(receivers=1, **values):
     """Sensors without errors, but for those given."""
-    fields = LaneFields(receivers, sensor_shapes(4))
+    fields = LaneFields(receivers, SHAPES)
     for name, value in {**PERFECT, **values}.items():
         fields[name] = value
     return fields

@@ -53,15 +53,16 @@ def test_standard_deviations_must_be_finite_and_not_negative(name, value):
 
 
 @njit
-def measured(sensors, keys, epoch, tau, sky, noise, added, out):
+def measured(sensors, constants, keys, epoch, tau, sky, noise, added, out):
     """Pseudoranges and range rates of a group, in all rows of `out`."""
     n = out.shape[0] // 2
     k, dt = load(epoch, 0), load(tau, 0)
-    measure(sensors, 0, n, keys, 0, k, dt, sky, noise, added, added[:0], out, 0)
+    both = sensors, 0, constants, 0
+    measure(*both, n, keys, 0, k, dt, sky, noise, added, added[:0], out, 0)
 
 
 def begun(errors, bias_sd, seeds, grade="aviation"):
-    buffers = SensorBuffers(len(seeds), N)
+    buffers = SensorBuffers(len(seeds), N, with_authentic=True)
     rows = np.arange(len(seeds))
     buffers.draw_keys(rows, [np.random.default_rng(seed) for seed in seeds])
     buffers.begin(rows, IMU_GRADES[grade], errors, np.full(N, float(bias_sd)))
@@ -82,6 +83,7 @@ def epochs_of(errors, count, tau=0.5, bias_sd=0.0, change=None, seed=3):
         epoch = np.array([k], dtype=np.uint64)
         measured(
             buffers.fields.data,
+            buffers.constants.data,
             buffers.words.data,
             epoch,
             interval,
@@ -283,6 +285,7 @@ def test_eight_receivers_measure_as_each_alone():
     in_all_lanes(
         measured,
         buffers.fields.data,
+        buffers.constants.data,
         buffers.words.data,
         epochs[None].astype(np.uint64),
         tau,

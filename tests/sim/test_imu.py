@@ -182,13 +182,14 @@ def test_drawn_samples_are_the_error_model_of_the_grade():
     buffers.draw_keys(np.arange(1), [np.random.default_rng(9)])
     buffers.begin(np.arange(1), grade, ERRORS["white"], np.zeros(n))
     residual, levels = np.zeros(6), np.repeat(grade.noise[2:], 3)
-    errors = {name: buffers.fields[name][0] for name in errors_of(rng, (0.0, 0.0))}
+    errors = {name: buffers.constants[name][0] for name in buffers.constants.shapes}
     keys, first = buffers.words["imu"][0], np.array([20])
     for epoch in (1, 2):
         truth, size = rng.normal(0.0, 1.0, (6, 80)), padded(6 * 60)  # of the longest interval
         run, samples = run_of(truth, np.full(80, step)), np.full(size, np.nan)
         now, dt = np.array([epoch], dtype=np.uint64), np.empty(60)
-        given = run, first, count, buffers.words.data, now, buffers.fields.data, samples, dt
+        sensors = buffers.fields.data, buffers.constants.data
+        given = run, first, count, buffers.words.data, now, *sensors, samples, dt
         draw_group(*given, np.ones(1), np.empty(8 * CHUNK))
         deviates = np.empty(size)
         normals(keys[0], keys[1], epoch, deviates)
@@ -216,11 +217,11 @@ def test_eight_receivers_draw_as_each_alone(count):
     samples = np.full((padded(6 * 50), LANES), np.nan)
     dt, truth = np.full((50, LANES), np.nan), np.empty((8 * CHUNK, LANES))
 
-    def kernel(first, keys, now, sensors, samples, dt, active, truth):
+    def kernel(first, keys, now, sensors, constants, samples, dt, active, truth):
         first = first[0] if first.ndim == 2 else first
-        draw_group(run, first, count, keys, now, sensors, samples, dt, active, truth)
+        draw_group(run, first, count, keys, now, sensors, constants, samples, dt, active, truth)
         samples[6 * count :] = 0.0  # which may have been written or not
 
-    given = first, buffers.words.data, now, buffers.fields.data
+    given = first, buffers.words.data, now, buffers.fields.data, buffers.constants.data
     in_all_lanes(kernel, *given, samples, dt, np.ones((1, LANES)), truth, scratch=1)
     assert np.isfinite(samples[: 6 * count]).all()

@@ -9,7 +9,7 @@ import pytest
 from spoofgym.sim.clock import ReceiverClock
 from spoofgym.sim.gnss import ERRORS, GnssErrors
 from spoofgym.sim.imu import IMU_GRADES
-from spoofgym.sim.sensors import SOURCES, SensorBuffers, sensor_shapes
+from spoofgym.sim.sensors import CONSTANTS, SOURCES, SensorBuffers, sensor_shapes
 
 N = 5
 BIAS_SD = np.linspace(1.0, 3.0, N)
@@ -17,7 +17,8 @@ BIAS_SD = np.linspace(1.0, 3.0, N)
 
 def begun(seeds, rows=None, receivers=None, errors=ERRORS["groves"], grade="tactical"):
     rows = np.arange(len(seeds)) if rows is None else np.array(rows)
-    buffers = SensorBuffers(len(seeds) if receivers is None else receivers, N)
+    count = len(seeds) if receivers is None else receivers
+    buffers = SensorBuffers(count, N, with_authentic=True)
     generators = [np.random.default_rng(seed) for seed in seeds]
     buffers.draw_keys(rows, generators)
     buffers.begin(rows, IMU_GRADES[grade], errors, BIAS_SD)
@@ -26,7 +27,8 @@ def begun(seeds, rows=None, receivers=None, errors=ERRORS["groves"], grade="tact
 
 def arrays_of(buffers):
     """All arrays of a batch, by name."""
-    fields = {name: buffers.fields[name] for name in buffers.fields.shapes}
+    lanes = buffers.fields, buffers.constants
+    fields = {name: each[name] for each in lanes for name in each.shapes}
     plain = ("epoch", "range_offset", "rate_offset", "authentic")
     return {**fields, **{name: getattr(buffers, name) for name in plain}}
 
@@ -37,9 +39,13 @@ def test_every_receiver_has_all_quantities(receivers, channels):
     buffers = SensorBuffers(receivers, channels)
     for name, shape in sensor_shapes(channels).items():
         assert buffers.fields[name].shape == (receivers, *shape)
+    for name, shape in CONSTANTS.items():
+        assert buffers.constants[name].shape == (receivers, *shape)
     assert buffers.keys.shape == (len(SOURCES), receivers, 2)
     assert buffers.keys.dtype == np.uint64
-    assert buffers.authentic.all()
+    assert buffers.authentic.size == 0
+    attacked = SensorBuffers(receivers, channels, with_authentic=True).authentic
+    np.testing.assert_array_equal(attacked, np.ones((receivers, 2 * channels)))
 
 
 def test_an_episode_begins_with_the_errors_of_the_grade():
@@ -52,23 +58,24 @@ def test_an_episode_begins_with_the_errors_of_the_grade():
         zenith_tropo_sd_m=0.0,
         clock=clock,
     )
-    buffers = SensorBuffers(2, N)
-    buffers.fields.data[:] = np.nan
+    buffers = SensorBuffers(2, N, with_authentic=True)
+    buffers.fields.data[:] = buffers.constants.data[:] = np.nan
     buffers.range_offset[:] = buffers.rate_offset[:] = buffers.authentic[:] = np.nan
     generators = [np.random.default_rng(seed) for seed in (1, 2)]
     grade = IMU_GRADES["consumer"]
     buffers.draw_keys(np.arange(2), generators)
     buffers.begin(np.arange(2), grade, errors, BIAS_SD)
-    state = buffers.fields
-    assert np.isfinite(buffers.fields.data).all()
+    state, constants = buffers.fields, buffers.constants
+    assert np.isfinite(state.data).all()
+    assert np.isfinite(constants.data).all()
     assert buffers.authentic.all()
     for b in range(2):
-        np.testing.assert_array_equal(state["accel_bias"][b], grade.accel_bias)
-        np.testing.assert_array_equal(state["gyro_matrix"][b], grade.gyro_matrix)
-        np.testing.assert_array_equal(state["g_dependence"][b], grade.g_dependence)
+        np.testing.assert_array_equal(constants["accel_bias"][b], grade.accel_bias)
+        np.testing.assert_array_equal(constants["gyro_matrix"][b], grade.gyro_matrix)
+        np.testing.assert_array_equal(constants["g_dependence"][b], grade.g_dependence)
         np.testing.assert_array_equal(state["clock"][b], [7.0, 3.0])
-        np.testing.assert_array_equal(state["clock_psd"][b], [0.1, 0.2])
-        np.testing.assert_array_equal(state["gnss_noise"][b], [0.5, 0.1])
+        np.testing.assert_array_equal(constants["clock_psd"][b], [0.1, 0.2])
+        np.testing.assert_array_equal(constants["gnss_noise"][b], [0.5, 0.1])
         for zero in (
             state["residual"],
             state["correlated"],
@@ -76,6 +83,21 @@ def test_an_episode_begins_with_the_errors_of_the_grade():
             buffers.rate_offset,
         ):
             assert not zero[b].any()
+
+
+@pytest.mark.parametrize("receivers", [1, 9])
+def test_sensors_that_are_alike_keep_their_constants_once(receivers):
+    rngs = [np.random.default_rng(seed) for seed in range(receivers)]
+    each, together = (SensorBuffers(receivers, N, alike=alike) for alike in (False, True))
+    assert together.constants.groups == 1
+    for buffers in (each, together):
+        buffers.draw_keys(np.arange(receivers), rngs)
+        buffers.begin(np.arange(receivers), IMU_GRADES["tactical"], ERRORS["groves"], BIAS_SD)
+    taken = SensorBuffers(receivers, N, alike=True)
+    taken.copy_rows(np.array([0]), together, np.array([receivers - 1]))
+    for name in CONSTANTS:
+        np.testing.assert_array_equal(together.constants[name], each.constants[name])
+        np.testing.assert_array_equal(taken.constants[name], each.constants[name])
 
 
 def test_chance_depends_on_the_seed_alone():
@@ -144,7 +166,7 @@ def test_a_copy_has_arrays_of_its_own(way, seeds):
     for name, array in arrays_of(copied).items():
         np.testing.assert_array_equal(array, before[name], err_msg=name)
     np.testing.assert_array_equal(copied.keys, keys)
-    copied.fields.data[:] = -1.0
+    copied.fields.data[:] = copied.constants.data[:] = -1.0
     copied.words.data[:] = 1
     copied.epoch[:] = copied.authentic[:] = copied.range_offset[:] = copied.rate_offset[:] = -1
     for name, array in arrays_of(buffers).items():
@@ -155,7 +177,7 @@ def test_a_copy_has_arrays_of_its_own(way, seeds):
 @pytest.mark.parametrize(("here", "there"), [(1, 9), (9, 1), (17, 9)])
 def test_receivers_are_taken_over_from_a_batch_of_any_width(here, there):
     mine, other = begun(range(here)), begun(range(100, 100 + there), grade="consumer")
-    other.range_offset[:], other.epoch[:] = 3.0, 7
+    other.range_offset[:], other.epoch[:], other.authentic[:] = 3.0, 7, 0.5
     before = copy.deepcopy(mine)
     mine.copy_rows(np.array([here - 1]), other, np.array([there - 1]))
     theirs, old = arrays_of(other), arrays_of(before)

@@ -28,6 +28,9 @@ TIMELINE = {"warmup_s": 5.0, "live_s": 0.0, "attack_s": 5.0, "time_to_alert_s": 
 FLIGHT = {"flight": "zhong2025", "imu_rate_hz": 10.0}
 
 
+RANGES = frozenset({"pseudorange", "range_rate"})
+
+
 def errors(**signals):
     """Errors of signals alone, on a perfect clock."""
     white = {"code_sd_m": 0.0, "range_rate_sd_mps": 0.0, "signal_in_space_sd_m": 0.0}
@@ -36,10 +39,16 @@ def errors(**signals):
     return GnssErrors(**white, **none, clock=clock, signals=SignalErrors(**signals))
 
 
+def ranges_of(simulator):
+    """(B, 2, n) measured pseudoranges and range rates [m], [m/s]."""
+    return np.stack([simulator.epoch.pseudorange, simulator.epoch.range_rate], axis=1)
+
+
 def measured(given, receivers, epochs, seed=0, **settings):
     """(K, B, n) errors of codes and of range rates, the world and its epochs, of a clean run."""
     scenario = Scenario(errors=given, **{**FLIGHT, **settings})
     setup = TightlyCoupledSetup(scenario=scenario, detector="never", timeline=TIMELINE)
+    setup.fields = RANGES
     simulator = setup.simulator(receivers, run_serially)
     simulator.begin([np.random.default_rng([seed, row]) for row in range(receivers)])
     world, found = setup.world, []
@@ -47,7 +56,7 @@ def measured(given, receivers, epochs, seed=0, **settings):
         simulator.quiet_epochs(1)
         k = int(simulator.epochs[0])
         truth = world.satellites[k, :, 6:].T
-        both = simulator.buffers.fields["measured"] - truth
+        both = ranges_of(simulator) - truth
         both -= simulator.sensors.fields["clock"][:, :, None]
         found.append(np.where(world.visible[k], both, np.nan))
     codes, rates = np.array(found).transpose(2, 0, 1, 3)
@@ -189,7 +198,7 @@ def test_the_worlds_of_aviation():
 
 
 def test_the_constants_of_inertial_sensors_are_drawn_by_the_data_sheet():
-    grade, kept = IMU_GRADES["tactical"], []
+    grade = IMU_GRADES["tactical"]
     setup = TightlyCoupledSetup(
         scenario={"name": "zhong2025-tactical", "imu_rate_hz": 10},
         domain={"turn_on": "drawn"},
@@ -199,8 +208,7 @@ def test_the_constants_of_inertial_sensors_are_drawn_by_the_data_sheet():
     simulator = setup.simulator(300, run_serially)
     for _ in range(2):
         simulator.begin([np.random.default_rng(row) for row in range(300)])
-        kept.append(simulator.sensors.fields)
-        fields = simulator.sensors.fields
+        fields = simulator.sensors.constants
         for name in ("accel_bias", "gyro_bias", "g_dependence"):
             rms = np.sqrt(np.mean(getattr(grade, name) ** 2))
             assert fields[name].std() == pytest.approx(rms, rel=0.1)
@@ -209,7 +217,7 @@ def test_the_constants_of_inertial_sensors_are_drawn_by_the_data_sheet():
             rms = np.sqrt(np.mean((getattr(grade, name) - np.eye(3)) ** 2))
             assert (fields[name] - np.eye(3)).std() == pytest.approx(rms, rel=0.1)
         np.testing.assert_array_equal(fields["imu_noise"][0][:2], grade.noise[:2])
-    bias, k = simulator.sensors.fields["accel_bias"][7], simulator.sensors.words["bias"][7]
+    bias, k = simulator.sensors.constants["accel_bias"][7], simulator.sensors.words["bias"][7]
     out = np.empty(64)
     normals(*k, 1, out)
     np.testing.assert_allclose(bias, np.sqrt(np.mean(grade.accel_bias**2)) * out[:3])
@@ -223,13 +231,14 @@ def events_run(given, receivers=40, **settings):
         detector="never",
         timeline={"warmup_s": 20.0, "live_s": 10.0, "attack_s": 100.0, "time_to_alert_s": 0.0},
     )
+    setup.fields = RANGES
     simulator = setup.simulator(receivers, run_serially)
     simulator.begin([np.random.default_rng([1, row]) for row in range(receivers)])
     epochs, found, seen = setup.onset + setup.steps, [], []
     for _ in range(epochs):
         simulator.quiet_epochs(1)
         truth = setup.world.satellites[int(simulator.epochs[0]), :, 6:].T
-        found.append(simulator.buffers.fields["measured"] - truth)
+        found.append(ranges_of(simulator) - truth)
         seen.append(simulator.buffers.visible.copy())
     codes, rates = np.array(found).transpose(2, 0, 1, 3)
     return setup, simulator, codes, rates, np.array(seen)

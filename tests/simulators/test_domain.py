@@ -64,7 +64,7 @@ def test_an_episode_is_played_in_the_circumstances_that_it_has_drawn():
     assert set(world) == {0, 1, 2}
     # sensors, and what the receiver believes of them
     grades = simulator.memory["combination"] // 2 % 2
-    bias = simulator.sensors.fields["accel_bias"]
+    bias = simulator.sensors.constants["accel_bias"]
     assert len({tuple(row) for row in bias[grades == 0]}) == 1
     assert np.abs(bias[grades == 1]).max() > 5.0 * np.abs(bias[grades == 0]).max()
     attitude = simulator.buffers.covariance[:, 0, 0]
