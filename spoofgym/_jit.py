@@ -42,6 +42,8 @@ COMPILED_LAYERS = ("earth", "sim", "attacks", "receiver", "detectors", "simulato
 FOUNDATION = ("_jit.py", "_compiled.py", "_simd.py", "_lanes.py")
 """Modules that the code of every layer may come from."""
 KEPT_DIGESTS = 16
+KEPT_S = 86_400.0
+"""How long code is kept at least since a process has begun to use it: it may still add to it."""
 CHECKSUM_SIZE = 16
 NOTICE_S = 2.0
 NOTICE = "spoofgym: compiling for this machine, once; takes about a minute"
@@ -145,14 +147,16 @@ def _temporary_parent() -> Path:
 
 
 def _prune(parent: Path, keep: Path) -> None:
-    """Drop all but the `KEPT_DIGESTS` most recently used digests; failures do not matter."""
+    """Drop old digests but for the `KEPT_DIGESTS` last used ones; failures do not matter."""
     try:
         found = [path for path in parent.iterdir() if path.is_dir() and path != keep]
         found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
         os.utime(keep)
+        latest = time.time() - KEPT_S
+        old = [path for path in found[KEPT_DIGESTS - 1 :] if path.stat().st_mtime < latest]
     except OSError:
         return
-    for path in found[KEPT_DIGESTS - 1 :]:
+    for path in old:
         shutil.rmtree(path, ignore_errors=True)
 
 

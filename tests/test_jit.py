@@ -113,6 +113,15 @@ def test_the_least_recently_used_digests_are_pruned(tmp_path):
     assert keep.stat().st_mtime > 1e9  # used just now
 
 
+def test_code_that_a_process_may_still_add_to_is_not_pruned(tmp_path):
+    folders = [tmp_path / f"sim-{k:016x}" for k in range(_jit.KEPT_DIGESTS + 5)]
+    for folder in folders:
+        folder.mkdir()
+    os.utime(folders[3], (1e9, 1e9))
+    _jit._prune(tmp_path, folders[0])
+    assert sorted(tmp_path.iterdir()) == sorted({*folders} - {folders[3]})
+
+
 def test_pruning_what_is_not_there_is_no_error(tmp_path):
     _jit._prune(tmp_path / "none", tmp_path / "none" / "sim-0")
 

@@ -220,6 +220,7 @@ def test_the_same_campaign_twice_at_once_ends_with_both_right(
 ) -> None:
     code = (
         "import sys\nfrom pathlib import Path\nfrom tests.bench.test_campaign import campaign\n"
+        "from spoofgym.detectors import calibrated\ncalibrated.DEFAULT_RATE = None\n"
         "campaign(Path(sys.argv[1]))\n"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "results")]
