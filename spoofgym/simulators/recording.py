@@ -15,6 +15,8 @@ from .base import run_serially
 from .tightly_coupled import TightlyCoupledSetup, TightlyCoupledSimulator
 
 FloatArray = NDArray[np.float64]
+RANGES = "pseudorange", "range_rate"
+"""Fields of an epoch that a recording keeps."""
 
 
 def record_run(
@@ -52,7 +54,7 @@ def record_run(
     if not 1 <= count < setup.world.epochs:
         raise ValueError(f"`epochs` must be 1 to {setup.world.epochs - 1}, got {count}")
     told = copy.copy(setup)
-    told.fields = setup.fields | {"pseudorange", "range_rate"}
+    told.fields = setup.fields.union(RANGES)
     victim = told.simulator(1, run_serially)
     victim.begin([rng])
     buffers, clock = victim.buffers, victim.buffers.fields["clock"][0]
@@ -70,9 +72,9 @@ def record_run(
             epoch = victim.advance()
         else:
             epoch = victim.predict(command(k - setup.onset))
-        seen, measured = epoch.visible[0], (epoch.pseudorange, epoch.range_rate)
+        seen, measured = epoch.visible[0], (buffers.seen[name][0] for name in RANGES)
         sky = setup.world.satellites[int(victim.epochs[0])]
-        ranges = [np.where(seen, each[0], np.nan) for each in measured]
+        ranges = [np.where(seen, each, np.nan) for each in measured]
         victim.update(None)
         kept.append((samples, *ranges, sky, buffers.position_e[0].copy()))
     imu_samples, pseudorange, range_rate, satellites, position_e = map(
