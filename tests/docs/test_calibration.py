@@ -8,7 +8,6 @@ import re
 import pytest
 
 from spoofgym.detectors.calibration import fewest_runs, run_probability
-
 from tools.holdouts import BEGIN, END, KEPT, shown
 
 from .pages import blocks_of, broken_links, run, text_of
