@@ -32,6 +32,8 @@ WORLDS = {
 }
 """Options of a campaign by world; sky, heading and onset are drawn for every run in all three."""
 SPOOFERS = ("ramp", "accelerating-ramp", "feedback", "snapshot-chi2-profile")
+CURVES = ("p_hmi", "survival")
+"""Of a cell, which are not kept; those of the protection are."""
 HEAD = (
     "detector",
     "clean alarms [per hour]",
@@ -67,7 +69,25 @@ def played(name: str, out: Path, sizes: list[str]) -> dict[str, Any]:
         "notes": config["notes"],
         "calibrations": config["calibrations"],
         **{key: summary[key] for key in (*wanted, *parts)},
+        "cells": [shortened(cell) for cell in summary["cells"]],
     }
+
+
+def shortened(cell: dict[str, Any]) -> dict[str, Any]:
+    """A cell without its curves."""
+    return {key: value for key, value in cell.items() if key not in CURVES}
+
+
+def write_kept(worlds: dict[str, Any]) -> dict[str, Any]:
+    """Write what is kept, a world a line, and return it."""
+    kept = {"digest": digest_of(worlds), "worlds": worlds}
+    lines = ",\n".join(
+        f"{json.dumps(name)}: {json.dumps(world, allow_nan=False)}"
+        for name, world in worlds.items()
+    )
+    text = f'{{"digest": "{kept["digest"]}", "worlds": {{\n{lines}\n}}}}\n'
+    write_file(KEPT, text.encode())
+    return kept
 
 
 def shown(kept: dict[str, Any]) -> str:
@@ -129,9 +149,7 @@ def main(arguments: list[str]) -> None:
         sizes = ["--seeds", given.seeds, "--training-seeds", given.training_seeds]
         sizes += ["--selection-seeds", given.selection_seeds]
         worlds = {name: played(name, given.out, sizes) for name in WORLDS}
-        kept = {"digest": digest_of(worlds), "worlds": worlds}
-        text = json.dumps(kept, indent=1, allow_nan=False) + "\n"
-        write_file(KEPT, text.encode())
+        write_kept(worlds)
     write_page(json.loads(KEPT.read_text()))
 
 
