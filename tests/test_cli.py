@@ -285,8 +285,10 @@ main()
     process = subprocess.Popen(
         [sys.executable, "-c", listening, *long], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    while not Path("out", "cells", "ewma--none.jsonl").exists():
+    deadline = time.monotonic() + 600.0
+    while not list(Path("out").glob("cells/ewma*--none.jsonl")):
         assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=600.0)
@@ -295,7 +297,7 @@ main()
     assert b"Traceback" not in said
     assert not Path("out", "results.md").exists()
     assert call("report", "out").exit_code == 0
-    assert "**Not finished**: ewma / ramp" in Path("out", "results.md").read_text()
+    assert "**Not finished**: ewma(thresholds=nominal) / ramp" in Path("out", "results.md").read_text()
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
