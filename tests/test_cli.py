@@ -297,7 +297,9 @@ main()
     assert b"Traceback" not in said
     assert not Path("out", "results.md").exists()
     assert call("report", "out").exit_code == 0
-    assert "**Not finished**: ewma(thresholds=nominal) / ramp" in Path("out", "results.md").read_text()
+    assert (
+        "**Not finished**: ewma(thresholds=nominal) / ramp" in Path("out", "results.md").read_text()
+    )
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
