@@ -89,9 +89,10 @@ def main(arguments: list[str]) -> None:
         check_choice("world", name, WORLDS)
     for name in given.worlds or WORLDS:
         setup = setup_of(name)
-        detectors = detectors_of(name, setup)
-        heavy = [each for each in detectors if weighs(setup, each)]
-        light = [each for each in detectors if not any(each is other for other in heavy)]
+        light: list[Detector] = []
+        heavy: list[Detector] = []
+        for each in detectors_of(name, setup):
+            (heavy if weighs(setup, each) else light).append(each)
         fewer = max(WEIGHING_RUNS, given.runs // 5)
         drifting = [each for each in light if each.drifts]
         groups = (light, given.runs, False), (drifting, given.runs, True), (heavy, fewer, False)
@@ -107,8 +108,8 @@ def main(arguments: list[str]) -> None:
                 overwrite=given.overwrite,
                 strict=False,
             )
-            for each in found:
-                print(name, each.detector["name"], each.runs, each.path, flush=True)
+            for made in found:
+                print(name, made.detector["name"], made.runs, made.path, flush=True)
 
 
 if __name__ == "__main__":

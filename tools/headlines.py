@@ -21,6 +21,8 @@ from spoofgym._describe import digest_of
 from spoofgym._files import write_file
 from spoofgym.bench import tables
 from spoofgym.bench.report import markdown_table
+from spoofgym.cli.suites import LEFT_OUT
+from tools.pages import put_between
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 KEPT, PAGE = DOCS / "headlines.json", DOCS / "scores.md"
@@ -78,16 +80,10 @@ def shortened(cell: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in cell.items() if key not in CURVES}
 
 
-def write_kept(worlds: dict[str, Any]) -> dict[str, Any]:
-    """Write what is kept, a world a line, and return it."""
+def write_kept(worlds: dict[str, Any]) -> None:
+    """Write what is kept."""
     kept = {"digest": digest_of(worlds), "worlds": worlds}
-    lines = ",\n".join(
-        f"{json.dumps(name)}: {json.dumps(world, allow_nan=False)}"
-        for name, world in worlds.items()
-    )
-    text = f'{{"digest": "{kept["digest"]}", "worlds": {{\n{lines}\n}}}}\n'
-    write_file(KEPT, text.encode())
-    return kept
+    write_file(KEPT, (json.dumps(kept, allow_nan=False) + "\n").encode())
 
 
 def shown(kept: dict[str, Any]) -> str:
@@ -104,11 +100,12 @@ def _lines(world: dict[str, Any]) -> Iterator[str]:
     yield ""
     rates = {point["per_run"] for points in world["calibrations"].values() for point in points}
     (per_run,) = rates
-    left_out = [note for note in world["notes"] if " is left out: " in note]
+    notes = (note.partition(LEFT_OUT) for note in world["notes"])
+    left_out = [label for label, found, _ in notes if found]
     yield (
         f"At 0.2 false alarms an hour, {100 * per_run:.3g} % of runs; {world['runs']} runs, "
         f"`{world['command']}`; campaign {world['campaign']}."
-        + "".join(f" Left out: {note.partition(':')[0].split(' ')[0]}." for note in left_out)
+        + "".join(f" Left out: {label}." for label in left_out)
     )
     yield ""
 
@@ -128,14 +125,6 @@ def _displacement(cell: dict[str, Any]) -> str:
     return tables.interval(cell["stealthy_displacement_m"]) + over
 
 
-def write_page(kept: dict[str, Any]) -> None:
-    """Put the tables into the page."""
-    text = PAGE.read_text()
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    write_file(PAGE, f"{before}{BEGIN}\n{shown(kept)}{END}{after}".encode())
-
-
 def main(arguments: list[str]) -> None:
     """Play the three worlds, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -150,7 +139,7 @@ def main(arguments: list[str]) -> None:
         sizes += ["--selection-seeds", given.selection_seeds]
         worlds = {name: played(name, given.out, sizes) for name in WORLDS}
         write_kept(worlds)
-    write_page(json.loads(KEPT.read_text()))
+    put_between(PAGE, BEGIN, END, shown(json.loads(KEPT.read_text())))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from spoofgym.simulators.calibration import HOLDOUT_WEIGHING, hold_out, transfer
 from spoofgym.simulators.clean_runs import weighs
 from spoofgym.simulators.setup import Setup
 from tools.calibrations import HEADLINES, Lines, detectors_of, setup_of
+from tools.pages import put_between
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 KEPT, PAGE = DOCS / "holdouts.json", DOCS / "calibration.md"
@@ -117,13 +118,6 @@ def _rate(per_hour: float | None) -> str:
     return "every run" if per_hour is None else f"{per_hour:.3g}"
 
 
-def write_page(kept: dict[str, Any]) -> None:
-    """Put the tables into the page."""
-    before, _, rest = PAGE.read_text().partition(BEGIN)
-    _, _, after = rest.partition(END)
-    write_file(PAGE, f"{before}{BEGIN}\n{shown(kept)}{END}{after}".encode())
-
-
 def main(arguments: list[str]) -> None:
     """Count in all worlds of the headlines."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -141,7 +135,7 @@ def main(arguments: list[str]) -> None:
         kept = {"rate": STANDARD_RATE, "split": "holdout", "cells": cells, "worlds": found}
         text = json.dumps(kept, indent=1, allow_nan=False) + "\n"
         write_file(KEPT, text.encode())
-    write_page(json.loads(KEPT.read_text()))
+    put_between(PAGE, BEGIN, END, shown(json.loads(KEPT.read_text())))
 
 
 if __name__ == "__main__":

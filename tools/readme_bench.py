@@ -11,11 +11,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from spoofgym._files import write_file
 from spoofgym.bench import tables
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.store import ResultsFolder
 from spoofgym.bench.summary import summarize
+from tools.pages import put_between
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
@@ -84,12 +84,8 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("folder", type=Path, nargs="?", default=Path("results"))
     folder = ResultsFolder(parser.parse_args(arguments).folder)
-    text = README.read_text()
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
     picture = "\n![The campaign](docs/campaign.png)\n"
-    made = f"{before}{BEGIN}\n{shown(summarize(folder))}{picture}{END}{after}"
-    write_file(README, made.encode())
+    put_between(README, BEGIN, END, shown(summarize(folder)) + picture)
 
 
 if __name__ == "__main__":

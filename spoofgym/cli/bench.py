@@ -12,7 +12,7 @@ from . import options as opt
 from .app import INTERRUPTED
 from .options import World, with_world
 from .output import print_json, print_lines, print_table, progress
-from .suites import selection_of, specs_of, suite_of, tuning_of
+from .suites import at_rate, selection_of, specs_of, suite_of, tuning_of
 
 
 @with_world
@@ -52,7 +52,7 @@ def tune(
         tuning=tuning_of(training_seeds, budget),
         allow_oracles=allow_oracles,
         threads=threads,
-        rate=false_alarms_per_hour,
+        asked=at_rate(false_alarms_per_hour),
     )
     if not as_json:
         print_lines((*suite.notes, *suite.captions))
@@ -167,8 +167,7 @@ def bench(
         tuning=tuning_of(training_seeds, budget),
         allow_oracles=allow_oracles,
         threads=threads,
-        rate=None if nominal else rate,
-        nominal=nominal,
+        asked={"thresholds": "nominal"} if nominal else at_rate(rate),
         headline=task is None,
         selection=selection_of(selection_seeds),
         published=not nominal and task is None,

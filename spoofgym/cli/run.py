@@ -11,7 +11,7 @@ import typer
 from . import options as opt
 from .options import World, with_world
 from .output import print_json, print_lines, print_table, progress
-from .suites import Reports, specs_of, suite_of, untuned
+from .suites import Reports, at_rate, specs_of, suite_of, untuned
 
 if TYPE_CHECKING:
     from ..bench.suite import Suite
@@ -102,5 +102,5 @@ def _suite(
         spoofers=specs_of([spoofer]),
         entropy=seed,
         allow_oracles=allow_oracles,
-        rate=rate,
+        asked=at_rate(rate),
     )

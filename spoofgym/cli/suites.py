@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from ..bench.entries import Entry
     from ..bench.searches import Selection
+    from ..bench.specs import Spec
     from ..bench.suite import Suite, Tuning
     from ..sim.scenario import Scenario
     from ..simulators.setup import Setup
@@ -26,6 +27,8 @@ OPTIONS_OF = {
     "timeline": TIMES,
 }
 """Options that make settings of the victim, which `--set` may give in their place."""
+LEFT_OUT = " is left out: "
+"""In a note, between the label of a detector and the reason."""
 Reports = dict[str, Any] | None
 """Of real input, as `RealInput` has them."""
 
@@ -45,27 +48,25 @@ def suite_of(
     detectors: Sequence[str] | None,
     *,
     task: str | None = None,
-    rate: float | None = None,
-    nominal: bool = False,
+    asked: Spec | None = None,
     threads: int | None = None,
     headline: bool = False,
     **settings: Any,
 ) -> tuple[Suite, Reports]:
     """The suite of the options or of a task, calibrated, and the reports of real input.
 
-    `rate`: false alarms an hour of detectors that ask for no thresholds of their own, or `nominal`:
-    whether these have thresholds as published, or else the default; `headline`:
-    whether there are negative controls, and a drawn world, where nothing else is asked for;
-    `settings`: those of a suite that no task decides.
+    `asked`: of the thresholds of detectors that ask for none of their own, by default nothing;
+    `headline`: whether there are negative controls, and a drawn world, where nothing else is asked
+    for; `settings`: those of a suite that no task decides.
     """
-    suite, reports = _suite(world, detectors, task, rate, settings, headline, nominal)
+    suite, reports = _suite(world, detectors, task, asked, settings, headline)
     # of what `all` means, those without a calibration are left out
     named = {spec["name"] for spec in specs_of(detectors)} if detectors else {"all"}
     labels = [entry.label for entry in suite.detector_entries if entry.spec["name"] not in named]
     refused = calibrate_with_progress(suite, threads, labels if "all" in named else ())
     if refused:
         kept = [e.spec for e in suite.detector_entries if e.label not in refused]
-        notes = (*suite.notes, *(f"{label} is left out: {why}" for label, why in refused.items()))
+        notes = (*suite.notes, *(f"{label}{LEFT_OUT}{why}" for label, why in refused.items()))
         suite = replace(suite, detectors=kept, notes=notes)
     suite.check_fit()
     return suite, reports
@@ -75,10 +76,9 @@ def _suite(
     world: World,
     detectors: Sequence[str] | None,
     task: str | None,
-    rate: float | None,
+    asked: Spec | None,
     settings: dict[str, Any],
     headline: bool = False,
-    nominal: bool = False,
 ) -> tuple[Suite, Reports]:
     """The suite as it is asked for."""
     from ..bench.suite import Suite
@@ -93,16 +93,12 @@ def _suite(
                 del decided[name]  # its option has its default
         specs = specs_of(detectors) if detectors else None
         if headline:
-            specs = _with_controls(world, specs, rate is not None)
+            specs = _with_controls(world, specs, "false_alarms_per_hour" in (asked or {}))
             if world.env == ENV and world.track is None and "domain" not in own:
                 from ..bench.victims import HEADLINE_DOMAIN
 
                 decided["domain"] = HEADLINE_DOMAIN
-        if rate is not None:
-            specs = _asking(world, specs, {"false_alarms_per_hour": rate})
-        elif nominal:
-            specs = _asking(world, specs, {"thresholds": "nominal"})
-        decided["detectors"] = specs
+        decided["detectors"] = specs if asked is None else _asking(world, specs, asked)
     else:
         for option in world.given(TASK_OPTIONS).values():
             raise ValueError(f"{option} can't be given with --task, which decides it")
@@ -117,9 +113,14 @@ def world_of(world: World) -> Suite:
     return _suite(world, ["never"], None, None, {"spoofers": []})[0]
 
 
-def _asking(
-    world: World, specs: list[dict[str, Any]] | None, asked: dict[str, Any]
-) -> list[dict[str, Any]]:
+def at_rate(false_alarms_per_hour: float | None) -> Spec | None:
+    """What an option asks of the thresholds; None for nothing."""
+    if false_alarms_per_hour is None:
+        return None
+    return {"false_alarms_per_hour": false_alarms_per_hour}
+
+
+def _asking(world: World, specs: list[dict[str, Any]] | None, asked: Spec) -> list[dict[str, Any]]:
     """Detectors that are asked for some thresholds, but for those that ask for others."""
     from .._registry import check_choice
     from ..bench.victims import VICTIMS

@@ -9,6 +9,7 @@ import pytest
 
 from spoofgym.detectors.calibration import fewest_runs, run_probability
 from tools.holdouts import BEGIN, END, KEPT, shown
+from tools.pages import part_between
 
 from .pages import blocks_of, broken_links, run, text_of
 
@@ -41,7 +42,7 @@ def test_links_lead_somewhere():
 
 def test_the_hold_outs_are_those_of_the_file_and_hold():
     kept = json.loads(KEPT.read_text())
-    assert text_of(PAGE).partition(BEGIN)[2].partition(END)[0] == f"\n{shown(kept)}"
+    assert part_between(text_of(PAGE), BEGIN, END) == f"\n{shown(kept)}"
     assert kept["cells"] == sum(len(world["detectors"]) for world in kept["worlds"])
     for world in kept["worlds"]:
         assert all(row["holds"] for row in world["detectors"])

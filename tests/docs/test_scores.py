@@ -8,6 +8,7 @@ import pytest
 
 from spoofgym._describe import digest_of
 from tools.headlines import BEGIN, END, KEPT, SPOOFERS, WORLDS, shown
+from tools.pages import part_between
 
 from .pages import broken_links, text_of
 
@@ -20,7 +21,7 @@ def kept():
 
 
 def test_the_tables_are_those_of_the_file(kept):
-    assert text_of(PAGE).partition(BEGIN)[2].partition(END)[0] == f"\n{shown(kept)}"
+    assert part_between(text_of(PAGE), BEGIN, END) == f"\n{shown(kept)}"
 
 
 def test_the_digest_is_that_of_the_worlds(kept):

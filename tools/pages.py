@@ -1,0 +1,22 @@
+"""Parts of pages that are made by programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from spoofgym._files import write_file
+
+
+def part_between(text: str, begin: str, end: str) -> str:
+    """What stands between two marks of a text; a ValueError where they are not there, once each."""
+    if text.count(begin) != 1 or text.count(end) != 1:
+        raise ValueError(f"the marks {begin} and {end} must stand there once each")
+    return text.partition(begin)[2].partition(end)[0]
+
+
+def put_between(page: Path, begin: str, end: str, text: str) -> None:
+    """Put a text between two marks of a page, in place of what is there."""
+    whole = page.read_text()
+    before = part_between(whole, begin, end)
+    made = whole.replace(f"{begin}{before}{end}", f"{begin}\n{text}{end}")
+    write_file(page, made.encode())
