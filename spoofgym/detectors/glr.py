@@ -50,33 +50,30 @@ from .thresholds import check_epochs, check_probability, two_sided_quantile
 FloatArray = NDArray[np.float64]
 
 
-@inlined
-def step_evidence(n: float, m: float, since: float, before: float) -> float:
-    r"""Evidence of a step.
+@njit
+def split_factors(count: int, onsets: int, baseline: int, ramp: bool, factors: FloatArray) -> None:
+    r"""What the evidence takes from the lengths n and m alone, for the newest onsets.
 
-    .. math:: q = \frac{(m \sum y - n \sum x)^2}{n m (n + m)}
+    For a step, and for a ramp whose first epoch is 1, the evidence is, without a division by sums,
 
-    `n`, `m`: epochs since the onset, and of the baseline, at least 1.
+    .. math::
+        q &= \frac{(m \sum y - n \sum x)^2}{n m (n + m)}, \\
+        q &= \frac{\left((n + m) \sum_i i \, y_i - a \sum z\right)^2}
+            {(n + m) \left((n + m) \, a \, \tfrac{2 n + 1}{3} - a^2\right)},
+            \qquad a = \frac{n (n + 1)}{2}
+
+    `count`: values so far; `factors` (3, W), written up to `onsets`, the earliest first: both
+    factors of the numerator, and one over the denominator.
     """
-    difference = m * since - n * before
-    return difference * difference / (n * m * (n + m))
-
-
-@inlined
-def ramp_evidence(n: float, m: float, moment: float, total: float) -> float:
-    r"""Evidence of a ramp whose first epoch is 1.
-
-    .. math:: q = \frac{(\sum_i i y_i - \bar r \sum z)^2}{\sum_i i^2 - (n + m) \bar r^2},
-        \qquad \bar r = \frac{n (n + 1)}{2 (n + m)}
-
-    `n`, `m`: epochs since the onset, and of the baseline, at least 1; `moment`: sum of i times the
-    i-th value since the onset.
-    """
-    area = 0.5 * n * (n + 1.0)
-    # both sides times (n + m), so that one division is enough
-    numerator = moment * (n + m) - area * total
-    squares = area * (2.0 * n + 1.0) * (1.0 / 3.0)
-    return numerator * numerator / ((n + m) * (squares * (n + m) - area * area))
+    for i in range(onsets):
+        n = float(onsets - i)
+        m = min(count - n, float(baseline))
+        area = 0.5 * n * (n + 1.0)
+        squares = area * (2.0 * n + 1.0) * (1.0 / 3.0)
+        factors[0, i] = n + m if ramp else m
+        factors[1, i] = area if ramp else n
+        ramps = (n + m) * (squares * (n + m) - area * area)
+        factors[2, i] = 1.0 / (ramps if ramp else n * m * (n + m))
 
 
 @inlined
@@ -95,39 +92,37 @@ def largest_evidence(
     areas: FloatArray,
     known: int,
     onsets: int,
+    baseline: int,
     ramp: bool,
-    ages: FloatArray,
+    factors: FloatArray,
     scratch: FloatArray,
 ) -> float:
-    r"""Largest evidence over all onsets after the value of number `known`.
+    r"""Largest evidence over the newest onsets, after the value of number `known`.
 
     With the running sums :math:`P_k = \sum_{j \le k} z_j` and :math:`A_k = \sum_{j < k} P_j`,
 
     .. math:: \sum y = P_k - P_{k-n}, \qquad \sum_i i \, y_i = n P_k - (A_k - A_{k-n})
 
     `sums` (L,) P, L = W + baseline + 1, value k at ``k % L``, 0 where there is none yet; `areas`
-    (W + 1,) A likewise, for a ramp; `ages` (W,) epochs since the onset, W to 1; `scratch` (4, W),
+    (W + 1,) A likewise, for a ramp; `factors` (3, W) of `split_factors`; `scratch` (4, W),
     overwritten.
     """
-    window, length = ages.shape[0], sums.shape[0]
-    baseline = length - window - 1
     before, old, area, found = scratch[0], scratch[1], scratch[2], scratch[3]
-    ages = ages[window - onsets :]
+    first, second, inverse = factors[0], factors[1], factors[2]
     latest(sums, known - 1, onsets, before)
     latest(sums, known - 1 - baseline, onsets, old)
-    now, count, longest = sums[known % length], float(known + 1), float(baseline)
+    now = sums[known % sums.shape[0]]
     if ramp:
         latest(areas, known - 1, onsets, area)
         last = areas[known % areas.shape[0]]
         for i in range(onsets):
-            n = ages[i]
-            m = min(count - n, longest)
-            found[i] = ramp_evidence(n, m, n * now - (last - area[i]), now - old[i])
+            moment = (onsets - i) * now - (last - area[i])
+            difference = first[i] * moment - second[i] * (now - old[i])
+            found[i] = difference * difference * inverse[i]
     else:
         for i in range(onsets):
-            n = ages[i]
-            m = min(count - n, longest)
-            found[i] = step_evidence(n, m, now - before[i], before[i] - old[i])
+            difference = first[i] * (now - before[i]) - second[i] * (before[i] - old[i])
+            found[i] = difference * difference * inverse[i]
     a = b = c = d = 0.0
     for i in range(onsets % 4):
         a = max(a, found[i])
@@ -148,7 +143,7 @@ def scan_channels(
     first_row: int,
     signals: int,
     ramp: bool,
-    ages: FloatArray,
+    window: int,
     quantiles: FloatArray,
     scratch: FloatArray,
     sums: FloatArray,
@@ -159,13 +154,14 @@ def scan_channels(
 ) -> None:
     """Take in one epoch, and look for changes.
 
-    `ages` (W,) epochs since each onset, W to 1; `quantiles` (n+1,) thresholds by the number of
-    visible satellites; `scratch` (4, W), overwritten; `sums` (B, signals * n, W + baseline + 1),
-    `areas` (B, signals * n, W + 1), `count` (B, n) int64, memory, overwritten; `statistic`,
-    `threshold` (B, n), written.
+    `window` W; `quantiles` (n+1,) thresholds by the number of visible satellites; `scratch` (7, W),
+    overwritten; `sums` (B, signals * n, W + baseline + 1), `areas` (B, signals * n, W + 1), `count`
+    (B, n) int64, memory, overwritten; `statistic`, `threshold` (B, n), written.
     """
     channels = visible.shape[1]
     length, long = sums.shape[2], areas.shape[2]
+    baseline, factors, scratch = length - window - 1, scratch[:3], scratch[3:]
+    factored = -1  # satellites that rose together have the same factors
     for b in range(visible.shape[0]):
         seen = 0
         for j in range(channels):
@@ -175,7 +171,10 @@ def scan_channels(
             threshold[b, j] = quantiles[seen]
             known = count[b, j]
             count[b, j] = known + 1 if visible[b, j] else 0
-            onsets = min(ages.shape[0], known)
+            onsets = min(window, known)
+            if visible[b, j] and known != factored:
+                split_factors(known + 1, onsets, baseline, ramp, factors)
+                factored = known
             for signal in range(signals):
                 s = signal * channels + j
                 P, A = sums[b, s], areas[b, s]
@@ -190,7 +189,7 @@ def scan_channels(
                 P[known % length] = before + value
                 if ramp:
                     A[known % long] = A[(known - 1) % long] + before
-                found = largest_evidence(P, A, known, onsets, ramp, ages, scratch)
+                found = largest_evidence(P, A, known, onsets, baseline, ramp, factors, scratch)
                 statistic[b, j] = max(statistic[b, j], found)
 
 
@@ -225,8 +224,7 @@ class _Glr(Detector):
         self.memory.declare("sums", np.zeros((*series, self.window + self.baseline + 1)))
         self.memory.declare("areas", np.zeros((*series, self.window + 1 if self.ramp else 1)))
         self.memory.declare("count", np.zeros((receivers, n), dtype=np.int64))
-        self._ages = np.arange(self.window, 0.0, -1.0)
-        self._scratch = np.empty((4, self.window))
+        self._scratch = np.empty((7, self.window))
         tests = self.window * self._signals
         self._quantiles = np.array(
             [
@@ -249,7 +247,7 @@ class _Glr(Detector):
             self._first_row,
             self._signals,
             self.ramp,
-            self._ages,
+            self.window,
             self._quantiles,
             self._scratch,
             self.memory["sums"],
