@@ -11,6 +11,10 @@ rules of floating point: nothing depends on LLVM's vectorizer or on how many lan
 registers have, and lane i computes to the last bit what the function computes of plain numbers.
 Without compilation (``NUMBA_DISABLE_JIT=1``) vectors are NumPy arrays of eight elements.
 
+A *pair* holds two rows of a lane array, one after the other, in a vector of sixteen lanes.  What
+follows from a pair is computed for both rows side by side, so that a processor has always something
+to do while one of them waits for its last result.  Operators and functions take pairs, too.
+
 Comparisons give masks, which ``&``, ``|`` and ``^`` combine.  An ``if`` can't ask a mask: `select`
 chooses lane by lane, and `any_lane` asks whether it holds anywhere.
 """
@@ -38,21 +42,26 @@ ALIGNMENT = 64
 
 
 class _Vector(types.Type):  # type: ignore[misc]
-    """A vector of LANES elements of one of numba's types."""
+    """A vector of LANES elements of one of numba's types, or of twice as many."""
 
-    def __init__(self, element: types.Type) -> None:
-        self.element = element
-        super().__init__(name=f"Vector({element} x {LANES})")
+    def __init__(self, element: types.Type, lanes: int) -> None:
+        self.element, self.lanes = element, lanes
+        super().__init__(name=f"Vector({element} x {lanes})")
+
+    def of(self, element: types.Type) -> _Vector:
+        """Vector of as many others."""
+        return _KINDS[element, self.lanes]
 
 
-F8 = _Vector(types.float64)
-U8 = _Vector(types.uint64)
-M8 = _Vector(types.boolean)
-_LLVM = {
-    F8: ir.VectorType(ir.DoubleType(), LANES),
-    U8: ir.VectorType(ir.IntType(64), LANES),
-    M8: ir.VectorType(ir.IntType(1), LANES),
+REAL, WORD, MASK = types.float64, types.uint64, types.boolean
+_NUMBERS = {REAL: ir.DoubleType(), WORD: ir.IntType(64), MASK: ir.IntType(1)}
+_KINDS = {
+    (element, lanes): _Vector(element, lanes)
+    for lanes in (LANES, 2 * LANES)
+    for element in _NUMBERS
 }
+_LLVM = {kind: ir.VectorType(_NUMBERS[kind.element], kind.lanes) for kind in _KINDS.values()}
+F8, U8 = _KINDS[REAL, LANES], _KINDS[WORD, LANES]
 _INDEX = ir.IntType(32)
 
 
@@ -66,8 +75,12 @@ def _splat(builder: Any, value: Any, kind: _Vector) -> Any:
     """Vector whose lanes all hold a number."""
     nothing = ir.Constant(_LLVM[kind], ir.Undefined)
     first = builder.insert_element(nothing, value, ir.Constant(_INDEX, 0))
-    zeros = ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES)
-    return builder.shuffle_vector(first, nothing, zeros)
+    return builder.shuffle_vector(first, nothing, _indices([0] * kind.lanes))
+
+
+def _indices(lanes: Sequence[int]) -> Any:
+    """Which lanes LLVM is to take."""
+    return ir.Constant(ir.VectorType(_INDEX, len(lanes)), list(lanes))
 
 
 def _cast(context: Any, builder: Any, value: Any, given: types.Type, wanted: types.Type) -> Any:
@@ -77,7 +90,7 @@ def _cast(context: Any, builder: Any, value: Any, given: types.Type, wanted: typ
     if not isinstance(wanted, _Vector):
         return context.cast(builder, value, given, wanted)
     number = context.cast(builder, value, given, wanted.element)
-    if wanted is M8:
+    if wanted.element is MASK:
         number = builder.trunc(number, ir.IntType(1)) if number.type.width > 1 else number
     return _splat(builder, number, wanted)
 
@@ -112,7 +125,7 @@ def _define(
     if not vectors:
         lower_builtin(function, *[types.Any] * arity)(lower)
         return
-    kinds = [F8, U8, M8]
+    kinds = list(_KINDS.values())
     if arity == 1:
         for kind in kinds:
             lower_builtin(function, kind)(lower)
@@ -136,25 +149,29 @@ def _common(*given: types.Type) -> _Vector | None:
 
 def _fits(number: types.Type, kind: _Vector) -> bool:
     """Whether a number with a vector gives what it gives with a number, as numba types that."""
-    if kind is U8:
+    if kind.element is WORD:
         return isinstance(number, types.Integer) and not number.signed
     real = (types.Integer, types.Float)
-    return isinstance(number, types.Boolean if kind is M8 else real)
+    return isinstance(number, types.Boolean if kind.element is MASK else real)
 
 
 def _binary(
-    functions: tuple[Callable[..., Any], ...], emits: dict[_Vector, str], result: _Vector | None
+    functions: tuple[Callable[..., Any], ...],
+    emits: dict[types.Type, str],
+    result: types.Type | None,
 ) -> None:
-    """Define an operator of two operands by the name of LLVM's instruction for each type."""
+    """Define an operator of two operands by the name of LLVM's instruction for each element."""
 
     def kind_of(x: types.Type, y: types.Type) -> types.Type | None:
         kind = _common(x, y)
-        return None if kind is None or kind not in emits else (result or kind)
+        if kind is None or kind.element not in emits:
+            return None
+        return kind.of(result or kind.element)
 
     def emit(context: Any, builder: Any, given: Any, values: Any) -> Any:
         kind: Any = _common(*given)
         operands = [_cast(context, builder, v, t, kind) for v, t in zip(values, given, strict=True)]
-        name, _, predicate = emits[kind].partition(" ")
+        name, _, predicate = emits[kind.element].partition(" ")
         method = getattr(builder, name)
         return method(predicate, *operands) if predicate else method(*operands)
 
@@ -168,22 +185,22 @@ _OPERATORS = {
     operator.ior, operator.and_, operator.iand, operator.lshift, operator.rshift, operator.gt,
     operator.ge, operator.lt, operator.le, operator.eq, operator.ne,
 }  # fmt: skip
-_binary((operator.add, operator.iadd), {F8: "fadd", U8: "add"}, None)
-_binary((operator.sub, operator.isub), {F8: "fsub", U8: "sub"}, None)
-_binary((operator.mul, operator.imul), {F8: "fmul"}, None)
-_binary((operator.truediv, operator.itruediv), {F8: "fdiv"}, None)
-_binary((operator.xor, operator.ixor), {U8: "xor", M8: "xor"}, None)
-_binary((operator.or_, operator.ior), {U8: "or_", M8: "or_"}, None)
-_binary((operator.and_, operator.iand), {U8: "and_", M8: "and_"}, None)
-_binary((operator.lshift,), {U8: "shl"}, None)
-_binary((operator.rshift,), {U8: "lshr"}, None)
+_binary((operator.add, operator.iadd), {REAL: "fadd", WORD: "add"}, None)
+_binary((operator.sub, operator.isub), {REAL: "fsub", WORD: "sub"}, None)
+_binary((operator.mul, operator.imul), {REAL: "fmul"}, None)
+_binary((operator.truediv, operator.itruediv), {REAL: "fdiv"}, None)
+_binary((operator.xor, operator.ixor), {WORD: "xor", MASK: "xor"}, None)
+_binary((operator.or_, operator.ior), {WORD: "or_", MASK: "or_"}, None)
+_binary((operator.and_, operator.iand), {WORD: "and_", MASK: "and_"}, None)
+_binary((operator.lshift,), {WORD: "shl"}, None)
+_binary((operator.rshift,), {WORD: "lshr"}, None)
 for _compare, _sign in (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="), ("eq", "==")):
-    _words = {F8: f"fcmp_ordered {_sign}", U8: f"icmp_unsigned {_sign}"}
-    _binary((getattr(operator, _compare),), _words, M8)
-_binary((operator.ne,), {F8: "fcmp_unordered !=", U8: "icmp_unsigned !="}, M8)
+    _words = {REAL: f"fcmp_ordered {_sign}", WORD: f"icmp_unsigned {_sign}"}
+    _binary((getattr(operator, _compare),), _words, MASK)
+_binary((operator.ne,), {REAL: "fcmp_unordered !=", WORD: "icmp_unsigned !="}, MASK)
 _define(
     operator.neg,
-    lambda x: x if x is F8 else None,
+    lambda x: x if isinstance(x, _Vector) and x.element is REAL else None,
     lambda context, builder, given, values: builder.fneg(values[0]),
     1,
 )
@@ -207,11 +224,13 @@ def _data(context: Any, builder: Any, kind: types.Array, array: Any) -> Any:
     return builder.extract_value(array, position)
 
 
-def _row_address(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    """Address of a row."""
+def _row_address(
+    context: Any, builder: Any, given: Any, values: Any, kind: types.Type | None = None
+) -> Any:
+    """Address of a row, or of a pair of them."""
     data = _data(context, builder, given[0], values[0])
     row = context.cast(builder, values[1], given[1], types.intp)
-    kind = _row_kind(given[0])
+    kind = kind or _row_kind(given[0])
     if not isinstance(kind, _Vector):
         return builder.gep(data, [row])
     first = builder.mul(row, ir.Constant(ir.IntType(64), LANES))
@@ -242,8 +261,36 @@ def load(array: Any, row: int) -> Any:
 
 
 def store(array: Any, row: int, value: Any) -> None:
-    """Write a row of a lane array; a number goes to all lanes."""
-    array[row] = value
+    """Write a row of a lane array, or with a pair two; a number goes to all lanes."""
+    if np.size(value) > LANES:
+        array[row : row + 2] = value.reshape(2, LANES)
+    else:
+        array[row] = value
+
+
+def load_pair(array: Any, row: int) -> Any:
+    """Two rows of a lane array of eight receivers, as a pair."""
+    return _python(array[row : row + 2].reshape(-1).copy())
+
+
+def pair_of(vector: Any) -> Any:
+    """Pair whose rows are both a vector."""
+    return _python(np.concatenate([vector, vector]))
+
+
+def _is_pair(kind: types.Type) -> bool:
+    return isinstance(kind, _Vector) and kind.lanes == 2 * LANES
+
+
+def _pair_kind(array: types.Type, row: types.Type) -> types.Type | None:
+    kind = _row_kind(array)
+    return _KINDS[kind.element, 2 * LANES] if isinstance(kind, _Vector) else None
+
+
+def _emit_load_pair(context: Any, builder: Any, given: Any, values: Any) -> Any:
+    loaded = builder.load(_row_address(context, builder, given, values, _pair_kind(*given)))
+    loaded.align = 8
+    return loaded
 
 
 def _emit_load(context: Any, builder: Any, given: Any, values: Any) -> Any:
@@ -253,8 +300,9 @@ def _emit_load(context: Any, builder: Any, given: Any, values: Any) -> Any:
 
 
 def _emit_store(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    address = _row_address(context, builder, given, values)
-    value = _cast(context, builder, values[2], given[2], _row_kind(given[0]))
+    kind = given[2] if _is_pair(given[2]) else _row_kind(given[0])
+    address = _row_address(context, builder, given, values, kind)
+    value = _cast(context, builder, values[2], given[2], kind)
     stored = builder.store(value, address)
     stored.align = 8
     return context.get_dummy_value()
@@ -274,10 +322,21 @@ _define(
 )
 
 
+_define(load_pair, _pair_kind, _emit_load_pair, 2)
+_define(
+    pair_of,
+    lambda vector: _KINDS[vector.element, 2 * LANES] if isinstance(vector, _Vector) else None,
+    lambda context, builder, given, values: builder.shuffle_vector(
+        values[0], values[0], _indices([*range(LANES), *range(LANES)])
+    ),
+    1,
+)
+
+
 def splat(value: Any, like: Any) -> Any:
     """A number in all lanes, of as many lanes as `like` has: a lane array, vector or number."""
     if isinstance(like, _Lanes) or np.ndim(like) == 2:
-        return _python(np.full(LANES, value))
+        return _python(np.full(len(like) if isinstance(like, _Lanes) else LANES, value))
     return value
 
 
@@ -285,9 +344,10 @@ def _splat_kind(value: types.Type, like: types.Type) -> types.Type | None:
     many = isinstance(like, _Vector) or (isinstance(like, types.Array) and like.ndim == 2)
     if not many or isinstance(value, _Vector):
         return value
+    as_many = like if isinstance(like, _Vector) else F8
     if isinstance(value, types.Float):
-        return F8
-    return U8 if isinstance(value, types.Integer) else None
+        return as_many.of(REAL)
+    return as_many.of(WORD) if isinstance(value, types.Integer) else None
 
 
 _define(
@@ -320,7 +380,7 @@ def _intrinsic(name: str) -> Callable[[Any, Any, types.Type, types.Type], Any]:
     """LLVM's intrinsic function of one number, or of all lanes."""
 
     def emit(builder: Any, value: Any, given: types.Type, result: types.Type) -> Any:
-        suffix = f"v{LANES}f64" if given is F8 else "f64"
+        suffix = f"v{given.lanes}f64" if isinstance(given, _Vector) else "f64"
         kind = ir.FunctionType(value.type, [value.type])
         found = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.{suffix}")
         return builder.call(found, [value])
@@ -343,7 +403,7 @@ def absolute(x: Any) -> Any:
     return np.abs(x)
 
 
-_REALS = {F8: F8, types.float64: types.float64}
+_REALS = {REAL: REAL} | {kind: kind for kind in _KINDS.values() if kind.element is REAL}
 _unary(sqrt, _REALS, _intrinsic("sqrt"))
 _unary(floor, _REALS, _intrinsic("floor"))
 _unary(absolute, _REALS, _intrinsic("fabs"))
@@ -365,15 +425,18 @@ def from_bits(x: Any) -> Any:
 
 
 def _bitcast(builder: Any, value: Any, given: types.Type, result: types.Type) -> Any:
-    numbers = {types.float64: ir.DoubleType(), types.uint64: ir.IntType(64)}
-    return builder.bitcast(value, _LLVM[result] if result in _LLVM else numbers[result])
+    return builder.bitcast(value, _as_llvm(result))
 
 
 def _convert(builder: Any, value: Any, given: types.Type, result: types.Type) -> Any:
-    return builder.uitofp(value, _LLVM[F8] if result is F8 else ir.DoubleType())
+    return builder.uitofp(value, _as_llvm(result))
 
 
-_TO_REAL = {U8: F8, types.uint64: types.float64}
+def _as_llvm(kind: types.Type) -> Any:
+    return _LLVM[kind] if isinstance(kind, _Vector) else _NUMBERS[kind]
+
+
+_TO_REAL = {(kind.of(WORD) if isinstance(kind, _Vector) else WORD): kind for kind in _REALS}
 _unary(to_float, _TO_REAL, _convert)
 _unary(from_bits, _TO_REAL, _bitcast)
 _unary(bits_of, {real: bits for bits, real in _TO_REAL.items()}, _bitcast)
@@ -385,12 +448,14 @@ def select(mask: Any, x: Any, y: Any) -> Any:
 
 
 def _select_kind(mask: types.Type, x: types.Type, y: types.Type) -> types.Type | None:
-    if mask is M8:
-        numbers = [each for each in (x, y) if not isinstance(each, _Vector)]
-        if len(numbers) == 2:
-            return F8 if isinstance(x, types.Float) and isinstance(y, types.Float) else None
-        return _common(x, y)
-    plain = isinstance(mask, types.Boolean) and not {F8, U8, M8} & {x, y}
+    if isinstance(mask, _Vector):
+        if not isinstance(x, _Vector) and not isinstance(y, _Vector):
+            reals = isinstance(x, types.Float) and isinstance(y, types.Float)
+            return mask.of(REAL) if reals and mask.element is MASK else None
+        kind = _common(x, y)
+        return kind if kind and mask is kind.of(MASK) else None
+    vectors = isinstance(x, _Vector) or isinstance(y, _Vector)
+    plain = isinstance(mask, types.Boolean) and not vectors
     if not plain:
         return None
     real = _fits(x, F8) and _fits(y, F8) and any(isinstance(each, types.Float) for each in (x, y))
@@ -401,7 +466,7 @@ def _emit_select(context: Any, builder: Any, given: Any, values: Any) -> Any:
     kind = _select_kind(*given)
     x, y = (_cast(context, builder, v, t, kind) for v, t in zip(values[1:], given[1:], strict=True))
     mask = values[0]
-    if given[0] is not M8 and mask.type.width > 1:
+    if not isinstance(given[0], _Vector) and mask.type.width > 1:
         mask = builder.trunc(mask, ir.IntType(1))
     return builder.select(mask, x, y)
 
@@ -415,15 +480,19 @@ def any_lane(mask: Any) -> bool:
 
 
 def _emit_any(context: Any, builder: Any, given: Any, values: Any) -> Any:
-    if given[0] is not M8:
+    if not isinstance(given[0], _Vector):
         return values[0]
-    bits = builder.bitcast(values[0], ir.IntType(LANES))
-    return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+    bits = ir.IntType(given[0].lanes)
+    return builder.icmp_unsigned("!=", builder.bitcast(values[0], bits), ir.Constant(bits, 0))
+
+
+def _is_mask(kind: types.Type) -> bool:
+    return isinstance(kind, types.Boolean) or (isinstance(kind, _Vector) and kind.element is MASK)
 
 
 _define(
     any_lane,
-    lambda mask: types.boolean if mask is M8 or isinstance(mask, types.Boolean) else None,
+    lambda mask: types.boolean if _is_mask(mask) else None,
     _emit_any,
     1,
 )
@@ -437,8 +506,8 @@ def rotate_left(x: Any, turn: int) -> Any:
 
 def _emit_rotate(context: Any, builder: Any, given: Any, values: Any) -> Any:
     kind = given[0]
-    word = _LLVM[U8] if kind is U8 else ir.IntType(64)
-    suffix = f"v{LANES}i64" if kind is U8 else "i64"
+    word = _as_llvm(kind)
+    suffix = f"v{kind.lanes}i64" if isinstance(kind, _Vector) else "i64"
     turn = _cast(context, builder, values[1], given[1], kind)
     found = cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(word, [word, word, word]), f"llvm.fshl.{suffix}"
@@ -448,7 +517,7 @@ def _emit_rotate(context: Any, builder: Any, given: Any, values: Any) -> Any:
 
 _define(
     rotate_left,
-    lambda x, turn: x if x in (U8, types.uint64) and isinstance(turn, types.Integer) else None,
+    lambda x, turn: x if x in _TO_REAL and isinstance(turn, types.Integer) else None,
     _emit_rotate,
     2,
 )

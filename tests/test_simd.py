@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
-from spoofgym._jit import njit
+from spoofgym._jit import inlined, njit
 from spoofgym._simd import (
     LANES,
     ArrayTable,
@@ -24,6 +24,8 @@ from spoofgym._simd import (
     lane,
     lanes_of,
     load,
+    load_pair,
+    pair_of,
     rotate_left,
     rows_at,
     select,
@@ -292,6 +294,90 @@ def test_masks(way, truth, number):
     for row, mask in ((9, a), (10, a & b)):
         alone = way[1] == 1  # every lane asks for itself
         np.testing.assert_array_equal(got[row], mask if alone else mask.any())
+
+
+# --- pairs -----------------------------------------------------------------------------------
+
+
+@inlined
+def everything(a, b, u, v, by, k, word):
+    """All that takes vectors."""
+    moved, turned = a, u
+    moved += b
+    moved -= k
+    moved *= 0.5
+    moved /= 3.0
+    turned ^= v
+    turned |= word
+    turned &= u + v
+    high = (a > b) & (a >= k) | (u < v) ^ (k <= b)
+    return (
+        (a + b, a - b, a * b, a / b, -a, k - a, a / k),
+        (moved, sqrt(a), floor(a), absolute(b), to_float(u), splat(k, a) + a),
+        (from_bits(u + v), from_bits(u - v), from_bits(u << by), from_bits(v >> by)),
+        (from_bits(turned), from_bits(rotate_left(u, 42)), from_bits(bits_of(a) ^ word)),
+        (select(high, a, b), select(a == b, 1.0, 0.0), select(u != v, k, b)),
+        (select(a != b, a, k), splat(1.0 if any_lane(a < b) else 0.0, a)),
+    )
+
+
+@njit
+def in_pairs(x, w, k, word, out):
+    given = load_pair(x, 0), load_pair(x, 2), load_pair(w, 0), load_pair(w, 2), load_pair(w, 4)
+    first, second, third, fourth, fifth, sixth = everything(*given, k, word)
+    row = 0
+    for value in (*first, *second, *third, *fourth, *fifth, *sixth):
+        store(out, row, value)
+        row += 2
+
+
+@njit
+def in_rows(x, w, k, word, out):
+    for r in range(2):
+        given = load(x, r), load(x, 2 + r), load(w, r), load(w, 2 + r), load(w, 4 + r)
+        first, second, third, fourth, fifth, sixth = everything(*given, k, word)
+        row = r
+        for value in (*first, *second, *third, *fourth, *fifth, *sixth):
+            store(out, row, value)
+            row += 2
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_pairs_compute_what_both_rows_do(compiled, monkeypatch):
+    """Every operator and function, to the last bit."""
+    if not compiled:
+        monkeypatch.setitem(globals(), "everything", getattr(everything, "py_func", everything))
+    rng = np.random.default_rng(7)
+    x = np.concatenate([REALS[:2], rng.standard_normal((2, LANES))])
+    w = np.concatenate([WORDS, rng.integers(0, 2**63, (2, LANES)).astype(np.uint64)])
+    w = np.concatenate([w, SHIFTS[None], SHIFTS[None, ::-1]])
+    found = []
+    for kernel in (in_pairs, in_rows):
+        out = np.full((50, LANES), 99.0)
+        with np.errstate(all="ignore"):
+            (kernel if compiled else getattr(kernel, "py_func", kernel))(x, w, REAL, WORD, out)
+        found.append(out)
+    any_row = slice(48, 50)  # a pair asks for both of its rows
+    assert (found[0][any_row] == found[1][any_row].max()).all()
+    same_bits(found[0][:48], found[1][:48])
+    assert not (found[0] == 99.0).all(axis=1).any()
+
+
+@njit
+def repeated(x, out):
+    store(out, 0, pair_of(load(x, 0)))
+    store(out, 2, load_pair(x, 1) + 1.0)
+    store(out, 4, splat(2.0, load_pair(x, 0)))
+
+
+def test_pairs_of_a_vector_and_of_two_rows():
+    x = np.arange(3.0 * LANES).reshape(3, LANES)
+    for kernel in (repeated, getattr(repeated, "py_func", repeated)):
+        out = np.zeros((6, LANES))
+        kernel(x, out)
+        np.testing.assert_array_equal(
+            out, [x[0], x[0], x[1] + 1.0, x[2] + 1.0, *np.full((2, 8), 2.0)]
+        )
 
 
 # --- functions -------------------------------------------------------------------------------

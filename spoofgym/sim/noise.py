@@ -22,7 +22,8 @@ from .._simd import (
     bits_of,
     floor,
     from_bits,
-    load,
+    load_pair,
+    pair_of,
     rotate_left,
     select,
     splat,
@@ -48,7 +49,9 @@ _QUADRANT_MASK = np.uint64(0x3FFFFFFF)
 _ODD = np.uint64(1)
 _UPPER = np.uint64(2)
 
-_COUNTERS = np.arange(LANES, dtype=np.uint64).reshape(1, LANES)
+COUNTERS_OF_ONE = np.arange(2 * LANES, dtype=np.uint64).reshape(2, LANES)
+COUNTERS_OF_EIGHT = np.repeat(np.arange(2, dtype=np.uint64), LANES).reshape(2, LANES)
+"""Counters of the two rows of a pair: of a single receiver, and of eight."""
 BLOCK = 64
 """Deviates come in multiples of this many, so that a vectorized loop has no remainder."""
 
@@ -161,21 +164,6 @@ def whole_number(x: Any) -> Any:
     return bits_of(x + 2.0**52) & _MANTISSA
 
 
-@inlined
-def _fill(
-    counter: Any, k0: Any, k1: Any, epoch: Any, q: int, n: int, both: bool, out: NDArray[np.float64]
-) -> None:
-    """Write the deviates of a counter, or of eight, into rows q, n + q, 2 n + q and 3 n + q."""
-    x, y = threefry(counter, epoch, k0, k1)
-    a, b = normal_pair(x)
-    store(out, q, a)
-    store(out, n + q, b)
-    if both:
-        a, b = normal_pair(y)
-        store(out, 2 * n + q, a)
-        store(out, 3 * n + q, b)
-
-
 @njit
 def deviates(
     k0: np.uint64, k1: np.uint64, epoch: np.uint64, size: int, count: int, out: NDArray[np.float64]
@@ -185,17 +173,30 @@ def deviates(
     `k0`, `k1`, `epoch`: key and counter, a number or a vector of one a lane; `size`: a multiple of
     `BLOCK`, how many the epoch has, which says where in the stream each lies; `count`: how many
     are wanted; rows behind them may be written, too.
+
+    Notes
+    -----
+    Counter q gives the deviates q, n + q, 2 n + q and 3 n + q, n = `size` / 4.  Two rows of them
+    are computed side by side; those of a single receiver have eight counters each.
     """
     n = size // 4
-    if out.ndim == 1:  # eight counters side by side
-        rows = out.reshape((out.shape[0] // LANES, LANES))
+    both = count > 2 * n
+    if out.ndim == 1:
+        rows, each, ahead = out.reshape((out.shape[0] // LANES, LANES)), LANES, COUNTERS_OF_ONE
         k0, k1, epoch = splat(k0, rows), splat(k1, rows), splat(epoch, rows)
-        for q in range(-(-min(n, count) // LANES)):
-            counter = splat(np.uint64(LANES * q), rows) + load(_COUNTERS, 0)
-            _fill(counter, k0, k1, epoch, q, n // LANES, count > 2 * n, rows)
     else:
-        for q in range(min(n, count)):
-            _fill(splat(np.uint64(q), k0), k0, k1, epoch, q, n, count > 2 * n, out)
+        rows, each, ahead = out, 1, COUNTERS_OF_EIGHT
+    k0, k1, epoch = pair_of(k0), pair_of(k1), pair_of(epoch)
+    counters, n = load_pair(ahead, 0), n // each
+    for q in range(0, min(n, -(-count // each)), 2):
+        x, y = threefry(counters + np.uint64(each * q), epoch, k0, k1)
+        a, b = normal_pair(x)
+        store(rows, q, a)
+        store(rows, n + q, b)
+        if both:
+            a, b = normal_pair(y)
+            store(rows, 2 * n + q, a)
+            store(rows, 3 * n + q, b)
 
 
 @njit

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from .._jit import njit
-from .._simd import lanes_of, load, splat, store
+from .._simd import lanes_of, load, load_pair, pair_of, splat, store
 from ..attacks._kernels import false_position
 from ..detectors.ewma import judge_channels
 from ..receiver import _kernels as filters
 from ..receiver import kalman
 from ..receiver.error_model import TERMS
 from ..sim import _kernels as world
-from ..sim.noise import deviates, normal_pair, threefry
+from ..sim.noise import COUNTERS_OF_EIGHT, deviates, normal_pair, threefry
 
 NOISE, SENSE, MECHANIZE, PROPAGATE, MEASURE, INNOVATE, COVARIANCE_S, UPDATE, FLOOR = range(9)
 PRODUCT = filters.PRODUCT_ROWS
@@ -28,9 +28,10 @@ def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
 @njit
 def noise_in_registers(k0, k1, epoch, size):
     """Sum of the deviates of an epoch, none of which is written (`deviates`)."""
-    total = splat(0.0, k0)
-    for q in range(size // 4):
-        x, y = threefry(splat(np.uint64(q), k0), epoch, k0, k1)
+    k0, k1, epoch = pair_of(k0), pair_of(k1), pair_of(epoch)
+    counters, total = load_pair(COUNTERS_OF_EIGHT, 0), splat(0.0, k0)
+    for q in range(0, size // 4, 2):
+        x, y = threefry(counters + np.uint64(q), epoch, k0, k1)
         a, b = normal_pair(x)
         c, d = normal_pair(y)
         total += (a + b) + (c + d)
@@ -57,7 +58,7 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
     dt, work = work[: size // 6], work[size // 6 :]
     gathered, terms, work = work[:TRUTH], work[TRUTH:], work[TRUTH + TERMS :]
     product, solution, work = work[:PRODUCT], work[PRODUCT:], work[PRODUCT + kalman.WORK :]
-    force, active, row, work = work[:4], work[4:5], work[5:6], work[6:]
+    force, active, work = work[:4], work[4:5], work[6:]
     noise, sky, work = work[:gnss_size], work[gnss_size:], work[gnss_size + world.SKY * n :]
     added, weights, precision, S = work[: 4 * n], work[4 * n :], work[6 * n :], work[8 * n :]
     now, first = np.empty(lanes_of(x), np.int64), np.empty(lanes_of(x), np.int64)
@@ -88,7 +89,7 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
                 if part == NOISE or lanes_of(x) == 1:  # which makes vectors of one lane
                     deviates(k0, k1, k, size, 6 * count, samples)
                 else:
-                    store(row, 0, noise_in_registers(k0, k1, k, size))
+                    store(samples, 0, noise_in_registers(k0, k1, k, size))
             if part == FLOOR:
                 for some in (half, count - half):
                     world.sense(run, first, some, *of_sensors, samples, dt, gathered, active)
