@@ -299,6 +299,10 @@ def _emit_load(context: Any, builder: Any, given: Any, values: Any) -> Any:
     return loaded
 
 
+def _can_store(array: types.Type, value: types.Type) -> bool:
+    return _row_kind(array) is not None and not (_is_pair(value) and array.ndim == 1)
+
+
 def _emit_store(context: Any, builder: Any, given: Any, values: Any) -> Any:
     kind = given[2] if _is_pair(given[2]) else _row_kind(given[0])
     address = _row_address(context, builder, given, values, kind)
@@ -316,7 +320,7 @@ _define(
 )
 _define(
     store,
-    lambda array, row, value: None if _row_kind(array) is None else types.none,
+    lambda array, row, value: types.none if _can_store(array, value) else None,
     _emit_store,
     3,
 )

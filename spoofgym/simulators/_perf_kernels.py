@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .._jit import njit
-from .._simd import lanes_of, load, load_pair, pair_of, splat, store
+from .._simd import LANES, lanes_of, load, load_pair, pair_of, splat, store
 from ..attacks._kernels import false_position
 from ..detectors.ewma import judge_channels
 from ..receiver import _kernels as filters
@@ -26,16 +26,18 @@ def work_rows(channels: int, imu_size: int, gnss_size: int) -> int:
 
 
 @njit
-def noise_in_registers(k0, k1, epoch, size):
-    """Sum of the deviates of an epoch, none of which is written (`deviates`)."""
+def noise_in_registers(k0, k1, epoch, size, out):
+    """Write the sums of the deviates of an epoch, which are not written themselves (`deviates`)."""
+    rows, counters = out.reshape((out.size // LANES, LANES)), load_pair(COUNTERS_OF_EIGHT, 0)
+    k0, k1, epoch = splat(k0, rows), splat(k1, rows), splat(epoch, rows)
     k0, k1, epoch = pair_of(k0), pair_of(k1), pair_of(epoch)
-    counters, total = load_pair(COUNTERS_OF_EIGHT, 0), splat(0.0, k0)
+    total = splat(0.0, k0)
     for q in range(0, size // 4, 2):
         x, y = threefry(counters + np.uint64(q), epoch, k0, k1)
         a, b = normal_pair(x)
         c, d = normal_pair(y)
         total += (a + b) + (c + d)
-    return total
+    store(rows, 0, total)
 
 
 @njit
@@ -89,7 +91,7 @@ def repeat(part, rounds, epoch, lanes, truth, rules, work, lo, hi):
                 if part == NOISE or lanes_of(x) == 1:  # which makes vectors of one lane
                     deviates(k0, k1, k, size, 6 * count, samples)
                 else:
-                    store(samples, 0, noise_in_registers(k0, k1, k, size))
+                    noise_in_registers(k0, k1, k, size, samples)
             if part == FLOOR:
                 for some in (half, count - half):
                     world.sense(run, first, some, *of_sensors, samples, dt, gathered, active)
