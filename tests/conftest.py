@@ -84,6 +84,16 @@ def default_rate(monkeypatch: pytest.MonkeyPatch) -> float:
     return calibrated.STANDARD_RATE
 
 
+@pytest.fixture(scope="module")
+def default_rate_of_module() -> Iterator[float]:
+    """`default_rate`, for fixtures that live as long as a module."""
+    from spoofgym.detectors import calibrated
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(calibrated, "DEFAULT_RATE", calibrated.STANDARD_RATE)
+        yield calibrated.STANDARD_RATE
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _no_word_of_compiling() -> None:
     """In which test the notice would appear on stderr depends on the machine and the order."""

@@ -206,6 +206,14 @@ def test_the_rate_elsewhere_is_another_one(setup):
     elsewhere = TightlyCoupledSetup(scenario="groves", detector="never", timeline=SHORT)
     (there,) = transfer(elsewhere, found, "ewma", false_alarms_per_hour=RATE, runs=100)
     assert (there.low, there.high, there.holds) == (None, None, None)
+    assert there.window_s == elsewhere.window_s
+    longer = dict(SHORT, attack_s=3.0 * SHORT["attack_s"])
+    longer = TightlyCoupledSetup(scenario="groves", detector="never", timeline=longer)
+    (later,) = transfer(longer, found, "ewma", false_alarms_per_hour=RATE, runs=100)
+    assert later.window_s == longer.window_s > there.window_s
+    assert later.promised == pytest.approx(1.0 - np.exp(-RATE * longer.window_s / 3600.0))
+    share = later.alarms / later.runs
+    assert later.per_hour == (hourly_rate(share, longer.window_s))
     json.dumps(there.as_dict(), allow_nan=False)
     with pytest.raises(ValueError, match=r"for something else than ewma in groves: world scenario"):
         check(elsewhere, found, "ewma")
