@@ -54,6 +54,15 @@ def test_another_world_that_is_none_is_refused_before_anything_is_played(folder,
     assert not folder.exists()
 
 
+@pytest.mark.parametrize(
+    "asked", ["thresholds=nominal", "false_alarms_per_hour=3", "calibration=x"]
+)
+def test_a_detector_can_not_ask_for_thresholds_where_they_are_looked_for(asked):
+    line = ["calibrate", *SHORT, *RATE, "--detector", f"snapshot-chi2:{asked}", "--runs", "40"]
+    says = f"asks for `{asked.partition('=')[0]}`, but thresholds are what is looked for here"
+    assert says in refused(*line)
+
+
 def test_a_victim_without_scenarios_has_no_other_one():
     line = ["calibrate", *SHORT, *RATE, "--env", "spoofgym/WheeledRobot-v0"]
     assert "has no argument 'scenario'" in refused(*line, "--transfer", "trolley")

@@ -128,14 +128,22 @@ def calibrate(
 
 
 def _judges(texts: Sequence[str] | None, suite: Suite, rate: float) -> list[Detector]:
-    """Detectors without what they ask of their thresholds; those that never alarm are left out."""
+    """Detectors that may not ask for thresholds; those that never alarm are left out."""
     from ..bench.specs import make_judge
     from ..bench.victims import VICTIMS
+    from ..detectors.calibrated import ASKED
     from ..duel.opponents import make_opponent
     from ..simulators.calibration import inner_detectors, suitable_detectors
 
     specs: list[Any] = list(VICTIMS[suite.env].detectors) if not texts else specs_of(texts)
     made: list[Any] = []
+    for spec in specs if texts else ():
+        for key in ASKED:
+            if key in spec:
+                raise ValueError(
+                    f"--detector {spec['name']} asks for `{key}`, but thresholds are what is "
+                    "looked for here: give the rate as --false-alarms-per-hour"
+                )
     for spec in specs:
         if spec["name"] == "all":
             made += suitable_detectors(suite.world)

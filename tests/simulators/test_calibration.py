@@ -201,6 +201,15 @@ def test_chance_in_the_worst_of_several_worlds():
     assert none.worst_world == (0.0, 0.0)
 
 
+def test_the_error_offers_the_same_detector_with_nominal_thresholds():
+    """With all that it was asked for."""
+    asked = {"name": "snapshot-chi2", "false_alarm": 1e-4, "false_alarms_per_hour": 0.2}
+    with pytest.raises(ValueError, match="there is no calibration of snapshot-chi2") as told:
+        Engine(1, TightlyCoupledSetup(detector=asked, timeline=SHORT), threads=1)
+    offer = '{"name": "snapshot-chi2", "false_alarm": 0.0001, "thresholds": "nominal"}'
+    assert offer in str(told.value)
+
+
 def test_the_rate_elsewhere_is_another_one(setup):
     found = calibrate(setup, "ewma", runs=100, false_alarms_per_hour=RATE)
     elsewhere = TightlyCoupledSetup(scenario="groves", detector="never", timeline=SHORT)
