@@ -310,7 +310,8 @@ def test_environments_look_a_calibration_up_and_never_run_one(setup, folder, mon
         assert named in text, text
         assert "`spoofgym calibrate --env spoofgym/TightlyCoupled-v0 --set " in text
         assert "--false-alarms-per-hour 10`" in text
-        assert '{"name": "snapshot-chi2", "thresholds": "nominal"}' in text
+        named = {k: v for k, v in {**settings, **changed}["detector"].items() if k not in ASKED}
+        assert json.dumps({**named, "thresholds": "nominal"}) in text
 
 
 def test_another_folder_is_apart_from_those_that_are_looked_up(setup, folder, tmp_path):
