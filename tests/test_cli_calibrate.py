@@ -45,7 +45,7 @@ def test_a_calibration_is_made_shown_and_used(folder):
         ('{"errors": "trolley"}', '--transfer {"errors": "trolley"} has no argument \'errors\''),
         ("{}", "changes nothing: that is what --hold-out counts"),
         ("{", "is not JSON"),
-        ("trolly", "unknown scenario 'trolly'"),
+        ("grovess", "unknown scenario 'grovess'"),
     ],
 )
 def test_another_world_that_is_none_is_refused_before_anything_is_played(folder, text, says):
