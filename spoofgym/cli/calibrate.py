@@ -137,19 +137,18 @@ def _judges(texts: Sequence[str] | None, suite: Suite, rate: float) -> list[Dete
 
     specs: list[Any] = list(VICTIMS[suite.env].detectors) if not texts else specs_of(texts)
     made: list[Any] = []
-    for spec in specs if texts else ():
-        for key in ASKED:
-            if key in spec:
-                raise ValueError(
-                    f"--detector {spec['name']} asks for `{key}`, but thresholds are what is "
-                    "looked for here: give the rate as --false-alarms-per-hour"
-                )
     for spec in specs:
+        asked = [key for key in ASKED if key in spec]
+        if texts and asked:
+            raise ValueError(
+                f"--detector {spec['name']} asks for `{asked[0]}`, but thresholds are what is "
+                "looked for here: give the rate as --false-alarms-per-hour"
+            )
         if spec["name"] == "all":
             made += suitable_detectors(suite.world)
         elif str(spec["name"]).endswith(".onnx"):
-            asked = {**spec, "false_alarms_per_hour": rate}
-            made.append(make_opponent(asked, suite.world.live))
+            wanted = {**spec, "false_alarms_per_hour": rate}
+            made.append(make_opponent(wanted, suite.world.live))
         else:
             made.append(make_judge(spec))
     judges = inner_detectors(made)
