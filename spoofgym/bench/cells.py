@@ -70,6 +70,11 @@ class Cell:
         return counted(self.records["warmup_alarm"], self.records["twin_alarm"])
 
     @property
+    def sky(self) -> NDArray[np.int64]:
+        """(R,) under which sky each run flew."""
+        return np.asarray(self.records["sky"])
+
+    @property
     def displacement_m(self) -> FloatArray:
         """(R,) undetected displacement [m]."""
         return np.asarray(self.records["undetected_displacement_m"], dtype=np.float64)

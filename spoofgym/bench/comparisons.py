@@ -3,7 +3,8 @@
 `never` does not alarm, and `lottery` alarms by chance at the rate that all are asked for.  A
 detector against which a spoofer comes farther than against them has done harm, and is marked: its
 interval lies above 0.  Detectors at different rates are never compared, and none at its nominal
-thresholds is.
+thresholds is.  A spoofer that reads the detector's statistic obeys that of a lottery, too, which it
+could ignore: against such a one `never` alone is a control.
 """
 
 from __future__ import annotations
@@ -15,10 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cells import Cell
-from .metrics import Estimate, bootstrap_mean, percentiles, resamples_of
+from .metrics import (
+    NOTHING,
+    Estimate,
+    bootstrap_mean,
+    largest_of_share,
+    percentiles,
+    resamples_of,
+)
 from .protection import MEASURES, Aim, Protection
-from .scores import SHARES, exceeded
+from .scores import SHARES, clusters_of, exceeded
 
+FloatArray = NDArray[np.float64]
 CONTROLS = ("never", "lottery")
 """Names of the detectors that chance must not be told from."""
 FREE = "any"
@@ -66,17 +75,15 @@ def _displacements(cells: Sequence[Cell], detector: str, control: str) -> list[d
         theirs = by_pair.get((control, spoofer))
         if label != detector or spoofer == "none" or theirs is None:
             continue
+        obeys = str(mine.head["knowledge"]["run_time"]).startswith("oracle")
+        if obeys and "lottery" in (name.partition("(")[0] for name in (detector, control)):
+            continue
         gap = mine.displacement_m - theirs.displacement_m
         both = mine.counts & theirs.counts
-        difference = _paired_mean(gap[both])
+        samples = resamples_of(clusters_of(mine.sky[both]))
+        difference = bootstrap_mean(gap[both], samples)
         found.append(_row("stealthy displacement", spoofer, detector, control, difference))
     return found
-
-
-def _paired_mean(gap: NDArray[np.float64]) -> Estimate:
-    if not len(gap):
-        return percentiles(float("nan"), gap)
-    return bootstrap_mean(gap, resamples_of(len(gap)))
 
 
 def _protections(
@@ -92,7 +99,7 @@ def _protections(
         aim = Aim(MEASURES[0], share)
         x, y = (_displacement(each, aim) for each in (mine, theirs))
         both = mine.counts & theirs.counts
-        difference = _paired_exceeded(x[both], y[both], share)
+        difference = _paired_exceeded(x[both], y[both], mine.sky[both], share)
         word = f"protection {100 * share:g} %"
         found.append(_row(word, None, detector, control, difference))
     return found
@@ -104,12 +111,13 @@ def _displacement(protection: Protection, aim: Aim) -> NDArray[np.float64]:
     return winner.displacement[aim.measure]
 
 
-def _paired_exceeded(x: NDArray[np.float64], y: NDArray[np.float64], share: float) -> Estimate:
+def _paired_exceeded(
+    x: FloatArray, y: FloatArray, sky: NDArray[np.int64], share: float
+) -> Estimate:
     if not len(x):
-        return percentiles(float("nan"), x)
-    rows = resamples_of(len(x))
-    place = max(int(np.ceil(share * len(x) - 1e-9)), 1) - 1
-    drawn = [-np.partition(-each[rows], place, axis=1)[:, place] for each in (x, y)]
+        return NOTHING
+    samples = resamples_of(clusters_of(sky))
+    drawn = [largest_of_share(each, share, samples) for each in (x, y)]
     return percentiles(exceeded(x, share) - exceeded(y, share), drawn[0] - drawn[1])
 
 

@@ -99,33 +99,59 @@ def clustered_proportion(
     return Estimate(p, interval.low, interval.high)
 
 
-def resamples(runs: int, rng: np.random.Generator, count: int = RESAMPLES) -> NDArray[np.int64]:
-    """Bootstrap samples of runs; the same for all cells of a campaign, so that they stay paired.
+def resamples(clusters: ArrayLike, rng: np.random.Generator, count: int = RESAMPLES) -> FloatArray:
+    """Bootstrap samples of runs: how often each one is drawn, (S, R).
 
-    Returns (S, R) indices of runs.
+    `clusters` (R,): which runs are drawn together, as those under one sky are alike; whole clusters
+    are drawn with replacement, as many as there are.  Where no two are the same this is the plain
+    bootstrap.
     """
-    return rng.integers(0, runs, size=(count, runs))
+    names, where = np.unique(np.asarray(clusters), return_inverse=True)
+    if not len(names):
+        return np.zeros((count, 0))
+    drawn = rng.multinomial(len(names), np.full(len(names), 1.0 / len(names)), size=count)
+    return drawn[:, where].astype(np.float64)
 
 
-@lru_cache(maxsize=16)
-def resamples_of(runs: int, count: int = RESAMPLES) -> NDArray[np.int64]:
-    """Bootstrap samples of some runs of a campaign, such as those that count; (S, R).
+def resamples_of(clusters: int | ArrayLike, count: int = RESAMPLES) -> FloatArray:
+    """Bootstrap samples that depend on the clusters alone, so that what has the same stays paired.
 
-    They depend on how many these are alone, so that what has as many runs stays paired.
+    `clusters` (R,) as in `resamples`, or how many runs there are, each for itself.
     """
-    return resamples(runs, np.random.default_rng(runs), count)
+    of = np.arange(clusters) if isinstance(clusters, int) else np.asarray(clusters)
+    return _kept_resamples(of.astype(np.int64).tobytes(), count)
+
+
+@lru_cache(maxsize=4)
+def _kept_resamples(clusters: bytes, count: int) -> FloatArray:
+    of = np.frombuffer(clusters, dtype=np.int64)
+    return resamples(of, np.random.default_rng(len(of)), count)
 
 
 def bootstrap_mean(
-    values: ArrayLike, samples: NDArray[np.int64], confidence: float = CONFIDENCE
+    values: ArrayLike, samples: FloatArray, confidence: float = CONFIDENCE
 ) -> Estimate:
-    """Mean over runs with its percentile interval.
+    """Mean over runs with its percentile interval; unknown without runs.
 
     `values` (R,) one of each run; a difference between two cells is paired this way; `samples`
     (S, R) of `resamples`.
     """
     x = np.asarray(values, dtype=np.float64)
-    return percentiles(float(x.mean()), x[samples].mean(axis=1), confidence)
+    if not len(x):
+        return NOTHING
+    return percentiles(float(x.mean()), samples @ x / samples.sum(axis=1), confidence)
+
+
+def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> FloatArray:
+    """In each bootstrap sample the largest value that is reached in at least a share of the runs.
+
+    `values` (R,), at least one; `samples` (S, R) of `resamples`; returns (S,).
+    """
+    x = np.asarray(values, dtype=np.float64)
+    order = np.argsort(-x, kind="stable")
+    reached = np.cumsum(samples[:, order], axis=1)
+    needed = np.maximum(np.ceil(share * reached[:, -1] - 1e-9), 1.0)
+    return np.asarray(x[order][np.argmax(reached >= needed[:, None], axis=1)])
 
 
 def percentiles(value: float, drawn: FloatArray, confidence: float = CONFIDENCE) -> Estimate:

@@ -54,14 +54,19 @@ class Aim(NamedTuple):
     skies: bool = False
 
     def worth(self, displacement: FloatArray) -> float:
-        """How good a displacement of the runs that count is; ties at a limit by the mean."""
+        """How good a displacement of the runs that count is.
+
+        Of attacks that exceed a limit equally often, that whose weakest such run is the farthest
+        above it, as it will most surely do so again.
+        """
         if not len(displacement):
             return 0.0
         if self.share is not None:
             return exceeded(displacement, self.share)
         assert self.limit_m is not None  # one of the two is given
-        mean = float(displacement.mean())
-        return float((displacement > self.limit_m).mean()) + 1e-9 * mean / (1.0 + mean)
+        above = displacement > self.limit_m
+        weakest = float(displacement[above].min()) if above.any() else 0.0
+        return float(above.mean()) + 1e-9 * weakest / (1.0 + weakest)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from scipy import stats
 
 from ..envs import _kernels
 from .budget import alarm_limit
-from .metrics import CONFIDENCE, NOTHING, Estimate, percentiles
+from .metrics import CONFIDENCE, NOTHING, Estimate, largest_of_share, percentiles
 
 FloatArray = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -141,16 +141,23 @@ def worst_skies(displacement: ArrayLike, sky: ArrayLike) -> NDArray[np.int64] | 
     return np.sort(skies[order[: math.ceil(WORST_SKIES * len(skies))]])
 
 
-def bootstrap_exceeded(
-    displacement: ArrayLike, share: float, samples: NDArray[np.int64]
-) -> Estimate:
+def clusters_of(sky: ArrayLike) -> NDArray[np.int64]:
+    """Which runs a bootstrap draws together: those under one sky, where there are ten or more.
+
+    With fewer skies it draws single runs, and its intervals are for these skies alone.
+
+    `sky` (R,) of each run.
+    """
+    under = np.asarray(sky, dtype=np.int64)
+    return under if len(np.unique(under)) >= FEWEST_SKIES else np.arange(len(under))
+
+
+def bootstrap_exceeded(displacement: ArrayLike, share: float, samples: FloatArray) -> Estimate:
     """`exceeded` with its percentile interval; `samples` (S, R) bootstrap samples of the runs."""
     x = np.asarray(displacement, dtype=np.float64)
     if not len(x):
         return NOTHING
-    place = max(math.ceil(share * len(x) - 1e-9), 1)
-    drawn = -np.partition(-x[samples], place - 1, axis=1)[:, place - 1]
-    return percentiles(exceeded(x, share), drawn)
+    return percentiles(exceeded(x, share), largest_of_share(x, share, samples))
 
 
 def by_chance(first_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:

@@ -11,25 +11,26 @@ from numpy.typing import NDArray
 from .cells import Cell
 from .comparisons import compare
 from .metrics import (
-    RESAMPLES,
+    NOTHING,
     Estimate,
     bootstrap_mean,
     exceedance,
+    largest_of_share,
     percentiles,
-    resamples,
     resamples_of,
     wilson,
 )
 from .price import mean_of, number, operating_point, score_detector
-from .protection import Protection
+from .protection import Aim, Protection, Winner
 from .scores import (
     bootstrap_exceeded,
     by_chance,
+    clusters_of,
     missed_in_time,
     survival,
 )
 from .store import ResultsFolder
-from .suite import FORMAT, seed_sequences
+from .suite import FORMAT
 
 SURVIVAL_TIMES = 8
 """At how many times the share of undetected attacks is told."""
@@ -70,7 +71,6 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
     cells = {pair: folder.cell(*pair) for pair in pairs if folder.has_cell(*pair)}
     protections = [folder.protection(detector) for detector in detectors]
     known = [found for found in protections if found is not None]
-    samples = bootstrap_samples(config)
     limits = sorted({*config["alert_limits_m"], config["alert_limit_m"]})
     searches = [folder.tuning(*pair) for pair in pairs]
     points = {label: operating_point(config, label) for label in detectors}
@@ -88,14 +88,13 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
             {**score_detector(cells[label, "none"]), **points[label]} for label in played
         ],
         "cells": [
-            score_cell(cell, samples, limits, float(config["tuning"]["budget"]))
-            for cell in cells.values()
+            score_cell(cell, limits, float(config["tuning"]["budget"])) for cell in cells.values()
         ],
         "protection": [score_protection(found, limits) for found in known],
         "comparisons": compare(
             list(cells.values()), known, {k: p["footing"] for k, p in points.items()}
         ),
-        "published": _published(folder, config, samples, limits),
+        "published": _published(folder, config, limits),
         "tuning": [search.as_dict() for search in searches if search is not None],
         "missing": [
             f"{detector} / {spoofer}"
@@ -110,19 +109,12 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
     }
 
 
-def bootstrap_samples(config: dict[str, Any]) -> NDArray[np.int64]:
-    """The same samples of runs for all cells: (S, R)."""
-    seed = seed_sequences(config["entropy"], "bootstrap", config["scenario"]["name"], 1)[0]
-    return resamples(config["runs"], np.random.Generator(np.random.PCG64(seed)), RESAMPLES)
-
-
-def score_cell(
-    cell: Cell, samples: NDArray[np.int64], limits: Sequence[float], budget: float
-) -> dict[str, Any]:
-    """Scores of one cell; `samples` (S, R) bootstrap samples, `limits` of the P_HMI curve [m]."""
-    counts, displacement, stealth = cell.counts, cell.displacement_m, cell.stealth
-    zeroed = np.where(cell.alarmed, 0.0, displacement)
-    kept = displacement[counts]
+def score_cell(cell: Cell, limits: Sequence[float], budget: float) -> dict[str, Any]:
+    """Scores of one cell; `limits` of the P_HMI curve [m]."""
+    counts, stealth = cell.counts, cell.stealth
+    kept = cell.displacement_m[counts]
+    zeroed = np.where(cell.alarmed[counts], 0.0, kept)
+    samples = resamples_of(clusters_of(cell.sky[counts]))
     return {
         "detector": cell.detector,
         "spoofer": cell.spoofer,
@@ -135,9 +127,9 @@ def score_cell(
         "silent_before_onset": float((~cell.records["warmup_alarm"]).mean().round(6)),
         "alarm_rate": wilson(stealth.alarms, stealth.runs).as_json(),
         "within_budget": stealth.seems_to_keep(budget),
-        "stealthy_displacement_m": mean_counted(displacement, counts, samples).as_json(),
+        "stealthy_displacement_m": bootstrap_mean(kept, samples).as_json(),
         "median_m": number(np.median(kept)) if len(kept) else None,
-        "alarmed_as_0_m": mean_counted(zeroed, counts, samples).as_json(),
+        "alarmed_as_0_m": bootstrap_mean(zeroed, samples).as_json(),
         "further_m": {
             name: mean_of(cell.records[name][counts]) for name in FURTHER if name in cell.records
         },
@@ -150,43 +142,32 @@ def score_cell(
     }
 
 
-def mean_counted(x: NDArray[Any], counts: NDArray[np.bool_], samples: NDArray[Any]) -> Estimate:
-    """Mean over the runs that count, with its percentile interval."""
-    if counts.all():
-        return bootstrap_mean(x, samples)
-    weights = counts.astype(np.float64)
-    many, total = weights[samples].sum(axis=1), (x * weights)[samples].sum(axis=1)
-    drawn = np.divide(total, many, out=np.full(len(many), np.nan), where=many > 0.0)
-    value = float(x[counts].mean()) if counts.any() else float("nan")
-    return percentiles(value, drawn)
-
-
 def times_of(cell: Cell) -> dict[str, Any]:
     """When the attack was noticed, of the runs that are silent before the onset.
 
-    ``missed``: of the runs whose error crosses the alert limit, those without an alarm up to the
-    time to alert after; ``detected`` and ``chance``: alarms by the end, by what raised them;
-    ``delay_s``: median from the onset to a detection; ``after_crossing_s``: median from the
-    crossing to the alarm; ``survival``: share still undetected by time.
+    ``missed``: of the runs that count whose error crosses the alert limit, those without an alarm
+    up to the time to alert after; ``after_crossing_s``: of the same, median from the crossing to
+    the alarm; ``detected`` and ``chance``: alarms by the end, by what raised them; ``delay_s``:
+    median from the onset to a detection; ``survival``: share still undetected by time.
     """
     records, step = cell.records, cell.interval_s
     silent = ~records["warmup_alarm"]
     first, twin = records["first_alarm"][silent], records["twin_alarm"][silent]
-    crossing = records["crossing"][silent]
     chance = by_chance(first, twin)
     detected = (first > 0) & ~chance
-    missed = missed_in_time(first, crossing, int(cell.head["hold"]))
+    alarm, crossing = records["first_alarm"][cell.counts], records["crossing"][cell.counts]
+    missed = missed_in_time(alarm, crossing, int(cell.head["hold"]))
     horizon = cell.window * step
     # a run is observed up to its alarm by chance, or up to that of its twin
     seen = np.where(twin > 0, twin * step, horizon)
     delay = np.where(detected, first * step, seen)
     times = np.linspace(0.0, horizon, SURVIVAL_TIMES + 1)[1:]
-    late = (first - crossing)[(first > 0) & (crossing > 0)] * step
+    late = (alarm - crossing)[(alarm > 0) & (crossing > 0)] * step
     found: dict[str, Any] = {
         "missed": wilson(int(missed.sum()), len(missed)).as_json(),
         "detected": wilson(int(detected.sum()), len(first)).as_json(),
         "chance": wilson(int(chance.sum()), len(first)).as_json(),
-        "delay_s": _median(first[detected] * step).as_json(),
+        "delay_s": _median(first[detected] * step, cell.sky[silent][detected]).as_json(),
         "after_crossing_s": number(np.median(late)) if len(late) else None,
         "horizon_s": horizon,
         "survival": [],
@@ -200,26 +181,29 @@ def times_of(cell: Cell) -> dict[str, Any]:
     return found
 
 
-def _median(x: NDArray[Any]) -> Estimate:
+def _median(x: NDArray[Any], sky: NDArray[np.int64]) -> Estimate:
     """Median with a percentile interval, by resamples of these runs alone."""
     if not len(x):
-        return Estimate(float("nan"), float("nan"), float("nan"))
-    drawn = np.median(x[resamples_of(len(x))], axis=1)
+        return NOTHING
+    drawn = largest_of_share(x, 0.5, resamples_of(clusters_of(sky)))
     return percentiles(float(np.median(x)), drawn)
 
 
 def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, Any]:
-    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack)."""
+    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack).
+
+    What was chosen for a higher alert limit exceeds the lower ones, too: of these attacks the worst
+    one counts, so that P(HMI | attack) never grows with the limit.
+    """
     aims = [aim for winner in found.winners for aim in winner.aims]
     exceeded, curve = [], []
     for aim in aims:
-        winner, rows = found.winner(aim), found.rows(aim)
-        assert winner is not None  # whose aim it is
+        winner, rows = _worst(found, aim), found.rows(aim)
         x = winner.displacement[aim.measure][rows]
         who: dict[str, Any] = {"letter": winner.letter, "spoofer": winner.spoofer}
         who |= {"setting": winner.setting, "at": winner.value}
         if aim.share is not None:
-            samples = resamples_of(max(len(x), 1))
+            samples = resamples_of(clusters_of(found.sky[rows]))
             value = bootstrap_exceeded(x, aim.share, samples).as_json()
             named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
             exceeded.append({**named, "runs": len(x), **value, **who})
@@ -236,10 +220,25 @@ def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, An
     }
 
 
+def _worst(found: Protection, aim: Aim) -> Winner:
+    """Who was chosen for an aim; at a limit the worst of those for this one and for higher ones."""
+    (winner,) = (each for each in found.winners if aim in each.aims)
+    limit = aim.limit_m
+    if limit is None:
+        return winner
+    higher = [
+        each
+        for each in found.winners
+        if any(other.limit_m is not None and other.limit_m > limit for other in each.aims)
+    ]
+    rows = found.rows(aim)
+    often = [(each.displacement[aim.measure][rows] > limit).sum() for each in (winner, *higher)]
+    return (winner, *higher)[int(np.argmax(often))]
+
+
 def _published(
     folder: ResultsFolder,
     config: dict[str, Any],
-    samples: NDArray[np.int64],
     limits: Sequence[float],
 ) -> list[dict[str, Any]]:
     """Detectors with thresholds as published, by name."""
@@ -250,6 +249,6 @@ def _published(
             folder.cell(entry["label"], n) for n in names if folder.has_cell(entry["label"], n)
         ]
         if len(cells) == len(names):
-            scores = [score_cell(cell, samples, limits, 1.0) for cell in cells[1:]]
+            scores = [score_cell(cell, limits, 1.0) for cell in cells[1:]]
             found.append({**score_detector(cells[0]), "attacks": scores})
     return found

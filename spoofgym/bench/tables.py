@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from ..detectors.calibrated import NOISY_WARMUP
 from .comparisons import CONTROLS, FREE
 from .price import NOMINAL
 
@@ -214,7 +215,10 @@ def _worst(found: dict[str, Any] | None) -> str:
 
 
 def mark_of(summary: dict[str, Any], detector: str) -> str:
-    """Whether a detector is worse than one that never alarms, or alarms by chance, and where."""
+    """Whether a detector is worse than one that never alarms, or by chance, and where.
+
+    And whether it alarms before the onset in more runs than a calibration can stand for.
+    """
     if detector.partition("(")[0] in CONTROLS:
         return "control"
     where = [
@@ -222,7 +226,12 @@ def mark_of(summary: dict[str, Any], detector: str) -> str:
         for row in summary["comparisons"]
         if row["detector"] == detector and row["above"]
     ]
-    return f"worse than chance: {'; '.join(dict.fromkeys(where))}" if where else ""
+    marks = [f"worse than chance: {'; '.join(dict.fromkeys(where))}"] if where else []
+    for row in summary["detectors"]:
+        early = (row["claimed"] or {}).get("warmup_alarms", 0.0)
+        if row["detector"] == detector and early > NOISY_WARMUP:
+            marks.append(f"alarms before the onset in {100 * early:.0f} % of clean runs")
+    return "; ".join(marks)
 
 
 def attack_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:

@@ -375,10 +375,13 @@ def split_spec(spec: Any) -> tuple[Any, Asked]:
             f"detector {word} is asked for `thresholds` 'nominal' and for "
             f"{', '.join(f'`{key}`' for key in others)}: leave out one"
         )
-    if asked.threshold_scale is not None and asked.false_alarms_per_hour is not None:
+    if asked.threshold_scale is not None and asked != Asked(threshold_scale=asked.threshold_scale):
+        others = [
+            key for key in ASKED if key != "threshold_scale" and getattr(asked, key) is not None
+        ]
         raise ValueError(
-            f"detector {word} is asked for `threshold_scale` and for `false_alarms_per_hour`: "
-            "leave out one"
+            f"detector {word} is asked for `threshold_scale`, a factor of your own, and for "
+            f"{', '.join(f'`{key}`' for key in others)}: leave out one"
         )
     if asked.calibration is not None and not isinstance(asked.calibration, str | Path):
         raise TypeError(f"`calibration` must be the path of a file, got {asked.calibration!r}")

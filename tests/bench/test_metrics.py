@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,10 @@ from spoofgym.bench.metrics import (
     clopper_pearson,
     clustered_proportion,
     exceedance,
+    largest_of_share,
     percentiles,
     resamples,
+    resamples_of,
     wilson,
 )
 
@@ -65,7 +69,7 @@ def test_epochs_that_alarm_together_count_as_runs() -> None:
 def test_bootstrap_interval_of_a_mean_is_the_normal_one() -> None:
     rng = np.random.default_rng(2)
     values = rng.standard_normal(400) + 3.0
-    found = bootstrap_mean(values, resamples(400, rng, 4000))
+    found = bootstrap_mean(values, resamples(np.arange(400), rng, 4000))
     spread = Z * values.std() / 20.0
     assert found.value == values.mean()
     assert found.low == pytest.approx(values.mean() - spread, abs=0.1 * spread)
@@ -76,14 +80,43 @@ def test_paired_differences_are_narrower_than_both() -> None:
     rng = np.random.default_rng(4)
     common = 10.0 * rng.standard_normal(200)
     one, other = common, common + 1.0 + 0.1 * rng.standard_normal(200)
-    samples = resamples(200, rng)
+    samples = resamples(np.arange(200), rng)
     gap = bootstrap_mean(other - one, samples)
     assert gap.low > 0.9
     assert gap.high < 1.1
     assert bootstrap_mean(one, samples).high - bootstrap_mean(one, samples).low > 1.0
 
 
+def test_runs_that_are_alike_are_drawn_together() -> None:
+    """The spread of a mean over 40 clusters, and the plain one where nothing is alike."""
+    rng = np.random.default_rng(5)
+    clusters = np.repeat(np.arange(40), 25)
+    alike = rng.standard_normal(40)[clusters] + 0.5 * rng.standard_normal(1000)
+    apart = rng.standard_normal(1000)
+    samples = resamples(clusters, rng, 4000)
+    means = alike.reshape(40, 25).mean(axis=1)
+    found = bootstrap_mean(alike, samples)
+    assert found.high - found.low == pytest.approx(2 * Z * means.std() / np.sqrt(40), rel=0.1)
+    plain = bootstrap_mean(alike, resamples(np.arange(1000), rng, 4000))
+    assert plain.high - plain.low < 0.4 * (found.high - found.low)
+    found, plain = (bootstrap_mean(apart, each) for each in (samples, resamples_of(1000)))
+    assert found.high - found.low == pytest.approx(plain.high - plain.low, rel=0.35)
+
+
+def test_the_largest_value_of_a_share_in_every_sample() -> None:
+    """Against every sample written out."""
+    rng = np.random.default_rng(6)
+    x = rng.exponential(1.0, 30)
+    samples = resamples(np.arange(30) // 2, rng, 50)
+    for share in (0.05, 0.5, 1.0):
+        found = largest_of_share(x, share, samples)
+        for row, value in zip(samples.astype(int), found, strict=True):
+            drawn = np.sort(np.repeat(x, row))[::-1]
+            assert value == drawn[max(math.ceil(share * len(drawn) - 1e-9), 1) - 1]
+
+
 def test_nothing_to_estimate_from_is_unknown() -> None:
+    assert np.isnan(bootstrap_mean([], resamples_of(0)).value)
     assert np.isnan(percentiles(float("nan"), np.array([1.0, 2.0])).value)
     assert np.isnan(percentiles(1.0, np.array([np.nan, np.nan])).low)
 

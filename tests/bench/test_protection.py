@@ -117,6 +117,29 @@ def test_the_scores_are_what_the_runs_say() -> None:
     assert p["value"] == pytest.approx((x[counts] > 10.0).mean(), abs=1e-6)
 
 
+def test_what_exceeds_a_limit_exceeds_the_lower_ones() -> None:
+    """Also where the attack that was chosen for a lower one comes less far in these runs."""
+    near, far = np.r_[np.full(40, 15.0), np.zeros(60)], np.r_[np.full(90, 50.0), np.zeros(10)]
+    winners = tuple(
+        Winner("a", spoofer, "rate_mps", 0.5, {}, (Aim(FIRST, limit_m=limit),), {FIRST: x})
+        for spoofer, limit, x in (("far", 40.0, far), ("near", 10.0, near))
+    )
+    runs = np.ones(100, dtype=np.bool_), np.zeros(100, dtype=np.int64)
+    found = score_protection(Protection({"detector": "x"}, winners, *runs, None), [10.0, 40.0])
+    assert [(p["alert_limit_m"], p["value"], p["spoofer"]) for p in found["p_hmi"]] == [
+        (10.0, 0.9, "far"),
+        (40.0, 0.9, "far"),
+    ]
+
+
+def test_of_attacks_that_exceed_a_limit_as_often_the_surer_one_is_chosen() -> None:
+    """Not that which goes farthest where it is not alarmed."""
+    aim = Aim(FIRST, limit_m=10.0)
+    sure, rash = np.full(20, 19.0), np.r_[np.full(19, 400.0), 11.0]
+    assert aim.worth(sure) > aim.worth(rash)
+    assert aim.worth(np.r_[rash[:-1], 9.0]) < aim.worth(rash)
+
+
 def test_it_comes_back_as_it_was_written() -> None:
     made = protected("ewma", [1.0, 2.5, 3.0], [True, False, True])
     again = Protection.from_text(made.to_text())

@@ -139,7 +139,9 @@ def test_identities_are_resolved_settings():
         ({"thresholds": "usual"}, "unknown choice of `thresholds` 'usual'; valid: calibrated, nom"),
         ({"thresholds": "rescaled", **RATE}, "'rescaled' is for detectors with a drift term"),
         ({"thresholds": "nominal", **RATE}, "asked for `thresholds` 'nominal' and for `false_ala"),
-        ({"threshold_scale": 1.0, **RATE}, "`threshold_scale` and for `false_alarms_per_hour`"),
+        ({"threshold_scale": 1.0, **RATE}, "a factor of your own, and for `false_alarms_per_hour`"),
+        ({"threshold_scale": 1.0, "calibration": "a.json"}, "of your own, and for `calibration`"),
+        ({"threshold_scale": 1.0, "thresholds": "rescaled"}, "of your own, and for `thresholds`"),
         ({"calibration": "no-such-file.json"}, "no-such-file.json"),
     ],
 )
