@@ -43,32 +43,47 @@ class World(NamedTuple):
     name: str
     setup: Setup
     passive: list[tuple[Calibration, Detector]]
+    rescaled: list[tuple[Calibration, Detector]]
     weighing: list[tuple[Calibration, Detector]]
     degenerate: list[str]
+
+    @property
+    def groups(self) -> list[list[tuple[Calibration, Detector]]]:
+        """Detectors that share a pass, or are like those that do."""
+        return [group for group in (self.passive, self.rescaled, self.weighing) if group]
 
 
 def world_of(name: str) -> World:
     """A world with what is shipped for it."""
-    found = World(name, setup_of(name), [], [], [])
+    found = World(name, setup_of(name), [], [], [], [])
     for detector in detectors_of(name, found.setup):
-        made = next(stored(found.setup.conditions, identity_of(detector), False, SHIPPED_FOLDER))
-        try:
-            made.point(STANDARD_RATE)
-        except ValueError:
-            found.degenerate.append(str(made.detector["name"]))
-            continue
-        group = found.weighing if weighs(found.setup, detector) else found.passive
-        group.append((made, detector))
+        for rescaled in (False, True)[: 1 + detector.drifts]:
+            made = next(
+                stored(found.setup.conditions, identity_of(detector), rescaled, SHIPPED_FOLDER)
+            )
+            try:
+                made.point(STANDARD_RATE)
+            except ValueError:
+                found.degenerate.append(_name(made))
+                continue
+            alone = found.weighing if weighs(found.setup, detector) else found.passive
+            (found.rescaled if rescaled else alone).append((made, detector))
     return found
+
+
+def _name(made: Calibration) -> str:
+    return str(made.detector["name"]) + (", rescaled" if made.rescale is not None else "")
 
 
 def counted(world: World, others: list[World], runs: int, cells: int) -> dict[str, Any]:
     """Hold-out of a world, and the rate of its thresholds in the other ones."""
     rows = []
-    for group, count in ((world.passive, runs), (world.weighing, min(runs, 10 * HOLDOUT_WEIGHING))):
+    for group in world.groups:
+        passive = group is not world.weighing
+        count = runs if passive else min(runs, 10 * HOLDOUT_WEIGHING)
         made, detectors = zip(*group, strict=True)
         asked: dict[str, Any] = {"false_alarms_per_hour": STANDARD_RATE, "progress": Lines()}
-        rates = [STANDARD_RATE, RARE_RATE] if group is world.passive else [STANDARD_RATE]
+        rates = [STANDARD_RATE, RARE_RATE] if passive else [STANDARD_RATE]
         both = {**asked, "false_alarms_per_hour": rates}
         counts = hold_out(world.setup, made, detectors, runs=count, cells=cells, **both)
         held, rare = counts[: len(made)], counts[len(made) :]
@@ -78,7 +93,7 @@ def counted(world: World, others: list[World], runs: int, cells: int) -> dict[st
         }
         for k, one in enumerate(held):
             elsewhere = {name: each[k].as_dict()["per_hour"] for name, each in there.items()}
-            kind = {"calibrated": made[k].runs, "passive": group is world.passive}
+            kind = {"name": _name(made[k]), "calibrated": made[k].runs, "passive": passive}
             rows.append({**one.as_dict(), **kind, "in": elsewhere})
             if rare:
                 rows[-1]["rare"] = rare[k].as_dict()
@@ -104,7 +119,7 @@ def _lines(world: dict[str, Any]) -> Iterator[str]:
     short = [name.removeprefix("headline-") for name in others]
     head = ["detector", "calibrated on", "fresh runs", "with an alarm", "predicted", "per hour"]
     head += ["in the worst sky (by chance)", f"with an alarm at {RARE_RATE:g} an hour", "predicted"]
-    head += [f"per hour in {name}" for name in short]
+    head += ["alarm before it [%]", *(f"per hour in {name}" for name in short)]
     yield f"**{world['world'].removeprefix('headline-')}**"
     yield ""
     rows = []
@@ -114,7 +129,8 @@ def _lines(world: dict[str, Any]) -> Iterator[str]:
         worst = [_rate(row[f"worst_world_{which}"]) for which in ("per_hour", "by_chance")]
         rates = _rate(row["per_hour"]), f"{worst[0]} ({worst[1]})"
         rare = _count(row["rare"]) if "rare" in row else ("-", "-")
-        rows.append((row["name"], *counts, *rates, *rare, *there))
+        early = f"{100 * row['early'] / row['runs']:.2g}"
+        rows.append((row["name"], *counts, *rates, *rare, early, *there))
     yield from markdown_table(head, rows)
     yield ""
     text = f"Mean over the passive detectors: {world['mean_passive_per_hour']:.3g} an hour."
@@ -142,7 +158,8 @@ def main(arguments: list[str]) -> None:
     given = parser.parse_args(arguments)
     if not given.tables_only:
         worlds = [world_of(name) for name in HEADLINES]
-        cells = sum(2 * len(world.passive) + len(world.weighing) for world in worlds)
+        passive = sum(len(world.passive) + len(world.rescaled) for world in worlds)
+        cells = 2 * passive + sum(len(world.weighing) for world in worlds)
         found = []
         for world in worlds:
             others = [other for other in worlds if other is not world]

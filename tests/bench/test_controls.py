@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,10 +11,12 @@ import pytest
 
 from spoofgym.bench import ResultsFolder, run_campaign, summarize
 from spoofgym.bench.calibrations import calibrate_suite
+from spoofgym.bench.comparisons import compare
 from spoofgym.bench.protection import MEASURES
 from spoofgym.bench.report import markdown
 from spoofgym.bench.searches import Selection, Tuning
-from spoofgym.bench.tables import attack_rows, detector_rows, groups, published_rows
+from spoofgym.bench.summary import times_of
+from spoofgym.bench.tables import attack_rows, detector_rows, groups, mark_of, published_rows
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 
 from .support import small_suite
@@ -91,6 +93,47 @@ def test_never_and_lottery_can_not_be_told_apart(played: Any) -> None:
     lottery = next(row for row in summary["detectors"] if "lottery" in row["detector"])
     # it does alarm, and by chance alone
     assert lottery["false_alarm_per_run"]["value"] > 0.0
+
+
+def test_who_reads_the_statistic_is_compared_with_never_alone(played: Any) -> None:
+    """It obeys that of a lottery, too."""
+    _, folder, summary = played
+    footings = {row["detector"]: row["footing"] for row in summary["detectors"]}
+    cells = [folder.cell(label, "step") for label in footings]
+    reading = [
+        replace(each, head={**each.head, "knowledge": {"run_time": "oracle"}}) for each in cells
+    ]
+    assert {row["control"] for row in compare(cells, [], footings)} == {
+        "never",
+        f"lottery({LABEL})",
+    }
+    rows = compare(reading, [], footings)
+    assert {row["control"] for row in rows} == {"never"}
+    assert not any("lottery" in row["detector"] for row in rows)
+
+
+def test_an_alarm_by_chance_is_no_detection_in_time(played: Any) -> None:
+    """All that a lottery catches is chance."""
+    _, folder, _ = played
+    cell = folder.cell(f"lottery({LABEL})", "step")
+    assert ((cell.records["first_alarm"] > 0) & ~cell.records["warmup_alarm"]).any()
+    # as if every run came beyond the limit at once
+    crossed = {**cell.records, "crossing": np.ones(cell.runs, dtype=np.int64)}
+    found = times_of(replace(cell, records=crossed))
+    assert found["missed"]["value"] == 1.0
+    assert found["after_crossing_s"] is None
+
+
+def test_a_detector_that_alarms_before_the_onset_is_marked(played: Any) -> None:
+    _, _, summary = played
+    label = f"toy({LABEL})"
+    rows = [
+        {**row, "claimed": row["claimed"] and {**row["claimed"], "warmup_alarms": 0.34}}
+        for row in summary["detectors"]
+    ]
+    text = "alarms before the onset in 34 % of clean runs"
+    assert text in mark_of({**summary, "detectors": rows}, label)
+    assert text not in mark_of(summary, label)
 
 
 def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played: Any) -> None:
