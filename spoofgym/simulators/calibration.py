@@ -11,6 +11,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -184,9 +185,13 @@ def calibrate(
         runs = whole_number("`runs`", runs, 1)
     work = _Work(setup, rates, rescaled, whole_number("`entropy`", entropy), folder, overwrite)
     with locked(setup):
-        store = user_folder() / "unfinished"
         player = Player(
-            setup, entropy=entropy, threads=threads, chunk=chunk, store=store, progress=progress
+            setup,
+            entropy=entropy,
+            threads=threads,
+            chunk=chunk,
+            store=unfinished_folder(),
+            progress=progress,
         )
         for group, count, in_loop in work.groups(parts, runs):
             work.check_enough(group, count)
@@ -247,6 +252,11 @@ def suitable_detectors(setup: Setup) -> list[Detector]:
     wanted = [kind for kind in kinds if kind.calibrates and not kind.oracle]
     fit = [kind for kind in wanted if kind.measures in (measured, "any")]
     return [kind() for kind in fit if kind.needs <= setup.has]
+
+
+def unfinished_folder() -> Path:
+    """Folder of what a killed process has played."""
+    return user_folder() / "unfinished"
 
 
 @contextmanager
@@ -327,7 +337,7 @@ class _Work:
                     "runs have no order"
                 )
             self._write(player, detector, mine, in_loop, rescale)
-        player.forget(played, numbers, in_loop=in_loop)
+        player.forget(played, numbers, split="calibration", in_loop=in_loop)
 
     def _write(
         self,
@@ -493,6 +503,8 @@ def hold_out(
 ) -> list[HoldOut]:
     """Count the alarms of calibrated detectors on runs of the split `holdout`.
 
+    Killed, it goes on from what it has played when it is called again.
+
     Parameters
     ----------
     setup : Setup
@@ -523,13 +535,18 @@ def hold_out(
     parts = list(zip(calibrations, inner_detectors(detectors), strict=True))
     made = [[calibrated(c, d, rate) for c, d in parts] for rate in rates]
     heavy = [weighs(setup, each) for each in made[0]]
-    player = Player(setup, threads=threads, chunk=chunk, progress=progress)
+    player = Player(
+        setup, threads=threads, chunk=chunk, store=unfinished_folder(), progress=progress
+    )
+    finished: list[Callable[[], None]] = []
 
     def played(group: list[int], judges: list[Calibrated]) -> dict[int, CleanRuns]:
         in_loop = heavy[group[0]]
         count = runs or (HOLDOUT_WEIGHING if in_loop else HOLDOUT_PASSIVE)
         those = [judges[k] for k in group]
         found = player.play(those, range(count), split=split, in_loop=in_loop, now="hold-out")
+        forget = partial(player.forget, those, range(count), split=split, in_loop=in_loop)
+        finished.append(forget)
         return {k: found.column(i) for i, k in enumerate(group)}
 
     light = [k for k, alone in enumerate(heavy) if not alone]
@@ -544,6 +561,8 @@ def hold_out(
             again = judges is not made[0] and judge.detector.alarm_is_state
             found = played([k], judges)[k] if again else _at_scale(first[k], made[0][k], judge)
             held.append(_counted(judge, found, *counted))
+    for forget in finished:
+        forget()
     return held
 
 

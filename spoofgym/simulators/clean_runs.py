@@ -222,9 +222,11 @@ class Player:
             _write(file, _joined(parts))
         return _joined(parts)
 
-    def forget(self, detectors: Sequence[Detector], numbers: range, *, in_loop: bool) -> None:
+    def forget(
+        self, detectors: Sequence[Detector], numbers: range, *, split: str, in_loop: bool
+    ) -> None:
         """Remove what was written down of runs that are no longer needed."""
-        file = self._file(detectors, "calibration", in_loop, np.asarray(numbers))
+        file = self._file(detectors, split, in_loop, np.asarray(numbers))
         if file is not None:
             file.unlink(missing_ok=True)
 

@@ -12,7 +12,13 @@ from spoofgym.detectors import Calibrated, Cusum, Ewma, JointChart, make_detecto
 from spoofgym.detectors.calibration import FOLDER_VARIABLE, TOLERANCE, hourly_rate
 from spoofgym.envs import SnapshotEnv, SpoofEnv, SpoofVectorEnv
 from spoofgym.envs.factory import make_setup
-from spoofgym.simulators import Engine, SnapshotSetup, TightlyCoupledSetup, calibration
+from spoofgym.simulators import (
+    Engine,
+    SnapshotSetup,
+    TightlyCoupledSetup,
+    calibration,
+    clean_runs,
+)
 from spoofgym.simulators._kernels import NO_FORM
 from spoofgym.simulators.base import run_serially
 from spoofgym.simulators.calibration import (
@@ -172,6 +178,21 @@ def test_hold_outs_are_other_runs_and_lie_in_the_predicted_interval(setup):
     assert law.sf(high - 1) > 0.005 / 30
     fresh = Player(setup).play([Cusum()], range(5), split="holdout").judged
     assert (fresh != Player(setup).play([Cusum()], range(5)).judged).all()
+
+
+def test_a_killed_hold_out_goes_on(setup, folder, monkeypatch):
+    """From the runs that it has played, with the same counts, and leaves nothing behind."""
+    specs, asked = ["snapshot-chi2", "cusum"], {"false_alarms_per_hour": RATE, "runs": 40}
+    found = calibrate(setup, specs, runs=60, **ASKED)
+    whole = hold_out(setup, found, specs, **asked)
+    with pytest.raises(KeyboardInterrupt):
+        hold_out(setup, found, specs, **asked, threads=1, chunk=8, progress=Steps(17))
+    assert len(list((folder / "unfinished").iterdir())) == 1
+    played, play = [], clean_runs._play
+    monkeypatch.setattr(clean_runs, "_play", lambda *given: played.append(given) or play(*given))
+    assert hold_out(setup, found, specs, **asked, threads=1, chunk=8) == whole
+    assert len(played) < 5
+    assert list((folder / "unfinished").iterdir()) == []
 
 
 def test_rates_share_the_runs_of_a_hold_out(setup):
