@@ -6,6 +6,8 @@ from dataclasses import asdict, replace
 from importlib.metadata import version
 from typing import Any
 
+import numpy as np
+
 from spoofgym.bench.metrics import bootstrap_mean, resamples_of
 from spoofgym.bench.specs import describe
 from spoofgym.bench.suite import spoofer_context, versions
@@ -104,7 +106,7 @@ def _training(run: ProfileRun, choice: Choice, command: str) -> dict[str, Any]:
 def _score(run: ProfileRun, choice: Choice) -> dict[str, Any]:
     """What the profile reached on the runs of the choice."""
     runs = run.settings.select_runs
-    mean = bootstrap_mean(choice.displacement_m, resamples_of(choice.fit.counted))
+    mean = bootstrap_mean(choice.displacement_m, resamples_of(np.arange(choice.fit.counted)))
     return {
         "detector": run.detector.label,
         "split": "training",

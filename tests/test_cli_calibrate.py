@@ -52,7 +52,10 @@ def test_a_degenerate_statistic_that_was_named_is_a_failure():
     found = json.loads(result.stdout)
     assert [row["scale"] is None for row in found["calibrations"]] == [True, False]
     assert "the statistic of cusum is degenerate" in found["notes"][0]
-    assert call(*line).exit_code == 1
+    # also beside `all`, of which it is left out without a word of blame
+    everyone = ["calibrate", *SHORT, *DEGENERATE, "--detector", "all"]
+    assert call(*everyone, "--detector", "cusum").exit_code == 1
+    assert call(*everyone).exit_code == 0
 
 
 def test_rescaled_takes_of_all_those_that_it_is_for():
@@ -62,14 +65,17 @@ def test_rescaled_takes_of_all_those_that_it_is_for():
     rows = json.loads(result.stdout)["calibrations"]
     assert sorted(row["detector"] for row in rows) == ["cusum", "lag-cusum"]
     says = "'rescaled' is for detectors with a drift term, which SnapshotChi2 is not"
-    assert says in refused(*line, "--detector", "cusum", "--detector", "snapshot-chi2")
+    for other in ("cusum", "all"):
+        assert says in refused(*line, "--detector", other, "--detector", "snapshot-chi2")
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ('{"errors": "trolley"}', '--transfer {"errors": "trolley"} has no argument \'errors\''),
-        ("{}", "changes nothing: that is what --hold-out counts"),
+        ("{}", "is the same world: that is what --hold-out counts"),
+        ("zhong2025", "is the same world: that is what --hold-out counts"),
+        ('{"detector": "ewma"}', "has no argument 'detector'"),
         ("{", "is not JSON"),
         ("grovess", "unknown scenario 'grovess'"),
     ],

@@ -58,9 +58,10 @@ def world_of(name: str) -> World:
     found = World(name, setup_of(name), [], [], [], [])
     for detector in detectors_of(name, found.setup):
         for rescaled in (False, True)[: 1 + detector.drifts]:
-            made = next(
-                stored(found.setup.conditions, identity_of(detector), rescaled, SHIPPED_FOLDER)
-            )
+            what = found.setup.conditions, identity_of(detector), rescaled
+            made = next(stored(*what, SHIPPED_FOLDER), None)
+            if made is None:
+                raise SystemExit(f"{name} has no calibration of {detector}: tools.calibrations")
             try:
                 made.point(STANDARD_RATE)
             except ValueError:

@@ -390,7 +390,7 @@ class Judge:
             raise ValueError(
                 f"none of the {len(found.counts)} runs is silent without attack: there is no score"
             )
-        mean = bootstrap_mean(found.displacement_m[found.counts], resamples_of(counts))
+        mean = bootstrap_mean(found.displacement_m[found.counts], resamples_of(np.arange(counts)))
         return {
             "detector": self.label,
             "split": self.split,

@@ -56,7 +56,12 @@ def compare(
 
 def controls(footings: Footings) -> list[str]:
     """Labels of the negative controls that were played."""
-    return [label for label in footings if label.partition("(")[0] in CONTROLS]
+    return [label for label in footings if name_of(label) in CONTROLS]
+
+
+def name_of(label: str) -> str:
+    """Name of a detector without its settings."""
+    return label.partition("(")[0]
 
 
 def comparable(footings: Footings, detector: str, other: str) -> bool:
@@ -76,11 +81,11 @@ def _displacements(cells: Sequence[Cell], detector: str, control: str) -> list[d
         if label != detector or spoofer == "none" or theirs is None:
             continue
         obeys = str(mine.head["knowledge"]["run_time"]).startswith("oracle")
-        if obeys and "lottery" in (name.partition("(")[0] for name in (detector, control)):
+        if obeys and "lottery" in (name_of(detector), name_of(control)):
             continue
         gap = mine.displacement_m - theirs.displacement_m
         both = mine.counts & theirs.counts
-        samples = resamples_of(clusters_of(mine.sky[both]))
+        samples = resamples_of(clusters_of(mine.sky)[both])
         difference = bootstrap_mean(gap[both], samples)
         found.append(_row("stealthy displacement", spoofer, detector, control, difference))
     return found
@@ -99,7 +104,8 @@ def _protections(
         aim = Aim(MEASURES[0], share)
         x, y = (_displacement(each, aim) for each in (mine, theirs))
         both = mine.counts & theirs.counts
-        difference = _paired_exceeded(x[both], y[both], mine.sky[both], share)
+        samples = resamples_of(clusters_of(mine.sky)[both])
+        difference = _paired_exceeded(x[both], y[both], samples, share)
         word = f"protection {100 * share:g} %"
         found.append(_row(word, None, detector, control, difference))
     return found
@@ -111,12 +117,9 @@ def _displacement(protection: Protection, aim: Aim) -> NDArray[np.float64]:
     return winner.displacement[aim.measure]
 
 
-def _paired_exceeded(
-    x: FloatArray, y: FloatArray, sky: NDArray[np.int64], share: float
-) -> Estimate:
+def _paired_exceeded(x: FloatArray, y: FloatArray, samples: FloatArray, share: float) -> Estimate:
     if not len(x):
         return NOTHING
-    samples = resamples_of(clusters_of(sky))
     drawn = [largest_of_share(each, share, samples) for each in (x, y)]
     return percentiles(exceeded(x, share) - exceeded(y, share), drawn[0] - drawn[1])
 

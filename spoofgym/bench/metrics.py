@@ -113,13 +113,12 @@ def resamples(clusters: ArrayLike, rng: np.random.Generator, count: int = RESAMP
     return drawn[:, where].astype(np.float64)
 
 
-def resamples_of(clusters: int | ArrayLike, count: int = RESAMPLES) -> FloatArray:
+def resamples_of(clusters: ArrayLike, count: int = RESAMPLES) -> FloatArray:
     """Bootstrap samples that depend on the clusters alone, so that what has the same stays paired.
 
-    `clusters` (R,) as in `resamples`, or how many runs there are, each for itself.
+    `clusters` (R,) as in `resamples`.
     """
-    of = np.arange(clusters) if isinstance(clusters, int) else np.asarray(clusters)
-    return _kept_resamples(of.astype(np.int64).tobytes(), count)
+    return _kept_resamples(np.asarray(clusters, dtype=np.int64).tobytes(), count)
 
 
 @lru_cache(maxsize=4)

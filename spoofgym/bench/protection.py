@@ -3,7 +3,8 @@
 1. On a few runs of the split `selection` every member of the suite plays its whole range.
 2. For each aim, an alert limit or a share of the runs, the best of these and its neighbours play
    all runs of the selection, and the best one there is the winner.
-3. The winners play the evaluation runs, which have decided nothing.
+3. The winners play the evaluation runs, which have decided nothing, but for one thing: at an alert
+   limit the worst of all winners counts, which leans a little to the high side.
 
 What is kept is how far every winner came in every evaluation run, so that scores and their paired
 differences between detectors follow from it.
@@ -57,7 +58,8 @@ class Aim(NamedTuple):
         """How good a displacement of the runs that count is.
 
         Of attacks that exceed a limit equally often, that whose weakest such run is the farthest
-        above it, as it will most surely do so again.
+        above it, as it will most surely do so again; of those that never do, that which comes
+        nearest.
         """
         if not len(displacement):
             return 0.0
@@ -65,7 +67,7 @@ class Aim(NamedTuple):
             return exceeded(displacement, self.share)
         assert self.limit_m is not None  # one of the two is given
         above = displacement > self.limit_m
-        weakest = float(displacement[above].min()) if above.any() else 0.0
+        weakest = float(displacement[above].min() if above.any() else displacement.max())
         return float(above.mean()) + 1e-9 * weakest / (1.0 + weakest)
 
 

@@ -146,7 +146,7 @@ def clusters_of(sky: ArrayLike) -> NDArray[np.int64]:
 
     With fewer skies it draws single runs, and its intervals are for these skies alone.
 
-    `sky` (R,) of each run.
+    `sky` (R,) of each run of a campaign, whether it counts or not.
     """
     under = np.asarray(sky, dtype=np.int64)
     return under if len(np.unique(under)) >= FEWEST_SKIES else np.arange(len(under))

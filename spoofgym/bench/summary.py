@@ -114,7 +114,7 @@ def score_cell(cell: Cell, limits: Sequence[float], budget: float) -> dict[str, 
     counts, stealth = cell.counts, cell.stealth
     kept = cell.displacement_m[counts]
     zeroed = np.where(cell.alarmed[counts], 0.0, kept)
-    samples = resamples_of(clusters_of(cell.sky[counts]))
+    samples = resamples_of(clusters_of(cell.sky)[counts])
     return {
         "detector": cell.detector,
         "spoofer": cell.spoofer,
@@ -167,7 +167,9 @@ def times_of(cell: Cell) -> dict[str, Any]:
         "missed": wilson(int(missed.sum()), len(missed)).as_json(),
         "detected": wilson(int(detected.sum()), len(first)).as_json(),
         "chance": wilson(int(chance.sum()), len(first)).as_json(),
-        "delay_s": _median(first[detected] * step, cell.sky[silent][detected]).as_json(),
+        "delay_s": _median(
+            first[detected] * step, clusters_of(cell.sky)[silent][detected]
+        ).as_json(),
         "after_crossing_s": number(np.median(late)) if len(late) else None,
         "horizon_s": horizon,
         "survival": [],
@@ -181,19 +183,19 @@ def times_of(cell: Cell) -> dict[str, Any]:
     return found
 
 
-def _median(x: NDArray[Any], sky: NDArray[np.int64]) -> Estimate:
+def _median(x: NDArray[Any], clusters: NDArray[np.int64]) -> Estimate:
     """Median with a percentile interval, by resamples of these runs alone."""
     if not len(x):
         return NOTHING
-    drawn = largest_of_share(x, 0.5, resamples_of(clusters_of(sky)))
+    drawn = largest_of_share(x, 0.5, resamples_of(clusters))
     return percentiles(float(np.median(x)), drawn)
 
 
 def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, Any]:
     """Protection of a detector: what the worst attacks exceed, and P(HMI | attack).
 
-    What was chosen for a higher alert limit exceeds the lower ones, too: of these attacks the worst
-    one counts, so that P(HMI | attack) never grows with the limit.
+    At an alert limit the worst of all winners counts, whatever each was chosen for, so that
+    P(HMI | attack) never grows with the limit, and never contradicts what is exceeded.
     """
     aims = [aim for winner in found.winners for aim in winner.aims]
     exceeded, curve = [], []
@@ -203,7 +205,9 @@ def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, An
         who: dict[str, Any] = {"letter": winner.letter, "spoofer": winner.spoofer}
         who |= {"setting": winner.setting, "at": winner.value}
         if aim.share is not None:
-            samples = resamples_of(clusters_of(found.sky[rows]))
+            # the worst skies are few, and the interval is for these alone
+            alike = np.arange(len(found.sky)) if aim.skies else clusters_of(found.sky)
+            samples = resamples_of(alike[rows])
             value = bootstrap_exceeded(x, aim.share, samples).as_json()
             named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
             exceeded.append({**named, "runs": len(x), **value, **who})
@@ -221,19 +225,14 @@ def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, An
 
 
 def _worst(found: Protection, aim: Aim) -> Winner:
-    """Who was chosen for an aim; at a limit the worst of those for this one and for higher ones."""
-    (winner,) = (each for each in found.winners if aim in each.aims)
-    limit = aim.limit_m
-    if limit is None:
-        return winner
-    higher = [
-        each
-        for each in found.winners
-        if any(other.limit_m is not None and other.limit_m > limit for other in each.aims)
-    ]
-    rows = found.rows(aim)
-    often = [(each.displacement[aim.measure][rows] > limit).sum() for each in (winner, *higher)]
-    return (winner, *higher)[int(np.argmax(often))]
+    """Who was chosen for an aim; at an alert limit the worst of all winners on these runs."""
+    chosen = found.winner(aim)
+    assert chosen is not None  # whose aim it is
+    if aim.limit_m is None:
+        return chosen
+    several, rows = (chosen, *found.winners), found.rows(aim)
+    often = [(each.displacement[aim.measure][rows] > aim.limit_m).sum() for each in several]
+    return several[int(np.argmax(often))]
 
 
 def _published(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from ..detectors.calibrated import NOISY_WARMUP
-from .comparisons import CONTROLS, FREE
+from .comparisons import CONTROLS, FREE, name_of
 from .price import NOMINAL
 
 DETECTORS_HEAD = (
@@ -219,7 +219,7 @@ def mark_of(summary: dict[str, Any], detector: str) -> str:
 
     And whether it alarms before the onset in more runs than a calibration can stand for.
     """
-    if detector.partition("(")[0] in CONTROLS:
+    if name_of(detector) in CONTROLS:
         return "control"
     where = [
         row["score"] if row["spoofer"] is None else f"{row['score']}, {row['spoofer']}"

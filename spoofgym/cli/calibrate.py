@@ -82,7 +82,7 @@ def calibrate(
 
     suite = world_of(world)
     setup, rate = suite.world, false_alarms_per_hour
-    judges = _judges(detector, suite, rate, rescaled)
+    judges, named = _judges(detector, suite, rate, rescaled)
     others = {text: _other(suite, text) for text in transfer or ()}
     asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
     left = work.expected_runs(setup, judges, **asked, overwrite=overwrite)
@@ -130,22 +130,26 @@ def calibrate(
             several = any(one.worst_world for one in each)
             head = (*HELD_HEAD, WORST_HEAD) if several else HELD_HEAD
             print_table(f"{setup.name}: {title}", head, [_held_row(one) for one in each])
-    if len(sound) < len(found) and "all" not in (detector or ()):
+    if not named <= set(sound):
         raise typer.Exit(1)
 
 
 def _judges(
     texts: Sequence[str] | None, suite: Suite, rate: float, rescaled: bool
-) -> list[Detector]:
-    """Detectors that may not ask for thresholds; those that never alarm are left out."""
+) -> tuple[list[Detector], set[int]]:
+    """Detectors, and which of them were named; they may not ask for thresholds.
+
+    Those that never alarm are left out, and of `all` those that can't be rescaled.
+    """
     from ..bench.specs import make_judge
     from ..bench.victims import VICTIMS
-    from ..detectors.calibrated import ASKED
+    from ..detectors.calibrated import ASKED, identity_of
     from ..duel.opponents import make_opponent
     from ..simulators.calibration import inner_detectors, suitable_detectors
 
     specs: list[Any] = list(VICTIMS[suite.env].detectors) if not texts else specs_of(texts)
-    made: list[Any] = []
+    named: list[Any] = []
+    offered: list[Any] = []
     for spec in specs:
         asked = [key for key in ASKED if key in spec]
         if texts and asked:
@@ -154,18 +158,18 @@ def _judges(
                 "looked for here: give the rate as --false-alarms-per-hour"
             )
         if spec["name"] == "all":
-            made += suitable_detectors(suite.world)
+            fit = suitable_detectors(suite.world)
+            offered += [each for each in fit if each.drifts or not rescaled]
         elif str(spec["name"]).endswith(".onnx"):
             wanted = {**spec, "false_alarms_per_hour": rate}
-            made.append(make_opponent(wanted, suite.world.live))
+            named.append(make_opponent(wanted, suite.world.live))
         else:
-            made.append(make_judge(spec))
-    judges = inner_detectors(made)
+            named.append(make_judge(spec))
+    judges = inner_detectors([*named, *offered])
     if not judges:
         raise ValueError("there is no detector to calibrate: one that never alarms has no rate")
-    drifting = [each for each in judges if each.drifts]
-    # of `all`, those that it is for
-    return drifting if rescaled and texts and "all" in texts and drifting else judges
+    words = {repr(identity_of(each)) for each in inner_detectors(named)} if texts else set()
+    return judges, {k for k, each in enumerate(judges) if repr(identity_of(each)) in words}
 
 
 def _other(suite: Suite, text: str) -> Any:
@@ -180,12 +184,14 @@ def _other(suite: Suite, text: str) -> Any:
             changed = json.loads(text)
         except json.JSONDecodeError as error:
             raise ValueError(f"--transfer {text!r} is not JSON: {error}") from error
-        if not changed:
-            raise ValueError(f"--transfer {text!r} changes nothing: that is what --hold-out counts")
     else:
         (changed,) = ({"scenario": spec} for spec in specs_of([text]))
-    check_keywords(f"the world of --transfer {text}", changed, inspect.signature(kind).parameters)
-    return make_setup(kind, {**suite.given, **changed, "detector": "never"})
+    settings = [name for name in inspect.signature(kind).parameters if name != "detector"]
+    check_keywords(f"the world of --transfer {text}", changed, settings)
+    found = make_setup(kind, {**suite.given, **changed, "detector": "never"})
+    if found.conditions.digest == suite.world.conditions.digest:
+        raise ValueError(f"--transfer {text!r} is the same world: that is what --hold-out counts")
+    return found
 
 
 def _rows(

@@ -11,11 +11,10 @@ SPLITS = {
     "training": 0,
     "calibration": 1,
     "evaluation": 2,
-    "bootstrap": 3,
     "holdout": 4,
     "selection": 5,
 }
-"""First element of the spawn keys."""
+"""First element of the spawn keys; 3 was once another split's."""
 
 
 def seed_sequences(

@@ -155,7 +155,8 @@ class TightlyCoupledSetup(Setup):
         # what a domain says that the scenario has anyway is no other world
         if domain.turn_on == self.scenario.turn_on:
             domain = replace(domain, turn_on=None)
-        if domain.events == self.scenario.events:
+        none = BenignEvents()
+        if domain.events is not None and domain.events == (self.scenario.events or none):
             domain = replace(domain, events=None)
         parts = {"receiver": self.receiver, "domain": domain}
         return {"scenario": scenario, **{name: describe(part) for name, part in parts.items()}}

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from spoofgym._pictures import check_picture
 from spoofgym.bench.episode import TWIN, Episode, draw_episode, play_episode
 from spoofgym.bench.run import WarmStart, displacement_of, induced_error, play
 from spoofgym.bench.suite import Suite
@@ -74,3 +75,10 @@ def test_its_spoofing_intervals_are_those_of_its_alarms(episode: Episode) -> Non
     np.testing.assert_array_equal(alarm, episode.alarm[:, 0])
     told = episode.summary()["spoofing_intervals_s"]
     assert [onset for onset, _ in told] == [one.onset_s for one in episode.intervals]
+
+
+def test_the_ending_of_a_picture_is_a_format_in_any_case() -> None:
+    assert check_picture(Path("a")) == Path("a.png")
+    assert check_picture(Path("a.PNG")) == Path("a.PNG")
+    with pytest.raises(ValueError, match=r"unknown ending of a picture '\.gift'; valid: "):
+        check_picture(Path("a.gift"))

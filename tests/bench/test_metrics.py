@@ -99,7 +99,9 @@ def test_runs_that_are_alike_are_drawn_together() -> None:
     assert found.high - found.low == pytest.approx(2 * Z * means.std() / np.sqrt(40), rel=0.1)
     plain = bootstrap_mean(alike, resamples(np.arange(1000), rng, 4000))
     assert plain.high - plain.low < 0.4 * (found.high - found.low)
-    found, plain = (bootstrap_mean(apart, each) for each in (samples, resamples_of(1000)))
+    found, plain = (
+        bootstrap_mean(apart, each) for each in (samples, resamples_of(np.arange(1000)))
+    )
     assert found.high - found.low == pytest.approx(plain.high - plain.low, rel=0.35)
 
 
@@ -116,7 +118,7 @@ def test_the_largest_value_of_a_share_in_every_sample() -> None:
 
 
 def test_nothing_to_estimate_from_is_unknown() -> None:
-    assert np.isnan(bootstrap_mean([], resamples_of(0)).value)
+    assert np.isnan(bootstrap_mean([], resamples_of(np.arange(0))).value)
     assert np.isnan(percentiles(float("nan"), np.array([1.0, 2.0])).value)
     assert np.isnan(percentiles(1.0, np.array([np.nan, np.nan])).low)
 

@@ -132,12 +132,49 @@ def test_what_exceeds_a_limit_exceeds_the_lower_ones() -> None:
     ]
 
 
+def test_what_is_exceeded_in_a_share_of_the_runs_counts_at_the_limits_too() -> None:
+    moved, none = np.r_[np.full(10, 50.0), np.zeros(90)], np.zeros(100)
+    winners = tuple(
+        Winner("a", spoofer, "rate_mps", 0.5, {}, (aim,), {FIRST: x})
+        for spoofer, aim, x in (
+            ("limit", Aim(FIRST, limit_m=40.0), none),
+            ("share", Aim(FIRST, 0.05), moved),
+        )
+    )
+    runs = np.ones(100, dtype=np.bool_), np.zeros(100, dtype=np.int64)
+    found = score_protection(Protection({"detector": "x"}, winners, *runs, None), [40.0])
+    assert found["exceeded"][0]["value"] == 50.0
+    assert found["p_hmi"][0]["value"] == pytest.approx(0.1)
+
+
+def test_intervals_are_wider_where_runs_under_a_sky_are_alike() -> None:
+    """Also where some skies have no run that counts, but not for the worst skies alone."""
+    rng = np.random.default_rng(7)
+    sky = np.arange(200) % 20
+    alike, apart = rng.exponential(10.0, 20)[sky], rng.exponential(10.0, 200)
+    counts = sky < 9
+
+    def widths(x: Any, kept: Any = None) -> list[float]:
+        found = score_protection(protected("ewma", x, kept), [10.0])["exceeded"]
+        return [row["high"] - row["low"] for row in found if row["share"] == 0.5]
+
+    together = widths(alike)
+    assert together[0] > 2.0 * widths(apart)[0]
+    assert widths(alike, counts)[0] > 2.0 * widths(apart, counts)[0]
+    never, worse = protected("never", np.zeros(200)), protected("worse", alike)
+    rows = compare([], [never, worse], {"never": "any", "worse": "0.2"})
+    gap = next(row for row in rows if row["detector"] == "worse")["difference_m"]
+    assert gap["high"] - gap["low"] == pytest.approx(together[0], rel=1e-6)
+
+
 def test_of_attacks_that_exceed_a_limit_as_often_the_surer_one_is_chosen() -> None:
     """Not that which goes farthest where it is not alarmed."""
     aim = Aim(FIRST, limit_m=10.0)
     sure, rash = np.full(20, 19.0), np.r_[np.full(19, 400.0), 11.0]
     assert aim.worth(sure) > aim.worth(rash)
     assert aim.worth(np.r_[rash[:-1], 9.0]) < aim.worth(rash)
+    # where none does, the one that comes nearest
+    assert aim.worth(np.full(20, 9.9)) > aim.worth(np.full(20, 2.0)) > aim.worth(np.zeros(20))
 
 
 def test_it_comes_back_as_it_was_written() -> None:

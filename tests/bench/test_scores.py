@@ -114,13 +114,13 @@ def test_the_displacement_that_is_reached_in_a_share_of_the_runs(
 
 def test_the_interval_of_an_exceeded_displacement_is_that_of_its_resamples() -> None:
     x = np.random.default_rng(3).exponential(10.0, 400)
-    found = bootstrap_exceeded(x, 0.5, resamples_of(400))
+    found = bootstrap_exceeded(x, 0.5, resamples_of(np.arange(400)))
     assert found.value == exceeded(x, 0.5)
     # the median of an exponential, and the spread of its order statistic
     spread = 1.96 * 10.0 / math.sqrt(400)
     assert found.low == pytest.approx(found.value - spread, abs=0.5 * spread)
     assert found.high == pytest.approx(found.value + spread, abs=0.5 * spread)
-    assert math.isnan(bootstrap_exceeded([], 0.5, resamples_of(3)).value)
+    assert math.isnan(bootstrap_exceeded([], 0.5, resamples_of(np.arange(3))).value)
 
 
 def test_the_worst_tenth_of_the_skies() -> None:

@@ -47,13 +47,21 @@ def test_every_detector_has_the_same_rate_and_its_attacks(kept, name):
 @pytest.mark.parametrize("name", WORLDS)
 def test_chance_is_worth_nothing(kept, name):
     """The controls can't be told apart, but by one who obeys what a lottery says."""
+    world = kept["worlds"][name]
     rows = [
         row
-        for row in kept["worlds"][name]["comparisons"]
-        if row["spoofer"] != "feedback"
-        and {row["detector"].split("(")[0], row["control"].split("(")[0]} == {"never", "lottery"}
+        for row in world["comparisons"]
+        if {row["detector"].split("(")[0], row["control"].split("(")[0]} == {"never", "lottery"}
     ]
     assert len(rows) > 4
+    assert "feedback" not in {row["spoofer"] for row in rows}
+    reached = {
+        c["detector"].split("(")[0]: c["stealthy_displacement_m"]["value"]
+        for c in world["cells"]
+        if c["spoofer"] == "feedback"
+    }
+    assert 0.001 <= 1.0 - reached["lottery"] / reached["never"] < 0.0055
+    assert "loses 0.1 to 0.5 % of its way" in text_of(PAGE)
     for row in rows:
         low, high = row["difference_m"]["low"], row["difference_m"]["high"]
         assert low <= 0.0 <= high, row

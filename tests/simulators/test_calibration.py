@@ -36,6 +36,8 @@ SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 
 RATE = 10.0
 """False alarms an hour: 4.6 % of the runs."""
 ASKED = {"false_alarms_per_hour": RATE}
+EVENTS = {"clock_step": 0.1, "satellite_loss": 0.1, "front": 0.1}
+"""Of `aviation-actual`."""
 
 
 @pytest.fixture(scope="module")
@@ -361,6 +363,27 @@ def test_another_folder_is_apart_from_those_that_are_looked_up(setup, folder, tm
     # nothing is left of what was played, and no lock is in the way of what is shipped
     assert {path.suffix for path in (tmp_path / "other").rglob("*") if path.is_file()} == {".json"}
     assert list((folder / "unfinished").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("scenario", "domain", "same"),
+    [
+        ("zhong2025", {"turn_on": "specimen"}, True),
+        ("zhong2025", {"turn_on": "drawn"}, False),
+        ("zhong2025", {"events": {}}, True),
+        ("zhong2025", {"events": {"clock_step": 0.1}}, False),
+        ("aviation-actual", {"turn_on": "drawn"}, True),
+        ("aviation-actual", {"turn_on": "specimen"}, False),
+        ("aviation-actual", {"events": {}}, False),
+        ("aviation-actual", {"events": EVENTS}, True),
+    ],
+)
+def test_a_domain_that_repeats_its_scenario_is_no_other_world(scenario, domain, same):
+    plain, other = (
+        TightlyCoupledSetup(detector="never", scenario=scenario, domain=each)
+        for each in ({}, domain)
+    )
+    assert (plain.conditions.digest == other.conditions.digest) is same
 
 
 def test_a_file_for_something_else_is_refused(setup, tmp_path):
