@@ -203,7 +203,10 @@ def _headline(found: dict[str, Any] | None, share: float, skies: bool) -> dict[s
 
 def _exceeded(found: dict[str, Any] | None, share: float, *, skies: bool = False) -> str:
     row = _headline(found, share, skies)
-    return "-" if row is None else interval(row)
+    everywhere = _headline(found, share, False) if skies else None
+    if row is None or (everywhere is not None and row["value"] < everywhere["value"]):
+        return "-"  # of the skies: the few runs of the choice have not found the worst ones
+    return interval(row)
 
 
 def _worst(found: dict[str, Any] | None) -> str:
@@ -215,9 +218,11 @@ def _worst(found: dict[str, Any] | None) -> str:
 
 
 def mark_of(summary: dict[str, Any], detector: str) -> str:
-    """Whether a detector is worse than one that never alarms, or by chance, and where.
+    """What is to be known of a detector.
 
-    And whether it alarms before the onset in more runs than a calibration can stand for.
+    Whether and where it is worse than one that never alarms, or by chance; whether the worst attack
+    comes as far as against one that never alarms; whether it alarms before the onset in more runs
+    than a calibration can stand for.
     """
     if name_of(detector) in CONTROLS:
         return "control"
@@ -227,6 +232,13 @@ def mark_of(summary: dict[str, Any], detector: str) -> str:
         if row["detector"] == detector and row["above"]
     ]
     marks = [f"worse than chance: {'; '.join(dict.fromkeys(where))}"] if where else []
+    worst = [
+        row["difference_m"]["high"]
+        for row in summary["comparisons"]
+        if (row["detector"], row["spoofer"]) == (detector, None) and row["control"] == "never"
+    ]
+    if worst and not any(high is not None and high < 0.0 for high in worst):
+        marks.append("no better than never")
     for row in summary["detectors"]:
         early = (row["claimed"] or {}).get("warmup_alarms", 0.0)
         if row["detector"] == detector and early > NOISY_WARMUP:

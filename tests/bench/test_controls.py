@@ -16,7 +16,14 @@ from spoofgym.bench.protection import MEASURES
 from spoofgym.bench.report import markdown
 from spoofgym.bench.searches import Selection, Tuning
 from spoofgym.bench.summary import times_of
-from spoofgym.bench.tables import attack_rows, detector_rows, groups, mark_of, published_rows
+from spoofgym.bench.tables import (
+    DETECTORS_HEAD,
+    attack_rows,
+    detector_rows,
+    groups,
+    mark_of,
+    published_rows,
+)
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 
 from .support import small_suite
@@ -131,9 +138,37 @@ def test_a_detector_that_alarms_before_the_onset_is_marked(played: Any) -> None:
         {**row, "claimed": row["claimed"] and {**row["claimed"], "warmup_alarms": 0.34}}
         for row in summary["detectors"]
     ]
+    assert mark_of(summary, label) == ""
+    nothing = {"value": 0.0, "low": 0.0, "high": 0.0}
+    alike = [{**row, "difference_m": nothing} for row in summary["comparisons"]]
+    assert mark_of({**summary, "comparisons": alike}, label) == "no better than never"
     text = "alarms before the onset in 34 % of clean runs"
     assert text in mark_of({**summary, "detectors": rows}, label)
     assert text not in mark_of(summary, label)
+
+
+def test_skies_that_are_not_the_worst_ones_have_no_figure(played: Any) -> None:
+    """A campaign with one sky has none; where they hold less than all skies do, neither."""
+    _, _, summary = played
+    label = f"toy({LABEL})"
+    (group,) = (each for each in groups(summary) if each.rate == f"{RATE:g}")
+    place = DETECTORS_HEAD.index("worst skies, in 50 % [m]")
+
+    def cell(value: float | None) -> str:
+        found = [
+            {**each, "exceeded": [*each["exceeded"], *skies(each, value)]}
+            for each in summary["protection"]
+        ]
+        rows = detector_rows({**summary, "protection": found}, group)
+        return next(row[place] for row in rows if row[0] == label)
+
+    def skies(found: dict[str, Any], value: float | None) -> list[dict[str, Any]]:
+        half = next(row for row in found["exceeded"] if row["share"] == 0.5)
+        three = {key: half[key] + (value or 0.0) for key in ("value", "low", "high")}
+        return [] if value is None else [{**half, **three, "worst_skies": True}]
+
+    assert cell(None) == cell(-1.0) == "-"
+    assert cell(1.0) != "-"
 
 
 def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played: Any) -> None:
