@@ -8,12 +8,10 @@ import pytest
 from numba.core.caching import NullCache
 
 from spoofgym.attacks import ATTACKS
-from spoofgym.attacks._kernels import false_position
-from spoofgym.detectors.ewma import judge_channels
 from spoofgym.envs import _kernels as step
 from spoofgym.receiver import _kernels as receiver
 from spoofgym.receiver import replay
-from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulators import Engine
 from spoofgym.simulators._kernels import run_epochs
 from spoofgym.simulators.recording import record_run
 
@@ -37,12 +35,19 @@ def compiled(kernel, *signatures):
 
 @pytest.fixture(scope="module")
 def _played():
-    """An environment has been stepped, so that all of its kernels know their arguments."""
-    env = single(detector="ewma")
-    env.reset(seed=1)
-    env.step(np.zeros(2, dtype=np.float32))
-    setup = env.unwrapped.core.setup
-    env.close()
+    """All that is called from Python has been, so that it knows its arguments.
+
+    What compiled code calls knows them only where that has been compiled, not loaded from a cache.
+    """
+    for detector in ("ewma", "cusum"):  # in one kernel with the score, and apart from it
+        env = single(detector=detector)
+        env.reset(seed=1)
+        env.step(np.zeros(2, dtype=np.float32))
+        setup = env.unwrapped.core.setup
+        env.close()
+    engine = Engine(1, digests.setup_of("default"), threads=1)
+    engine.reset([np.random.default_rng(1)])
+    engine.close()
     initial, recording, _ = record_run(setup, np.random.default_rng(1), epochs=2)
     replay(recording, setup.receiver, initial=initial)
 
@@ -50,11 +55,11 @@ def _played():
 @pytest.mark.usefixtures("_played")
 @pytest.mark.parametrize(
     "kernel",
-    [run_epochs, receiver.run_epoch, step.finish, false_position, judge_channels],
+    [step.play, run_epochs, receiver.run_epoch, step.finish],
     ids=lambda kernel: kernel.__name__,
 )
 def test_no_operations_are_fused_and_no_sums_regrouped(kernel):
-    """These are called from Python, and hold the code of all that they call."""
+    """These are called from Python, and hold the code of all that they call, attacks and charts."""
     code = compiled(kernel).inspect_llvm()
     assert code
     for text in code.values():
@@ -146,5 +151,12 @@ def test_the_runs_hold_every_attack_with_all_equipment_and_every_size_of_batch()
     full = {attack["name"] for attack in attacks if isinstance(attack, dict)}
     assert full == {*ATTACKS}
     assert digests.BATCHES == (1, 3, 8, 17)
-    setup = TightlyCoupledSetup(timeline=digests.TIMELINE)
+    setup = digests.setup_of("default")
     assert digests.run_digests(setup, 3) == digests.run_digests(setup, 3)
+
+
+@pytest.mark.usefixtures("default_rate")
+@pytest.mark.parametrize("name", digests.RUNS)
+def test_a_process_of_its_own_can_play_the_runs(name):
+    """No test's settings are there: nothing that is named may need a calibration."""
+    Engine(1, digests.setup_of(name), threads=1).close()

@@ -4,8 +4,8 @@
     python -m tools.calibrations headline-zhong2025 --runs 200000 --overwrite
 
 The worlds are the three of the headlines, those of the environments' default settings, and those of
-the papers' ids.  Detectors that de-weight have a fifth of the runs, at least 2000.  Killed, it
-goes on where it was.
+the papers' ids.  Detectors that de-weight have a fifth of the runs, at least 2000, unless
+``--weighing-runs`` says how many.  Killed, it goes on where it was.
 """
 
 from __future__ import annotations
@@ -82,6 +82,7 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("worlds", nargs="*", help=f"of {', '.join(WORLDS)}; by default all")
     parser.add_argument("--runs", type=int, default=20_000, help="of passive detectors")
+    parser.add_argument("--weighing-runs", type=int, help="of those that de-weight")
     parser.add_argument("--threads", type=int, default=None)
     parser.add_argument("--overwrite", action="store_true")
     given = parser.parse_args(arguments)
@@ -93,7 +94,7 @@ def main(arguments: list[str]) -> None:
         heavy: list[Detector] = []
         for each in detectors_of(name, setup):
             (heavy if weighs(setup, each) else light).append(each)
-        fewer = max(WEIGHING_RUNS, given.runs // 5)
+        fewer = given.weighing_runs or max(WEIGHING_RUNS, given.runs // 5)
         drifting = [each for each in light if each.drifts]
         groups = (light, given.runs, False), (drifting, given.runs, True), (heavy, fewer, False)
         for group, runs, rescaled in groups:

@@ -96,6 +96,8 @@ def _lines(world: dict[str, Any]) -> Iterator[str]:
     others = list(world["detectors"][0]["in"])
     short = [name.removeprefix("headline-") for name in others]
     head = ["detector", "calibrated on", "fresh runs", "with an alarm", "predicted", "per hour"]
+    with_skies = all("worlds" in row for row in world["detectors"])
+    head += ["in the worst sky (by chance)"] * with_skies
     head += [f"per hour in {name}" for name in short]
     yield f"**{world['world'].removeprefix('headline-')}**"
     yield ""
@@ -104,7 +106,11 @@ def _lines(world: dict[str, Any]) -> Iterator[str]:
         predicted = f"{row['low']} to {row['high']}" + ("" if row["holds"] else ", outside")
         there = [_rate(row["in"][name]) for name in others]
         counts = (f"{row['calibrated']:,}", f"{row['runs']:,}", f"{row['alarms']:,}", predicted)
-        rows.append((row["name"], *counts, _rate(row["per_hour"]), *there))
+        rates = [_rate(row["per_hour"])]
+        if with_skies:
+            worst = [_rate(row[f"worst_world_{which}"]) for which in ("per_hour", "by_chance")]
+            rates.append(f"{worst[0]} ({worst[1]})")
+        rows.append((row["name"], *counts, *rates, *there))
     yield from markdown_table(head, rows)
     yield ""
     text = f"Mean over the passive detectors: {world['mean_passive_per_hour']:.3g} an hour."

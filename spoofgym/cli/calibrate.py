@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 HEAD = ("detector", "runs", "scale", "per hour", "per run", "warm-up alarms", "file")
 HELD_HEAD = ("detector", "runs", "alarms", "predicted", "holds", "per hour", "promised")
+WORST_HEAD = "worst world per hour (by chance)"
 
 
 @with_world
@@ -118,7 +119,9 @@ def calibrate(
     print_table(f"{setup.name}: thresholds for {rate:g} false alarms an hour", HEAD, rows)
     print_lines(lines)
     for title, each in counted.items():
-        print_table(f"{setup.name}: {title}", HELD_HEAD, [_held_row(one) for one in each])
+        several = any(one.worst_world for one in each)
+        head = (*HELD_HEAD, WORST_HEAD) if several else HELD_HEAD
+        print_table(f"{setup.name}: {title}", head, [_held_row(one) for one in each])
 
 
 def _judges(texts: Sequence[str] | None, suite: Suite, rate: float) -> list[Detector]:
@@ -190,5 +193,16 @@ def _held_row(one: HoldOut) -> tuple[str, ...]:
     predicted = "-" if one.holds is None else f"{one.low} to {one.high}"
     holds = {None: "-", True: "yes", False: "NO"}[one.holds]
     promised = f"{100 * one.promised:.3g} % of runs"
-    rate = f"{one.per_hour:.3g}"
-    return one.name, str(one.runs), str(one.alarms), predicted, holds, rate, promised
+    row = (
+        one.name,
+        str(one.runs),
+        str(one.alarms),
+        predicted,
+        holds,
+        f"{one.per_hour:.3g}",
+        promised,
+    )
+    if one.worst_world is None:
+        return row
+    largest, by_chance = one.worst_world
+    return *row, f"{largest:.3g} ({by_chance:.3g})"

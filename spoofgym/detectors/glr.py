@@ -110,7 +110,11 @@ def largest_evidence(
     before, old, area, found = scratch[0], scratch[1], scratch[2], scratch[3]
     first, second, inverse = factors[0], factors[1], factors[2]
     latest(sums, known - 1, onsets, before)
-    latest(sums, known - 1 - baseline, onsets, old)
+    if known > baseline:
+        latest(sums, known - 1 - baseline, onsets, old)
+    else:  # before the first value
+        for i in range(onsets):
+            old[i] = 0.0
     now = sums[known % sums.shape[0]]
     if ramp:
         latest(areas, known - 1, onsets, area)

@@ -8,8 +8,7 @@ import numpy as np
 
 from .._jit import njit
 from .._simd import flags_at, floats_at, integers_at, singles_at
-from ..simulators._kernels import ALARMS, SCORE, displace, run_epochs
-from ..simulators._kernels import FINISHED as HOLDS
+from ..simulators._kernels import ALARMS, HOLDS, SCORE, displace, run_epochs
 
 
 @njit
@@ -376,7 +375,7 @@ def play(
 
     `entries`: table of what is named above; `numbers`, `flags`, `seen` as in `finish`, written; all
     others as `run_epochs` takes them, which does it all without `SCORE`; returns what it found, or
-    `FINISHED` where receivers have to run the time to alert before their step is settled.
+    `HOLDS` where receivers have to run the time to alert before their step is settled.
     """
     found = run_epochs(
         table,

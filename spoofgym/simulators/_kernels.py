@@ -36,7 +36,7 @@ STATISTIC, THRESHOLD, ALARMS = range(7, 10)
 ATTACK, JUDGE, SCORE = 16, 32, 64
 NO_FORM, FALSE_POSITION, PER_CHANNEL = range(3)
 EWMA, PASSIVE_EWMA, NEVER = 1, 2, 3
-UNSOUND, FINISHED = 1, 2
+UNSOUND, HOLDS = 1, 2
 """What a kernel finds in a slice: a verdict that is none; receivers that have to run the time to
 alert, if it scores them."""
 

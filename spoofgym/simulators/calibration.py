@@ -63,7 +63,8 @@ class HoldOut(NamedTuple):
     - `low`, `high`: central interval of the count that the ranks of the calibration predict; None
       in another world, and for a fitted tail, which predict none;
     - `per_hour`: measured rate;
-    - `early`: runs with an alarm before the attack.
+    - `early`: runs with an alarm before the attack;
+    - `worlds`: runs and alarms of each world that was drawn, of a domain with several.
     """
 
     name: str
@@ -74,6 +75,26 @@ class HoldOut(NamedTuple):
     high: int | None
     per_hour: float
     early: int
+    window_s: float
+    worlds: tuple[tuple[int, int], ...]
+
+    @property
+    def worst_world(self) -> tuple[float, float] | None:
+        """Largest rate an hour of a world, and that which chance alone shows if all are alike.
+
+        The second is the median of the largest, of binomial counts with the share of all runs;
+        None where a single world was drawn.
+        """
+        if len(self.worlds) < 2:
+            return None
+        from scipy.stats import binom
+
+        runs, alarms = np.array(self.worlds).T
+        shares = np.unique(np.arange(runs.max() + 1) / runs.max())
+        all_below = binom.cdf(np.floor(shares[:, None] * runs), runs, self.alarms / self.runs)
+        by_chance = float(shares[np.argmax(all_below.prod(axis=1) >= 0.5)])
+        largest = float((alarms / runs).max())
+        return hourly_rate(largest, self.window_s), hourly_rate(by_chance, self.window_s)
 
     @property
     def holds(self) -> bool | None:
@@ -84,12 +105,18 @@ class HoldOut(NamedTuple):
 
     def as_dict(self) -> dict[str, Any]:
         """All of it, JSON-able."""
-        finite = math.isfinite(self.per_hour)
+        worst = self.worst_world or (None, None)
         return {
             **self._asdict(),
-            "per_hour": self.per_hour if finite else None,
+            "per_hour": _finite(self.per_hour),
             "holds": self.holds,
+            "worst_world_per_hour": _finite(worst[0]),
+            "worst_world_by_chance": _finite(worst[1]),
         }
+
+
+def _finite(rate: float | None) -> float | None:
+    return rate if rate is not None and math.isfinite(rate) else None
 
 
 def calibrate(
@@ -515,7 +542,10 @@ def _counted(detector: Calibrated, found: CleanRuns, cells: int, predicted: bool
     alarms = int(found.alarmed.sum())
     rate = hourly_rate(alarms / runs, point.window_s)
     name = str(identity_of(detector.detector)["name"])
-    return HoldOut(name, runs, alarms, point.per_run, low, high, rate, int(found.early.sum()))
+    worlds = [found.world == each for each in np.unique(found.world)]
+    each = tuple((int(there.sum()), int(found.alarmed[there].sum())) for there in worlds)
+    early, window_s = int(found.early.sum()), point.window_s
+    return HoldOut(name, runs, alarms, point.per_run, low, high, rate, early, window_s, each)
 
 
 def predictive_interval(runs: int, calibrated: int, rank: int, cells: int = 1) -> tuple[int, int]:

@@ -55,17 +55,19 @@ class Silent:
 
 
 class CleanRuns(NamedTuple):
-    """What R runs without an attack have come to, for each of D detectors, all (R, D).
+    """What R runs without an attack have come to, for each of D detectors, (R, D) but for `world`.
 
     - `before`, `judged`: largest ratio of statistic to threshold in the monitored warm-up, and in
       the judged window, over channels and the epochs at which alarms are on;
-    - `early`, `alarmed`: bool, whether there was an alarm in each of them.
+    - `early`, `alarmed`: bool, whether there was an alarm in each of them;
+    - `world`: (R,) number of the world that was drawn, of a domain with several.
     """
 
     before: FloatArray
     judged: FloatArray
     early: NDArray[np.bool_]
     alarmed: NDArray[np.bool_]
+    world: NDArray[np.int64]
 
     def first(self, runs: int) -> CleanRuns:
         """Some of the runs."""
@@ -73,7 +75,7 @@ class CleanRuns(NamedTuple):
 
     def column(self, k: int) -> CleanRuns:
         """One of the detectors, (R,) each."""
-        return CleanRuns._make(part[:, k] for part in self)
+        return CleanRuns._make(part if part.ndim == 1 else part[:, k] for part in self)
 
 
 class RunMaxima(Monitor):
@@ -284,11 +286,12 @@ def _play(setup: Setup, rngs: list[np.random.Generator], stopped: threading.Even
     for _ in simulator.warming(rngs, piece=20 * len(rngs)):
         _check(stopped)
     before, early = maxima.taken()
+    world = simulator.onset // setup.epochs_each
     for _ in range(setup.steps + setup.hold):
         _check(stopped)
         simulator.step(attacked=False)
     judged, alarmed = maxima.taken()
-    return CleanRuns(before, judged, early, alarmed)
+    return CleanRuns(before, judged, early, alarmed, world)
 
 
 def in_order(
@@ -318,7 +321,7 @@ def in_order(
 def _nothing(detectors: int) -> CleanRuns:
     """No runs yet."""
     numbers, flags = np.zeros((0, detectors)), np.zeros((0, detectors), dtype=np.bool_)
-    return CleanRuns(numbers, numbers, flags, flags)
+    return CleanRuns(numbers, numbers, flags, flags, np.zeros(0, dtype=np.int64))
 
 
 def _joined(parts: Sequence[CleanRuns]) -> CleanRuns:

@@ -617,7 +617,7 @@ class TightlyCoupledSimulator(Simulator):
         self.verdict = verdict
         if within is None and sequel is not None:
             sequel(self, verdict)
-        elif within is not None and _kernels.FINISHED in self._found:
+        elif within is not None and _kernels.HOLDS in self._found:
             within.hold(self, verdict)
         return verdict
 

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import pkgutil
 import re
+import shlex
 
 import pytest
+import typer.main
+
+from spoofgym.bench.specs import make_judge, parse_spec
+from spoofgym.cli.app import app
+from spoofgym.sim.scenario import make_scenario
 
 from .pages import ROOT
 
@@ -25,3 +31,38 @@ def test_a_dotted_name_on_a_page_exists(page):
 def test_a_link_on_a_page_leads_somewhere(page):
     targets = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text())
     assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+def commands_of(page):
+    """Command lines of ``spoofgym`` in the blocks of a page, each with its continuation."""
+    blocks = re.findall(r"```(?:console|bash|sh)\n(.*?)```", page.read_text(), flags=re.DOTALL)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    return [line for line in lines if line.startswith("spoofgym ")]
+
+
+COMMANDS = [(page, line) for page in PAGES for line in commands_of(page)]
+
+
+def test_there_are_commands_on_the_pages():
+    assert len(COMMANDS) > 15
+
+
+@pytest.mark.parametrize(
+    ("page", "line"), COMMANDS, ids=[f"{page.name}-{k}" for k, (page, _) in enumerate(COMMANDS)]
+)
+def test_a_command_on_a_page_is_understood(page, line):
+    """Its options exist and take these values; its scenario and detectors do, too."""
+    words = shlex.split(line, comments=True)[1:]
+    command = typer.main.get_command(app)
+    context = command.make_context("spoofgym", list(words))
+    while words and hasattr(command, "resolve_command"):  # of click, or of typer's copy of it
+        name, command, words = command.resolve_command(context, list(words))
+        context = command.make_context(name, list(words), parent=context)
+    given = context.params
+    assert context.info_name == line.split()[1]
+    if given.get("scenario"):
+        make_scenario(parse_spec(given["scenario"]))
+    detectors = given.get("detector") or ()
+    for text in [detectors] if isinstance(detectors, str) else detectors:
+        if text != "all" and ".onnx" not in text:
+            make_judge(parse_spec(text))

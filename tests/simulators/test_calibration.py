@@ -9,13 +9,14 @@ from scipy.stats import betabinom
 
 from spoofgym.bench.victims import VICTIMS
 from spoofgym.detectors import Calibrated, Cusum, Ewma, JointChart, make_detector
-from spoofgym.detectors.calibration import FOLDER_VARIABLE, TOLERANCE
+from spoofgym.detectors.calibration import FOLDER_VARIABLE, TOLERANCE, hourly_rate
 from spoofgym.envs import SnapshotEnv, SpoofEnv, SpoofVectorEnv
 from spoofgym.envs.factory import make_setup
 from spoofgym.simulators import Engine, SnapshotSetup, TightlyCoupledSetup, calibration
 from spoofgym.simulators._kernels import NO_FORM
 from spoofgym.simulators.base import run_serially
 from spoofgym.simulators.calibration import (
+    HoldOut,
     bisect,
     calibrate,
     check,
@@ -171,6 +172,33 @@ def test_hold_outs_are_other_runs_and_lie_in_the_predicted_interval(setup):
     assert law.sf(high - 1) > 0.005 / 30
     fresh = Player(setup).play([Cusum()], range(5), split="holdout").judged
     assert (fresh != Player(setup).play([Cusum()], range(5)).judged).all()
+
+
+def test_a_hold_out_tells_the_worst_world():
+    """A domain of several skies: every run under one of them, none lost."""
+    domain = {"constellation_time_s": [0.0, 86_400.0], "worlds": 3}
+    several = TightlyCoupledSetup(detector="never", timeline=SHORT, domain=domain)
+    found = calibrate(several, "snapshot-chi2", runs=150, false_alarms_per_hour=RATE)
+    asked = {"false_alarms_per_hour": RATE, "runs": 150}
+    (held,) = hold_out(several, found, "snapshot-chi2", **asked)
+    runs, alarms = np.array(held.worlds).T
+    assert len(runs) == 3
+    assert (runs.sum(), alarms.sum()) == (150, held.alarms)
+    largest, by_chance = held.worst_world
+    assert largest == hourly_rate((alarms / runs).max(), held.window_s)
+    assert largest >= held.per_hour
+    json.dumps(held.as_dict(), allow_nan=False)
+    assert held.as_dict()["worst_world_by_chance"] == by_chance
+
+
+def test_chance_in_the_worst_of_several_worlds():
+    """The median of the largest share, against drawn counts."""
+    alike = HoldOut("x", 4000, 40, 0.01, None, None, 0.0, 0, 160.0, ((1000, 10),) * 4)
+    drawn = np.random.default_rng(1).binomial(1000, 0.01, (20_000, 4)).max(axis=1)
+    assert alike.worst_world[1] == hourly_rate(np.median(drawn) / 1000, 160.0)
+    assert alike._replace(worlds=((4000, 40),)).worst_world is None
+    none = alike._replace(alarms=0, worlds=((2000, 0), (2000, 0)))
+    assert none.worst_world == (0.0, 0.0)
 
 
 def test_the_rate_elsewhere_is_another_one(setup):
