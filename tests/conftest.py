@@ -75,13 +75,20 @@ def pytest_configure(config: pytest.Config) -> None:
         config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
 
 
-@pytest.fixture
-def default_rate(monkeypatch: pytest.MonkeyPatch) -> float:
+def _default_rate() -> Iterator[float]:
     """The rate of false alarms that users have by default."""
     from spoofgym.detectors import calibrated
 
-    monkeypatch.setattr(calibrated, "DEFAULT_RATE", calibrated.STANDARD_RATE)
-    return calibrated.STANDARD_RATE
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(calibrated, "DEFAULT_RATE", calibrated.STANDARD_RATE)
+        yield calibrated.STANDARD_RATE
+
+
+default_rate = pytest.fixture(_default_rate, name="default_rate")
+default_rate_of_module = pytest.fixture(
+    _default_rate, scope="module", name="default_rate_of_module"
+)
+"""The same, for fixtures that live as long as a module."""
 
 
 @pytest.fixture(autouse=True, scope="session")

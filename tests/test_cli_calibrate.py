@@ -39,6 +39,35 @@ def test_a_calibration_is_made_shown_and_used(folder):
     assert "20 false alarms an hour, 13 % of runs of 25 s (40 clean runs" in played.stdout
 
 
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"errors": "trolley"}', '--transfer {"errors": "trolley"} has no argument \'errors\''),
+        ("{}", "changes nothing: that is what --hold-out counts"),
+        ("{", "is not JSON"),
+        ("grovess", "unknown scenario 'grovess'"),
+    ],
+)
+def test_another_world_that_is_none_is_refused_before_anything_is_played(folder, text, says):
+    line = ["calibrate", *SHORT, *RATE, "--detector", "snapshot-chi2", "--runs", "40"]
+    assert says in refused(*line, "--transfer", text)
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    "asked", ["thresholds=nominal", "false_alarms_per_hour=3", "calibration=x"]
+)
+def test_a_detector_can_not_ask_for_thresholds_where_they_are_looked_for(asked):
+    line = ["calibrate", *SHORT, *RATE, "--detector", f"snapshot-chi2:{asked}", "--runs", "40"]
+    says = f"asks for `{asked.partition('=')[0]}`, but thresholds are what is looked for here"
+    assert says in refused(*line)
+
+
+def test_a_victim_without_scenarios_has_no_other_one():
+    line = ["calibrate", *SHORT, *RATE, "--env", "spoofgym/WheeledRobot-v0"]
+    assert "has no argument 'scenario'" in refused(*line, "--transfer", "trolley")
+
+
 def test_the_line_of_the_error_is_a_line_that_helps():
     """What an environment says is run as it stands."""
     import shlex

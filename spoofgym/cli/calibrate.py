@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -77,6 +79,7 @@ def calibrate(
     suite = world_of(world)
     setup, rate = suite.world, false_alarms_per_hour
     judges = _judges(detector, suite, rate)
+    others = {text: _other(suite, text) for text in transfer or ()}
     asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
     left = work.expected_runs(setup, judges, **asked, overwrite=overwrite)
     with progress(left) as bar:
@@ -100,10 +103,10 @@ def calibrate(
         with progress(len(sound) * hold_out) as bar:
             held = work.hold_out(setup, *kept, runs=hold_out, progress=bar, **settings)
             counted["hold-out"] = held
-    for text in transfer or () if sound else ():
+    for text, other in others.items() if sound else ():
         count = hold_out or work.HOLDOUT_WEIGHING
         with progress(len(sound) * count) as bar:
-            there = work.transfer(_other(suite, text), *kept, runs=count, progress=bar, **settings)
+            there = work.transfer(other, *kept, runs=count, progress=bar, **settings)
             counted[f"in {text}"] = there
     if as_json:
         print_json(
@@ -125,20 +128,27 @@ def calibrate(
 
 
 def _judges(texts: Sequence[str] | None, suite: Suite, rate: float) -> list[Detector]:
-    """Detectors without what they ask of their thresholds; those that never alarm are left out."""
+    """Detectors that may not ask for thresholds; those that never alarm are left out."""
     from ..bench.specs import make_judge
     from ..bench.victims import VICTIMS
+    from ..detectors.calibrated import ASKED
     from ..duel.opponents import make_opponent
     from ..simulators.calibration import inner_detectors, suitable_detectors
 
     specs: list[Any] = list(VICTIMS[suite.env].detectors) if not texts else specs_of(texts)
     made: list[Any] = []
     for spec in specs:
+        asked = [key for key in ASKED if key in spec]
+        if texts and asked:
+            raise ValueError(
+                f"--detector {spec['name']} asks for `{asked[0]}`, but thresholds are what is "
+                "looked for here: give the rate as --false-alarms-per-hour"
+            )
         if spec["name"] == "all":
             made += suitable_detectors(suite.world)
         elif str(spec["name"]).endswith(".onnx"):
-            asked = {**spec, "false_alarms_per_hour": rate}
-            made.append(make_opponent(asked, suite.world.live))
+            wanted = {**spec, "false_alarms_per_hour": rate}
+            made.append(make_opponent(wanted, suite.world.live))
         else:
             made.append(make_judge(spec))
     judges = inner_detectors(made)
@@ -149,17 +159,21 @@ def _judges(texts: Sequence[str] | None, suite: Suite, rate: float) -> list[Dete
 
 def _other(suite: Suite, text: str) -> Any:
     """Another world: settings of this one that differ."""
+    from .._registry import check_keywords
     from ..bench.victims import VICTIMS
     from ..envs.factory import make_setup
 
+    kind = VICTIMS[suite.env].setup
     if text.lstrip().startswith("{"):
         try:
             changed = json.loads(text)
         except json.JSONDecodeError as error:
             raise ValueError(f"--transfer {text!r} is not JSON: {error}") from error
+        if not changed:
+            raise ValueError(f"--transfer {text!r} changes nothing: that is what --hold-out counts")
     else:
         (changed,) = ({"scenario": spec} for spec in specs_of([text]))
-    kind = VICTIMS[suite.env].setup
+    check_keywords(f"the world of --transfer {text}", changed, inspect.signature(kind).parameters)
     return make_setup(kind, {**suite.given, **changed, "detector": "never"})
 
 
@@ -199,10 +213,14 @@ def _held_row(one: HoldOut) -> tuple[str, ...]:
         str(one.alarms),
         predicted,
         holds,
-        f"{one.per_hour:.3g}",
+        _rate(one.per_hour),
         promised,
     )
     if one.worst_world is None:
         return row
     largest, by_chance = one.worst_world
-    return *row, f"{largest:.3g} ({by_chance:.3g})"
+    return *row, f"{_rate(largest)} ({_rate(by_chance)})"
+
+
+def _rate(per_hour: float) -> str:
+    return f"{per_hour:.3g}" if math.isfinite(per_hour) else "every run"

@@ -69,7 +69,7 @@ def render(
     allow_oracles: opt.Oracles = False,
     false_alarms_per_hour: opt.Rate = None,
 ) -> None:
-    """Draw one run of the benchmark as a animation: flight, satellites, statistic, error."""
+    """Draw one run of the benchmark as an animation: flight, satellites, statistic, error."""
     from ..bench.animate import frame_count, play_frames
     from ..envs.rendering import save_animation
 

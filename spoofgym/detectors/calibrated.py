@@ -255,10 +255,11 @@ class Calibrated(Detector):
         seen = ""
         if near is not None and near[1]:
             seen = f" The nearest one, {near[0]}, differs in {'; '.join(near[1][:4])}."
+        nominal = {**({"name": str(file)} if file else shown), "thresholds": "nominal"}
         return (
             f"there is no calibration of {name} in {conditions.label} to set its thresholds for "
             f"{rate} false alarms an hour by. Make one with {line}, or take its nominal "
-            f'thresholds: {{"name": "{name}", "thresholds": "nominal"}}.{seen}'
+            f"thresholds: {json.dumps(nominal)}.{seen}"
         )
 
     def _asked_settings(self) -> dict[str, Any]:

@@ -54,7 +54,7 @@ FloatArray = NDArray[np.float64]
 def split_factors(count: int, onsets: int, baseline: int, ramp: bool, factors: FloatArray) -> None:
     r"""What the evidence takes from the lengths n and m alone, for the newest onsets.
 
-    For a step, and for a ramp whose first epoch is 1, the evidence is, without a division by sums,
+    For a step, and for a ramp whose first epoch is 1, with everything over one denominator,
 
     .. math::
         q &= \frac{(m \sum y - n \sum x)^2}{n m (n + m)}, \\

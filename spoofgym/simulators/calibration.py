@@ -530,22 +530,27 @@ def hold_out(
         judges = [made[k] for k in group]
         played = player.play(judges, range(count), split=split, in_loop=in_loop, now="hold-out")
         found |= {k: played.column(i) for i, k in enumerate(group)}
-    return [_counted(each, found[k], cells or len(made), predicted) for k, each in enumerate(made)]
+    counted = cells or len(made), predicted, setup.window_s
+    return [_counted(each, found[k], *counted) for k, each in enumerate(made)]
 
 
-def _counted(detector: Calibrated, found: CleanRuns, cells: int, predicted: bool) -> HoldOut:
+def _counted(
+    detector: Calibrated, found: CleanRuns, cells: int, predicted: bool, window_s: float
+) -> HoldOut:
+    """What has been found in a world whose judged window has this length."""
     point, runs = detector.point, len(found.alarmed)
     assert point is not None  # as it was looked up
     low = high = None
     if predicted and point.rank:
         low, high = predictive_interval(runs, point.runs, point.rank, cells)
     alarms = int(found.alarmed.sum())
-    rate = hourly_rate(alarms / runs, point.window_s)
+    rate = hourly_rate(alarms / runs, window_s)
+    promised = run_probability(point.false_alarms_per_hour, window_s)
     name = str(identity_of(detector.detector)["name"])
     worlds = [found.world == each for each in np.unique(found.world)]
     each = tuple((int(there.sum()), int(found.alarmed[there].sum())) for there in worlds)
-    early, window_s = int(found.early.sum()), point.window_s
-    return HoldOut(name, runs, alarms, point.per_run, low, high, rate, early, window_s, each)
+    early = int(found.early.sum())
+    return HoldOut(name, runs, alarms, promised, low, high, rate, early, window_s, each)
 
 
 def predictive_interval(runs: int, calibrated: int, rank: int, cells: int = 1) -> tuple[int, int]:

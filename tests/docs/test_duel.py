@@ -13,7 +13,7 @@ from ..spoofers.policies import network
 from .pages import blocks_of, broken_links, run, text_of
 
 # as users have it
-pytestmark = pytest.mark.usefixtures("default_rate")
+pytestmark = pytest.mark.usefixtures("default_rate_of_module")
 
 NAME = "duel.md"
 PAGE = text_of(NAME)
@@ -21,7 +21,7 @@ SMALLER = [("TURNS, STEPS, RUNS = 4, 20_000, 200", "TURNS, STEPS, RUNS = 2, 64, 
 
 
 @pytest.fixture(scope="module")
-def page():
+def page(default_rate_of_module):
     module = types.ModuleType("page")
     for number, (needs, code) in enumerate(blocks_of(NAME)):
         if needs is not None:

@@ -201,11 +201,28 @@ def test_chance_in_the_worst_of_several_worlds():
     assert none.worst_world == (0.0, 0.0)
 
 
+def test_the_error_offers_the_same_detector_with_nominal_thresholds():
+    """With all that it was asked for."""
+    asked = {"name": "snapshot-chi2", "false_alarm": 1e-4, "false_alarms_per_hour": 0.2}
+    with pytest.raises(ValueError, match="there is no calibration of snapshot-chi2") as told:
+        Engine(1, TightlyCoupledSetup(detector=asked, timeline=SHORT), threads=1)
+    offer = '{"name": "snapshot-chi2", "false_alarm": 0.0001, "thresholds": "nominal"}'
+    assert offer in str(told.value)
+
+
 def test_the_rate_elsewhere_is_another_one(setup):
     found = calibrate(setup, "ewma", runs=100, false_alarms_per_hour=RATE)
     elsewhere = TightlyCoupledSetup(scenario="groves", detector="never", timeline=SHORT)
     (there,) = transfer(elsewhere, found, "ewma", false_alarms_per_hour=RATE, runs=100)
     assert (there.low, there.high, there.holds) == (None, None, None)
+    assert there.window_s == elsewhere.window_s
+    longer = dict(SHORT, attack_s=3.0 * SHORT["attack_s"])
+    longer = TightlyCoupledSetup(scenario="groves", detector="never", timeline=longer)
+    (later,) = transfer(longer, found, "ewma", false_alarms_per_hour=RATE, runs=100)
+    assert later.window_s == longer.window_s > there.window_s
+    assert later.promised == pytest.approx(1.0 - np.exp(-RATE * longer.window_s / 3600.0))
+    share = later.alarms / later.runs
+    assert later.per_hour == (hourly_rate(share, longer.window_s))
     json.dumps(there.as_dict(), allow_nan=False)
     with pytest.raises(ValueError, match=r"for something else than ewma in groves: world scenario"):
         check(elsewhere, found, "ewma")
@@ -293,7 +310,8 @@ def test_environments_look_a_calibration_up_and_never_run_one(setup, folder, mon
         assert named in text, text
         assert "`spoofgym calibrate --env spoofgym/TightlyCoupled-v0 --set " in text
         assert "--false-alarms-per-hour 10`" in text
-        assert '{"name": "snapshot-chi2", "thresholds": "nominal"}' in text
+        named = {k: v for k, v in {**settings, **changed}["detector"].items() if k not in ASKED}
+        assert json.dumps({**named, "thresholds": "nominal"}) in text
 
 
 def test_another_folder_is_apart_from_those_that_are_looked_up(setup, folder, tmp_path):
