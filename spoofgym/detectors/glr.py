@@ -77,13 +77,43 @@ def split_factors(count: int, onsets: int, baseline: int, ramp: bool, factors: F
 
 
 @inlined
-def latest(ring: FloatArray, last: int, count: int, out: FloatArray) -> None:
-    """Copy values ``last - count + 1`` to `last`; `ring` (L,) has value k at ``k % L``."""
-    length = ring.shape[0]
-    first = (last - count + 1) % length
-    head = min(count, length - first)
-    out[:head] = ring[first : first + head]
-    out[head:count] = ring[: count - head]
+def latest(ring: FloatArray, last: int, count: int) -> FloatArray:
+    """View of values ``last - count + 1`` to `last`, of a ring that is kept twice, one after it."""
+    length = ring.shape[0] // 2
+    end = length + last % length + 1
+    return ring[end - count : end]
+
+
+@inlined
+def remember(ring: FloatArray, number: int, value: float) -> None:
+    """Write the value of a number into both copies of a ring."""
+    length = ring.shape[0] // 2
+    ring[number % length] = value
+    ring[length + number % length] = value
+
+
+@inlined
+def largest_of(values: FloatArray, other: FloatArray) -> float:
+    """Largest of some values that are not negative; both arrays are overwritten.
+
+    The halves are compared side by side until few are left: the processor takes several at a time,
+    where a single largest value would wait for each comparison.
+    """
+    size = values.shape[0]
+    while size > 8:
+        half = size // 2
+        left, right = values[:half], values[size - half : size]
+        for i in range(half):
+            x, y = left[i], right[i]
+            other[i] = x if x > y else y
+        if size - half > half:
+            other[half] = values[half]
+        values, other = other, values
+        size -= half
+    found = 0.0
+    for i in range(size):
+        found = max(found, values[i])
+    return found
 
 
 @inlined
@@ -103,22 +133,21 @@ def largest_evidence(
 
     .. math:: \sum y = P_k - P_{k-n}, \qquad \sum_i i \, y_i = n P_k - (A_k - A_{k-n})
 
-    `sums` (L,) P, L = W + baseline + 1, value k at ``k % L``, 0 where there is none yet; `areas`
-    (W + 1,) A likewise, for a ramp; `factors` (3, W) of `split_factors`; `scratch` (4, W),
-    overwritten.
+    `sums` (2 L,) P, L = W + baseline + 1, value k at ``k % L`` and once more L later, 0 where there
+    is none yet; `areas` (2 W + 2,) A likewise, for a ramp; `factors` (3, W) of `split_factors`;
+    `scratch` (2, W), overwritten.
     """
-    before, old, area, found = scratch[0], scratch[1], scratch[2], scratch[3]
     first, second, inverse = factors[0], factors[1], factors[2]
-    latest(sums, known - 1, onsets, before)
+    found, other = scratch[0, :onsets], scratch[1, :onsets]
+    before, now = latest(sums, known - 1, onsets), latest(sums, known, 1)[0]
     if known > baseline:
-        latest(sums, known - 1 - baseline, onsets, old)
+        old = latest(sums, known - 1 - baseline, onsets)
     else:  # before the first value
+        old = other
         for i in range(onsets):
             old[i] = 0.0
-    now = sums[known % sums.shape[0]]
     if ramp:
-        latest(areas, known - 1, onsets, area)
-        last = areas[known % areas.shape[0]]
+        area, last = latest(areas, known - 1, onsets), latest(areas, known, 1)[0]
         for i in range(onsets):
             moment = (onsets - i) * now - (last - area[i])
             difference = first[i] * moment - second[i] * (now - old[i])
@@ -127,16 +156,7 @@ def largest_evidence(
         for i in range(onsets):
             difference = first[i] * (now - before[i]) - second[i] * (before[i] - old[i])
             found[i] = difference * difference * inverse[i]
-    a = b = c = d = 0.0
-    for i in range(onsets % 4):
-        a = max(a, found[i])
-    for i in range(onsets % 4, onsets, 4):  # four side by side, since each waits for its last
-        w, x, y, z = found[i], found[i + 1], found[i + 2], found[i + 3]
-        a = w if w > a else a
-        b = x if x > b else b
-        c = y if y > c else c
-        d = z if z > d else d
-    return max(max(a, b), max(c, d))
+    return largest_of(found, other)
 
 
 @njit
@@ -158,13 +178,14 @@ def scan_channels(
 ) -> None:
     """Take in one epoch, and look for changes.
 
-    `window` W; `quantiles` (n+1,) thresholds by the number of visible satellites; `scratch` (7, W),
-    overwritten; `sums` (B, signals * n, W + baseline + 1), `areas` (B, signals * n, W + 1), `count`
-    (B, n) int64, memory, overwritten; `statistic`, `threshold` (B, n), written.
+    `window` W; `quantiles` (n+1,) thresholds by the number of visible satellites; `scratch` (5, W),
+    overwritten; `sums` (B, signals * n, 2 L), `areas` (B, signals * n, 2 W + 2) as
+    `largest_evidence` reads them, `count` (B, n) int64, memory, overwritten; `statistic`,
+    `threshold` (B, n), written.
     """
     channels = visible.shape[1]
-    length, long = sums.shape[2], areas.shape[2]
-    baseline, factors, scratch = length - window - 1, scratch[:3], scratch[3:]
+    baseline = sums.shape[2] // 2 - window - 1
+    factors, scratch = scratch[:3], scratch[3:]
     factored = -1  # satellites that rose together have the same factors
     for b in range(visible.shape[0]):
         seen = 0
@@ -189,10 +210,10 @@ def scan_channels(
                     continue
                 row = first_row + s
                 value = innovation[b, row] / math.sqrt(innovation_variance[b, row])
-                before = P[(known - 1) % length]
-                P[known % length] = before + value
+                before = latest(P, known - 1, 1)[0]
+                remember(P, known, before + value)
                 if ramp:
-                    A[known % long] = A[(known - 1) % long] + before
+                    remember(A, known, latest(A, known - 1, 1)[0] + before)
                 found = largest_evidence(P, A, known, onsets, baseline, ramp, factors, scratch)
                 statistic[b, j] = max(statistic[b, j], found)
 
@@ -225,10 +246,11 @@ class _Glr(Detector):
         self._signals = 2 if self.signals == "both" else 1
         series = (receivers, self._signals * n)
         self.memory_epochs = self.window + self.baseline
-        self.memory.declare("sums", np.zeros((*series, self.window + self.baseline + 1)))
-        self.memory.declare("areas", np.zeros((*series, self.window + 1 if self.ramp else 1)))
+        length = self.window + self.baseline + 1
+        self.memory.declare("sums", np.zeros((*series, 2 * length)))
+        self.memory.declare("areas", np.zeros((*series, 2 * (self.window + 1) if self.ramp else 1)))
         self.memory.declare("count", np.zeros((receivers, n), dtype=np.int64))
-        self._scratch = np.empty((7, self.window))
+        self._scratch = np.empty((5, self.window))
         tests = self.window * self._signals
         self._quantiles = np.array(
             [
