@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ._files import whole_file
+from ._registry import check_choice
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,9 +41,17 @@ def figure_class() -> type[Figure]:
     return Figure
 
 
+def check_picture(path: Path) -> Path:
+    """File of a picture, PNG without an ending; a ValueError for an ending that is no format."""
+    path = path if path.suffix else path.with_suffix(".png")
+    formats = figure_class()().canvas.get_supported_filetypes()
+    check_choice("ending of a picture", path.suffix, [f".{each}" for each in formats])
+    return path
+
+
 def save_figure(figure: Figure, path: Path, dpi: float | Literal["figure"] = "figure") -> Path:
     """Write a picture whole or not at all; its ending gives the format, PNG where it has none."""
-    path = path if path.suffix else path.with_suffix(".png")
+    path = check_picture(path)
     with whole_file(path) as part:
         figure.savefig(part, format=path.suffix[1:], dpi=dpi)
     return path

@@ -1,6 +1,7 @@
 """spoofgym calibrate, and commands that calibrate what they lack."""
 
 import json
+import math
 
 import pytest
 
@@ -24,19 +25,44 @@ def test_a_calibration_is_made_shown_and_used(folder):
     assert made.exit_code == 0, made.output
     found = json.loads(made.stdout)
     (row,) = found["calibrations"]
-    assert (row["detector"], row["runs"], row["per hour"]) == ("snapshot-chi2", "40", "20")
-    assert row["per run"] == "13 %"
+    assert (row["detector"], row["runs"], row["false_alarms_per_hour"]) == ("snapshot-chi2", 40, 20)
+    assert row["per_run"] == pytest.approx(-math.expm1(-20 * 25 / 3600))
     assert row["file"].startswith(str(folder))
+    assert found["notes"] == ["replayed: 1 calibrations hold, to 1e-06 of every maximum"]
     assert found["hold-out"][0]["holds"] is True
     assert found["in groves"][0]["holds"] is None
     again = call(*line)
     assert again.exit_code == 0, again.output
-    assert row["scale"] in again.stdout
+    assert f"{row['scale']:.6g}" in again.stdout
     played = call(
         "run", *SHORT, *RATE, "--detector", "snapshot-chi2", "--no-picture", "--spoofer", "step"
     )
     assert played.exit_code == 0, played.output
     assert "20 false alarms an hour, 13 % of runs of 25 s (40 clean runs" in played.stdout
+
+
+DEGENERATE = ["--scenario", "trolley", "--tuning", "matched", *RATE, "--runs", "40"]
+
+
+def test_a_degenerate_statistic_that_was_named_is_a_failure():
+    """The others are calibrated all the same, and shown."""
+    line = ["calibrate", *SHORT, *DEGENERATE, "--detector", "cusum", "--detector", "snapshot-chi2"]
+    result = call(*line, "--json")
+    assert result.exit_code == 1, result.output
+    found = json.loads(result.stdout)
+    assert [row["scale"] is None for row in found["calibrations"]] == [True, False]
+    assert "the statistic of cusum is degenerate" in found["notes"][0]
+    assert call(*line).exit_code == 1
+
+
+def test_rescaled_takes_of_all_those_that_it_is_for():
+    line = ["calibrate", *SHORT, *DEGENERATE, "--rescaled", "--json"]
+    result = call(*line, "--detector", "all")
+    assert result.exit_code == 0, result.output
+    rows = json.loads(result.stdout)["calibrations"]
+    assert sorted(row["detector"] for row in rows) == ["cusum", "lag-cusum"]
+    says = "'rescaled' is for detectors with a drift term, which SnapshotChi2 is not"
+    assert says in refused(*line, "--detector", "cusum", "--detector", "snapshot-chi2")
 
 
 @pytest.mark.parametrize(

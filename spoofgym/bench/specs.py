@@ -85,7 +85,9 @@ def load_class(path: str, base: Callable[..., T]) -> type[T]:
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        raise ValueError(f"there is no module {error.name!r} for {path!r}") from error
+        raise ValueError(
+            f"there is no module {error.name!r} for {path!r}; a setting is written `{path}=...`"
+        ) from error
     found = getattr(module, name, None)
     if not (isinstance(found, type) and issubclass(found, kind)):
         raise ValueError(

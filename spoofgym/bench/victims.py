@@ -32,9 +32,11 @@ HEADLINE_DOMAIN = {
     "turned_deg": [0.0, 360.0],
     "constellation_time_s": [0.0, 86_400.0],
     "worlds": SKIES,
+    "turn_on": "drawn",
 }
-"""What is drawn for every run of a headline: the onset, where the flight heads, and the sky, one of
-`SKIES`.  Which way an attack pushes is fixed, so that its angle to the flight is drawn, too."""
+"""What is drawn for every run of a headline: the onset, where the flight heads, the sky, one of
+`SKIES`, and the turn-on constants of the inertial sensors.  Which way an attack pushes is fixed, so
+that its angle to the flight is drawn, too."""
 LOOSE = loosely_coupled.DEFAULT_DETECTOR
 VICTIMS = {
     ENV_ID: Victim(TightlyCoupledSetup, DEFAULT_DETECTORS),

@@ -73,12 +73,16 @@ def calibrate(
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
 ) -> None:
-    """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there."""
+    """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there.
+
+    The exit status is 1 where a detector that was named has none, as its statistic is degenerate.
+    """
+    from ..detectors.calibration import TOLERANCE
     from ..simulators import calibration as work
 
     suite = world_of(world)
     setup, rate = suite.world, false_alarms_per_hour
-    judges = _judges(detector, suite, rate)
+    judges = _judges(detector, suite, rate, rescaled)
     others = {text: _other(suite, text) for text in transfer or ()}
     asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
     left = work.expected_runs(setup, judges, **asked, overwrite=overwrite)
@@ -93,9 +97,10 @@ def calibrate(
             overwrite=overwrite,
             strict=False,
         )
-    rows, lines, sound = _rows(found, judges, rate)
+    made, rows, lines, sound = _rows(found, rate)
     if check:
         work.check(setup, found, judges, threads=threads)
+        lines.append(f"replayed: {len(found)} calibrations hold, to {TOLERANCE:g} of every maximum")
     kept = [found[k] for k in sound], [judges[k] for k in sound]
     counted: dict[str, list[HoldOut]] = {}
     settings: dict[str, Any] = {"false_alarms_per_hour": rate, "threads": threads}
@@ -113,21 +118,25 @@ def calibrate(
             {
                 "world": setup.conditions.settings,
                 "window_s": setup.window_s,
-                "calibrations": [dict(zip(HEAD, row, strict=True)) for row in rows],
+                "calibrations": made,
                 "notes": lines,
                 **{title: [one.as_dict() for one in each] for title, each in counted.items()},
             }
         )
-        return
-    print_table(f"{setup.name}: thresholds for {rate:g} false alarms an hour", HEAD, rows)
-    print_lines(lines)
-    for title, each in counted.items():
-        several = any(one.worst_world for one in each)
-        head = (*HELD_HEAD, WORST_HEAD) if several else HELD_HEAD
-        print_table(f"{setup.name}: {title}", head, [_held_row(one) for one in each])
+    else:
+        print_table(f"{setup.name}: thresholds for {rate:g} false alarms an hour", HEAD, rows)
+        print_lines(lines)
+        for title, each in counted.items():
+            several = any(one.worst_world for one in each)
+            head = (*HELD_HEAD, WORST_HEAD) if several else HELD_HEAD
+            print_table(f"{setup.name}: {title}", head, [_held_row(one) for one in each])
+    if len(sound) < len(found) and "all" not in (detector or ()):
+        raise typer.Exit(1)
 
 
-def _judges(texts: Sequence[str] | None, suite: Suite, rate: float) -> list[Detector]:
+def _judges(
+    texts: Sequence[str] | None, suite: Suite, rate: float, rescaled: bool
+) -> list[Detector]:
     """Detectors that may not ask for thresholds; those that never alarm are left out."""
     from ..bench.specs import make_judge
     from ..bench.victims import VICTIMS
@@ -154,7 +163,9 @@ def _judges(texts: Sequence[str] | None, suite: Suite, rate: float) -> list[Dete
     judges = inner_detectors(made)
     if not judges:
         raise ValueError("there is no detector to calibrate: one that never alarms has no rate")
-    return judges
+    drifting = [each for each in judges if each.drifts]
+    # of `all`, those that it is for
+    return drifting if rescaled and texts and "all" in texts and drifting else judges
 
 
 def _other(suite: Suite, text: str) -> Any:
@@ -178,16 +189,18 @@ def _other(suite: Suite, text: str) -> Any:
 
 
 def _rows(
-    found: Sequence[Calibration], judges: Sequence[Detector], rate: float
-) -> tuple[list[tuple[str, ...]], list[str], list[int]]:
-    """Rows of the table, notes, and which detectors have an operating point."""
+    found: Sequence[Calibration], rate: float
+) -> tuple[list[dict[str, Any]], list[tuple[str, ...]], list[str], list[int]]:
+    """Operating points, a row for each, notes, and which detectors have one."""
     from ..detectors.calibrated import NOISY_WARMUP, noisy_warmup
 
+    points: list[dict[str, Any]] = []
     rows: list[tuple[str, ...]] = []
     lines: list[str] = []
     sound: list[int] = []
     for k, each in enumerate(found):
         name = str(each.detector["name"])
+        points.append({"detector": name, "file": str(each.path), "runs": each.runs, "scale": None})
         try:
             point = each.point(rate)
         except ValueError as error:
@@ -195,12 +208,13 @@ def _rows(
             rows.append((name, str(each.runs), "-", "-", "-", "-", str(each.path)))
             continue
         sound.append(k)
+        points[-1] |= point._asdict()
         scale = f"{point.scale:.6g}{' (fitted tail)' if point.extrapolated else ''}"
         shares = f"{100 * point.per_run:.3g} %", f"{100 * point.warmup_alarms:.2g} %"
         rows.append((name, str(each.runs), scale, f"{rate:g}", *shares, str(each.path)))
         if point.warmup_alarms > NOISY_WARMUP:
             lines.append(noisy_warmup(name, point))
-    return rows, lines, sound
+    return points, rows, lines, sound
 
 
 def _held_row(one: HoldOut) -> tuple[str, ...]:

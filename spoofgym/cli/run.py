@@ -34,8 +34,11 @@ def run(
     false_alarms_per_hour: opt.Rate = None,
 ) -> None:
     """Play one run of the benchmark and its clean twin: a summary, and a picture."""
+    from .._pictures import check_picture
     from ..bench.episode import draw_episode, play_episode
 
+    if picture:
+        check_picture(out)
     suite, reports = _suite(world, detector, spoofer, seed, allow_oracles, false_alarms_per_hour)
     judge, player = suite.detector_entries[-1], untuned(suite)
     if not as_json:
@@ -71,8 +74,9 @@ def render(
 ) -> None:
     """Draw one run of the benchmark as an animation: flight, satellites, statistic, error."""
     from ..bench.animate import frame_count, play_frames
-    from ..envs.rendering import save_animation
+    from ..envs.rendering.animation import animation_writer, save_animation
 
+    animation_writer(out, fps)
     suite, _ = _suite(world, detector, spoofer, seed, allow_oracles, false_alarms_per_hour)
     judge, player = suite.detector_entries[-1], untuned(suite)
     print_lines((*suite.notes, *suite.captions))

@@ -186,7 +186,11 @@ def tuning_of(runs: int, budget: float) -> Tuning:
     """A search on so many training runs, of which a sixteenth sifts."""
     from ..bench.suite import Tuning
 
-    return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget)
+    try:
+        return Tuning(runs=runs, sift_runs=max(runs // 16, 1), budget=budget)
+    except ValueError as error:  # it knows its fields, not the options
+        text = str(error).replace("`tuning.runs`", "--training-seeds")
+        raise ValueError(text.replace("`tuning.budget`", "--budget")) from error
 
 
 def selection_of(runs: int) -> Selection | None:

@@ -351,7 +351,9 @@ def _load(path: str, modified: int) -> Calibration:
         if not (sound and np.isfinite(numbers).all() and (np.diff(numbers) <= 0.0).all()):
             raise ValueError("its order statistics are not in order")
         return made
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except KeyError as error:
+        raise ValueError(f"{path} is no calibration: it has no {error}") from error
+    except (ValueError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} is no calibration: {error}") from error
 
 

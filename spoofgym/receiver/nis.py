@@ -79,7 +79,8 @@ def _square(work: NDArray[np.float64], size: int) -> None:
                 store(work, row + j, value * load(work, other + j))
             else:
                 sound = value > 0.0
-                store(work, row + j, select(sound, 1.0 / sqrt(value), 0.0))
+                inverse = 1.0 / sqrt(select(sound, value, 1.0))
+                store(work, row + j, select(sound, inverse, 0.0))
                 total = select(sound, total, np.inf)
     last = size * (size + 1) // 2
     for i in range(size):

@@ -64,7 +64,8 @@ class HoldOut(NamedTuple):
       in another world, and for a fitted tail, which predict none;
     - `per_hour`: measured rate;
     - `early`: runs with an alarm before the attack;
-    - `worlds`: runs and alarms of each world that was drawn, of a domain with several.
+    - `worlds`: runs and alarms of each world that was drawn, of a domain with several;
+    - `false_alarms_per_hour`: rate that is promised.
     """
 
     name: str
@@ -77,6 +78,7 @@ class HoldOut(NamedTuple):
     early: int
     window_s: float
     worlds: tuple[tuple[int, int], ...]
+    false_alarms_per_hour: float
 
     @property
     def worst_world(self) -> tuple[float, float] | None:
@@ -480,7 +482,7 @@ def hold_out(
     calibrations: Sequence[Calibration],
     detectors: DetectorSpec | Sequence[DetectorSpec],
     *,
-    false_alarms_per_hour: float,
+    false_alarms_per_hour: float | Sequence[float],
     runs: int | None = None,
     cells: int | None = None,
     threads: int | None = None,
@@ -499,8 +501,8 @@ def hold_out(
         In the order of the detectors.
     detectors : str, mapping, Detector, or a sequence of them
         As `calibrate` takes them.
-    false_alarms_per_hour : float
-        Rate at which they work.
+    false_alarms_per_hour : float or sequence of float
+        Rate at which they work; several share their runs, but for an alarm that is a state.
     runs : int, optional
         By default `HOLDOUT_PASSIVE`, or `HOLDOUT_WEIGHING` for a detector that de-weights.
     cells : int, optional
@@ -515,23 +517,44 @@ def hold_out(
     Returns
     -------
     list of HoldOut
-        In the order of the detectors.
+        In the order of the detectors; of several rates one after the other.
     """
-    parts, rate = inner_detectors(detectors), check_rate(false_alarms_per_hour)
-    made = [calibrated(c, d, rate) for c, d in zip(calibrations, parts, strict=True)]
-    heavy = [weighs(setup, each) for each in made]
+    rates = _rates(false_alarms_per_hour)
+    parts = list(zip(calibrations, inner_detectors(detectors), strict=True))
+    made = [[calibrated(c, d, rate) for c, d in parts] for rate in rates]
+    heavy = [weighs(setup, each) for each in made[0]]
     player = Player(setup, threads=threads, chunk=chunk, progress=progress)
-    found: dict[int, CleanRuns] = {}
-    light = [k for k, alone in enumerate(heavy) if not alone]
-    groups = ([light] if light else []) + [[k] for k, alone in enumerate(heavy) if alone]
-    for group in groups:
+
+    def played(group: list[int], judges: list[Calibrated]) -> dict[int, CleanRuns]:
         in_loop = heavy[group[0]]
         count = runs or (HOLDOUT_WEIGHING if in_loop else HOLDOUT_PASSIVE)
-        judges = [made[k] for k in group]
-        played = player.play(judges, range(count), split=split, in_loop=in_loop, now="hold-out")
-        found |= {k: played.column(i) for i, k in enumerate(group)}
-    counted = cells or len(made), predicted, setup.window_s
-    return [_counted(each, found[k], *counted) for k, each in enumerate(made)]
+        those = [judges[k] for k in group]
+        found = player.play(those, range(count), split=split, in_loop=in_loop, now="hold-out")
+        return {k: found.column(i) for i, k in enumerate(group)}
+
+    light = [k for k, alone in enumerate(heavy) if not alone]
+    groups = ([light] if light else []) + [[k] for k, alone in enumerate(heavy) if alone]
+    first: dict[int, CleanRuns] = {}
+    for group in groups:
+        first |= played(group, made[0])
+    counted = cells or len(parts) * len(rates), predicted, setup.window_s
+    held = []
+    for judges in made:
+        for k, judge in enumerate(judges):
+            again = judges is not made[0] and judge.detector.alarm_is_state
+            found = played([k], judges)[k] if again else _at_scale(first[k], made[0][k], judge)
+            held.append(_counted(judge, found, *counted))
+    return held
+
+
+def _at_scale(found: CleanRuns, played: Calibrated, judge: Calibrated) -> CleanRuns:
+    """The same runs with another factor on the thresholds, where the alarm is no state."""
+    if judge is played:
+        return found
+    assert judge.scale  # as it was looked up
+    assert played.scale
+    factor = judge.scale / played.scale
+    return found._replace(early=found.before > factor, alarmed=found.judged > factor)
 
 
 def _counted(
@@ -550,7 +573,8 @@ def _counted(
     worlds = [found.world == each for each in np.unique(found.world)]
     each = tuple((int(there.sum()), int(found.alarmed[there].sum())) for there in worlds)
     early = int(found.early.sum())
-    return HoldOut(name, runs, alarms, promised, low, high, rate, early, window_s, each)
+    asked = point.false_alarms_per_hour
+    return HoldOut(name, runs, alarms, promised, low, high, rate, early, window_s, each, asked)
 
 
 def predictive_interval(runs: int, calibrated: int, rank: int, cells: int = 1) -> tuple[int, int]:

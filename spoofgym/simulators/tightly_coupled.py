@@ -151,7 +151,13 @@ class TightlyCoupledSetup(Setup):
         """Scenario but for its name, receiver and domain."""
         scenario = describe(self.scenario)
         del scenario["name"]
-        parts = {"receiver": self.receiver, "domain": self.domain}
+        # what a domain says that the scenario has anyway is no other world
+        own = {
+            n: None
+            for n in ("turn_on", "events")
+            if getattr(self.domain, n) == getattr(self.scenario, n)
+        }
+        parts = {"receiver": self.receiver, "domain": replace(self.domain, **own)}
         return {"scenario": scenario, **{name: describe(part) for name, part in parts.items()}}
 
     @property

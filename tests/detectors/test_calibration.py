@@ -162,7 +162,7 @@ def test_files(tmp_path):
     text = saved.path.read_text()
     for k, (bad, message) in enumerate(
         [
-            ("{}", "'format'"),
+            ("{}", "is no calibration: it has no 'format'"),
             (text.replace('"format":1', '"format":2'), "its format is 2, this version reads 1"),
             (text.replace('"runs":2999', '"runs":29'), "are not in order"),
             (text[:-20], "is no calibration"),

@@ -7,8 +7,10 @@ import re
 
 import pytest
 
+from spoofgym.detectors import Calibration
 from spoofgym.detectors.calibration import fewest_runs, run_probability
-from tools.holdouts import BEGIN, END, KEPT, shown
+from tools.calibrations import HEADLINES
+from tools.holdouts import BEGIN, END, KEPT, shown, world_of
 from tools.pages import part_between
 
 from .pages import blocks_of, broken_links, run, text_of
@@ -36,6 +38,20 @@ def test_it_takes_as_many_runs_as_the_page_says(rate, window_s):
     assert re.search(said, text_of(PAGE)), said
 
 
+@pytest.mark.parametrize("name", HEADLINES)
+def test_as_many_runs_are_shipped_as_the_page_says(name):
+    said = text_of(PAGE)
+    assert "**Shipped** are 200,000 runs of the passive detectors" in said
+    assert "where 0.002 an hour is the 17th largest ratio" in said
+    world = world_of(name)
+    points = [made.point(0.002) for made, _ in world.passive]
+    assert {(point.runs, point.rank) for point in points} == {(200_000, 17)}
+    assert all(6_000 <= made.runs <= 12_000 for made, _ in world.weighing)
+    folder = world.passive[0][0].path.parent
+    rescaled = [Calibration.load(path) for path in folder.glob("*-rescaled.json")]
+    assert {made.runs for made in rescaled} == {200_000}
+
+
 def test_links_lead_somewhere():
     assert broken_links(PAGE) == []
 
@@ -43,7 +59,10 @@ def test_links_lead_somewhere():
 def test_the_hold_outs_are_those_of_the_file_and_hold():
     kept = json.loads(KEPT.read_text())
     assert part_between(text_of(PAGE), BEGIN, END) == f"\n{shown(kept)}"
-    assert kept["cells"] == sum(len(world["detectors"]) for world in kept["worlds"])
+    rows = [row for world in kept["worlds"] for row in world["detectors"]]
+    rare = [row["rare"] for row in rows if row["passive"]]
+    assert kept["cells"] == len(rows) + len(rare)
+    assert all(row["holds"] for row in rows + rare)
+    assert {row["runs"] for row in rare} == {100_000}
     for world in kept["worlds"]:
-        assert all(row["holds"] for row in world["detectors"])
         assert abs(world["mean_passive_per_hour"] / kept["rate"] - 1.0) < 0.1

@@ -174,6 +174,22 @@ def test_hold_outs_are_other_runs_and_lie_in_the_predicted_interval(setup):
     assert (fresh != Player(setup).play([Cusum()], range(5)).judged).all()
 
 
+def test_rates_share_the_runs_of_a_hold_out(setup):
+    """Each counts what it counts alone, that of an alarm that is a state, too."""
+    specs, rates = ["snapshot-chi2", "ewma", "joint-chart"], [RATE, 3 * RATE]
+    found = calibrate(setup, specs, runs=100, false_alarms_per_hour=rates)
+    held = hold_out(setup, found, specs, false_alarms_per_hour=rates, runs=100)
+    asked = {"runs": 100, "cells": 6}
+    alone = [
+        each
+        for rate in rates
+        for each in hold_out(setup, found, specs, false_alarms_per_hour=rate, **asked)
+    ]
+    assert held == alone
+    assert [each.false_alarms_per_hour for each in held] == [RATE] * 3 + [3 * RATE] * 3
+    assert all(often.alarms > seldom.alarms for seldom, often in zip(held, held[3:], strict=False))
+
+
 def test_a_hold_out_tells_the_worst_world():
     """A domain of several skies: every run under one of them, none lost."""
     domain = {"constellation_time_s": [0.0, 86_400.0], "worlds": 3}
@@ -193,7 +209,7 @@ def test_a_hold_out_tells_the_worst_world():
 
 def test_chance_in_the_worst_of_several_worlds():
     """The median of the largest share, against drawn counts."""
-    alike = HoldOut("x", 4000, 40, 0.01, None, None, 0.0, 0, 160.0, ((1000, 10),) * 4)
+    alike = HoldOut("x", 4000, 40, 0.01, None, None, 0.0, 0, 160.0, ((1000, 10),) * 4, 0.2)
     drawn = np.random.default_rng(1).binomial(1000, 0.01, (20_000, 4)).max(axis=1)
     assert alike.worst_world[1] == hourly_rate(np.median(drawn) / 1000, 160.0)
     assert alike._replace(worlds=((4000, 40),)).worst_world is None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -43,18 +43,24 @@ def save_animation(frames: Iterable[Frame], path: Path | str, fps: float = 25.0)
         When the library that writes the format is not installed.
     """
     path = Path(path)
-    if not (np.isfinite(fps) and 0.0 < fps <= 100.0):
-        raise ValueError(f"`fps` must be above 0 and at most 100, got {fps}")
-    writers = {".gif": _write_gif, ".mp4": _write_mp4}
-    ending = path.suffix.lower()
-    check_choice("ending of an animation", ending, writers)
+    write = animation_writer(path, fps)
     stream = iter(frames)
     first = next(stream, None)
     if first is None:
         raise ValueError("an animation needs at least one frame")
     with whole_file(path) as part:
-        writers[ending](chain([first], stream), first.shape[:2], part, fps)
+        write(chain([first], stream), first.shape[:2], part, fps)
     return path
+
+
+def animation_writer(path: Path, fps: float) -> Callable[..., None]:
+    """What writes a format; a ValueError for an ending or a pace that `save_animation` refuses."""
+    if not (np.isfinite(fps) and 0.0 < fps <= 100.0):
+        raise ValueError(f"`fps` must be above 0 and at most 100, got {fps}")
+    writers = {".gif": _write_gif, ".mp4": _write_mp4}
+    ending = path.suffix.lower()
+    check_choice("ending of an animation", ending, writers)
+    return writers[ending]
 
 
 def _write_gif(frames: Iterator[Frame], shape: tuple[int, ...], path: Path, fps: float) -> None:
