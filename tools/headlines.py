@@ -32,7 +32,8 @@ WORLDS = {
     "trolley": ["--scenario", "trolley", "--tuning", "matched"],
     "aviation-actual": ["--scenario", "aviation-actual", "--tuning", "matched"],
 }
-"""Options of a campaign by world; sky, heading and onset are drawn for every run in all three."""
+"""Options of a campaign by world; sky, heading, onset and turn-on constants are drawn for
+every run."""
 SPOOFERS = ("ramp", "accelerating-ramp", "feedback", "snapshot-chi2-profile")
 CURVES = ("p_hmi", "survival")
 """Of a cell, which are not kept; those of the protection are."""

@@ -48,8 +48,8 @@ def shown(summary: dict[str, Any]) -> str:
         [
             f"All detectors are calibrated to {group.rate} false alarms an hour, "
             f"{100 * per_run:.3g} % of runs without an attack. {summary['runs']} runs",
-            f"of the world `{summary['scenario']}`, sky, heading and onset drawn for each; "
-            "95 % intervals in brackets; campaign",
+            f"of the world `{summary['scenario']}`, sky, heading, onset and turn-on constants of "
+            "the sensors drawn for each; 95 % intervals in brackets; campaign",
             f"{summary['campaign']}. How far the worst attack of the suite gets before anyone "
             "notices:",
             "",

@@ -146,8 +146,8 @@ def bench(
     """Play detectors against spoofers on the same runs; interrupted, it goes on when run again.
 
     All detectors are calibrated to one rate of false alarms, 0.2 an hour unless another one is
-    given, in a world whose sky, heading and onset are drawn for every run, unless --set domain=...
-    says otherwise.
+    given, in a world whose sky, heading, onset and turn-on constants of the sensors are drawn for
+    every run, unless --set domain=... says otherwise.
     """
     from ..bench.campaign import expected_work, run_campaign
     from ..bench.store import ResultsFolder
