@@ -63,6 +63,6 @@ def test_the_hold_outs_are_those_of_the_file_and_hold():
     rare = [row["rare"] for row in rows if row["passive"]]
     assert kept["cells"] == len(rows) + len(rare)
     assert all(row["holds"] for row in rows + rare)
-    assert {row["runs"] for row in rare} == {100_000}
+    assert min(row["runs"] for row in rare) >= 30_000
     for world in kept["worlds"]:
         assert abs(world["mean_passive_per_hour"] / kept["rate"] - 1.0) < 0.1
