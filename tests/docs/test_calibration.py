@@ -62,6 +62,7 @@ def test_the_hold_outs_are_those_of_the_file_and_hold():
     rows = [row for world in kept["worlds"] for row in world["detectors"]]
     rare = [row["rare"] for row in rows if row["passive"]]
     assert kept["cells"] == len(rows) + len(rare)
+    assert f"all {kept['cells']} counts lie where they should" in text_of(PAGE)
     assert all(row["holds"] for row in rows + rare)
     assert min(row["runs"] for row in rare) >= 30_000
     for world in kept["worlds"]:
