@@ -32,7 +32,8 @@ def calibrate(
         list[str] | None,
         typer.Option(
             help="Detector, may be repeated; an .onnx file, too; `all` for all that suit the "
-            f"victim. Default: those of the benchmark. {opt.SPEC_HELP}"
+            f"victim. Default: those of the benchmark. {opt.SPEC_HELP} The exit status is 1 where "
+            "one that is named can have no threshold."
         ),
     ] = None,
     runs: Annotated[
@@ -73,10 +74,7 @@ def calibrate(
     seed: opt.Seed = 0,
     threads: opt.Threads = None,
 ) -> None:
-    """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there.
-
-    The exit status is 1 where a detector that was named has none, as its statistic is degenerate.
-    """
+    """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there."""
     from ..detectors.calibration import TOLERANCE
     from ..simulators import calibration as work
 
