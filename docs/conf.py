@@ -7,6 +7,7 @@ and in a checkout.  A warning is an error; nothing is downloaded.
 from __future__ import annotations
 
 import pkgutil
+import types
 from pathlib import Path
 
 from sphinx.addnodes import desc_annotation
@@ -33,6 +34,8 @@ docs/duel
 docs/tasks
 docs/threats
 docs/worlds
+docs/calibration
+docs/scores
 docs/rendering
 ```
 ```{toctree}
@@ -100,6 +103,11 @@ def written_defaults(app, what, name, obj, options, signature, returns):
     return (signature.replace("<factory>", "..."), returns) if signature else None
 
 
+def skip_alias(app, what, name, obj, skip, options):
+    """Leave out names of types such as ``tuple[str, ...]``, which autodoc takes for calls."""
+    return True if isinstance(obj, types.GenericAlias) else None
+
+
 def shorten(app, domain, objtype, content):
     """Leave out long values, such as those of registries."""
     for note in list(content.parent.findall(desc_annotation)):
@@ -121,5 +129,6 @@ def setup(app):
     app.connect("source-read", add_contents)
     app.connect("autodoc-process-docstring", first_paragraph)
     app.connect("autodoc-process-signature", written_defaults)
+    app.connect("autodoc-skip-member", skip_alias)
     app.connect("missing-reference", silence)
     app.connect("object-description-transform", shorten)
