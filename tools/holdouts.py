@@ -57,6 +57,7 @@ def world_of(name: str) -> World:
     """A world with what is shipped for it."""
     found = World(name, setup_of(name), [], [], [], [])
     for detector in detectors_of(name, found.setup):
+        alone = found.weighing if weighs(found.setup, detector) else found.passive
         for rescaled in (False, True)[: 1 + detector.drifts]:
             what = found.setup.conditions, identity_of(detector), rescaled
             made = next(stored(*what, SHIPPED_FOLDER), None)
@@ -67,7 +68,6 @@ def world_of(name: str) -> World:
             except ValueError:
                 found.degenerate.append(_name(made))
                 continue
-            alone = found.weighing if weighs(found.setup, detector) else found.passive
             (found.rescaled if rescaled else alone).append((made, detector))
     return found
 

@@ -367,22 +367,19 @@ def split_spec(spec: Any) -> tuple[Any, Asked]:
     word = repr(spec.get("name"))
     if asked.thresholds is not None:
         check_choice("choice of `thresholds`", asked.thresholds, THRESHOLDS)
-    if asked.thresholds == "nominal" and any(
-        x is not None for x in asked._replace(thresholds=None)
+    for key, stated, what in (
+        ("thresholds", asked.thresholds == "nominal", "`thresholds` 'nominal'"),
+        (
+            "threshold_scale",
+            asked.threshold_scale is not None,
+            "`threshold_scale`, a factor of your own,",
+        ),
     ):
-        others = [key for key in ASKED if key != "thresholds" and getattr(asked, key) is not None]
-        raise ValueError(
-            f"detector {word} is asked for `thresholds` 'nominal' and for "
-            f"{', '.join(f'`{key}`' for key in others)}: leave out one"
-        )
-    if asked.threshold_scale is not None and asked != Asked(threshold_scale=asked.threshold_scale):
-        others = [
-            key for key in ASKED if key != "threshold_scale" and getattr(asked, key) is not None
-        ]
-        raise ValueError(
-            f"detector {word} is asked for `threshold_scale`, a factor of your own, and for "
-            f"{', '.join(f'`{key}`' for key in others)}: leave out one"
-        )
+        others = [f"`{k}`" for k in ASKED if k != key and getattr(asked, k) is not None]
+        if stated and others:
+            raise ValueError(
+                f"detector {word} is asked for {what} and for {', '.join(others)}: leave out one"
+            )
     if asked.calibration is not None and not isinstance(asked.calibration, str | Path):
         raise TypeError(f"`calibration` must be the path of a file, got {asked.calibration!r}")
     return plain, asked
