@@ -130,9 +130,9 @@ def main(arguments: list[str]) -> None:
     """Play the three worlds, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("results/headlines"))
-    parser.add_argument("--seeds", default="500", help="evaluation runs of every cell")
-    parser.add_argument("--training-seeds", default="100")
-    parser.add_argument("--selection-seeds", default="64")
+    parser.add_argument("--seeds", default="1000", help="evaluation runs of every cell")
+    parser.add_argument("--training-seeds", default="256")
+    parser.add_argument("--selection-seeds", default="192")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)
     if not given.tables_only:

@@ -21,7 +21,7 @@ from .metrics import (
     wilson,
 )
 from .price import mean_of, number, operating_point, score_detector
-from .protection import Aim, Protection, Winner
+from .protection import MEASURES, Aim, Protection, Winner
 from .scores import (
     bootstrap_exceeded,
     by_chance,
@@ -34,7 +34,12 @@ from .suite import FORMAT
 
 SURVIVAL_TIMES = 8
 """At how many times the share of undetected attacks is told."""
-FURTHER = ("undetected_along_m", "undetected_vertical_m", "undetected_total_m")
+FURTHER = (
+    "undetected_along_m",
+    "undetected_vertical_m",
+    "undetected_total_m",
+    "undetected_total_vertical_m",
+)
 """Other displacements whose means are told."""
 
 
@@ -198,41 +203,56 @@ def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, An
     P(HMI | attack) never grows with the limit, and never contradicts what is exceeded.
     """
     aims = [aim for winner in found.winners for aim in winner.aims]
-    exceeded, curve = [], []
-    for aim in aims:
-        winner, rows = _worst(found, aim), found.rows(aim)
-        x = winner.displacement[aim.measure][rows]
-        who: dict[str, Any] = {"letter": winner.letter, "spoofer": winner.spoofer}
-        who |= {"setting": winner.setting, "at": winner.value}
-        if aim.share is not None:
-            # the worst skies are few, and the interval is for these alone
-            alike = np.arange(len(found.sky)) if aim.skies else clusters_of(found.sky)
-            samples = resamples_of(alike[rows])
-            value = bootstrap_exceeded(x, aim.share, samples).as_json()
-            named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
-            exceeded.append({**named, "runs": len(x), **value, **who})
-        elif aim.limit_m is not None and aim.limit_m in limits:
-            (p,) = exceedance(x, [aim.limit_m])
-            curve.append({"alert_limit_m": aim.limit_m, **p.as_json(), **who})
+    searched = sorted({aim.limit_m for aim in aims if aim.limit_m is not None} & set(limits))
     skies = None if found.skies is None else len(found.skies)
     return {
         "detector": found.detector,
         "counted": int(found.counts.sum()),
-        "exceeded": exceeded,
-        "p_hmi": sorted(curve, key=lambda row: row["alert_limit_m"]),
+        "exceeded": [_exceeded(found, aim) for aim in aims if aim.share is not None],
+        "p_hmi": [
+            _hazardous(found, measure, limit)
+            for measure in found.winners[0].displacement
+            for limit in searched
+        ],
         "worst_skies": skies,
     }
 
 
-def _worst(found: Protection, aim: Aim) -> Winner:
-    """Who was chosen for an aim; at an alert limit the worst of all winners on these runs."""
-    chosen = found.winner(aim)
-    assert chosen is not None  # whose aim it is
-    if aim.limit_m is None:
-        return chosen
-    several, rows = (chosen, *found.winners), found.rows(aim)
-    often = [(each.displacement[aim.measure][rows] > aim.limit_m).sum() for each in several]
-    return several[int(np.argmax(often))]
+def _exceeded(found: Protection, aim: Aim) -> dict[str, Any]:
+    """What the winner of an aim exceeds in its share of the runs."""
+    winner, rows = found.winner(aim), found.rows(aim)
+    assert winner is not None  # whose aim it is
+    assert aim.share is not None
+    x = winner.displacement[aim.measure][rows]
+    # the worst skies are few, and the interval is for these alone
+    alike = np.arange(len(found.sky)) if aim.skies else clusters_of(found.sky)
+    value = bootstrap_exceeded(x, aim.share, resamples_of(alike[rows])).as_json()
+    named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
+    return {**named, "runs": len(x), **value, **_attack(winner)}
+
+
+def _hazardous(found: Protection, measure: str, limit: float) -> dict[str, Any]:
+    """P(HMI | attack) at an alert limit [m], by the worst of all winners on these runs.
+
+    Attacks are looked for by the induced horizontal error; of equal ones, that for this limit.
+    """
+    chosen = found.winner(Aim(MEASURES[0], limit_m=limit))
+    several = (*([] if chosen is None else [chosen]), *found.winners)
+    sizes = [each.displacement[measure][found.counts] for each in several]
+    worst = int(np.argmax([(x > limit).sum() for x in sizes]))
+    (p,) = exceedance(sizes[worst], [limit])
+    return {
+        "measure": measure,
+        "alert_limit_m": limit,
+        **p.as_json(),
+        **_attack(several[worst]),
+    }
+
+
+def _attack(winner: Winner) -> dict[str, Any]:
+    """Which attack it was."""
+    named = {"letter": winner.letter, "spoofer": winner.spoofer}
+    return {**named, "setting": winner.setting, "at": winner.value}
 
 
 def _published(

@@ -113,8 +113,10 @@ def test_the_scores_are_what_the_runs_say() -> None:
     for row in found["exceeded"]:
         assert row["low"] <= row["value"] <= row["high"]
         assert (row["letter"], row["setting"], row["at"]) == ("a", "rate_mps", 0.5)
-    (p,) = found["p_hmi"]
-    assert p["value"] == pytest.approx((x[counts] > 10.0).mean(), abs=1e-6)
+    p_hmi = {row["measure"]: row["value"] for row in found["p_hmi"]}
+    assert p_hmi[FIRST] == pytest.approx((x[counts] > 10.0).mean(), abs=1e-6)
+    assert p_hmi["undetected_total_m"] == pytest.approx((x[counts] > 8.0).mean(), abs=1e-6)
+    assert p_hmi[FIRST] < p_hmi["undetected_total_m"]
 
 
 def test_what_exceeds_a_limit_exceeds_the_lower_ones() -> None:
@@ -145,6 +147,26 @@ def test_what_is_exceeded_in_a_share_of_the_runs_counts_at_the_limits_too() -> N
     found = score_protection(Protection({"detector": "x"}, winners, *runs, None), [40.0])
     assert found["exceeded"][0]["value"] == 50.0
     assert found["p_hmi"][0]["value"] == pytest.approx(0.1)
+
+
+def test_by_the_total_error_another_attack_may_be_the_worst_at_a_limit() -> None:
+    total = "undetected_total_m"
+    limits = (Aim(FIRST, limit_m=20.0), Aim(FIRST, limit_m=40.0))
+    near = {FIRST: np.full(50, 30.0), total: np.full(50, 30.0)}
+    off = {FIRST: np.zeros(50), total: np.full(50, 60.0)}
+    winners = (
+        Winner("a", "near", "rate_mps", 0.5, {}, limits, near),
+        Winner("a", "off", "rate_mps", 0.5, {}, (Aim(total, 0.5),), off),
+    )
+    runs = np.ones(50, dtype=np.bool_), np.zeros(50, dtype=np.int64)
+    found = score_protection(Protection({"detector": "x"}, winners, *runs, None), [20.0, 40.0])
+    rows = [(r["measure"], r["alert_limit_m"], r["value"], r["spoofer"]) for r in found["p_hmi"]]
+    assert rows == [
+        (FIRST, 20.0, 1.0, "near"),
+        (FIRST, 40.0, 0.0, "near"),
+        (total, 20.0, 1.0, "near"),
+        (total, 40.0, 1.0, "off"),
+    ]
 
 
 def test_intervals_are_wider_where_runs_under_a_sky_are_alike() -> None:
