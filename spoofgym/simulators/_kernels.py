@@ -31,9 +31,10 @@ POSITION_E, VELOCITY_E, CAPTURED, SLOTS, ATTACK_SETTINGS = range(
 are commanded, what an action of 1 commands, the limit of the rate, whether range rates are
 coherent."""
 DISPLACEMENT, RATE, AXES_E, TARGET_ERROR, SETTINGS, AVERAGE, DECAY = range(7)
-STATISTIC, THRESHOLD, ALARMS = range(7, 10)
-"""Places in the table of what attack and detector remember, as they take it, and of a verdict."""
-ATTACK, JUDGE, SCORE = 16, 32, 64
+STATISTIC, THRESHOLD, ALARMS, HISTORY = range(7, 11)
+"""Places in the table of what attack and detector remember, as they take it, and of a verdict; who
+alarmed at each epoch."""
+ATTACK, JUDGE, SCORE, REMEMBER = 16, 32, 64, 128
 NO_FORM, FALSE_POSITION, PER_CHANNEL = range(3)
 EWMA, PASSIVE_EWMA, NEVER = 1, 2, 3
 UNSOUND, HOLDS = 1, 2
@@ -59,14 +60,15 @@ def run_epochs(
     """Do some of what an epoch is made of, for some epochs of receivers lo to hi, group by group.
 
     All that a tightly coupled simulator does between two commands: `ATTACK` moves the counterfeit,
-    then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them; `SHOW`
-    shows the last epoch.
+    then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them, which
+    needs `SHOW`; without it that shows the last epoch alone.  `REMEMBER` writes who alarms.
 
     `table`: of `kernel_table`, with what is named above behind it; `memories`: table of what attack
-    and detector remember, and of the verdict; `action` (B, a) in [-1, 1]; `weights` (B, 2n) on the
-    columns of the gain, written by `JUDGE` as the verdict is; `work`: lane array, scratch memory of
-    the calling thread; `attack`, `detector`: their compiled forms, by number; `hold`: whether the
-    attack holds its rate; returns 0, or `UNSOUND`.
+    and detector remember, of the verdict, and of (`count`, B) alarms; `action` (B, a) in [-1, 1];
+    `weights` (B, 2n) on the columns of the gain, written by `JUDGE` as the verdict is; `work`: lane
+    array, scratch memory of the calling thread; `attack`, `detector`: their compiled forms, by
+    number; `hold`: whether the attack holds its rate; returns 0, or `UNSOUND` as soon as a group
+    has such a verdict.
     """
     m = weights.shape[1]
     a = arrays_at(table, work, m // 2)
@@ -84,12 +86,11 @@ def run_epochs(
     settings, shape = floats_at(memories, SETTINGS), a.visible.shape
     average, decay = floats_at(memories, AVERAGE), floats_at(memories, DECAY)
     statistic, threshold = floats_at(memories, STATISTIC), floats_at(memories, THRESHOLD)
-    alarm = flags_at(memories, ALARMS)
+    alarm, history = flags_at(memories, ALARMS), flags_at(memories, HISTORY)
     w = name_scratch(a, work)
     lanes = lanes_of(work)
     innovation = a.out[a.places[0] : a.places[0] + receivers * m].reshape((receivers, m))
     variance = a.out[a.places[1] : a.places[1] + receivers * m].reshape((receivers, m))
-    sound = True
     for group in range(lo // lanes, -(-hi // lanes)):
         b, e = group * lanes, min((group + 1) * lanes, receivers)
         for k in range(count):
@@ -135,7 +136,8 @@ def run_epochs(
                     e,
                 )
             if what & (MEASURE | PREDICT):
-                predict_group(a, w, group, what if k == count - 1 else what & ~SHOW)
+                shown = k == count - 1 or what & JUDGE
+                predict_group(a, w, group, what if shown else what & ~SHOW)
             if what & JUDGE and detector != NEVER:
                 now = statistic.reshape(shape)[b:e], threshold.reshape(shape)[b:e]
                 judge_channels(
@@ -150,15 +152,23 @@ def run_epochs(
                     *now,
                     weights[b:e],
                 )
-                sound = is_sound(*now, weights[b:e]) and sound
+                sound = is_sound(*now, weights[b:e])
                 for i in range(b * shape[1], e * shape[1]):
                     threshold[i] = settings[3] * threshold[i]
                     alarm[i] = statistic[i] > threshold[i]
                 if detector == PASSIVE_EWMA:
                     weights[b:e] = 1.0
+                if not sound:
+                    return UNSOUND
+            if what & REMEMBER and detector != NEVER:
+                for each in range(b, e):
+                    alarmed = False
+                    for i in range(each * shape[1], (each + 1) * shape[1]):
+                        alarmed = alarmed or alarm[i]
+                    history[k * receivers + each] = alarmed
             if what & UPDATE:
                 update_group(a, w, group, weights)
-    return 0 if sound else UNSOUND
+    return 0
 
 
 @njit

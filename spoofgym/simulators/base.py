@@ -379,9 +379,9 @@ class Simulator(ABC):
         for start in range(0, self.setup.quiet, each):
             yield
             self.quiet_epochs(min(each, self.setup.quiet - start))
-        for _ in range(self.setup.live):
+        for start in range(0, self.setup.live, each):
             yield
-            alarmed |= self.live_epochs(1)[0]
+            alarmed |= self.live_epochs(min(each, self.setup.live - start)).any(axis=0)
         self.memory["warmup_alarm"] = alarmed
 
     def start_from(self, pool: Self, rows: Rows, rngs: Rngs) -> None:

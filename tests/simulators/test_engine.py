@@ -6,7 +6,9 @@ import pytest
 from spoofgym.detectors import Ewma, Never
 from spoofgym.receiver import TightlyCoupled, replay
 from spoofgym.simulators import Engine, TightlyCoupledSetup
+from spoofgym.simulators.base import Simulator
 from spoofgym.simulators.recording import record_run
+from spoofgym.simulators.tightly_coupled import TightlyCoupledSimulator
 
 from ..envs.support import SHORT, single, vector
 
@@ -241,6 +243,47 @@ def test_a_step_is_its_two_halves_with_the_judge_between(name, receivers):
             memories = [getattr(engine.simulator, part).memory for engine in (whole, halves)]
             for field in memories[0]:
                 np.testing.assert_array_equal(memories[0][field], memories[1][field])
+
+
+@pytest.mark.parametrize("holding", [False, True])
+@pytest.mark.parametrize("receivers", [1, 9, 40])
+@pytest.mark.parametrize("name", [*STEPS, "never"])
+def test_live_epochs_are_the_stepwise_run(name, receivers, holding):
+    """One compiled call for many epochs with the detector gives the bits of a call for each."""
+    detector = {"name": "ewma", "thresholds": "nominal", "false_alarm": 0.2}
+    settings = {"timeline": SHORT, "detector": detector, **STEPS.get(name, {"detector": "never"})}
+    fused, stepwise = (Engine(receivers, TightlyCoupledSetup(**settings)) for _ in range(2))
+    for engine in (fused, stepwise):
+        engine.reset([np.random.default_rng([5, number]) for number in range(receivers)])
+        axes = len(engine.setup.action_names)
+        engine.step(np.full((receivers, axes), 0.3) if holding else np.zeros((receivers, axes)))
+    found = []
+    for count in (1, 5, 12, 3):
+        alarms = fused.simulator.live_epochs(count, holding=holding)
+        expected = Simulator.live_epochs(stepwise.simulator, count, holding=holding)
+        np.testing.assert_array_equal(alarms, expected)
+        found.append(alarms)
+        check_same(everything(fused.simulator), everything(stepwise.simulator))
+        for mine, theirs in zip(fused.simulator.verdict, stepwise.simulator.verdict, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+    assert [len(alarms) for alarms in found] == [1, 5, 12, 3]
+    if settings["detector"] is detector and receivers == 40:
+        assert 0 < np.concatenate(found).sum() < 21 * 40
+    assert fused.simulator.live_epochs(0, holding=holding).shape == (0, receivers)
+
+
+def test_an_unsound_verdict_amid_live_epochs_names_its_own_epoch():
+    setup = TightlyCoupledSetup(timeline=SHORT, detector={"name": "ewma", "thresholds": "nominal"})
+    messages = []
+    for live_epochs in (TightlyCoupledSimulator.live_epochs, Simulator.live_epochs):
+        engine = Engine(9, setup)
+        engine.reset([np.random.default_rng(number) for number in range(9)])
+        engine.simulator.live_epochs(2)
+        engine.simulator.detector.memory["decay"][4] = np.nan
+        with pytest.raises(ValueError, match="receiver 4 of 9") as caught:
+            live_epochs(engine.simulator, 6)
+        messages.append(str(caught.value))
+    assert messages[0] == messages[1]
 
 
 def test_the_quiet_stretch_is_the_stepwise_run():
