@@ -22,8 +22,8 @@ from spoofgym.bench.report import markdown_table
 from spoofgym.detectors import Calibration, Detector
 from spoofgym.detectors.calibrated import STANDARD_RATE, identity_of
 from spoofgym.detectors.calibration import SHIPPED_FOLDER, hourly_rate, stored
-from spoofgym.simulators.calibration import HOLDOUT_WEIGHING, hold_out, transfer
 from spoofgym.simulators.clean_runs import weighs
+from spoofgym.simulators.holdouts import HOLDOUT_WEIGHING, hold_out, transfer
 from spoofgym.simulators.setup import Setup
 from tools.calibrations import HEADLINES, Lines, detectors_of, setup_of
 from tools.pages import put_between

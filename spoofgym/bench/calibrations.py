@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 from ..detectors import Calibrated, Detector, PooledDetector
 from ..detectors.calibrated import resolve
-from ..simulators.calibration import calibrate, check, expected_runs
+from ..simulators.calibration import calibrate, expected_runs
 from ..simulators.clean_runs import Progress
+from ..simulators.holdouts import check
 from .entries import Entry
 from .specs import make_judge
 from .suite import Suite

@@ -18,7 +18,7 @@ from .suites import specs_of, world_of
 if TYPE_CHECKING:
     from ..bench.suite import Suite
     from ..detectors import Calibration, Detector
-    from ..simulators.calibration import HoldOut
+    from ..simulators.holdouts import HoldOut
 
 HEAD = ("detector", "runs", "scale", "per hour", "per run", "warm-up alarms", "file")
 HELD_HEAD = ("detector", "runs", "alarms", "predicted", "holds", "per hour", "promised")
@@ -76,16 +76,16 @@ def calibrate(
 ) -> None:
     """Find thresholds for a rate of false alarms on clean runs; killed, it goes on from there."""
     from ..detectors.calibration import TOLERANCE
-    from ..simulators import calibration as work
+    from ..simulators import calibration, holdouts
 
     suite = world_of(world)
     setup, rate = suite.world, false_alarms_per_hour
     judges, named = _judges(detector, suite, rate, rescaled)
     others = {text: _other(suite, text) for text in transfer or ()}
     asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
-    left = work.expected_runs(setup, judges, **asked, overwrite=overwrite)
+    left = calibration.expected_runs(setup, judges, **asked, overwrite=overwrite)
     with progress(left) as bar:
-        found = work.calibrate(
+        found = calibration.calibrate(
             setup,
             judges,
             **asked,
@@ -97,19 +97,19 @@ def calibrate(
         )
     made, rows, lines, sound = _rows(found, rate)
     if check:
-        work.check(setup, found, judges, threads=threads)
+        holdouts.check(setup, found, judges, threads=threads)
         lines.append(f"replayed: {len(found)} calibrations hold, to {TOLERANCE:g} of every maximum")
     kept = [found[k] for k in sound], [judges[k] for k in sound]
     counted: dict[str, list[HoldOut]] = {}
     settings: dict[str, Any] = {"false_alarms_per_hour": rate, "threads": threads}
     if hold_out is not None and sound:
         with progress(len(sound) * hold_out) as bar:
-            held = work.hold_out(setup, *kept, runs=hold_out, progress=bar, **settings)
+            held = holdouts.hold_out(setup, *kept, runs=hold_out, progress=bar, **settings)
             counted["hold-out"] = held
     for text, other in others.items() if sound else ():
-        count = hold_out or work.HOLDOUT_WEIGHING
+        count = hold_out or holdouts.HOLDOUT_WEIGHING
         with progress(len(sound) * count) as bar:
-            there = work.transfer(other, *kept, runs=count, progress=bar, **settings)
+            there = holdouts.transfer(other, *kept, runs=count, progress=bar, **settings)
             counted[f"in {text}"] = there
     if as_json:
         print_json(

@@ -5,13 +5,13 @@ warm-ups and clean twins.
 """
 
 from .base import Simulator as Simulator
-from .calibration import HoldOut as HoldOut
 from .calibration import calibrate as calibrate
-from .calibration import check as check
-from .calibration import hold_out as hold_out
-from .calibration import transfer as transfer
 from .domain import Domain as Domain
 from .engine import Engine as Engine
+from .holdouts import HoldOut as HoldOut
+from .holdouts import check as check
+from .holdouts import hold_out as hold_out
+from .holdouts import transfer as transfer
 from .loosely_coupled import LooselyCoupledSetup as LooselyCoupledSetup
 from .setup import Setup as Setup
 from .setup import Timeline as Timeline

@@ -21,16 +21,9 @@ from spoofgym.simulators import (
 )
 from spoofgym.simulators._kernels import NO_FORM
 from spoofgym.simulators.base import run_serially
-from spoofgym.simulators.calibration import (
-    HoldOut,
-    bisect,
-    calibrate,
-    check,
-    hold_out,
-    suitable_detectors,
-    transfer,
-)
+from spoofgym.simulators.calibration import bisect, calibrate, suitable_detectors
 from spoofgym.simulators.clean_runs import Player, weighs
+from spoofgym.simulators.holdouts import HoldOut, check, hold_out, transfer
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 RATE = 10.0
