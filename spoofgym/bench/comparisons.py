@@ -102,19 +102,13 @@ def _protections(
     found = []
     for share in SHARES:
         aim = Aim(MEASURES[0], share)
-        x, y = (_displacement(each, aim) for each in (mine, theirs))
+        x, y = (each.worst(aim).displacement[aim.measure] for each in (mine, theirs))
         both = mine.counts & theirs.counts
         samples = resamples_of(clusters_of(mine.sky)[both])
         difference = _paired_exceeded(x[both], y[both], samples, share)
         word = f"protection {100 * share:g} %"
         found.append(_row(word, None, detector, control, difference))
     return found
-
-
-def _displacement(protection: Protection, aim: Aim) -> NDArray[np.float64]:
-    winner = protection.winner(aim)
-    assert winner is not None  # each share of `SHARES` has one
-    return winner.displacement[aim.measure]
 
 
 def _paired_exceeded(x: FloatArray, y: FloatArray, samples: FloatArray, share: float) -> Estimate:

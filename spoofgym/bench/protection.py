@@ -3,8 +3,9 @@
 1. On a few runs of the split `selection` every member of the suite plays its whole range.
 2. For each aim, an alert limit or a share of the runs, the best of these and its neighbours play
    all runs of the selection, and the best one there is the winner.
-3. The winners play the evaluation runs, which have decided nothing, but for one thing: at an alert
-   limit the worst of all winners counts, which leans a little to the high side.
+3. The winners play the evaluation runs, which have decided nothing, but for one thing: the worst of
+   all winners counts, whatever each was chosen for.  That leans a little to the high side, and no
+   figure contradicts another one.
 
 What is kept is how far every winner came in every evaluation run, so that scores and their paired
 differences between detectors follow from it.
@@ -54,21 +55,28 @@ class Aim(NamedTuple):
     limit_m: float | None = None
     skies: bool = False
 
-    def worth(self, displacement: FloatArray) -> float:
-        """How good a displacement of the runs that count is.
-
-        Of attacks that exceed a limit equally often, that whose weakest such run is the farthest
-        above it, as it will most surely do so again; of those that never do, that which comes
-        nearest.
-        """
+    def reached(self, displacement: FloatArray) -> float:
+        """What is exceeded in the share of the runs that count, or how often the limit is."""
         if not len(displacement):
             return 0.0
         if self.share is not None:
             return exceeded(displacement, self.share)
         assert self.limit_m is not None  # one of the two is given
+        return float((displacement > self.limit_m).mean())
+
+    def worth(self, displacement: FloatArray) -> float:
+        """How good a displacement of the runs that count is, to choose by.
+
+        Of attacks that exceed a limit equally often, that whose weakest such run is the farthest
+        above it, as it will most surely do so again; of those that never do, that which comes
+        nearest.
+        """
+        reached = self.reached(displacement)
+        if self.limit_m is None or not len(displacement):
+            return reached
         above = displacement > self.limit_m
         weakest = float(displacement[above].min() if above.any() else displacement.max())
-        return float(above.mean()) + 1e-9 * weakest / (1.0 + weakest)
+        return reached + 1e-9 * weakest / (1.0 + weakest)
 
 
 @dataclass(frozen=True)
@@ -113,6 +121,12 @@ class Protection:
     def winner(self, aim: Aim) -> Winner | None:
         """Who is the worst for an aim; None where nobody was looked for."""
         return next((each for each in self.winners if aim in each.aims), None)
+
+    def worst(self, aim: Aim) -> Winner:
+        """Who is the worst on the evaluation runs; of equal ones that which was chosen for it."""
+        chosen, rows = self.winner(aim), self.rows(aim)
+        several = (*([] if chosen is None else [chosen]), *self.winners)
+        return max(several, key=lambda each: aim.reached(each.displacement[aim.measure][rows]))
 
     def rows(self, aim: Aim) -> NDArray[np.bool_]:
         """(R,) which runs an aim is about."""

@@ -21,7 +21,7 @@ from .metrics import (
     wilson,
 )
 from .price import mean_of, number, operating_point, score_detector
-from .protection import MEASURES, Aim, Protection, Winner
+from .protection import Aim, Protection, Winner
 from .scores import (
     bootstrap_exceeded,
     by_chance,
@@ -199,8 +199,9 @@ def _median(x: NDArray[Any], clusters: NDArray[np.int64]) -> Estimate:
 def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, Any]:
     """Protection of a detector: what the worst attacks exceed, and P(HMI | attack).
 
-    At an alert limit the worst of all winners counts, whatever each was chosen for, so that
-    P(HMI | attack) never grows with the limit, and never contradicts what is exceeded.
+    The worst of all winners counts, whatever each was chosen for, so that P(HMI | attack) never
+    grows with the limit, nor does what is exceeded with the share, and neither contradicts the
+    other.
     """
     aims = [aim for winner in found.winners for aim in winner.aims]
     searched = sorted({aim.limit_m for aim in aims if aim.limit_m is not None} & set(limits))
@@ -219,10 +220,9 @@ def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, An
 
 
 def _exceeded(found: Protection, aim: Aim) -> dict[str, Any]:
-    """What the winner of an aim exceeds in its share of the runs."""
-    winner, rows = found.winner(aim), found.rows(aim)
-    assert winner is not None  # whose aim it is
-    assert aim.share is not None
+    """What the worst attack exceeds in a share of the runs."""
+    assert aim.share is not None  # as chosen by the caller
+    winner, rows = found.worst(aim), found.rows(aim)
     x = winner.displacement[aim.measure][rows]
     # the worst skies are few, and the interval is for these alone
     alike = np.arange(len(found.sky)) if aim.skies else clusters_of(found.sky)
@@ -232,21 +232,11 @@ def _exceeded(found: Protection, aim: Aim) -> dict[str, Any]:
 
 
 def _hazardous(found: Protection, measure: str, limit: float) -> dict[str, Any]:
-    """P(HMI | attack) at an alert limit [m], by the worst of all winners on these runs.
-
-    Attacks are looked for by the induced horizontal error; of equal ones, that for this limit.
-    """
-    chosen = found.winner(Aim(MEASURES[0], limit_m=limit))
-    several = (*([] if chosen is None else [chosen]), *found.winners)
-    sizes = [each.displacement[measure][found.counts] for each in several]
-    worst = int(np.argmax([(x > limit).sum() for x in sizes]))
-    (p,) = exceedance(sizes[worst], [limit])
-    return {
-        "measure": measure,
-        "alert_limit_m": limit,
-        **p.as_json(),
-        **_attack(several[worst]),
-    }
+    """P(HMI | attack) at an alert limit [m]."""
+    aim = Aim(measure, limit_m=limit)
+    winner = found.worst(aim)
+    (p,) = exceedance(winner.displacement[measure][found.counts], [limit])
+    return {"measure": measure, "alert_limit_m": limit, **p.as_json(), **_attack(winner)}
 
 
 def _attack(winner: Winner) -> dict[str, Any]:

@@ -149,6 +149,23 @@ def test_what_is_exceeded_in_a_share_of_the_runs_counts_at_the_limits_too() -> N
     assert found["p_hmi"][0]["value"] == pytest.approx(0.1)
 
 
+def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many() -> None:
+    """Also where the attack that was chosen for few of them fails on fresh runs."""
+    sure, rash = np.full(100, 30.0), np.r_[np.full(4, 400.0), np.full(96, 10.0)]
+    winners = tuple(
+        Winner("a", name, "rate_mps", 0.5, {}, (Aim(FIRST, share),), {FIRST: x})
+        for name, share, x in (("sure", 0.5, sure), ("rash", 0.05, rash))
+    )
+    runs = np.ones(100, dtype=np.bool_), np.arange(100) % 20
+    protections = Protection({"detector": "x"}, winners, *runs, None)
+    found = score_protection(protections, [])["exceeded"]
+    rows = [(row["share"], row["value"], row["low"], row["spoofer"]) for row in found]
+    assert rows == [(0.5, 30.0, 30.0, "sure"), (0.05, 30.0, 30.0, "sure")]
+    none = protected("never", np.zeros(100))
+    few = compare([], [none, protections], {"never": "any", "x": "0.2"})[-1]
+    assert (few["score"], few["difference_m"]["value"]) == ("protection 5 %", 30.0)
+
+
 def test_by_the_total_error_another_attack_may_be_the_worst_at_a_limit() -> None:
     total = "undetected_total_m"
     limits = (Aim(FIRST, limit_m=20.0), Aim(FIRST, limit_m=40.0))
