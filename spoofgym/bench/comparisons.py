@@ -25,7 +25,7 @@ from .metrics import (
     resamples_of,
 )
 from .protection import MEASURES, Aim, Protection
-from .scores import SHARES, clusters_of, exceeded
+from .scores import ALIKE, SHARES, clusters_of, exceeded
 
 FloatArray = NDArray[np.float64]
 CONTROLS = ("never", "lottery")
@@ -43,7 +43,8 @@ def compare(
     """Paired differences, detector less control, over the runs that count for both.
 
     Returns a row for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``,
-    ``difference_m``, ``above`` where its interval lies above 0.
+    ``difference_m``, ``above`` where its interval lies above 0, ``below`` where it lies below by
+    more than `ALIKE` of what the control lets through.
     """
     found = []
     for control in controls(footings):
@@ -87,7 +88,8 @@ def _displacements(cells: Sequence[Cell], detector: str, control: str) -> list[d
         both = mine.counts & theirs.counts
         samples = resamples_of(clusters_of(mine.sky)[both])
         difference = bootstrap_mean(gap[both], samples)
-        found.append(_row("stealthy displacement", spoofer, detector, control, difference))
+        size = float(theirs.displacement_m[both].mean()) if both.any() else 0.0
+        found.append(_row("stealthy displacement", spoofer, detector, control, difference, size))
     return found
 
 
@@ -106,8 +108,8 @@ def _protections(
         both = mine.counts & theirs.counts
         samples = resamples_of(clusters_of(mine.sky)[both])
         difference = _paired_exceeded(x[both], y[both], samples, share)
-        word = f"protection {100 * share:g} %"
-        found.append(_row(word, None, detector, control, difference))
+        word, size = f"protection {100 * share:g} %", exceeded(y[both], share)
+        found.append(_row(word, None, detector, control, difference, size))
     return found
 
 
@@ -119,8 +121,14 @@ def _paired_exceeded(x: FloatArray, y: FloatArray, samples: FloatArray, share: f
 
 
 def _row(
-    score: str, spoofer: str | None, detector: str, control: str, difference: Estimate
+    score: str,
+    spoofer: str | None,
+    detector: str,
+    control: str,
+    difference: Estimate,
+    size: float,
 ) -> dict[str, Any]:
+    """A difference, and on which side of 0 its interval lies; `size` of the control's [m]."""
     return {
         "score": score,
         "spoofer": spoofer,
@@ -128,4 +136,5 @@ def _row(
         "control": control,
         "difference_m": difference.as_json(),
         "above": bool(difference.low > 0.0),
+        "below": bool(difference.high < -ALIKE * size),
     }

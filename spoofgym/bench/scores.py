@@ -43,6 +43,9 @@ WORST_SKIES = 0.1
 """Part of the skies from which an attacker picks the day."""
 FEWEST_SKIES = 10
 """With fewer of them there is no worst tenth."""
+ALIKE = 1e-3
+"""Part of a displacement by which another one has to differ from it: what attacks that come as far
+differ by is nobody's merit."""
 
 
 def undetected_displacement(

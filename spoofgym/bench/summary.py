@@ -23,6 +23,7 @@ from .metrics import (
 from .price import mean_of, number, operating_point, score_detector
 from .protection import Aim, Protection, Winner
 from .scores import (
+    ALIKE,
     bootstrap_exceeded,
     by_chance,
     clusters_of,
@@ -226,7 +227,13 @@ def _exceeded(found: Protection, aim: Aim) -> dict[str, Any]:
     x = winner.displacement[aim.measure][rows]
     # the worst skies are few, and the interval is for these alone
     alike = np.arange(len(found.sky)) if aim.skies else clusters_of(found.sky)
-    value = bootstrap_exceeded(x, aim.share, resamples_of(alike[rows])).as_json()
+    estimate = bootstrap_exceeded(x, aim.share, resamples_of(alike[rows]))
+    if aim.skies:
+        everywhere = aim._replace(skies=False)
+        attack = found.worst(everywhere).displacement[aim.measure][found.counts]
+        if estimate.value < (1.0 - ALIKE) * everywhere.reached(attack):
+            estimate = NOTHING  # the few runs of the choice have not found the worst skies
+    value = estimate.as_json()
     named = {"measure": aim.measure, "share": aim.share, "worst_skies": aim.skies}
     return {**named, "runs": len(x), **value, **_attack(winner)}
 

@@ -54,8 +54,6 @@ PUBLISHED_HEAD = (
 KNOWLEDGE_HEAD = ("spoofer", "knows at run time", "was designed on")
 UNTOLD = {"name", "heading_deg", "label", "designed_on", "file"}
 """Settings that a table leaves out: they are in other columns, or in the results only."""
-ALIKE = 1e-3
-"""Relative difference of displacements that is none: millimetres of attacks that come as far."""
 OVER = ", over budget"
 
 
@@ -205,12 +203,7 @@ def _headline(found: dict[str, Any] | None, share: float, skies: bool) -> dict[s
 
 def _exceeded(found: dict[str, Any] | None, share: float, *, skies: bool = False) -> str:
     row = _headline(found, share, skies)
-    everywhere = _headline(found, share, False) if skies else None
-    if row is None:
-        return "-"
-    if everywhere is not None and row["value"] < (1.0 - ALIKE) * everywhere["value"]:
-        return "-"  # the few runs of the choice have not found the worst skies
-    return interval(row)
+    return "-" if row is None else interval(row)
 
 
 def _worst(found: dict[str, Any] | None) -> str:
@@ -237,11 +230,11 @@ def mark_of(summary: dict[str, Any], detector: str) -> str:
     ]
     marks = [f"worse than chance: {'; '.join(dict.fromkeys(where))}"] if where else []
     worst = [
-        row["difference_m"]["high"]
+        row["below"]
         for row in summary["comparisons"]
         if (row["detector"], row["spoofer"]) == (detector, None) and row["control"] == "never"
     ]
-    if worst and not any(high is not None and high < 0.0 for high in worst):
+    if worst and not any(worst):
         marks.append("no better than never")
     for row in summary["detectors"]:
         early = (row["claimed"] or {}).get("warmup_alarms", 0.0)

@@ -37,6 +37,12 @@ alarmed at each epoch."""
 ATTACK, JUDGE, SCORE, REMEMBER = 16, 32, 64, 128
 NO_FORM, FALSE_POSITION, PER_CHANNEL = range(3)
 EWMA, PASSIVE_EWMA, NEVER = 1, 2, 3
+ONE, NO_ALARM = np.zeros((1, 1)), np.zeros((1, 1), dtype=np.bool_)
+NOTHING_REMEMBERED = (
+    *(ONE, ONE, np.zeros(0), np.zeros(6), np.zeros(4), ONE, ONE),
+    *(ONE, ONE, NO_ALARM, NO_ALARM),
+)
+"""What stands in that table where the kernel has neither an attack nor a detector."""
 UNSOUND, HOLDS = 1, 2
 """What a kernel finds in a slice: a verdict that is none; receivers that have to run the time to
 alert, if it scores them."""
@@ -68,7 +74,7 @@ def run_epochs(
     `weights` (B, 2n) on the columns of the gain, written by `JUDGE` as the verdict is; `work`: lane
     array, scratch memory of the calling thread; `attack`, `detector`: their compiled forms, by
     number; `hold`: whether the attack holds its rate; returns 0, or `UNSOUND` as soon as a group
-    has such a verdict.
+    has such a verdict: what comes after it has not been done then.
     """
     m = weights.shape[1]
     a = arrays_at(table, work, m // 2)
@@ -136,7 +142,7 @@ def run_epochs(
                     e,
                 )
             if what & (MEASURE | PREDICT):
-                shown = k == count - 1 or what & JUDGE
+                shown = k == count - 1 or (what & JUDGE and detector != NEVER)
                 predict_group(a, w, group, what if shown else what & ~SHOW)
             if what & JUDGE and detector != NEVER:
                 now = statistic.reshape(shape)[b:e], threshold.reshape(shape)[b:e]
@@ -160,11 +166,12 @@ def run_epochs(
                     weights[b:e] = 1.0
                 if not sound:
                     return UNSOUND
-            if what & REMEMBER and detector != NEVER:
+            if what & REMEMBER:
                 for each in range(b, e):
                     alarmed = False
-                    for i in range(each * shape[1], (each + 1) * shape[1]):
-                        alarmed = alarmed or alarm[i]
+                    if detector != NEVER:
+                        for i in range(each * shape[1], (each + 1) * shape[1]):
+                            alarmed = alarmed or alarm[i]
                     history[k * receivers + each] = alarmed
             if what & UPDATE:
                 update_group(a, w, group, weights)

@@ -354,6 +354,11 @@ class Simulator(ABC):
             self._measure(None)
             self._correct(None)
 
+    @property
+    def judges_compiled(self) -> bool:
+        """Whether `live_epochs` takes one kernel call, and not a loop in Python."""
+        return False
+
     def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
         """Run epochs with the detector and without commands; (count, B) bool alarms.
 
@@ -379,6 +384,7 @@ class Simulator(ABC):
         for start in range(0, self.setup.quiet, each):
             yield
             self.quiet_epochs(min(each, self.setup.quiet - start))
+        each = each if self.judges_compiled else 1
         for start in range(0, self.setup.live, each):
             yield
             alarmed |= self.live_epochs(min(each, self.setup.live - start)).any(axis=0)

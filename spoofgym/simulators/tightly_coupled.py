@@ -296,11 +296,9 @@ class TightlyCoupledSimulator(Simulator):
             attack.slots,
             attack.kernel_settings,
         )
-        one, no_alarm = np.zeros((1, 1)), np.zeros((1, 1), dtype=np.bool_)
-        self._no_axes, self._no_action = np.zeros(0), one
-        self._nothing = one, one, self._no_axes, np.zeros(6), np.zeros(4), one, one
+        self._no_axes, self._no_action = np.zeros(0), _kernels.ONE
         self._history = np.zeros((0, self.receivers), dtype=np.bool_)
-        self._no_memories = ArrayTable((*self._nothing, one, one, no_alarm, no_alarm))
+        self._no_memories = ArrayTable(_kernels.NOTHING_REMEMBERED)
         self._memories, self._known = self._no_memories, (_kernels.NO_FORM, 0, 0, 0)
         self._found: set[int] = set()
         self._kernel = self.setup.kernel or OWN_KERNEL
@@ -314,7 +312,7 @@ class TightlyCoupledSimulator(Simulator):
 
     def __getstate__(self) -> dict[str, Any]:
         """State without views of the buffers, which a copy makes of its own."""
-        views = ("epoch", "_table", "_memories", "_no_memories", "_known", "_spare")
+        views = ("epoch", "_table", "_memories", "_no_memories", "_known", "_spare", "_history")
         return {name: value for name, value in self.__dict__.items() if name not in views}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -621,6 +619,11 @@ class TightlyCoupledSimulator(Simulator):
         elif within is not None and _kernels.HOLDS in self._found:
             within.hold(self, verdict)
         return verdict
+
+    @property
+    def judges_compiled(self) -> bool:
+        """Whether the detector is part of the kernel."""
+        return self._compiled_detector() != _kernels.NO_FORM
 
     def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
         """Run epochs with the detector and without commands, in one kernel where that is possible.

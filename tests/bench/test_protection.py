@@ -110,8 +110,11 @@ def test_the_scores_are_what_the_runs_say() -> None:
     under = counts & np.isin(np.arange(200) % 20, (3, 4))
     worst = by_aim[FIRST, 0.5, True]
     assert (worst["value"], worst["runs"]) == (exceeded(x[under], 0.5), under.sum())
+    few_skies = by_aim[FIRST, 0.05, True]
+    assert exceeded(x[under], 0.05) < exceeded(x[counts], 0.05)
+    assert few_skies["value"] is None
     for row in found["exceeded"]:
-        assert row["low"] <= row["value"] <= row["high"]
+        assert row is few_skies or row["low"] <= row["value"] <= row["high"]
         assert (row["letter"], row["setting"], row["at"]) == ("a", "rate_mps", 0.5)
     p_hmi = {row["measure"]: row["value"] for row in found["p_hmi"]}
     assert p_hmi[FIRST] == pytest.approx((x[counts] > 10.0).mean(), abs=1e-6)
@@ -166,6 +169,27 @@ def test_what_is_exceeded_in_few_runs_is_no_less_than_in_many() -> None:
     assert (few["score"], few["difference_m"]["value"]) == ("protection 5 %", 30.0)
 
 
+def test_worst_skies_that_hold_less_than_all_have_no_figure() -> None:
+    """The few runs of the choice have not found them; some millimetres are nothing."""
+    sky = np.arange(200) % 20
+    chosen = np.isin(sky, (3, 4))
+    for less, kept in ((1.0, False), (1e-3, True)):
+        x = np.where(chosen, 50.0 - less, 50.0)
+        found = score_protection(protected("ewma", x), [])["exceeded"]
+        values = [row["value"] for row in found if row["worst_skies"]]
+        assert values == ([50.0 - less] * 2 if kept else [None] * 2)
+
+
+def test_as_far_as_against_never_is_no_merit_of_millimetres() -> None:
+    """All are paired: a hundredth of a millimetre is told apart, and says nothing."""
+    none = protected("never", np.full(200, 500.0))
+    for less, below in ((1e-5, False), (1.0, True)):
+        other = protected("x", np.full(200, 500.0 - less))
+        rows = compare([], [none, other], {"never": "any", "x": "0.2"})
+        assert [row["below"] for row in rows if row["detector"] == "x"] == [below, below]
+        assert all(row["difference_m"]["high"] < 0.0 for row in rows if row["detector"] == "x")
+
+
 def test_by_the_total_error_another_attack_may_be_the_worst_at_a_limit() -> None:
     total = "undetected_total_m"
     limits = (Aim(FIRST, limit_m=20.0), Aim(FIRST, limit_m=40.0))
@@ -196,7 +220,8 @@ def test_intervals_are_wider_where_runs_under_a_sky_are_alike() -> None:
 
     def widths(x: Any, kept: Any = None) -> list[float]:
         found = score_protection(protected("ewma", x, kept), [10.0])["exceeded"]
-        return [row["high"] - row["low"] for row in found if row["share"] == 0.5]
+        everywhere = [row for row in found if row["share"] == 0.5 and not row["worst_skies"]]
+        return [row["high"] - row["low"] for row in everywhere]
 
     together = widths(alike)
     assert together[0] > 2.0 * widths(apart)[0]

@@ -21,7 +21,7 @@ from spoofgym.sim.gnss import GnssErrors
 from spoofgym.sim.imu import IMU_GRADES, ImuGrade
 from spoofgym.sim.noise import padded
 from spoofgym.sim.sensors import SensorBuffers
-from spoofgym.simulators._kernels import NO_FORM, run_epochs
+from spoofgym.simulators._kernels import NO_FORM, NOTHING_REMEMBERED, run_epochs
 
 from .test_kalman import covariance, measured, sky
 
@@ -169,9 +169,7 @@ class Batch:
         sizes = padded(6 * MOST), padded(2 * N)
         work = buffers.fields.scratch(_kernels.work_rows(N, *sizes))
         work[:] = np.nan  # so that nothing is read of it that has not been written
-        one, no_alarm = np.zeros((1, 1)), np.zeros((1, 1), dtype=np.bool_)
-        nothing = one, one, np.zeros(0), np.zeros(6), np.zeros(4), one, one, one, one, no_alarm
-        memories = ArrayTable(nothing)
+        memories = ArrayTable(NOTHING_REMEMBERED)
         table = kernel_table(
             buffers,
             sensors,
@@ -190,7 +188,7 @@ class Batch:
         found = run_epochs(
             table.entries,
             memories.entries,
-            one,
+            np.zeros((1, 1)),
             self.weights if weights is None else weights,
             work,
             *(NO_FORM, True, NO_FORM),

@@ -266,13 +266,12 @@ def test_live_epochs_are_the_stepwise_run(name, receivers, holding):
         check_same(everything(fused.simulator), everything(stepwise.simulator))
         for mine, theirs in zip(fused.simulator.verdict, stepwise.simulator.verdict, strict=True):
             np.testing.assert_array_equal(mine, theirs)
-    assert [len(alarms) for alarms in found] == [1, 5, 12, 3]
     if settings["detector"] is detector and receivers == 40:
         assert 0 < np.concatenate(found).sum() < 21 * 40
     assert fused.simulator.live_epochs(0, holding=holding).shape == (0, receivers)
 
 
-def test_an_unsound_verdict_amid_live_epochs_names_its_own_epoch():
+def test_an_unsound_verdict_of_live_epochs_is_named_as_that_of_a_step():
     setup = TightlyCoupledSetup(timeline=SHORT, detector={"name": "ewma", "thresholds": "nominal"})
     messages = []
     for live_epochs in (TightlyCoupledSimulator.live_epochs, Simulator.live_epochs):
