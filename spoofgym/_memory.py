@@ -69,16 +69,8 @@ class Memory(dict[str, NDArray[Any]]):
                 restored[mask] = initial[mask]
                 self[name] = restored
 
-    def overwrite_rows(self, to: NDArray[np.intp], other: Memory, rows: NDArray[np.intp]) -> None:
-        """Take over rows of another memory as `copy_rows` does, in the arrays that there are.
-
-        For memories whose arrays kernels overwrite anyway: nobody else may keep one of them.
-        """
-        for name in self._initial:
-            self[name][to] = other[name][rows]
-
     def copy_rows(self, to: NDArray[np.intp], other: Memory, rows: NDArray[np.intp]) -> None:
-        """Take over rows of another memory of the same names, in new arrays.
+        """Take over rows of another memory of the same names.
 
         `to`: rows of this memory that are overwritten.
         """

@@ -87,14 +87,3 @@ def test_a_copy_goes_on_for_itself_and_can_be_reset(memory, way):
     copied.reset()
     np.testing.assert_array_equal(copied["count"], 0)
     np.testing.assert_array_equal(memory["count"], 4)
-
-
-def test_rows_are_overwritten_in_the_arrays_that_there_are(memory):
-    other = copy.deepcopy(memory)
-    other["mean"] = other["mean"] + 10.0
-    mean, count, stamp = memory["mean"], memory["count"], memory.stamp
-    memory.overwrite_rows(np.array([2, 0]), other, np.array([0, 1]))
-    assert memory["mean"] is mean
-    assert memory["count"] is count
-    assert memory.stamp == stamp
-    np.testing.assert_array_equal(mean, [[12, 13], [2, 3], [10, 11]])

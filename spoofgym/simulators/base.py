@@ -467,8 +467,8 @@ class Simulator(ABC):
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
         """Take over receivers `rows` of another simulator, with all that they remember."""
-        self._copy_memory(self.memory, to, other.memory, rows)
-        self._copy_memory(self.detector.memory, to, other.detector.memory, rows)
+        self.memory.copy_rows(to, other.memory, rows)
+        self.detector.memory.copy_rows(to, other.detector.memory, rows)
         if self.monitors:  # nobody monitors a clean twin
             for mine, theirs in zip(self.monitors, other.monitors, strict=True):
                 mine.copy_rows(to, theirs, rows)
@@ -482,10 +482,6 @@ class Simulator(ABC):
             statistic, alarm = self.verdict.statistic.copy(), self.verdict.alarm.copy()
             statistic[to], alarm[to] = 0.0, False
             self.verdict = self.verdict._replace(statistic=statistic, alarm=alarm)
-
-    def _copy_memory(self, mine: Memory, to: Rows, theirs: Memory, rows: Rows) -> None:
-        """Take over rows of a memory; in Python somebody may keep its arrays, as in a verdict."""
-        (mine.overwrite_rows if self.judges_compiled else mine.copy_rows)(to, theirs, rows)
 
     def ratio(self) -> FloatArray:
         """(B,) largest statistic over its threshold of the last verdict; NaN before the first."""

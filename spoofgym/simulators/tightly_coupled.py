@@ -718,7 +718,7 @@ class TightlyCoupledSimulator(Simulator):
         """Take over receivers of another simulator, with all that they remember."""
         self.buffers.copy_rows(to, other.buffers, rows)
         self.sensors.copy_rows(to, other.sensors, rows)
-        self._copy_memory(self.attack.memory, to, other.attack.memory, rows)
+        self.attack.memory.copy_rows(to, other.attack.memory, rows)
         super().copy_rows(to, other, rows)
 
     def captured_channels(self) -> NDArray[np.int64]:
