@@ -103,8 +103,8 @@ def resamples(clusters: ArrayLike, rng: np.random.Generator, count: int = RESAMP
     """Bootstrap samples of runs: how often each one is drawn, (S, R).
 
     `clusters` (R,): which runs are drawn together, as those under one sky are alike; whole clusters
-    are drawn with replacement, as many as there are.  With one run in every cluster it is the usual
-    bootstrap of runs.
+    are drawn with replacement, as many as there are.  With one run in every cluster it is the
+    ordinary bootstrap.
     """
     names, where = np.unique(np.asarray(clusters), return_inverse=True)
     if not len(names):

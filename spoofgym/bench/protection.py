@@ -123,7 +123,7 @@ class Protection:
         return next((each for each in self.winners if aim in each.aims), None)
 
     def worst(self, aim: Aim) -> Winner:
-        """Who is the worst on the evaluation runs; of equal ones that which was chosen for it."""
+        """Worst attack on the evaluation runs; of equal ones that which was chosen for the aim."""
         chosen, rows = self.winner(aim), self.rows(aim)
         several = (*([] if chosen is None else [chosen]), *self.winners)
         return max(several, key=lambda each: aim.reached(each.displacement[aim.measure][rows]))

@@ -32,8 +32,8 @@ are commanded, what an action of 1 commands, the limit of the rate, whether rang
 coherent."""
 DISPLACEMENT, RATE, AXES_E, TARGET_ERROR, SETTINGS, AVERAGE, DECAY = range(7)
 STATISTIC, THRESHOLD, ALARMS, HISTORY = range(7, 11)
-"""Places in the table of what attack and detector remember, as they take it, and of a verdict; who
-alarmed at each epoch."""
+"""Places in the table of what attack and detector remember, as they take it, and of a verdict;
+which receivers alarmed at each epoch."""
 ATTACK, JUDGE, SCORE, REMEMBER = 16, 32, 64, 128
 NO_FORM, FALSE_POSITION, PER_CHANNEL = range(3)
 EWMA, PASSIVE_EWMA, NEVER = 1, 2, 3
@@ -42,7 +42,7 @@ NOTHING_REMEMBERED = (
     *(ONE, ONE, np.zeros(0), np.zeros(6), np.zeros(4), ONE, ONE),
     *(ONE, ONE, NO_ALARM, NO_ALARM),
 )
-"""What stands in that table where the kernel has neither an attack nor a detector."""
+"""Arrays of that table for a kernel without an attack and a detector of its own."""
 UNSOUND, HOLDS = 1, 2
 """What a kernel finds in a slice: a verdict that is none; receivers that have to run the time to
 alert, if it scores them."""
@@ -67,7 +67,8 @@ def run_epochs(
 
     All that a tightly coupled simulator does between two commands: `ATTACK` moves the counterfeit,
     then come the halves of the receiver (`receiver._kernels`), and `JUDGE` between them, which
-    needs `SHOW`; without it that shows the last epoch alone.  `REMEMBER` writes who alarms.
+    needs `SHOW`; without it that shows the last epoch alone.  `REMEMBER` writes which receivers
+    alarm.
 
     `table`: of `kernel_table`, with what is named above behind it; `memories`: table of what attack
     and detector remember, of the verdict, and of (`count`, B) alarms; `action` (B, a) in [-1, 1];

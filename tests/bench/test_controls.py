@@ -154,20 +154,21 @@ def test_skies_that_are_not_the_worst_ones_have_no_figure(played: Any) -> None:
     (group,) = (each for each in groups(summary) if each.rate == f"{RATE:g}")
     place = DETECTORS_HEAD.index("worst skies, in 50 % [m]")
 
-    def cell(value: float | None) -> str:
+    def cell(*values: float | None) -> str:
         found = [
-            {**each, "exceeded": [*each["exceeded"], *skies(each, value)]}
+            {**each, "exceeded": [*each["exceeded"], *(skies(each, value) for value in values)]}
             for each in summary["protection"]
         ]
         rows = detector_rows({**summary, "protection": found}, group)
         return next(row[place] for row in rows if row[0] == label)
 
-    def skies(found: dict[str, Any], value: float | None) -> list[dict[str, Any]]:
+    def skies(found: dict[str, Any], value: float | None) -> dict[str, Any]:
         half = next(row for row in found["exceeded"] if row["share"] == 0.5)
-        three = {key: half[key] + (value or 0.0) for key in ("value", "low", "high")}
-        return [] if value is None else [{**half, **three, "worst_skies": True}]
+        names = ("value", "low", "high")
+        three = {key: None if value is None else half[key] + value for key in names}
+        return {**half, **three, "worst_skies": True}
 
-    assert cell(None) == "-"
+    assert cell() == cell(None) == "-"
     assert cell(1.0) != "-"
 
 
