@@ -11,16 +11,18 @@ VENV_RAY ?= .venv-ray
 WORKERS ?= auto
 
 # What each target needs beside the library itself.
-extras_bench := flights,report
-extras_check := flights,report,dev
+extras_bench := flights,limits,report
+extras_check := flights,limits,report,dev
 extras_docs  := docs
-extras_test  := flights,report,video,dev,train
+extras_test  := flights,limits,report,video,dev,train
 extras_train := report,train
 
 # What is tested with RLlib and the oldest Gymnasium.
 tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py
 
 .DEFAULT_GOAL := help
+bench_detectors = $(addprefix --detector ,solution-separation aime:signals=range_rate \
+	sequential-chi2:signals=range_rate snapshot-chi2 ewma)
 .PHONY: help venv bench test test-cpus test-ray check docs perf benchmarks train
 
 help: ## list the targets
@@ -28,8 +30,8 @@ help: ## list the targets
 
 venv: $(VENV)/.installed-bench ## create the virtual environment with what the benchmark needs
 
-bench: $(VENV)/.installed-bench ## play the benchmark and write its report
-	$(VENV)/bin/spoofgym bench $(ARGS)
+bench: $(VENV)/.installed-bench ## play a part of the standard suite and write its report
+	$(VENV)/bin/spoofgym bench --suite standard $(bench_detectors) $(ARGS)
 
 test: $(VENV)/.installed-test ## run all tests; a part of them with ARGS="-k word"
 	$(python) -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)

@@ -21,6 +21,9 @@ CONTENTS = """
 :hidden:
 :caption: Start
 docs/README
+docs/catalogue
+docs/command_line
+docs/own_data
 docs/train_your_own
 docs/rl_libraries
 ```
@@ -36,12 +39,15 @@ docs/threats
 docs/worlds
 docs/calibration
 docs/scores
+docs/limits
+docs/checks
 docs/rendering
 ```
 ```{toctree}
 :hidden:
 :caption: Papers
 :glob:
+docs/papers
 docs/papers/*
 ```
 ```{toctree}

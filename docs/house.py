@@ -22,7 +22,7 @@ ROOMS = {
     "duel": "spoofer against detector, views of one side",
     "envs": "what Gymnasium sees: one step path, terms, score, wrappers, pictures",
     "spoofers": "who decides what the attack does",
-    "limits": "what no detector and no spoofer can beat (empty so far)",
+    "limits": "what no detector and no spoofer can beat",
     "simulators": "B receivers in step: predict, judge, update; warm-up, twins, threads",
     "detectors": "one algorithm per file: an Epoch in, a Verdict out",
     "policies": "a learned policy: contract, ONNX model, card",

@@ -1,12 +1,10 @@
-r"""The tasks of `spoofgym-bench-v1`: environments whose settings never change, and their scores.
+"""The tasks of `spoofgym-bench-v1`: environments whose settings never change.
 
-A task is an environment and an alarm budget.  What a spoofer scores is its mean undetected
-displacement over the evaluation runs, by the rules of the benchmark, where it keeps the budget; and
-the part of the way from the best ramp to the optimised profile that it goes,
-
-.. math:: s = \frac{x - x_{ramp}}{x_{profile} - x_{ramp}}
-
-so that 0 is a ramp, 1 is what an open-loop search finds, and more than 1 takes feedback.
+A task is an environment, whose detectors have a stated rate of false alarms, and an alarm budget.
+What a spoofer scores is its stealthy displacement by the rules of the benchmark; it is read
+together with what ramps and the blind optimum get there, and with the task's floor and zero-alarm
+bound.  T1 and T2 are historical: the world of the papers.  T3 to T6 had to pass the admission test
+of `docs/tasks.md`.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ SUITE = "spoofgym-bench-v1"
 ALARM_PRICE = 1.5
 """What an alarm costs in the reward of the environments, as by default elsewhere, in lengths."""
 BUDGET = 0.05
-"""How much more often than without attack an alarm may come, as a part of the runs."""
+"""Largest P(alarm | silent twin) of a spoofer that scores."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,8 @@ class Task:
     - `detectors`: whom the spoofer meets, as `make_detector` takes them; more than one are a pool,
       from which every episode draws, and the spoofer does not know which it is;
     - `alert_limit_m`: error that the navigation must not exceed unnoticed, where the task names
-      one.
+      one;
+    - `historical`: whether it is kept for what was published on its world, and is solved there.
     """
 
     key: str
@@ -42,6 +41,7 @@ class Task:
     settings: dict[str, Any]
     detectors: tuple[dict[str, Any], ...]
     alert_limit_m: float | None = None
+    historical: bool = False
 
     @property
     def env_id(self) -> str:
@@ -81,89 +81,99 @@ class Task:
         return {**self.world_kwargs, "detectors": (self.detector,), **limit}
 
 
+RATE = {"false_alarms_per_hour": 0.2}
+"""Of every detector of the tasks, but for the hidden ones of T6."""
 NOMINAL = {"thresholds": "nominal"}
-"""Thresholds of the papers, and at present those of the tasks."""
-EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3, **NOMINAL}
-RANGE_RATES = {"name": "sequential-chi2", "signals": "range_rate", **NOMINAL}
-EVERYTHING = {
+"""Thresholds of the papers, as their own environments have them."""
+EWMA = {"name": "ewma", "smoothing": 0.1, "weight_scale": 0.3}
+DRAWN = {
     "start_s": [0.0, None],
     "turned_deg": [0.0, 360.0],
-    "constellation_time_s": [0.0, 43_200.0],
-    "worlds": 16,
-    "imu": ["aviation", "tactical", "consumer"],
-    "errors": ["zhong2025", "groves", "trolley"],
+    "constellation_time_s": [0.0, 86_400.0],
+    "worlds": 32,
+    "turn_on": "drawn",
 }
+"""What every headline draws: onset, heading, sky and the turn-on constants of the sensors."""
+RANGE_RATES = {"signals": "range_rate"}
+LONG_SEPARATION = {"name": "solution-separation", "longest_s": 360.0, "spacing_s": 60.0}
+"""A bank of coasting solutions that covers an attack of 325 s."""
 
 TASKS: dict[str, Task] = {
     task.key: task
     for task in (
         Task(
             "T1",
-            "snapshot chi-square, ideal spoofer",
+            "the papers' world, snapshot chi-square",
             {"scenario": "zhong2025", "attack": "false-position-ideal"},
-            ({"name": "snapshot-chi2", **NOMINAL},),
+            ({"name": "snapshot-chi2", **RATE},),
+            historical=True,
         ),
         Task(
             "T2",
-            "EWMA chart with weights, ideal spoofer",
+            "the papers' world, EWMA chart with weights",
             {"scenario": "zhong2025", "attack": "false-position-ideal"},
-            (EWMA,),
+            ({**EWMA, **RATE},),
+            historical=True,
         ),
         Task(
             "T3",
-            "matched receiver, range rates tested, target tracked to 1 m",
-            {"scenario": "trolley", "receiver": "matched", "attack": "tracking-1m"},
-            # by default its tracking error alone would be seen in three runs of a hundred
-            ({**RANGE_RATES, "false_alarm": 1e-7},),
+            "drawn worlds, matched receiver, solution separation, alert limit 20 m",
+            {"scenario": "trolley", "receiver": "matched", "domain": DRAWN},
+            ({"name": "solution-separation", **RATE},),
+            20.0,
         ),
         Task(
             "T4",
-            "tactical sensors, half an hour, alert limit 556 m",
+            "tactical sensors, five minutes along an airway, alert limit 556 m",
             {
                 "scenario": {"name": "trolley-tactical", "flight": "airway"},
                 "receiver": "matched",
-                "attack": {"name": "tracking-1m", "rate_limit_mps": 50.0},
-                "timeline": {"warmup_s": 200.0, "live_s": 180.0, "attack_s": 1800.0},
-                "decision_interval_s": 10.0,
-                "between": "linear",
+                "timeline": {"warmup_s": 500.0, "live_s": 420.0, "attack_s": 325.0},
+                "domain": DRAWN,
             },
-            (
-                {
-                    "name": "snapshot-chi2",
-                    "signals": "range_rate",
-                    "false_alarm": 1e-6,
-                    **NOMINAL,
-                },
-            ),
+            ({**LONG_SEPARATION, **RATE},),
             556.0,
         ),
         Task(
             "T5",
-            "everything drawn again in every episode",
-            {
-                "scenario": "trolley",
-                "receiver": "matched",
-                "attack": "false-position-ideal",
-                "domain": EVERYTHING,
-                "target_heading_deg": "worst",
-            },
-            (RANGE_RATES,),
+            "drawn worlds, a counterfeit that is quieter than nature, alert limit 20 m",
+            {"scenario": "trolley", "receiver": "matched", "attack": "quiet", "domain": DRAWN},
+            ({"name": "solution-separation", **RATE},),
+            20.0,
         ),
         Task(
             "T6",
-            "a hidden pool of detectors",
-            {"scenario": "zhong2025", "attack": "false-position-ideal"},
-            (
-                EWMA,
-                {"name": "snapshot-chi2", **NOMINAL},
-                {"name": "cusum", **NOMINAL},
-                {"name": "innovation-rate", **NOMINAL},
-                {"name": "aime", **NOMINAL},
+            "one of eight hidden detectors, whose thresholds differ, alert limit 40 m",
+            {"scenario": "trolley", "receiver": "matched", "domain": DRAWN},
+            tuple(
+                {**whom, "false_alarms_per_hour": rate}
+                for whom in (
+                    {"name": "solution-separation"},
+                    {"name": "aime", **RANGE_RATES},
+                    {"name": "sequential-chi2", **RANGE_RATES},
+                    {"name": "cumulative-bank", **RANGE_RATES},
+                )
+                for rate in (0.1, 0.4)
             ),
+            40.0,
         ),
     )
 }
 """The tasks by their keys."""
+RANGE_RATE_TESTS: tuple[dict[str, Any], ...] = tuple(
+    {"name": name, **RANGE_RATES}
+    for name in (
+        "aime",
+        "cumulative-bank",
+        "cusum",
+        "fma",
+        "sequential-chi2",
+        "shewhart",
+        "snapshot-chi2",
+        "windowed-chi2",
+    )
+)
+"""Detectors that test range rates alone, where their defaults test pseudoranges, or both."""
 
 
 def task_of(key: str) -> Task:
@@ -192,18 +202,6 @@ def task_of(key: str) -> Task:
     """
     check_choice("task", key, TASKS)
     return TASKS[key]
-
-
-def normalised(score: float, ramp: float, profile: float) -> float:
-    """Part of the way from the best ramp to the optimised profile.
-
-    `score`, `ramp`, `profile`: mean undetected displacements [m].
-    """
-    if not profile > ramp:
-        raise ValueError(
-            f"the profile must get farther than the ramp, got {profile:g} m and {ramp:g} m"
-        )
-    return (score - ramp) / (profile - ramp)
 
 
 PAPERS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -235,7 +233,7 @@ PAPERS: dict[str, tuple[str, dict[str, Any]]] = {
     "wu2024": ("spoofgym/Snapshot-v0", {"detector": {"name": "srv-raim", **NOMINAL}}),
     "zhong2025": (
         "spoofgym/TightlyCoupled-v0",
-        {"scenario": "zhong2025", "attack": "paper-ideal", "detector": EWMA},
+        {"scenario": "zhong2025", "attack": "paper-ideal", "detector": {**EWMA, **NOMINAL}},
     ),
 }
 """Environments of the papers' scenarios: id and keyword arguments, by the keys of the papers."""

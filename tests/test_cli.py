@@ -55,12 +55,12 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_help_of_every_command() -> None:
     text = call("--help").output
-    for command in ("list", "card", "run", "tune", "bench", "report", "perf", "warmup"):
+    for command in ("list", "card", "run", "tune", "bench", "limits", "report", "perf", "warmup"):
         assert command in text
         page = call(command, "--help")
         assert page.exit_code == 0
         assert "Usage" in page.output
-        if command in ("run", "bench"):
+        if command in ("run", "bench", "limits"):
             assert "--env" in page.output
             assert "--set" in page.output
     assert call("--version").output.strip() == __version__
@@ -89,7 +89,7 @@ def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> Non
     }
     group = typer.main.get_group(app)
     names = [field.name for field in dataclasses.fields(World) if field.name != "context"]
-    for command in ("run", "render", "tune", "bench"):
+    for command in ("run", "render", "tune", "bench", "limits"):
         options = [option.name for option in group.commands[command].params]
         start = options.index("env")
         assert options[start : start + len(names)] == names
@@ -555,6 +555,17 @@ def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
         (["bench", "--set", "between=a", "--set", "between=b"], "--set between is given twice"),
         (["run", "--set", "satellites=9"], "TightlyCoupled-v0 has no setting 'satellites', got 9"),
         (["bench", "--task", "T1", "--set", "worlds=2"], "--set can't be given with --task"),
+        (["bench", "--suite", "mine"], "unknown suite 'mine'; valid: standard"),
+        (["bench", "--suite", "standard", "--task", "T1"], "--task can't be given with --suite"),
+        (["bench", "--suite", "standard", "--nominal"], "--nominal can't be given with --suite"),
+        (
+            ["bench", "--suite", "standard", "--spoofer", "ramp"],
+            "--spoofer can't be given with --suite",
+        ),
+        (
+            ["bench", "--suite", "standard", "--budget", "0.1"],
+            "--budget can't be given with --suite",
+        ),
     ],
 )
 def test_wrong_input_gets_one_clear_line(arguments: list[str], message: str) -> None:

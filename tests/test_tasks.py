@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import json
-import re
-from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import spoofgym  # noqa: F401  (registers the ids)
+from spoofgym.bench import task_cards
+from spoofgym.bench.entries import detector_entry
 from spoofgym.bench.run import WarmStart, play
 from spoofgym.bench.suite import Suite
-from spoofgym.bench.task_scores import stored_scores, task_scores
 from spoofgym.cli import app
 from spoofgym.detectors import make_detector
-from spoofgym.tasks import PAPERS, TASKS, normalised, task_of
+from spoofgym.tasks import PAPERS, TASKS, task_of
+from tools.pages import part_between
+from tools.task_cards import BEGIN, END, PAGE, dealt, shown, spread
 
 RUNNER = CliRunner()
 
@@ -31,29 +33,33 @@ def test_a_task_is_an_environment_whose_spec_survives_json(key):
     assert Suite(**TASKS[key].suite_kwargs, runs=2).detector_entries
 
 
-@pytest.mark.parametrize("key", ["T1", "T2", "T3", "T6"])
+@pytest.mark.parametrize("key", TASKS)
 def test_a_task_can_be_played(key):
-    short = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
-    env = gym.make(TASKS[key].env_id, timeline=short)
+    env = gym.make(TASKS[key].env_id)
     env.reset(seed=0)
     _, reward, _, _, _ = env.step(env.action_space.sample() * 0.0)
     assert abs(reward) < 5.0
     env.close()
 
 
-def test_the_long_task_has_a_decision_every_ten_seconds():
-    setup = gym.make(TASKS["T4"].env_id).unwrapped.core.setup
-    assert (setup.steps, setup.repeat) == (3600, 20)
-    assert setup.receiver.tuning == "matched"
+def test_the_long_task_is_covered_by_its_detector():
+    task = TASKS["T4"]
+    env = gym.make(task.env_id)
+    env.reset(seed=0)
+    setup = env.unwrapped.core.setup
+    detector = env.unwrapped.core.engine.simulator.detector
+    assert (setup.steps, setup.repeat) == (650, 1)
+    assert detector.detector.covers_s >= (setup.steps + setup.hold) * setup.interval_s
+    assert setup.live * setup.interval_s >= task.settings["timeline"]["live_s"]
 
 
-def test_the_alert_limit_of_a_task_stands_in_its_table():
+def test_the_alert_limit_of_a_task_is_in_its_table():
     suite = Suite(**TASKS["T4"].suite_kwargs, runs=2)
     assert (suite.alert_limit_m, Suite().alert_limit_m) == (556.0, 40.0)
     assert suite.config["alert_limit_m"] in suite.alert_limits_m
 
 
-@pytest.mark.parametrize("key", ["T1", "T2", "T3", "T5", "T6"])
+@pytest.mark.parametrize("key", ["T1", "T3", "T5", "T6"])
 def test_no_task_is_won_by_full_throttle(key):
     """What pushes as hard as the attack allows is caught, in most runs of every task."""
     suite = Suite(**TASKS[key].suite_kwargs, runs=2)
@@ -66,7 +72,7 @@ def test_no_task_is_won_by_full_throttle(key):
 
 def test_a_copy_of_the_settings_is_handed_out():
     task_of("T5").env_kwargs["domain"]["worlds"] = 1
-    assert task_of("T5").env_kwargs["domain"]["worlds"] == 16
+    assert task_of("T5").env_kwargs["domain"]["worlds"] == 32
     with pytest.raises(ValueError, match=r"unknown task 'T7'; valid: T1, .*T6"):
         task_of("T7")
 
@@ -79,70 +85,68 @@ def test_every_paper_has_an_environment(key):
     env.close()
 
 
-def test_scores_are_normalised_between_ramp_and_profile():
-    assert normalised(15.0, 10.0, 20.0) == 0.5
-    with pytest.raises(ValueError, match="the profile must get farther than the ramp"):
-        normalised(15.0, 20.0, 20.0)
+NEW = [key for key, task in TASKS.items() if not task.historical]
 
 
-def cell(spoofer, value, kind):
-    return {
-        "detector": "snapshot-chi2",
-        "spoofer": spoofer,
-        "runs": 10,
-        "spoofer_settings": {"name": kind},
-        "stealthy_displacement_m": {"value": value},
-        "alarm_rate": {"value": 0.01},
-    }
+@pytest.mark.usefixtures("default_rate")  # by which detectors are labelled
+def test_every_task_has_a_card_of_its_detector():
+    cards = task_cards.stored_cards()
+    assert list(cards) == list(TASKS)
+    for key, card in cards.items():
+        task = TASKS[key]
+        assert card["detector"] == detector_entry(task.detector).label
+        assert card["alert_limit_m"] == task.alert_limit_m
+        assert {*task_cards.SCORES} <= {*card["scores_m"]}
+        assert ("admission" in card) is not task.historical
 
 
-def test_scores_of_a_report():
-    values = {"none": 0.0, "ramp": 10.0, "slow": 8.0, "best": 20.0, "mine": 16.0}
-    kinds = {"slow": "accelerating-ramp", "best": "profile", "mine": "onnx-policy"}
-    report = {
-        "cells": [cell(name, x, kinds.get(name, name)) for name, x in values.items()],
-    }
-    found = task_scores("T1", report, "mine")
-    assert found["stealthy_displacement_m"] == {
-        "none": 0.0,
-        "ramp": 10.0,
-        "profile": 20.0,
-        "ppo": 16.0,
-    }
-    assert found["normalised"] == 0.6
-    assert "normalised" not in task_scores("T1", report, None)
-    with pytest.raises(
-        ValueError, match=r"T6 has the detector pool\(members=ewma\+.*\), the report snap"
-    ):
-        task_scores("T6", report, "mine")
+@pytest.mark.parametrize("key", NEW)
+def test_figures_of_the_admission_are_those_of_the_card(key):
+    card = task_cards.stored_cards()[key]
+    found, floor = card["admission"], card["floor_m"]
+    best, figures = found["best_classic"], found["figures"]
+    half = {name: each["0.5"]["value"] for name, each in card["protection_m"].items()}
+    trivial = next(name for name in half if name.startswith("shewhart"))
+    assert half[best] == min(value for name, value in half.items() if name != trivial)
+    assert figures["over_floor"]["value"] == pytest.approx(half[best] / floor["half"]["value"])
+    assert figures["trivial_over_best"]["value"] == pytest.approx(half[trivial] / half[best])
+    assert found["alert_limit_m"] == card["alert_limit_m"]
+    over = card["alert_limit_m"] / floor["certain"]["value"]
+    assert found["limit_over_floor"] == pytest.approx(over)
+    assert 1 / 3 <= over <= 3
 
 
-def test_stored_scores_are_of_tasks():
-    for key, found in stored_scores().items():
-        reached = found["undetected_displacement_m"]
-        assert key in TASKS
-        assert reached["none"] <= reached["ramp"]
-        if "normalised" in found:
-            told = normalised(reached["ppo"], reached["ramp"], reached["profile"])
-            assert found["normalised"] == pytest.approx(told, abs=1e-3)
+def test_skies_are_told_apart_by_the_mean_under_the_worst_attack_of_each():
+    sky = np.repeat(np.arange(11), 4)
+    first = np.where(np.arange(44) % 2, 0.0, 20.0)  # 10 m on every sky
+    second = 2.0 * sky  # 2 m more from sky to sky
+    # 10 m up to the sixth sky, then 12 to 20
+    assert spread([first, second], sky) == pytest.approx(18.0 / 10.0)
+    by_chance = dealt([first, second], sky)
+    assert 1.0 < by_chance < spread([second], sky)
+    assert dealt([np.full(44, 3.0)], sky) == 1.0
 
 
-def test_the_page_tells_the_stored_scores():
-    page = (Path(__file__).parents[1] / "docs" / "tasks.md").read_text()
-    rows = [line.split(" | ") for line in page.splitlines() if re.match(r"\| T\d \| \d+ \|", line)]
-    told = {row[0].strip("| "): [cell.strip(" |").replace(",", "") for cell in row] for row in rows}
-    scores = stored_scores()
-    assert sorted(told) == sorted(scores)
-    for key, found in scores.items():
-        reached = found["undetected_displacement_m"]
-        numbers = [f"{reached[name]:.1f}" for name in ("none", "ramp", "profile", "ppo")]
-        part = f"{found['normalised']:.2f}" if "normalised" in found else "-"
-        assert told[key][1:] == [str(found["runs"]), *numbers, part]
+@pytest.mark.parametrize("key", NEW)
+def test_a_figure_passes_by_its_limit(key):
+    limits = {"over_floor": (2.0, None), "optimum_over_ramp": (1.2, None), "p_hmi": (0.1, 0.9)}
+    limits |= {"skies": (None, 3.0), "trivial_over_best": (1.1, None)}
+    figures = task_cards.stored_cards()[key]["admission"]["figures"]
+    assert list(figures) == list(task_cards.FIGURES)
+    for name, (low, high) in limits.items():
+        value = figures[name]["value"]
+        inside = (low is None or value >= low) and (high is None or value <= high)
+        assert figures[name]["passes"] == inside, name
+
+
+def test_the_page_has_the_tables_of_the_cards():
+    assert part_between(PAGE.read_text(), BEGIN, END) == f"\n{shown()}"
 
 
 def test_the_command_line_lists_the_tasks():
     listed = json.loads(RUNNER.invoke(app, ["tasks", "--json"]).stdout)
     assert [each["key"] for each in listed] == list(TASKS)
+    assert all(each["card"]["bracket"] for each in listed)
     table = RUNNER.invoke(app, ["tasks"]).stdout
     assert "spoofgym/BenchT4-v1" in table
 
@@ -155,7 +159,7 @@ def test_the_command_line_lists_the_tasks():
         (["--task", "T1", "--warmup-s", "20"], "--warmup-s can't be given with --task"),
     ],
 )
-def test_what_a_task_decides_cannot_be_told(words, message, tmp_path):
+def test_what_a_task_decides_cannot_be_given(words, message, tmp_path):
     result = RUNNER.invoke(app, ["bench", *words, "--out", str(tmp_path)])
     assert result.exit_code != 0
     assert message in result.output

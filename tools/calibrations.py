@@ -3,9 +3,9 @@
     python -m tools.calibrations                   # what is missing, in all worlds
     python -m tools.calibrations headline-zhong2025 --runs 200000 --overwrite
 
-The worlds are the three of the headlines, those of the environments' default settings, and those of
-the papers' ids.  Detectors that de-weight have a fifth of the runs, at least 2000, unless
-``--weighing-runs`` says how many.  Killed, it goes on where it was.
+The worlds are the three of the headlines, those of the environments' default settings, those of the
+papers' ids, and those of the tasks.  Detectors that de-weight have a fifth of the runs, at least
+2000, unless ``--weighing-runs`` says how many.  Killed, it goes on where it was.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from spoofgym.simulators.calibration import (
 )
 from spoofgym.simulators.clean_runs import weighs
 from spoofgym.simulators.setup import Setup
-from spoofgym.tasks import PAPERS
+from spoofgym.tasks import PAPERS, RANGE_RATE_TESTS, TASKS
 
 RANDOM_START = {"domain": {"start_s": [0.0, None]}, "target_heading_deg": "random"}
 HEADLINES: dict[str, dict[str, Any]] = {
@@ -42,10 +42,14 @@ HEADLINES: dict[str, dict[str, Any]] = {
     },
 }
 """Worlds of the table of all detectors, drawn for every run."""
+OWN_WORLDS = ("T3", "T4")
+"""Tasks whose tests of range rates are calibrated, and no others; that of T3, which T5 and T6 have,
+too, is the headline `trolley`."""
 WORLDS = {
     **{name: (ENV_ID, settings) for name, settings in HEADLINES.items()},
     **PAPERS,
     "random-start": (ENV_ID, RANDOM_START),
+    **{key: (ENV_ID, TASKS[key].world_kwargs) for key in OWN_WORLDS},
 }
 """Environments and their settings, by the names of the worlds."""
 
@@ -73,6 +77,8 @@ def setup_of(name: str) -> Setup:
 def detectors_of(name: str, setup: Setup) -> list[Detector]:
     """All detectors that suit a world, and those that its environment and benchmark name."""
     env_id, settings = WORLDS[name]
+    if name in OWN_WORLDS:
+        return inner_detectors([*TASKS[name].detectors, *RANGE_RATE_TESTS])
     own = [settings["detector"]] if "detector" in settings else []
     return inner_detectors([*suitable_detectors(setup), *VICTIMS[env_id].detectors, *own])
 

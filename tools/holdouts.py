@@ -13,7 +13,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +35,8 @@ TRANSFERRED = 1_000
 """Runs in another world."""
 RARE_RATE = 0.002
 """The other rate an hour at which passive detectors are counted, of the order of aviation's."""
+RARE_RUNS = 100_000
+"""Runs of a calibration that suffice for it."""
 
 
 class World(NamedTuple):
@@ -50,13 +52,17 @@ class World(NamedTuple):
     @property
     def groups(self) -> list[list[tuple[Calibration, Detector]]]:
         """Detectors that share a pass, or are like those that do."""
-        return [group for group in (self.passive, self.rescaled, self.weighing) if group]
+        few = [pair for pair in self.passive if pair[0].runs < RARE_RUNS]
+        many = [pair for pair in self.passive if pair[0].runs >= RARE_RUNS]
+        return [group for group in (many, few, self.rescaled, self.weighing) if group]
 
 
-def world_of(name: str) -> World:
-    """A world with what is shipped for it."""
+def world_of(name: str, only: Collection[str] = ()) -> World:
+    """A world with what is shipped for it; `only` these detectors, by default all."""
     found = World(name, setup_of(name), [], [], [], [])
     for detector in detectors_of(name, found.setup):
+        if only and identity_of(detector)["name"] not in only:
+            continue
         alone = found.weighing if weighs(found.setup, detector) else found.passive
         for rescaled in (False, True)[: 1 + detector.drifts]:
             what = found.setup.conditions, identity_of(detector), rescaled
@@ -84,7 +90,8 @@ def counted(world: World, others: list[World], runs: int, cells: int) -> dict[st
         count = runs if passive else min(runs, 10 * HOLDOUT_WEIGHING)
         made, detectors = zip(*group, strict=True)
         asked: dict[str, Any] = {"false_alarms_per_hour": STANDARD_RATE, "progress": Lines()}
-        rates = [STANDARD_RATE, RARE_RATE] if passive else [STANDARD_RATE]
+        rare_too = passive and all(each.runs >= RARE_RUNS for each in made)
+        rates = [STANDARD_RATE, RARE_RATE] if rare_too else [STANDARD_RATE]
         both = {**asked, "false_alarms_per_hour": rates}
         counts = hold_out(world.setup, made, detectors, runs=count, cells=cells, **both)
         held, rare = counts[: len(made)], counts[len(made) :]
@@ -104,10 +111,24 @@ def counted(world: World, others: list[World], runs: int, cells: int) -> dict[st
     return {
         "world": world.name,
         "settings": world.setup.conditions.digest,
+        "window_s": world.setup.window_s,
         "degenerate": world.degenerate,
         "mean_passive_per_hour": mean,
         "detectors": rows,
     }
+
+
+def joined(before: dict[str, Any], later: dict[str, Any]) -> dict[str, Any]:
+    """A world with detectors that were counted later."""
+    if before["settings"] != later["settings"]:
+        raise SystemExit(f"{before['world']} has changed: count all of its detectors again")
+    names = {row["name"] for row in later["detectors"]}
+    kept = [row for row in before["detectors"] if row["name"] not in names]
+    rows = [*kept, *later["detectors"]]
+    shares = [row["alarms"] / row["runs"] for row in rows if row["passive"]]
+    window = later["window_s"]
+    mean = hourly_rate(math.fsum(shares) / len(shares), window)
+    return {**before, "detectors": rows, "mean_passive_per_hour": mean}
 
 
 def shown(kept: dict[str, Any]) -> str:
@@ -155,17 +176,25 @@ def main(arguments: list[str]) -> None:
     """Count in all worlds of the headlines."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=int, default=100_000, help="of passive detectors")
+    parser.add_argument("--only", nargs="*", default=(), help="detectors to add to what is kept")
     parser.add_argument("--tables-only", action="store_true", help="count nothing")
     given = parser.parse_args(arguments)
     if not given.tables_only:
-        worlds = [world_of(name) for name in HEADLINES]
-        passive = sum(len(world.passive) + len(world.rescaled) for world in worlds)
-        cells = 2 * passive + sum(len(world.weighing) for world in worlds)
+        worlds = [world_of(name, given.only) for name in HEADLINES]
+        before = json.loads(KEPT.read_text()) if given.only else {"cells": 0, "worlds": []}
+        cells = before["cells"]
+        for world in worlds:
+            passive = [made for made, _ in (*world.passive, *world.rescaled)]
+            rare = sum(made.runs >= RARE_RUNS for made in passive)
+            cells += len(passive) + rare + len(world.weighing)
         found = []
         for world in worlds:
             others = [other for other in worlds if other is not world]
             found.append(counted(world, others, given.runs, cells))
             print(world.name, found[-1]["mean_passive_per_hour"], flush=True)
+        if given.only:
+            found = [joined(*pair) for pair in zip(before["worlds"], found, strict=True)]
+        cells = sum(1 + ("rare" in row) for world in found for row in world["detectors"])
         kept = {"rate": STANDARD_RATE, "split": "holdout", "cells": cells, "worlds": found}
         text = json.dumps(kept, indent=1, allow_nan=False) + "\n"
         write_file(KEPT, text.encode())

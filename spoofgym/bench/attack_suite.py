@@ -1,8 +1,9 @@
 """The attack suite: whom every detector meets, a name and a version, and nothing to choose.
 
 It is a floor and no proof: what no member of it achieves, another attack may.  Every member has one
-setting that is searched for, the same as in a campaign.  A member whose spoofer is not registered
-is left out, which the digest tells.
+setting that is searched for, the same as in a campaign.  With them play the blind optima (letter c)
+that a campaign has found against the detector, where that is among its spoofers.  A member whose
+spoofer is not registered is left out, which the digest tells.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ from .searches import log_spaced
 from .specs import Spec, digest_of
 
 FloatArray = NDArray[np.float64]
-NAME, VERSION = "spoofgym-scripted", 1
+NAME, VERSION = "spoofgym-scripted", 2
 """Of the suite; another list of members, or another grid, is another version."""
 FAMILIES = {
     "a": "ramps and accelerating ramps",
     "b": "profiles",
+    "c": "blind optima, found against each detector",
     "e": "feedback",
     "h": "dashes",
 }
@@ -41,6 +43,8 @@ SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
 """Rates of the profiles over the attack window, both in parts of the largest."""
 STEEPEST = 0.25
 """Largest rate of a profile with amplitude 1, of what the acceleration allows in a whole window."""
+AROUND_FOUND = (0.5, 2.0)
+"""Amplitudes of a blind optimum that are tried, in parts of that at which it was found."""
 LAST_PARTS = (0.15, 0.4)
 """Parts of the attack window in which a dash takes place."""
 
@@ -90,9 +94,14 @@ def suite_digest(members: Sequence[Member]) -> str:
     return digest_of({"name": NAME, "version": VERSION, "members": specs})
 
 
-def grid_of(entry: Entry, context: SpooferContext, values: int) -> list[float]:
-    """Log-spaced values of a member's setting over its whole range."""
-    kind = type(build_spoofer(entry.with_value(1.0)))
+def grid_of(member: Member, context: SpooferContext, values: int) -> list[float]:
+    """Log-spaced values of a member's setting over its whole range.
+
+    Of a blind optimum around the amplitude that it was found at.
+    """
+    if member.letter == "c":
+        return log_spaced(*AROUND_FOUND, values)
+    kind = type(build_spoofer(member.entry.with_value(1.0)))
     return log_spaced(*kind.tuning_range(context), values)
 
 

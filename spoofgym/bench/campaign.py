@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import signal
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from ..envs.spoofer_binding import spoofer_context
 from ..simulators.clean_runs import Progress as Progress
 from ..simulators.clean_runs import Silent
+from ..simulators.engine import processors
+from .attack_suite import Member
+from .bracket import Brackets
 from .cells import Cell, make_cell
 from .entries import Entry
 from .knowledge import knowledge_of
+from .optima import AIMS, Optima, curves_to_fit
 from .protection import Aim, Protection, Search, Winner, measured
 from .run import Runs, WarmStart, play
 from .scores import counted
@@ -26,21 +34,24 @@ WARMUP_SHARE = 1.0
 
 def expected_work(suite: Suite, folder: ResultsFolder) -> float:
     """Work that is left, roughly."""
-    total = 0.0
-    for detector in suite.detector_entries:
-        cells, searches, protect = _open(suite, folder, detector)
-        if cells or protect:
-            total += suite.runs * (1.0 + WARMUP_SHARE)
-            total += suite.runs * sum(entry.label != "none" for entry in cells)
-        if searches:
-            total += suite.tuning.runs * (1.0 + WARMUP_SHARE)
-            total += len(searches) * search_work(suite)
-        if protect:
-            total += protection_work(suite)
+    total = sum(_work(suite, folder, detector) for detector in suite.detector_entries)
     for published in suite.published_entries:
         left = _left_of_published(suite, folder, published)
         total += suite.runs * (2.0 + WARMUP_SHARE) if left else 0.0
     return total
+
+
+def _work(suite: Suite, folder: ResultsFolder, detector: Entry) -> float:
+    """Work that is left of one detector, roughly."""
+    total = 0.0
+    cells, searches, protect = _open(suite, folder, detector)
+    if cells or protect:
+        total += suite.runs * (1.0 + WARMUP_SHARE)
+        total += suite.runs * sum(entry.label != "none" for entry in cells)
+    if searches:
+        total += suite.tuning.runs * (1.0 + WARMUP_SHARE)
+        total += len(searches) * search_work(suite)
+    return total + (protection_work(suite) if protect else 0.0)
 
 
 def search_work(suite: Suite) -> float:
@@ -79,6 +90,7 @@ def run_campaign(
     folder: ResultsFolder,
     *,
     threads: int | None = None,
+    jobs: int = 1,
     progress: Progress | None = None,
 ) -> None:
     """Run all cells that are not finished yet.
@@ -92,20 +104,96 @@ def run_campaign(
     folder : ResultsFolder
         Opened with the same suite.
     threads : int, optional
-        As in `Engine`.
+        As in `Engine`, in each process.
+    jobs : int
+        Processes that play detectors, one detector each at a time.
     progress : Progress, optional
         Shows how far it is.
     """
-    shown = progress or Silent()
-    for detector in suite.detector_entries:
-        cells, searches, protect = _open(suite, folder, detector)
-        if searches:
-            _search(suite, folder, detector, searches, threads, shown)
-        winners = _worst(suite, detector, threads, shown) if protect else None
-        if cells or winners is not None:
-            _cells(suite, folder, detector, cells, winners, threads, shown)
+    if jobs < 1:
+        raise ValueError(f"`jobs` must be at least 1, got {jobs}")
+    shown, player = progress or Silent(), Player(suite, folder, threads)
+    if jobs == 1:
+        for detector in suite.detector_entries:
+            player.play(detector, shown)
+    else:
+        _in_processes(suite, folder, threads, jobs, shown)
     for detector in suite.published_entries:
         _published(suite, folder, detector, threads, shown)
+    player.limits(shown)
+
+
+class Player:
+    """Plays the detectors of a campaign; what they share is computed once."""
+
+    def __init__(self, suite: Suite, folder: ResultsFolder, threads: int | None) -> None:
+        self.suite, self.folder, self.threads = suite, folder, threads
+        self.brackets = Brackets(suite)
+        self.optima = Optima(suite, threads, self.brackets)
+
+    def play(self, detector: Entry, progress: Progress) -> None:
+        """Run the cells of a detector that are not finished, its searches and its protection."""
+        suite, folder, threads = self.suite, self.folder, self.threads
+        cells, searches, protect = _open(suite, folder, detector)
+        if searches:
+            _search(suite, folder, detector, searches, threads, progress, self.optima)
+        members = _members(suite, folder, detector) if protect else ()
+        winners = _worst(suite, detector, members, threads, progress) if protect else None
+        if cells or winners is not None:
+            _cells(suite, folder, detector, cells, winners, threads, progress)
+
+    def limits(self, progress: Progress) -> None:
+        """Compute the floor of the world, and the zero-alarm bounds of the detectors."""
+        self.floor(progress)
+        for detector in self.suite.detector_entries:
+            self.bound(detector, progress)
+
+    def floor(self, progress: Progress) -> None:
+        """Compute the floor of the world."""
+        if self.folder.limits(None) is None:
+            progress.advance(0.0, "floor")
+            self.folder.put_limits(None, self.brackets.floor())
+
+    def bound(self, detector: Entry, progress: Progress) -> None:
+        """Compute the zero-alarm bound of a detector."""
+        if self.folder.limits(detector.label) is None:
+            progress.advance(0.0, f"{detector.label}: zero-alarm bound")
+            found = self.brackets.zero_alarm(detector).as_json()
+            self.folder.put_limits(detector.label, found)
+
+
+def _in_processes(
+    suite: Suite, folder: ResultsFolder, threads: int | None, jobs: int, progress: Progress
+) -> None:
+    """Play the detectors, each in one of some processes, which write into the same folder."""
+    work = {each.label: _work(suite, folder, each) for each in suite.detector_entries}
+    left = [label for label in work if work[label] > 0.0]
+    each = threads or max(1, processors() // jobs)
+    progress.advance(0.0, f"{len(left)} detectors, {jobs} at a time")
+    asked = (delayed(_played)(suite, folder.path, label, each) for label in (*left, None))
+    for label in Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)(asked):
+        if label is not None:
+            progress.advance(work[label], f"{label} is finished")
+
+
+_players: dict[str, Player] = {}
+"""Of this process, for the campaign that it plays."""
+
+
+def _played(suite: Suite, path: Path, label: str | None, threads: int) -> str | None:
+    """Play one detector of a campaign in a process of its own; the floor for None."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that waits for it decides
+    if suite.digest not in _players:
+        _players.clear()
+        _players[suite.digest] = Player(suite, ResultsFolder(path), threads)
+    player = _players[suite.digest]
+    if label is None:
+        player.floor(Silent())
+        return None
+    (detector,) = (entry for entry in suite.detector_entries if entry.label == label)
+    player.play(detector, Silent())
+    player.bound(detector, Silent())
+    return label
 
 
 def _search(
@@ -115,10 +203,29 @@ def _search(
     searches: list[Entry],
     threads: int | None,
     progress: Progress,
+    optima: Optima,
 ) -> None:
     start, clean = training_start(suite, detector, threads, progress)
     for entry in searches:
-        folder.put_tuning(search(suite, detector, entry, start, clean, progress))
+        folder.put_tuning(search(suite, detector, entry, start, clean, progress, optima))
+
+
+def _members(suite: Suite, folder: ResultsFolder, detector: Entry) -> tuple[Member, ...]:
+    """The attack suite, with the blind optima that were found against the detector."""
+    found: list[Member] = []
+    for entry in suite.spoofer_entries:
+        result = folder.tuning(detector.label, entry.label) if entry.searched else None
+        if result is not None and result.found is not None:
+            each = (result.found["played"], *(result.found["aims"][name] for name in AIMS))
+            curves = [with_rates(entry, curve["rates_mps"]) for curve in each]
+            own = [curve for k, curve in enumerate(curves) if curve not in curves[:k]]
+            found += [Member("c", curve, True) for curve in own]
+    return (*suite.members, *found)
+
+
+def with_rates(entry: Entry, rates_mps: list[float]) -> Entry:
+    """A blind optimum with the rates of a curve."""
+    return Entry(entry.label, {**entry.spec, "rates_mps": rates_mps})
 
 
 def training_start(
@@ -163,23 +270,52 @@ def search(
     start: WarmStart,
     clean: Runs,
     progress: Progress,
+    optima: Optima | None = None,
 ) -> TuningResult:
-    """Search for the setting of one spoofer."""
+    """Search for the setting of one spoofer, and for the curve of a blind optimum before."""
     left = _Left(progress, search_work(suite), f"{detector.label}: tuning {entry.label}")
-    result = tune(start, clean, entry, detector.label, suite.tuning, tick=left.tick)
+    if not entry.searched:
+        result = tune(start, clean, entry, detector.label, suite.tuning, tick=left.tick)
+        left.end()
+        return result
+    most = 0.25 * search_work(suite)
+    looking = optima or Optima(suite)
+    found = looking.find(detector, entry, lambda part: left.tick(most * part))
+    curves = curves_to_fit(suite, found)
+    fits = {
+        name: tune(
+            start,
+            clean,
+            with_rates(entry, rates),
+            detector.label,
+            suite.tuning,
+            tick=lambda part: left.tick(part / len(curves)),
+        )
+        for name, rates in curves.items()
+    }
+    best = max(fits, key=lambda name: fits[name].score)
     left.end()
-    return result
+    found["fitted_m"] = {name: fit.score for name, fit in fits.items()}
+    found["played"] = {"curve": best, "rates_mps": curves[best]}
+    return replace(fits[best], found=found)
 
 
 class _Worst(NamedTuple):
     """The worst attacks on a detector: by member and value, each with its aims, and the skies."""
 
     found: dict[tuple[int, float], list[Aim]]
+    members: tuple[Member, ...]
     skies: NDArray[np.int64] | None
     left: _Left
 
 
-def _worst(suite: Suite, detector: Entry, threads: int | None, progress: Progress) -> _Worst:
+def _worst(
+    suite: Suite,
+    detector: Entry,
+    members: tuple[Member, ...],
+    threads: int | None,
+    progress: Progress,
+) -> _Worst:
     """Look for the worst attacks on runs of the selection."""
     assert suite.selection is not None  # as `_open` has seen
     runs = suite.selection.runs
@@ -187,9 +323,9 @@ def _worst(suite: Suite, detector: Entry, threads: int | None, progress: Progres
     expected = protection_work(suite) - runs * (1.0 + WARMUP_SHARE)
     left = _Left(progress, expected, f"{detector.label}: worst attack")
     context = spoofer_context(start.setup)
-    looked = Search(start, clean, suite.members, context, suite.selection, left.tick)
+    looked = Search(start, clean, members, context, suite.selection, left.tick)
     found = looked.winners(suite.alert_limits_m)
-    return _Worst(found, looked.skies, left)
+    return _Worst(found, members, looked.skies, left)
 
 
 def _cells(
@@ -204,7 +340,12 @@ def _cells(
     start, twin = _start(suite, detector, "evaluation", suite.runs, threads, progress)
     for entry in cells:
         tuning = folder.tuning(detector.label, entry.label) if entry.tuned else None
-        spec = entry.spec if tuning is None else entry.with_value(tuning.value)
+        spec = entry.spec
+        if tuning is not None:
+            chosen = entry
+            if tuning.found is not None:
+                chosen = with_rates(entry, tuning.found["played"]["rates_mps"])
+            spec = chosen.with_value(tuning.value)
         within = None if tuning is None else tuning.within_budget
         folder.put_cell(_cell(suite, detector, entry, spec, within, start, twin, progress))
     if worst is not None:
@@ -248,7 +389,7 @@ def _protection(
     """Let the worst attacks play the evaluation runs."""
     winners = []
     for (number, value), aims in worst.found.items():
-        member = suite.members[number]
+        member = worst.members[number]
         spec = member.entry.with_value(value)
         attacked = play(
             start, spec, drop_alarmed=True, tick=lambda part: worst.left.tick(suite.runs * part)

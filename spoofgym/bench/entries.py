@@ -21,6 +21,7 @@ DEFAULT_SPOOFERS: tuple[Spec, ...] = (
     {"name": "step", AMPLITUDE: TUNED},
     {"name": "ramp", "rate_mps": TUNED},
     {"name": "accelerating-ramp", "acceleration_mps2": TUNED},
+    {"name": "blind-optimum", AMPLITUDE: TUNED},
 )
 """With them, a campaign plays the shipped spoofers that fit it."""
 
@@ -51,6 +52,11 @@ class Entry:
     def tuned(self) -> str | None:
         """Setting that is to be searched for."""
         return next((key for key, value in self.spec.items() if value == TUNED), None)
+
+    @property
+    def searched(self) -> bool:
+        """Whether the spoofer's curve is to be searched for, too: a blind optimum."""
+        return self.spec["name"] == "blind-optimum" and not self.spec["rates_mps"]
 
     @property
     def untuned(self) -> Spec:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .._pictures import COLOURS, GREY, style
+from .bracketed import STEALTHY
 from .cells import Cell
 from .tables import number
 
@@ -53,9 +55,17 @@ def _log_metres(ax: Axes) -> None:
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
     ax.set_yscale("log")
-    ax.set_ylim(bottom=SMALLEST_M)
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+def start_at_edge(row: Iterable[Axes]) -> None:
+    """Let the shared axis of displacements begin at the edge, once all of its panels are drawn.
+
+    An axis whose end is set no longer follows what is drawn later.
+    """
+    for ax in row:
+        ax.set_ylim(bottom=SMALLEST_M)
 
 
 def _note(ax: Axes, text: str, x: float, apart: tuple[int, int], *, top: bool = False) -> None:
@@ -73,8 +83,10 @@ def _note(ax: Axes, text: str, x: float, apart: tuple[int, int], *, top: bool = 
     )
 
 
-def draw_means(ax: Axes, scores: dict[str, dict[str, Any]], look: dict[str, Look]) -> None:
-    """Mean displacement of every spoofer, below each other on one linear scale."""
+def draw_means(
+    ax: Axes, scores: dict[str, dict[str, Any]], look: dict[str, Look], bracket: dict[str, Any]
+) -> None:
+    """Mean displacement of every spoofer, below each other on one linear scale; the bracket."""
     style(ax)
     names = list(look)
     for row, name in enumerate(names):
@@ -95,8 +107,35 @@ def draw_means(ax: Axes, scores: dict[str, dict[str, Any]], look: dict[str, Look
     ax.set_ylim(len(names) - 0.4, -0.6)
     highs = (score["stealthy_displacement_m"]["high"] for score in scores.values())
     top = max((high for high in highs if high is not None), default=0)
-    ax.set_xlim(0.0, 1.18 * max(top, SMALLEST_M))
+    _draw_bracket(ax, bracket, 1.18 * max(top, SMALLEST_M))
     ax.set_xlabel("stealthy displacement [m] (hollow: over budget)")
+
+
+def _draw_bracket(ax: Axes, bracket: dict[str, Any], end: float) -> None:
+    """Floor and zero-alarm bound as lines, within twice the axis `end` of what was achieved."""
+    floor, bound = bracket["floor_m"][STEALTHY], bracket["zero_alarm"]["value"]
+    found = {"floor": floor, "zero-alarm bound": bound}
+    numbers = {name: x for name, x in found.items() if isinstance(x, float | int)}
+    shown = {name: x for name, x in numbers.items() if x <= 2.0 * end}
+    end = max([end, *(1.1 * x for x in shown.values())])
+    ax.set_xlim(0.0, end)
+    for name, x in shown.items():
+        ax.axvline(x, color=GREY, lw=1.6, ls="--" if name == "floor" else "-", zorder=1)
+    signs = {"floor": "- -", "zero-alarm bound": "\u2014"}
+    texts = [
+        f"{signs[name]} {name} {number(x)} m" + ("" if name in shown else ", farther right")
+        for name, x in numbers.items()
+    ]
+    if texts:
+        ax.annotate(
+            "   ".join(texts),
+            (0.0, 1.0),
+            xycoords="axes fraction",
+            xytext=(0, 3),
+            textcoords="offset points",
+            color=GREY,
+            fontsize=8,
+        )
 
 
 def _point(look: Look, score: dict[str, Any]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._pictures import figure_class, save_figure
-from .panels import Look, draw_course, draw_exceedance, draw_means, draw_trade, looks
+from .panels import Look, draw_course, draw_exceedance, draw_means, draw_trade, looks, start_at_edge
 from .store import PICTURE, ResultsFolder
 
 if TYPE_CHECKING:
@@ -51,6 +51,8 @@ def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
             ax.set_visible(False)
         for c, detector in enumerate(block):
             _draw_column(rows[:, c], detector, folder, summary, look)
+        for row in (rows[1], rows[3]):
+            start_at_edge(row[:1])
         for ax, text in zip(rows[1:, 0], LABELS, strict=True):
             ax.set_ylabel(text)
     runs, name = summary["runs"], summary["scenario"]
@@ -78,11 +80,12 @@ def _draw_column(
     cells = {name: folder.cell(detector, name) for name in look if folder.has_cell(detector, name)}
     scores = {cell["spoofer"]: cell for cell in summary["cells"] if cell["detector"] == detector}
     searches = [search for search in summary["tuning"] if search["detector"] == detector]
-    draw_means(column[0], scores, look)
+    (bracket,) = (row["bracket"] for row in summary["detectors"] if row["detector"] == detector)
+    draw_means(column[0], scores, look, bracket)
     draw_trade(column[1], scores, searches, summary["budget"], look)
     draw_exceedance(column[2], cells, look, summary["alert_limit_m"])
     draw_course(column[3], cells, look)
-    column[0].set_title(detector, fontweight="bold")
+    column[0].set_title(detector, fontweight="bold", pad=16)
 
 
 def _key(ax: Axes, label: str, look: Look) -> Line2D:

@@ -217,7 +217,7 @@ class Search:
     def winners(self, limits: Sequence[float]) -> dict[tuple[int, float], list[Aim]]:
         """Member and value of the worst attacks, each with its aims."""
         few = min(self.settings.sift_runs, self.start.receivers)
-        grids = [grid_of(each.entry, self.context, self.settings.values) for each in self.members]
+        grids = [grid_of(each, self.context, self.settings.values) for each in self.members]
         sifted = {(m, v): self._play(m, v, few) for m, grid in enumerate(grids) for v in grid}
         measures = list(next(iter(sifted.values())))
         aims = aims_of(measures, limits, skies=False)

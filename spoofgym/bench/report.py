@@ -8,6 +8,7 @@ from typing import Any
 
 from . import tables
 from .attack_suite import FAMILIES
+from .bracket_text import bracket_section
 from .tuning_table import tuning_head, tuning_rows
 
 PUBLISHED_NOTE = (
@@ -46,6 +47,7 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
         lines += ["## As published", ""]
         lines += markdown_table(tables.PUBLISHED_HEAD, tables.published_rows(summary))
         lines += ["", PUBLISHED_NOTE, ""]
+    lines += ["## The bracket", "", *bracket_section(summary)]
     lines += ["## How to read it", "", *_reading(config, summary), ""]
     if summary["comparisons"]:
         lines += ["## Compared with the controls, run by run", "", *_comparisons(summary), ""]

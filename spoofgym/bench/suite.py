@@ -8,7 +8,7 @@ import math
 import uuid
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -236,6 +236,14 @@ class Suite:
         bound = []
         for entry in self.spoofer_entries:
             spec = entry.spec
+            if entry.searched:
+                if not entry.tuned:
+                    raise ValueError(
+                        f"{entry.label}: a blind optimum is looked for under the alarm budget, so "
+                        "that its amplitude must be tuned: give it amplitude=tuned, or rates_mps"
+                    )
+                spec = {**spec, "rates_mps": [0.0, 1e-3]}
+                entry = replace(entry, spec=spec)
             if entry.tuned:
                 kind = type(build_spoofer(entry.with_value(1.0)))
                 low, _ = kind.tuning_range(spoofer_context(self._setup))

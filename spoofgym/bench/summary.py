@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .bracketed import bracket_of
 from .cells import Cell
 from .comparisons import compare
 from .metrics import (
@@ -55,10 +56,11 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON-able: ``scenario``, ``runs``, ``detectors`` (rates of false alarms, price),
-        ``cells`` (spoofers), ``protection`` (detectors), ``comparisons`` (detectors with the
-        negative controls at the same rate, run by run), ``published`` (nominal thresholds),
-        ``tuning``, ``missing`` (cells).
+        JSON-able: ``scenario``, ``runs``, ``detectors`` (rates of false alarms, price,
+        ``bracket``), ``cells`` (spoofers), ``protection`` (detectors), ``comparisons``
+        (detectors with the negative controls at the same rate, run by run), ``published``
+        (nominal thresholds), ``limits`` (``floor`` of the world, ``zero_alarm`` bounds by
+        detector), ``tuning``, ``missing`` (cells).
 
     Raises
     ------
@@ -82,26 +84,43 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
     points = {label: operating_point(config, label) for label in detectors}
     played = [label for label in detectors if (label, "none") in cells]
     unplayed = [] if config["attack_suite"] is None else detectors
+    budget = float(config["tuning"]["budget"])
+    scores = [score_cell(cell, limits, budget) for cell in cells.values()]
+    protected = [score_protection(found, limits) for found in known]
+    tuned = [search.as_dict() for search in searches if search is not None]
+    bounds = {label: found for label in detectors if (found := folder.limits(label)) is not None}
+    bracket = {"floor": folder.limits(None), "zero_alarm": bounds}
+
+    def bracketed(label: str) -> dict[str, Any]:
+        point = {"detector": label, **points[label]}
+        own = [[row for row in rows if row["detector"] == label] for rows in (scores, tuned)]
+        worst = next((row for row in protected if row["detector"] == label), None)
+        return bracket_of(point, bracket, own[0], worst, own[1])
+
     return {
         "campaign": next((cell.head["campaign"] for cell in cells.values()), None),
         "scenario": config["scenario"]["name"],
         "runs": config["runs"],
         "entropy": config["entropy"],
-        "budget": float(config["tuning"]["budget"]),
+        "budget": budget,
         "alert_limit_m": config["alert_limit_m"],
         "attack_suite": config["attack_suite"],
         "detectors": [
-            {**score_detector(cells[label, "none"]), **points[label]} for label in played
+            {
+                **score_detector(cells[label, "none"]),
+                **points[label],
+                "bracket": bracketed(label),
+            }
+            for label in played
         ],
-        "cells": [
-            score_cell(cell, limits, float(config["tuning"]["budget"])) for cell in cells.values()
-        ],
-        "protection": [score_protection(found, limits) for found in known],
+        "cells": scores,
+        "protection": protected,
         "comparisons": compare(
             list(cells.values()), known, {k: p["footing"] for k, p in points.items()}
         ),
         "published": _published(folder, config, limits),
-        "tuning": [search.as_dict() for search in searches if search is not None],
+        "limits": bracket,
+        "tuning": tuned,
         "missing": [
             f"{detector} / {spoofer}"
             for detector, spoofer in pairs

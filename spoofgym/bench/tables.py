@@ -9,6 +9,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from ..detectors.calibrated import NOISY_WARMUP
+from .bracket_text import ABOVE_BOUND, bound_cell, bracket_marks, floor_cell
+from .bracketed import HALF, STEALTHY, headline
 from .comparisons import CONTROLS, FREE, name_of
 from .price import NOMINAL
 
@@ -17,10 +19,14 @@ DETECTORS_HEAD = (
     "claimed: % of runs, per hour",
     "measured: % of runs",
     "measured: per hour",
+    "floor of 50 % [m]",
     "exceeded in 50 % [m]",
     "in 5 % [m]",
     "worst skies, in 50 % [m]",
     "worst attack",
+    "floor, stealthy [m]",
+    "blind optimum [m]",
+    "zero-alarm bound [m]",
     "mark",
 )
 ATTACKS_HEAD = (
@@ -54,7 +60,7 @@ PUBLISHED_HEAD = (
 KNOWLEDGE_HEAD = ("spoofer", "knows at run time", "was designed on")
 UNTOLD = {"name", "heading_deg", "label", "designed_on", "file"}
 """Settings that a table leaves out: they are in other columns, or in the results only."""
-OVER = ", over budget"
+OVER, NONE_WITHIN = ", over budget", " (none within the budget)"
 
 
 class Group(NamedTuple):
@@ -123,7 +129,7 @@ def setting_of(cell: dict[str, Any]) -> str:
         for key, value in cell["spoofer_settings"].items()
         if key not in UNTOLD and value not in (None, [])
     ]
-    mark = "" if cell["tuned_within_budget"] in {None, True} else " (none within the budget)"
+    mark = "" if cell["tuned_within_budget"] in {None, True} else NONE_WITHIN
     return (", ".join(parts) or "-") + mark
 
 
@@ -159,7 +165,7 @@ def detector_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]
     protections = {row["detector"]: row for row in summary["protection"]}
     rows: list[tuple[str, ...]] = []
     for row in _of(summary["detectors"], group):
-        label = row["detector"]
+        label, bracket = row["detector"], row["bracket"]
         found = protections.get(label)
         rows.append(
             (
@@ -167,11 +173,15 @@ def detector_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]
                 _claimed(row["claimed"]),
                 percent(row["false_alarm_per_run"]),
                 interval(row["false_alarms_per_hour"]),
+                floor_cell(bracket, HALF),
                 _exceeded(found, 0.5),
                 _exceeded(found, 0.05),
                 _exceeded(found, 0.5, skies=True),
                 _worst(found),
-                mark_of(summary, label) if group.rate else "-",
+                floor_cell(bracket, STEALTHY),
+                _optimum(bracket["blind_optimum"]),
+                bound_cell(bracket),
+                mark_of(summary, label) if group.rate else "; ".join(bracket_marks(bracket)) or "-",
             )
         )
     return rows
@@ -192,26 +202,26 @@ def _claimed(claimed: dict[str, Any] | None) -> str:
     return f"{100 * claimed['per_run']:.3g}, {claimed['false_alarms_per_hour']:g}{tail}"
 
 
-def _headline(found: dict[str, Any] | None, share: float, skies: bool) -> dict[str, Any] | None:
-    """Row of the induced horizontal error that is exceeded in a share of the runs."""
-    for row in [] if found is None else found["exceeded"]:
-        wanted = ("undetected_displacement_m", share, skies)
-        if (row["measure"], row["share"], row["worst_skies"]) == wanted:
-            return dict(row)
-    return None
-
-
 def _exceeded(found: dict[str, Any] | None, share: float, *, skies: bool = False) -> str:
-    row = _headline(found, share, skies)
+    row = headline(found, share, skies=skies)
     return "-" if row is None else interval(row)
 
 
 def _worst(found: dict[str, Any] | None) -> str:
     """Letter, spoofer and value of the attack that is the worst in half of the runs."""
-    row = _headline(found, 0.5, False)
+    row = headline(found, 0.5)
     if row is None:
         return "-"
     return f"({row['letter']}) {row['spoofer']}, {row['setting']}={row['at']:g}"
+
+
+def _optimum(reached: dict[str, Any] | None) -> str:
+    """Stealthy displacement of the blind optimum."""
+    if reached is None:
+        return "-"
+    if reached["tuned_within_budget"] is False:
+        return interval(reached) + NONE_WITHIN
+    return interval(reached) + ("" if reached["within_budget"] else OVER)
 
 
 def mark_of(summary: dict[str, Any], detector: str) -> str:
@@ -219,10 +229,12 @@ def mark_of(summary: dict[str, Any], detector: str) -> str:
 
     Whether and where it is worse than one that never alarms, or by chance; whether the worst attack
     comes as far as against one that never alarms; whether it alarms before the onset in more runs
-    than a calibration can stand for.
+    than a calibration can stand for; whether the search for attacks has failed, and which attacks
+    are above its zero-alarm bound.
     """
+    bracket = next(row["bracket"] for row in summary["detectors"] if row["detector"] == detector)
     if name_of(detector) in CONTROLS:
-        return "control"
+        return "; ".join(["control", *bracket_marks(bracket)])
     where = [
         row["score"] if row["spoofer"] is None else f"{row['score']}, {row['spoofer']}"
         for row in summary["comparisons"]
@@ -240,11 +252,16 @@ def mark_of(summary: dict[str, Any], detector: str) -> str:
         early = (row["claimed"] or {}).get("warmup_alarms", 0.0)
         if row["detector"] == detector and early > NOISY_WARMUP:
             marks.append(f"alarms before the onset in {100 * early:.0f} % of clean runs")
-    return "; ".join(marks)
+    return "; ".join([*marks, *bracket_marks(bracket)])
 
 
 def attack_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:
     """Rows of the table of attacks, in the order of `ATTACKS_HEAD`."""
+    above = {
+        (row["detector"], each["spoofer"])
+        for row in summary["detectors"]
+        for each in row["bracket"]["above_zero_alarm"]
+    }
     return [
         (
             cell["detector"],
@@ -252,7 +269,8 @@ def attack_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:
             made_for(cell),
             setting_of(cell),
             percent(cell["alarm_rate"]) + ("" if cell["within_budget"] else OVER),
-            interval(cell["stealthy_displacement_m"]),
+            interval(cell["stealthy_displacement_m"])
+            + (ABOVE_BOUND if (cell["detector"], cell["spoofer"]) in above else ""),
             "-" if cell["median_m"] is None else number(cell["median_m"]),
             interval(cell["alarmed_as_0_m"]),
             percent(cell["missed"]),

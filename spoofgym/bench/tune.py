@@ -69,7 +69,8 @@ class TuningResult:
     - `runs`, `counted`: training runs, and those among them that count;
     - `clean_alarm_rate`, `warmup_alarms`: part of them that alarms without attack, and how many
       alarm before it;
-    - `trials`: all that was tried, by value; the choice is among those on all runs.
+    - `trials`: all that was tried, by value; the choice is among those on all runs;
+    - `found`: settings of a spoofer that was looked for besides its value, and how; or None.
     """
 
     detector: str
@@ -83,11 +84,17 @@ class TuningResult:
     clean_alarm_rate: float
     warmup_alarms: int
     trials: tuple[Trial, ...]
+    found: dict[str, Any] | None = None
 
     @property
     def chosen(self) -> Trial:
         """The choice on all training runs."""
         return next(t for t in self.trials if t.value == self.value and t.runs == self.runs)
+
+    @property
+    def score(self) -> float:
+        """Stealthy displacement of the choice [m]; 0 where nothing keeps the budget."""
+        return self.chosen.stealthy_displacement_m if self.within_budget else 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able."""

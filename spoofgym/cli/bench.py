@@ -12,7 +12,9 @@ from . import options as opt
 from .app import INTERRUPTED
 from .options import World, with_world
 from .output import print_json, print_lines, print_table, progress
-from .suites import at_rate, selection_of, specs_of, suite_of, tuning_of
+from .suites import at_rate, selection_of, specs_of, standard_players, suite_of, tuning_of
+
+NO_BOUND = "No zero-alarm bound of {}."
 
 
 @with_world
@@ -89,6 +91,16 @@ def bench(
             "times and detectors; see `spoofgym tasks`."
         ),
     ] = None,
+    suite_name: Annotated[
+        str | None,
+        typer.Option(
+            "--suite",
+            help="Suite by name: `standard` plays every detector that suits the world of task T3 "
+            "at 0.2 false alarms an hour against five spoofers, in a quarter of an hour on two "
+            "idle cores; with --detector those that are named, such as your own, and the negative "
+            "controls. It decides all but detectors, seeds, sizes and folder.",
+        ),
+    ] = None,
     detector: Annotated[
         list[str] | None,
         typer.Option(
@@ -142,6 +154,7 @@ def bench(
         ),
     ] = 192,
     threads: opt.Threads = None,
+    jobs: opt.Jobs = None,
 ) -> None:
     """Play detectors against spoofers on the same runs; interrupted, it goes on when run again.
 
@@ -152,7 +165,11 @@ def bench(
     from ..bench.campaign import expected_work, run_campaign
     from ..bench.store import ResultsFolder
     from ..detectors.calibrated import STANDARD_RATE
+    from ..simulators.engine import processors
 
+    sizes = {"seeds": seeds, "training_seeds": training_seeds, "selection_seeds": selection_seeds}
+    if suite_name is not None:
+        spoofer, sizes = standard_players(world, suite_name, sizes)
     if nominal and false_alarms_per_hour is not None:
         raise ValueError("--nominal and --false-alarms-per-hour can't both be given")
     rate = STANDARD_RATE if false_alarms_per_hour is None else false_alarms_per_hour
@@ -161,24 +178,26 @@ def bench(
         world,
         detector,
         task=task,
+        named=suite_name,
         spoofers=spoofers,
-        runs=seeds,
+        runs=sizes["seeds"],
         entropy=seed,
-        tuning=tuning_of(training_seeds, budget),
+        tuning=tuning_of(sizes["training_seeds"], budget),
         allow_oracles=allow_oracles,
         threads=threads,
         asked={"thresholds": "nominal"} if nominal else at_rate(rate),
         headline=task is None,
-        selection=selection_of(selection_seeds),
-        published=not nominal and task is None,
+        selection=selection_of(sizes["selection_seeds"]),
+        published=not nominal and task is None and suite_name is None,
     )
     folder = ResultsFolder(out)
     folder.open(suite, overwrite=overwrite)
+    at_once = jobs or (processors() if suite_name else 1)
     if not as_json:
         print_lines((*(() if task else suite.notes), *suite.captions, *suite.left_out))
     try:
         with progress(expected_work(suite, folder)) as bar:
-            run_campaign(suite, folder, threads=threads, progress=bar)
+            run_campaign(suite, folder, threads=threads, jobs=at_once, progress=bar)
     except KeyboardInterrupt:
         done = sum(
             folder.has_cell(judge.label, player.label)
@@ -215,6 +234,7 @@ def _tuned_by_default(specs: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def _report(folder: Any, as_json: bool, reports: Any) -> None:
     """Write table, scores and picture, and print the tables."""
     from ..bench import tables
+    from ..bench.bracket_text import bound_notes, floor_notes
     from ..bench.picture import draw_campaign
     from ..bench.report import markdown
     from ..bench.store import SUMMARY, TABLE
@@ -234,10 +254,12 @@ def _report(folder: Any, as_json: bool, reports: Any) -> None:
     if as_json:
         print_json({**summary, "folder": str(folder.path), "input": reports})
         return
-    for group in tables.groups(summary):
+    notes = (*floor_notes(summary), *map(NO_BOUND.format, bound_notes(summary)), "")
+    for number, group in enumerate(tables.groups(summary)):
         name = f"{summary['scenario']}, {group.title}"
         rows = tables.detector_rows(summary, group)
         print_table(f"{name}: detectors", tables.DETECTORS_HEAD, rows)
+        print_lines(() if number else notes)
         if rows := tables.attack_rows(summary, group):
             print_table(f"{name}: stealthy attacks", tables.ATTACKS_HEAD, rows, names=2)
         print_table(f"{name}: price", tables.CLEAN_HEAD, tables.clean_rows(summary, group))

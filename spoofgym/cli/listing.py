@@ -52,24 +52,17 @@ def card(
 
 
 def tasks(as_json: opt.Json = False) -> None:
-    """List the tasks of spoofgym-bench-v1, with the scores that are known."""
-    from ..bench.task_scores import stored_scores
-    from ..tasks import TASKS
+    """List the tasks of spoofgym-bench-v1, with their brackets and the scores that are known."""
+    from ..bench import task_cards
+    from ..tasks import SUITE, TASKS
 
-    scores = stored_scores()
     if as_json:
-        print_json(
-            [
-                {"key": key, "env_id": task.env_id, "title": task.title, **scores.get(key, {})}
-                for key, task in TASKS.items()
-            ]
-        )
+        print_json(task_cards.listed())
         return
-    columns = ("none", "ramp", "profile", "ppo")
-    rows = []
-    for key, task in TASKS.items():
-        found = scores.get(key, {}).get("undetected_displacement_m", {})
-        texts = (f"{found[name]:.1f}" if found.get(name) is not None else "-" for name in columns)
-        rows.append((key, task.env_id, *texts, task.title))
-    heads = ("task", "environment", *(f"{name} [m]" for name in columns), "what it asks for")
-    print_table("spoofgym-bench-v1: mean undetected displacement", heads, rows)
+    rows = [
+        (key, task.env_id, task.title + (", historical" if task.historical else ""))
+        for key, task in TASKS.items()
+    ]
+    print_table(SUITE, ("task", "environment", "what it asks for"), rows)
+    print_table("stealthy displacement", task_cards.HEAD, task_cards.score_rows())
+    print_table("admission", task_cards.ADMISSION_HEAD, task_cards.admission_rows())

@@ -35,6 +35,14 @@ Seed = Annotated[int, Option(help="Seed of the random number generators.")]
 Threads = Annotated[
     int | None, Option(min=1, help="Threads of the engine. Default: all useful cores.")
 ]
+Jobs = Annotated[
+    int | None,
+    Option(
+        min=1,
+        help="Processes that play one detector each at a time. Default: 1; of a suite by its "
+        "name, the processors.",
+    ),
+]
 Budget = Annotated[
     float,
     Option(
@@ -144,6 +152,8 @@ SCENARIO_OPTIONS = World.__dataclass_fields__.keys() - {"context", "env", "setti
 """Options of the tightly coupled receiver alone."""
 TASK_OPTIONS = {*World.__dataclass_fields__, "detector", "false_alarms_per_hour"}
 """Options that a task decides."""
+SUITE_OPTIONS = {*TASK_OPTIONS, "task", "spoofer", "budget", "nominal"} - {"detector"}
+"""Options that a suite by name decides."""
 
 
 def with_world(command: Callable[..., None]) -> Callable[..., None]:

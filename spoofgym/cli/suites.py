@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from .options import ENV, SCENARIO_OPTIONS, TASK_OPTIONS, TIMES, World
+from .options import ENV, SCENARIO_OPTIONS, SUITE_OPTIONS, TASK_OPTIONS, TIMES, World
 from .output import progress
 
 if TYPE_CHECKING:
@@ -48,39 +48,52 @@ def suite_of(
     detectors: Sequence[str] | None,
     *,
     task: str | None = None,
+    named: str | None = None,
     asked: Spec | None = None,
     threads: int | None = None,
     headline: bool = False,
     **settings: Any,
 ) -> tuple[Suite, Reports]:
-    """The suite of the options or of a task, calibrated, and the reports of real input.
+    """The suite of the options, of a task or by name, calibrated, and the reports of real input.
 
-    `asked`: of the thresholds of detectors that ask for none of their own, by default nothing;
-    `headline`: whether there are negative controls, and a drawn world, where nothing else is asked
-    for; `settings`: those of a suite that no task decides.
+    `threads`: of the calibration; all else as of `uncalibrated`.
     """
-    suite, reports = _suite(world, detectors, task, asked, settings, headline)
+    if named is not None:
+        return calibrated(standard_suite(detectors, settings), detectors, threads), None
+    given: dict[str, Any] = {"task": task, "asked": asked, "headline": headline, **settings}
+    suite, reports = uncalibrated(world, detectors, **given)
+    return calibrated(suite, detectors, threads), reports
+
+
+def calibrated(suite: Suite, detectors: Sequence[str] | None, threads: int | None) -> Suite:
+    """A suite whose detectors all have thresholds; of `all`, those that can't are left out."""
     # of what `all` means, those without a calibration are left out
-    named = {spec["name"] for spec in specs_of(detectors)} if detectors else {"all"}
-    labels = [entry.label for entry in suite.detector_entries if entry.spec["name"] not in named]
-    refused = calibrate_with_progress(suite, threads, labels if "all" in named else ())
+    given = {spec["name"] for spec in specs_of(detectors)} if detectors else {"all"}
+    labels = [entry.label for entry in suite.detector_entries if entry.spec["name"] not in given]
+    refused = calibrate_with_progress(suite, threads, labels if "all" in given else ())
     if refused:
         kept = [e.spec for e in suite.detector_entries if e.label not in refused]
         notes = (*suite.notes, *(f"{label}{LEFT_OUT}{why}" for label, why in refused.items()))
         suite = replace(suite, detectors=kept, notes=notes)
     suite.check_fit()
-    return suite, reports
+    return suite
 
 
-def _suite(
+def uncalibrated(
     world: World,
     detectors: Sequence[str] | None,
-    task: str | None,
-    asked: Spec | None,
-    settings: dict[str, Any],
+    *,
+    task: str | None = None,
+    asked: Spec | None = None,
     headline: bool = False,
+    **settings: Any,
 ) -> tuple[Suite, Reports]:
-    """The suite as it is asked for."""
+    """The suite of the options or of a task, and the reports of real input; nothing is looked up.
+
+    `asked`: of the thresholds of detectors that ask for none of their own, by default nothing;
+    `headline`: whether there are negative controls, and a drawn world, where nothing else is asked
+    for; `settings`: those of a suite that no task decides.
+    """
     from ..bench.suite import Suite
     from ..tasks import SUITE, task_of
 
@@ -100,17 +113,54 @@ def _suite(
                 decided["domain"] = HEADLINE_DOMAIN
         decided["detectors"] = specs if asked is None else _asking(world, specs, asked)
     else:
-        for option in world.given(TASK_OPTIONS).values():
-            raise ValueError(f"{option} can't be given with --task, which decides it")
+        refuse_decided(world, "--task", TASK_OPTIONS)
         chosen = task_of(task)
         notes = (f"task {chosen.key} of {SUITE}: {chosen.title}",)
         decided = {**chosen.suite_kwargs, "notes": notes}
     return Suite(**decided, **settings), reports
 
 
+def refuse_decided(world: World, option: str, names: Collection[str]) -> None:
+    """Raise where an option is given that another one decides."""
+    for given in world.given(names).values():
+        raise ValueError(f"{given} can't be given with {option}, which decides it")
+
+
+def standard_players(
+    world: World, name: str, sizes: Mapping[str, int]
+) -> tuple[list[str], dict[str, int]]:
+    """Spoofers of a suite by its name, and its sizes but for those that are given.
+
+    Raises where there is no such suite, or where an option is given that it decides.
+    """
+    from .._registry import check_choice
+    from ..bench.standard import SIZES, SPOOFERS, SUITES
+
+    check_choice("suite", name, SUITES)
+    refuse_decided(world, "--suite", SUITE_OPTIONS)
+    given = world.given(SIZES)
+    return list(SPOOFERS), {**SIZES, **{key: sizes[key] for key in given}}
+
+
+def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) -> Suite:
+    """The standard suite, with all detectors, or with those that are given and the controls."""
+    from ..bench.standard import RATE, in_order, standard_kwargs, standard_world
+    from ..bench.suite import Suite
+    from ..bench.victims import CONTROLS
+
+    if detectors is None:
+        whom = in_order(_everyone(standard_world().world, rescaled=True))
+    else:
+        given = specs_of(detectors)
+        names = {spec["name"] for spec in given}
+        whom = [*(dict(spec) for spec in CONTROLS if spec["name"] not in names), *given]
+    specs = [{"false_alarms_per_hour": RATE, **spec} for spec in whom]
+    return Suite(**standard_kwargs(), detectors=specs, **settings)
+
+
 def world_of(world: World) -> Suite:
     """A suite for its world alone: nothing is looked up, and nobody plays."""
-    return _suite(world, ["never"], None, None, {"spoofers": []})[0]
+    return uncalibrated(world, ["never"], spoofers=[])[0]
 
 
 def at_rate(false_alarms_per_hour: float | None) -> Spec | None:
@@ -147,24 +197,26 @@ def _with_controls(
         return [*CONTROLS, *VICTIMS[world.env].detectors]
     if not any(spec["name"] == "all" for spec in specs):
         return specs
-    from ..bench.specs import spec_of_judge
-    from ..simulators.calibration import suitable_detectors
-
     named = [spec for spec in specs if spec["name"] != "all"]
     given = {spec["name"] for spec in named}
+    found = _everyone(world_of(world).world, rescaled)
+    return [*named, *(spec for spec in found if spec["name"] not in given)]
+
+
+def _everyone(setup: Setup, rescaled: bool) -> list[dict[str, Any]]:
+    """The controls and all detectors that suit a world; `rescaled` as of `_with_controls`."""
+    from ..bench.specs import spec_of_judge
+    from ..bench.victims import CONTROLS
+    from ..simulators.calibration import suitable_detectors
+
     found = [dict(each) for each in CONTROLS]
-    for each in suitable_detectors(_world(world)):
+    for each in suitable_detectors(setup):
         own = {"name": spec_of_judge(each)["name"]}
         if own not in found:
             found.append(own)
         if rescaled and each.drifts:
             found.append({**own, "thresholds": "rescaled"})
-    return [*named, *(spec for spec in found if spec["name"] not in given)]
-
-
-def _world(world: World) -> Setup:
-    """Without a defence, for what suits it."""
-    return world_of(world).world
+    return found
 
 
 def calibrate_with_progress(

@@ -13,8 +13,10 @@ from .base import Detector, DetectorContext, Verdict
 from .calibrated import Calibrated, made_by
 from .calibration import Calibration, OperatingPoint
 from .clock_drift import ClockDrift
+from .cumulative_bank import CumulativeBank
 from .cusum import Cusum
 from .ewma import Ewma
+from .finite_moving_average import FiniteMovingAverage
 from .glr import GlrRamp, GlrStep
 from .innovation_rate import InnovationRate, OracleRamp, OracleStep
 from .joint_chart import JointChart
@@ -27,6 +29,7 @@ from .rio import Rio
 from .sequential_chi2 import SequentialChi2
 from .shewhart import Shewhart
 from .snapshot_chi2 import SnapshotChi2
+from .solution_separation import SolutionSeparation
 from .windowed_chi2 import WindowedChi2
 
 __all__ = [
@@ -36,10 +39,12 @@ __all__ = [
     "Calibrated",
     "Calibration",
     "ClockDrift",
+    "CumulativeBank",
     "Cusum",
     "Detector",
     "DetectorContext",
     "Ewma",
+    "FiniteMovingAverage",
     "GlrRamp",
     "GlrStep",
     "InnovationRate",
@@ -56,6 +61,7 @@ __all__ = [
     "SequentialChi2",
     "Shewhart",
     "SnapshotChi2",
+    "SolutionSeparation",
     "SrvRaim",
     "TraversalRaim",
     "Verdict",
@@ -68,8 +74,10 @@ DETECTORS: dict[str, type[Detector]] = {
     "acna": Acna,
     "aime": Aime,
     "clock-drift": ClockDrift,
+    "cumulative-bank": CumulativeBank,
     "cusum": Cusum,
     "ewma": Ewma,
+    "fma": FiniteMovingAverage,
     "glr-ramp": GlrRamp,
     "glr-step": GlrStep,
     "innovation-rate": InnovationRate,
@@ -85,6 +93,7 @@ DETECTORS: dict[str, type[Detector]] = {
     "sequential-chi2": SequentialChi2,
     "shewhart": Shewhart,
     "snapshot-chi2": SnapshotChi2,
+    "solution-separation": SolutionSeparation,
     "srv-raim": SrvRaim,
     "traversal-raim": TraversalRaim,
     "windowed-chi2": WindowedChi2,

@@ -30,7 +30,6 @@ Source: `diesel1995`; as a baseline against spoofing `zhong2025`, section 1.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -40,7 +39,7 @@ from numpy.typing import NDArray
 from .._jit import njit
 from ..receiver.epoch import Epoch
 from .base import DetectorContext, Verdict
-from .innovation_test import InnovationTest, epochs_of
+from .innovation_test import InnovationTest, checked_windows, epochs_of
 from .thresholds import chi2_thresholds
 
 FloatArray = NDArray[np.float64]
@@ -112,15 +111,7 @@ class Aime(InnovationTest):
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        if isinstance(self.windows_s, int | float | str):
-            raise ValueError(f"`windows_s` must be a list of lengths, got {self.windows_s!r}")
-        self.windows_s = tuple(self.windows_s)
-        increasing = all(a < b for a, b in zip(self.windows_s, self.windows_s[1:], strict=False))
-        above = all(math.isfinite(w) and w > 0.0 for w in self.windows_s)
-        if not (self.windows_s and increasing and above):
-            raise ValueError(
-                f"`windows_s` must be lengths > 0 in increasing order, got {self.windows_s}"
-            )
+        self.windows_s = checked_windows(self.windows_s)
         super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .._memory import Memory
 from ..receiver.epoch import OPTIONAL, Epoch
+from ..receiver.error_model import STATES
 
 FloatArray = NDArray[np.float64]
 
@@ -57,6 +58,10 @@ class DetectorContext(NamedTuple):
         (m,) what the filter assumes of the errors of one epoch alone [m], [m/s]; None for the root
         of `noise_variance`.  A filter that has no states for errors that stay takes them for more
         noise than an epoch has, and a test of single epochs must not.
+    states : int
+        Error states of a tightly coupled filter, s of the fields of an epoch.
+    min_satellites : int
+        Fewest satellites with which a tightly coupled filter updates; with fewer it coasts.
 
     A receiver whose measurement is a position has no channels: n = 0, and `noise_variance` is (m,)
     for its m coordinates.
@@ -68,6 +73,8 @@ class DetectorContext(NamedTuple):
     noise_variance: FloatArray
     satellite_ids: tuple[str, ...]
     single_epoch_sd: FloatArray | None = None
+    states: int = STATES
+    min_satellites: int = 4
 
     @property
     def epoch_sd(self) -> FloatArray:

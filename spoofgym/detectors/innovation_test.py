@@ -17,6 +17,8 @@ calibrated away: the option trusts the first epochs.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -55,6 +57,18 @@ def check_length(name: str, value: float, least: float = 0.0) -> None:
     """
     if not (math.isfinite(value) and value >= least):
         raise ValueError(f"`{name}` must be finite and >= {least:g}, got {value}")
+
+
+def checked_windows(windows_s: Sequence[float]) -> tuple[float, ...]:
+    """Lengths of several windows [s]; a ValueError unless they are positive and increase."""
+    if isinstance(windows_s, int | float | str):
+        raise ValueError(f"`windows_s` must be a list of lengths, got {windows_s!r}")
+    windows = tuple(windows_s)
+    increasing = all(a < b for a, b in pairwise(windows))
+    above = all(math.isfinite(w) and w > 0.0 for w in windows)
+    if not (windows and increasing and above):
+        raise ValueError(f"`windows_s` must be lengths > 0 in increasing order, got {windows}")
+    return windows
 
 
 def epochs_of(length_s: float, context: DetectorContext) -> int:
@@ -185,6 +199,33 @@ def whiten(
                 value -= factor[i, k] * y[k]
             y[i] = value * factor[i, i]
             out[b, rows[i] - first] = y[i]
+
+
+@njit
+def remember_squares(
+    white: FloatArray,
+    judged: BoolArray,
+    each: int,
+    squares: FloatArray,
+    counts: FloatArray,
+    place: NDArray[np.int64],
+) -> None:
+    """Write the sum of squares of an epoch into a ring of the last W epochs.
+
+    `white` (B, r) whitened innovations; `judged` (B, n) bool; `each`: rows of a satellite;
+    `squares`, `counts` (B, W) memory, overwritten: sums of squares, and rows in them; `place` (B,)
+    memory, overwritten: where the next epoch goes.
+    """
+    window = squares.shape[1]
+    for b in range(white.shape[0]):
+        k = place[b]
+        place[b] = (k + 1) % window
+        squares[b, k] = counts[b, k] = 0.0
+        for r in range(white.shape[1]):
+            squares[b, k] += white[b, r] * white[b, r]
+        for j in range(judged.shape[1]):
+            if judged[b, j]:
+                counts[b, k] += each
 
 
 class InnovationTest(Detector):

@@ -32,7 +32,7 @@ from .._describe import OMITTED
 from .._jit import njit
 from ..receiver.epoch import Epoch
 from .base import DetectorContext, Verdict
-from .innovation_test import InnovationTest, epochs_of
+from .innovation_test import InnovationTest, epochs_of, remember_squares
 from .thresholds import chi2_lower_thresholds, outside_ratio
 
 FloatArray = NDArray[np.float64]
@@ -68,22 +68,13 @@ def add_to_window(
 ) -> None:
     """Add the squares of an epoch to a window, and sum the window up.
 
-    `white` (B, r) whitened innovations; `judged` (B, n) bool; `squares`, `counts` (B, W) memory,
-    overwritten: of the last W epochs; `place` (B,) memory, overwritten: where the next epoch goes;
-    `total`, `degrees` (B,) written: sums over the window.
+    `white` (B, r) whitened innovations; `judged` (B, n) bool; `squares`, `counts` (B, W), `place`
+    (B,) memory of `remember_squares`; `total`, `degrees` (B,) written: sums over the window.
     """
-    window = squares.shape[1]
+    remember_squares(white, judged, each, squares, counts, place)
     for b in range(white.shape[0]):
-        k = place[b]
-        place[b] = (k + 1) % window
-        squares[b, k] = counts[b, k] = 0.0
-        for r in range(white.shape[1]):
-            squares[b, k] += white[b, r] * white[b, r]
-        for j in range(judged.shape[1]):
-            if judged[b, j]:
-                counts[b, k] += each
         total[b] = degrees[b] = 0.0
-        for i in range(window):
+        for i in range(squares.shape[1]):
             total[b] += squares[b, i]
             degrees[b] += counts[b, i]
 

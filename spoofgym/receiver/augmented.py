@@ -24,6 +24,7 @@ it is not written for lanes, and costs tens of times as much as that of 17 state
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -168,15 +169,40 @@ class Predicted(NamedTuple):
 class AugmentedFilter:
     """Covariances and estimates of B receivers, in a memory.
 
-    `memory`: ``augmented_covariance`` (B, N, N) and ``augmented`` (B, N - 17), the estimates that
-    are not fed back.
+    - `memory`: ``augmented_covariance`` (B, N, N) and ``augmented`` (B, N - 17), the estimates that
+      are not fed back;
+    - `shown`: fields of an epoch that have all N states, as far as they are `wanted`: the error
+      that each state is of is truth minus estimate for what is not fed back.
     """
 
-    def __init__(self, memory: Memory, model: SignalModel, interval_s: float) -> None:
+    def __init__(
+        self,
+        memory: Memory,
+        model: SignalModel,
+        interval_s: float,
+        channels: int,
+        wanted: Collection[str] = (),
+    ) -> None:
         self.memory, self.model, self.interval_s = memory, model, interval_s
         b, size = memory.receivers, FIRST + len(model.first)
+        self.states = size
         memory.declare("augmented_covariance", np.zeros((b, size, size)))
         memory.declare("augmented", np.zeros((b, size - STATES)))
+        shapes = {"predicted_cov": size, "design": 2 * channels, "transition": size}
+        self.shown = {
+            name: np.zeros((b, rows, size)) for name, rows in shapes.items() if name in wanted
+        }
+        if "transition" in self.shown:
+            self.shown["transition"][:, STATES:FIRST, STATES:FIRST] = np.eye(MATRICES)
+            self.shown["transition"][:, FIRST:, FIRST:] = model.transition
+
+    def copy_rows(
+        self, to: NDArray[np.intp], other: AugmentedFilter, rows: NDArray[np.intp]
+    ) -> None:
+        """Take over what is shown of receivers of another batch; the memory is the simulator's."""
+        for name, mine in self.shown.items():
+            if name in other.shown:
+                mine[to] = other.shown[name][rows]
 
     def begin(self, rows: NDArray[np.intp], covariance: FloatArray, grade: str) -> None:
         """Begin new episodes; `covariance` (17, 17) of the states of `error_model`."""
@@ -222,11 +248,22 @@ class AugmentedFilter:
         signals = self.model.rows(mapping, visible, self.interval_s)
         H = np.concatenate([design, np.zeros((*design.shape[:2], MATRICES)), signals], axis=2)
         known = (design @ drift[:, :, None] + signals @ a[:, MATRICES:, None])[:, :, 0]
+        self._show(top, H, P)
         gain = P @ H.transpose(0, 2, 1)
         S = H @ gain
         rows, seen = np.arange(S.shape[1]), np.hstack([visible, visible])
         S[:, rows, rows] += np.where(seen, noise_variance, 1.0)
-        return Predicted(gain, S, innovation - known, drift, visible.sum(axis=1) >= fewest)
+        enough = visible.sum(axis=1) >= fewest
+        return Predicted(gain, S, innovation - known, drift, enough)
+
+    def _show(self, top: FloatArray, H: FloatArray, P: FloatArray) -> None:
+        """Write what is looked at; `top` (B, 17, 44) of the transition."""
+        shown = self.shown
+        if "transition" in shown:
+            shown["transition"][:, :STATES, :FIRST] = top
+        for name, array in (("design", H), ("predicted_cov", P)):
+            if name in shown:
+                shown[name][:] = array
 
     def update(self, predicted: Predicted, weights: FloatArray | None) -> FloatArray:
         """Update with weights (B, m) on the columns of the gain; (B, 17) errors to feed back."""

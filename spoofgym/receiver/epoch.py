@@ -42,7 +42,8 @@ class Epoch(NamedTuple):
     innovation_cov : ndarray or None
         (B, m, m) S.
     predicted_cov : ndarray or None
-        (B, s, s) P before the update; 17 states where the receiver is tightly coupled.
+        (B, s, s) P before the update; 17 states where the receiver is tightly coupled, and after
+        them those of `receiver.augmented` where it is tuned so.
     design : ndarray or None
         (B, m, s) H.
     transition : ndarray or None
@@ -110,8 +111,11 @@ class TracedEpoch(Epoch):
         return other
 
 
-def epoch_view(buffers: ReceiverBuffers) -> Epoch:
-    """Read-only view of a batch's current epoch, with those of the optional fields that it has."""
+def epoch_view(buffers: ReceiverBuffers, shown: Mapping[str, NDArray[Any]] | None = None) -> Epoch:
+    """Read-only view of a batch's current epoch, with those of the optional fields that it has.
+
+    `shown`: fields by name that are not those of the buffers.
+    """
     arrays = {
         "time": buffers.time,
         "interval": buffers.interval,
@@ -119,6 +123,7 @@ def epoch_view(buffers: ReceiverBuffers) -> Epoch:
         "predicted_position": buffers.position_e,
         "predicted_velocity": buffers.velocity_e,
         **buffers.seen,
+        **(shown or {}),
     }
     return Epoch(**{name: _sealed(array) for name, array in arrays.items()})
 

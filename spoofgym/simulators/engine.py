@@ -250,8 +250,12 @@ class Engine:
 
 def available_threads(receivers: int) -> int:
     """Useful threads for so many receivers, at least 1."""
+    return max(1, min(processors(), receivers // RECEIVERS_PER_THREAD))
+
+
+def processors() -> int:
+    """Processors that this process may use."""
     try:
-        processors = len(os.sched_getaffinity(0))
+        return len(os.sched_getaffinity(0))
     except AttributeError:
-        processors = os.cpu_count() or 1
-    return max(1, min(processors, receivers // RECEIVERS_PER_THREAD))
+        return os.cpu_count() or 1

@@ -13,6 +13,7 @@ SPLITS = {
     "evaluation": 2,
     "holdout": 4,
     "selection": 5,
+    "search": 6,
 }
 """First element of the spawn keys; 3 was once another split's."""
 

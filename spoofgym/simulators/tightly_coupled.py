@@ -50,6 +50,8 @@ RECEIVERS: dict[str, dict[str, Any]] = {each: {"tuning": each} for each in TUNIN
 """Victims by name: the noise that they assume as the papers print it, or as the world has it."""
 AUGMENTED_NEEDS = frozenset({"transition", "imu_delta", "design", "innovation_cov"})
 """Fields of an epoch that an augmented filter works on."""
+AUGMENTED_SHOWS = frozenset({"transition", "design", "predicted_cov"})
+"""Fields of an epoch that it has with all its states."""
 FIRST_FIX = 4
 """Satellites that a first fix takes."""
 AXES = ("north", "east", "down")
@@ -239,7 +241,8 @@ def _unscaled(detector: Detector) -> tuple[Detector, float]:
 class TightlyCoupledSimulator(Simulator):
     """B tightly coupled receivers; kernels work on slices of them, possibly in threads.
 
-    `buffers` has the estimates and measurements, `sensors` their errors; `attack` is bound.
+    `buffers` has the estimates and measurements, `sensors` their errors; `attack` is bound;
+    `augmented` is the filter with more states, or None.
     """
 
     setup: TightlyCoupledSetup
@@ -247,7 +250,7 @@ class TightlyCoupledSimulator(Simulator):
     def _allocate(self) -> None:
         world, receivers = self.setup.world, self.receivers
         augmented = self.setup.receiver.tuning == "augmented"
-        wanted = self.fields | AUGMENTED_NEEDS if augmented else self.fields
+        wanted = self.fields - AUGMENTED_SHOWS | AUGMENTED_NEEDS if augmented else self.fields
         alike = self.setup.combinations.assume_alike
         self.buffers = ReceiverBuffers(receivers, world.channels, wanted, alike=alike)
         self.sensors = SensorBuffers(
@@ -257,7 +260,6 @@ class TightlyCoupledSimulator(Simulator):
             with_authentic=self.setup.attack.replaces_errors,
             alike=self.setup.combinations.sense_alike,
         )
-        self.epoch = epoch_view(self.buffers)
         self._everyone = np.arange(receivers)
         self._serial = receivers <= LANES
         self._verdicts: dict[int, Verdict] = {}
@@ -265,11 +267,17 @@ class TightlyCoupledSimulator(Simulator):
         self.augmented: AugmentedFilter | None = None
         if augmented:
             model = self.setup.combinations.signal_model(self.setup.interval_s)
-            self.augmented = AugmentedFilter(self.memory, model, self.setup.interval_s)
+            known = self.memory, model, self.setup.interval_s, world.channels
+            self.augmented = AugmentedFilter(*known, self.fields)
         self._predicted: Predicted | None = None
+        self.epoch = self._view()
         self.attack = copy.deepcopy(self.setup.attack)
         self.attack.bind(AttackContext(receivers, world))
         self._hold_arguments()
+
+    def _view(self) -> Epoch:
+        """The current epoch; its matrices are those of the filter that is updated."""
+        return epoch_view(self.buffers, self.augmented.shown if self.augmented else None)
 
     def _hold_arguments(self) -> None:
         """Collect what the kernel takes: what stays the same, and what stands for nothing."""
@@ -308,7 +316,9 @@ class TightlyCoupledSimulator(Simulator):
         world, cases = setup.world, setup.combinations
         sizes, variance = (self.receivers, world.channels), cases.largest_variance
         single = np.sqrt(cases.largest_epoch_variance)
-        return DetectorContext(*sizes, setup.interval_s, variance, world.satellite_ids, single)
+        known = *sizes, setup.interval_s, variance, world.satellite_ids, single
+        states = STATES if self.augmented is None else self.augmented.states
+        return DetectorContext(*known, states, setup.receiver.min_satellites)
 
     def __getstate__(self) -> dict[str, Any]:
         """State without views of the buffers, which a copy makes of its own."""
@@ -318,7 +328,7 @@ class TightlyCoupledSimulator(Simulator):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the state, and view the epoch."""
         self.__dict__.update(state)
-        self.epoch = epoch_view(self.buffers)
+        self.epoch = self._view()
         self._hold_arguments()
 
     @property
@@ -475,9 +485,6 @@ class TightlyCoupledSimulator(Simulator):
         seen["innovation"][:] = predicted.innovation
         seen["innovation_cov"][:] = predicted.S
         seen["innovation_variance"][:] = np.einsum("bii->bi", predicted.S)
-        if "predicted_cov" in seen:
-            P = self.memory["augmented_covariance"]
-            seen["predicted_cov"][:] = P[:, :STATES, :STATES]
 
     def _correct_augmented(self, weights: FloatArray | None) -> None:
         """Update by the augmented filter, and feed the errors of the 17 states back."""
@@ -719,6 +726,8 @@ class TightlyCoupledSimulator(Simulator):
         self.buffers.copy_rows(to, other.buffers, rows)
         self.sensors.copy_rows(to, other.sensors, rows)
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
+        if self.augmented is not None and other.augmented is not None:
+            self.augmented.copy_rows(to, other.augmented, rows)
         super().copy_rows(to, other, rows)
 
     def captured_channels(self) -> NDArray[np.int64]:

@@ -16,7 +16,7 @@ from .intermittent import Intermittent
 from .learned import OnnxPolicy
 from .none import NoSpoofer
 from .paper_attacks import PAPER_ATTACKS, PaperAttack
-from .profile import Profile
+from .profile import BlindOptimum, Profile
 from .ramp import Ramp
 from .scaled import Scaled, split_amplitude, with_amplitude
 from .step import Step
@@ -28,6 +28,7 @@ __all__ = [
     "SPOOFERS",
     "SUFFIX",
     "AcceleratingRamp",
+    "BlindOptimum",
     "Card",
     "Dash",
     "Feedback",
@@ -50,6 +51,7 @@ __all__ = [
 
 SPOOFERS: dict[str, type[Spoofer]] = {
     "accelerating-ramp": AcceleratingRamp,
+    "blind-optimum": BlindOptimum,
     "feedback": Feedback,
     "dash": Dash,
     "intermittent": Intermittent,

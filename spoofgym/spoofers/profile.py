@@ -122,6 +122,42 @@ class Profile(ScriptedSpoofer):
         return np.ascontiguousarray(np.clip(action, -1.0, 1.0))
 
 
+@dataclass(kw_only=True)
+class BlindOptimum(Profile):
+    """The best open-loop curve of the rate that a search finds against one detector.
+
+    Without rates it is what the benchmark looks for, against each of its detectors, by
+    `spoofgym.bench.blind_optimum`; with rates it plays them.
+
+    Parameters
+    ----------
+    heading_deg, rates_mps, cross_rates_mps, label, designed_on
+        As in `Profile`; no rates where they are still to be found.
+    """
+
+    rates_mps: tuple[float, ...] = ()
+    label: str | None = "blind-optimum"
+    designed_on: str = "detector, receiver and scenario, by a search"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        found = self.rates_mps
+        if not len(found):
+            self.rates_mps = (0.0, 0.0)
+        super().__post_init__()
+        if not len(found):
+            self.rates_mps = ()
+
+    def bind(self, context: SpooferContext) -> None:
+        """Prepare for a batch of receivers; a ValueError where there are no rates."""
+        if not self.rates_mps:
+            raise ValueError(
+                "the rates of a blind optimum are not known before it has been looked for: "
+                "`spoofgym bench --spoofer blind-optimum` does so against each detector"
+            )
+        super().bind(context)
+
+
 def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
     """Curve through equally spaced knots at the ends of the epochs.
 

@@ -32,7 +32,7 @@ def test_every_member_fits_every_victim_over_its_whole_range(env: str) -> None:
     for member in members:
         assert member.entry.tuned
         assert member.budgeted == (member.letter != "h")
-        grid = grid_of(member.entry, context, 4)
+        grid = grid_of(member, context, 4)
         assert grid == sorted(set(grid))
         for value in (grid[0], grid[-1]):
             make_bound_spoofer(member.entry.with_value(value), setup, 1)

@@ -15,6 +15,7 @@ import pytest
 from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
 from spoofgym.bench.campaign import expected_work
 from spoofgym.bench.cells import Cell
+from spoofgym.bench.panels import SMALLEST_M
 from spoofgym.bench.picture import draw_campaign
 from spoofgym.bench.report import markdown
 from spoofgym.bench.tables import interval
@@ -64,6 +65,7 @@ def test_every_cell_and_search_has_a_file(finished: ResultsFolder) -> None:
             for spoofer in ("none", "step", "ramp-tuned")
         ),
         *(f"tuning/{detector}--ramp-tuned.json" for detector in ("snapshot-chi2", "ewma")),
+        *(f"limits/{name}.json" for name in ("floor", "snapshot-chi2", "ewma")),
     }
 
 
@@ -183,6 +185,20 @@ def test_cells_of_another_seed_detector_or_campaign_are_refused(
     search.write_text(search.read_text().replace('"entropy": 0', '"entropy": 7'))
     with pytest.raises(ValueError, match=r"ewma--ramp-tuned.json .* entropy is 7 and not 0"):
         summarize(folder)
+
+
+@pytest.mark.usefixtures("default_rate")  # which processes of their own have, too
+def test_several_processes_write_what_one_does(tmp_path: Path) -> None:
+    counted = Counted()
+    nominal = [{"name": name, "thresholds": "nominal"} for name in ("never", "snapshot-chi2")]
+    suite, folder = small_suite(detectors=nominal), ResultsFolder(tmp_path / "two")
+    folder.open(suite)
+    expected = expected_work(suite, folder)
+    run_campaign(suite, folder, threads=1, jobs=2, progress=counted)
+    assert counted.done == pytest.approx(expected)
+    assert contents(folder.path) == contents(campaign(tmp_path / "one", suite).path)
+    with pytest.raises(ValueError, match="`jobs` must be at least 1, got 0"):
+        run_campaign(suite, folder, jobs=0)
 
 
 def test_campaigns_do_not_mix(tmp_path: Path) -> None:
@@ -348,3 +364,25 @@ def test_the_picture_has_panels_for_many_detectors(finished: ResultsFolder, tmp_
     picture = draw_campaign(finished, summary)
     assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     picture.unlink()
+
+
+def test_what_a_later_detector_lets_pass_lies_on_the_shared_axis(
+    finished: ResultsFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures: list[Any] = []
+
+    def keep(figure: Any, path: Path, **_: Any) -> Path:
+        figures.append(figure)
+        return path
+
+    monkeypatch.setattr("spoofgym.bench.picture.save_figure", keep)
+    summary = summarize(finished)
+    last = summary["detectors"][-1]["detector"]
+    far = {"value": 4000.0, "low": 3900.0, "high": 4100.0}
+    for each in summary["cells"]:
+        if each["detector"] == last and each["spoofer"] != "none":
+            each["stealthy_displacement_m"] = far
+    draw_campaign(finished, summary)
+    axes = [ax for ax in figures[0].axes if ax.get_ylabel() == "stealthy displacement [m]"]
+    assert [ax.get_ylim()[0] for ax in axes] == [SMALLEST_M]
+    assert axes[0].get_ylim()[1] > 4100.0

@@ -224,7 +224,7 @@ def test_every_table_has_one_rate_and_thresholds_as_published_have_their_own(pla
         "## Detectors at 20 false alarms an hour",
         "## As published",
         "| clean runs with an alarm [%] | detector |",
-        "the suite spoofgym-scripted 1",
+        "the suite spoofgym-scripted 2",
         "lottery(false_alarms_per_hour=20) less never",
     ):
         assert part in text

@@ -19,7 +19,7 @@ from spoofgym.simulators import Timeline
 
 from .support import SHORT, small_suite, use_zoo, write_policy, write_zoo
 
-USUAL = ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)"]
+USUAL = ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)", "blind-optimum"]
 
 
 @pytest.fixture(scope="module")

@@ -143,7 +143,7 @@ def test_runs_are_those_of_the_settings() -> None:
 def test_no_spoofer_of_another_environment_plays_unasked() -> None:
     suite = suite_of(ROBOT, spoofers=None)
     labels = [entry.label for entry in suite.spoofer_entries]
-    assert labels == ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)"]
+    assert labels == ["none", "step", "ramp(tuned)", "accelerating-ramp(tuned)", "blind-optimum"]
     assert suite.left_out == ()
     asked = suite_of(ROBOT, spoofers=("ewma-profile",))
     judge = asked.detector_entries[0]

@@ -52,6 +52,7 @@ def test_most_detectors_need_the_variance_alone():
     assert frugal == {
         "cusum",
         "ewma",
+        "fma",
         "glr-ramp",
         "glr-step",
         "innovation-rate",

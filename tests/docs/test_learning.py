@@ -36,5 +36,5 @@ def test_the_code_on_tasks_runs(capsys):
     for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL):
         exec(compile(block, "docs/tasks.md", "exec"), module.__dict__)
     printed = capsys.readouterr().out.splitlines()
-    assert printed[0].startswith("matched receiver")
+    assert printed[0].startswith("drawn worlds, matched receiver")
     assert len(printed) == 6

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pkgutil
 import re
 import shlex
+import sys
+import types
 
 import pytest
 import typer.main
@@ -13,7 +15,7 @@ from spoofgym.bench.specs import make_judge, parse_spec
 from spoofgym.cli.app import app
 from spoofgym.sim.scenario import make_scenario
 
-from .pages import ROOT
+from .pages import BLOCK, ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 NAME = re.compile(r"(?<![\w/])spoofgym(?:\.[A-Za-z]\w*)+")
@@ -40,6 +42,17 @@ def commands_of(page):
     return [line for line in lines if line.startswith("spoofgym ")]
 
 
+@pytest.fixture
+def my_detector(monkeypatch):
+    """The module that the README lets its reader write."""
+    (code,) = (
+        code for _, code in BLOCK.findall((ROOT / "README.md").read_text()) if "class " in code
+    )
+    module = types.ModuleType("my_detector")
+    monkeypatch.setitem(sys.modules, "my_detector", module)
+    exec(compile(code, "README.md", "exec"), module.__dict__)
+
+
 COMMANDS = [(page, line) for page in PAGES for line in commands_of(page)]
 
 
@@ -50,7 +63,7 @@ def test_there_are_commands_on_the_pages():
 @pytest.mark.parametrize(
     ("page", "line"), COMMANDS, ids=[f"{page.name}-{k}" for k, (page, _) in enumerate(COMMANDS)]
 )
-def test_a_command_on_a_page_is_understood(page, line):
+def test_a_command_on_a_page_is_understood(page, line, my_detector):
     """Its options exist and take these values; its scenario and detectors do, too."""
     words = shlex.split(line, comments=True)[1:]
     command = typer.main.get_command(app)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import pytest
 
 from spoofgym._describe import digest_of
+from spoofgym.bench.standard import SPOOFERS as STANDARD
 from tools.headlines import BEGIN, END, KEPT, SPOOFERS, WORLDS, shown
 from tools.pages import part_between
 
@@ -41,7 +43,27 @@ def test_every_detector_has_the_same_rate_and_its_attacks(kept, name):
     met = {
         label: {c["spoofer"] for c in world["cells"] if c["detector"] == label} for label in labels
     }
-    assert {len(each) for each in met.values()} == {len(SPOOFERS) + 1}
+    names = {tuple(sorted(name.split("(")[0] for name in each)) for each in met.values()}
+    (names,) = names
+    words = world["command"].split()
+    given = [after for word, after in itertools.pairwise(words) if word == "--spoofer"]
+    assert set(names) == {"none", *(STANDARD if "--suite" in words else given)}
+    assert set(given) <= set(SPOOFERS)
+
+
+def test_no_ramp_or_profile_gets_farther_than_the_blind_optimum(kept):
+    """Within the budget, by the intervals of the stored run."""
+    reached = {}
+    for cell in kept["worlds"]["trolley"]["cells"]:
+        if cell["within_budget"] and cell["tuned_within_budget"]:
+            name = cell["spoofer"].split("(")[0]
+            reached.setdefault(cell["detector"], {})[name] = cell["stealthy_displacement_m"]
+    found = {name: each for name, each in reached.items() if "blind-optimum" in each}
+    assert len(found) > 20
+    for detector, each in found.items():
+        for name in ("ramp", "accelerating-ramp", "snapshot-chi2-profile"):
+            if name in each:
+                assert each["blind-optimum"]["high"] >= each[name]["low"], (detector, name)
 
 
 @pytest.mark.parametrize("name", WORLDS)

@@ -346,7 +346,7 @@ def test_unknown_arguments_are_named_with_the_valid_ones(make):
     ],
 )
 def test_a_detector_beside_the_pool_is_one_too_many(make, kwargs):
-    with pytest.raises(ValueError, match=r"two detectors .* `pool` = ewma, .* = 'cusum'; Sp"):
+    with pytest.raises(ValueError, match=r"two detectors .* `pool` = solution-.* = 'cusum'; Sp"):
         make("spoofgym/BenchT6-v1", detector="cusum", **kwargs)
 
 

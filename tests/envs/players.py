@@ -12,6 +12,7 @@ import pytest
 from spoofgym import duel_v0
 from spoofgym.detectors import Detector, DetectorContext, Verdict
 from spoofgym.receiver.epoch import Epoch
+from spoofgym.tasks import TASKS
 
 from .support import ID, SMALL, VICTIMS
 
@@ -64,9 +65,17 @@ class Sooner(Detector):
         return Verdict(statistic, threshold, statistic > threshold)
 
 
+NOMINAL: dict[str, dict[str, Any]] = {}
+"""Whom the spoofer of a task meets, for episodes of lengths that nothing is calibrated for."""
+for task in TASKS.values():
+    met = [{k: x for k, x in spec.items() if not k.endswith("hour")} for spec in task.detectors]
+    plain = [{**spec, "thresholds": "nominal"} for k, spec in enumerate(met) if spec not in met[:k]]
+    NOMINAL[task.env_id] = {"pool": plain} if task.pooled else {"detector": plain[0]}
+
+
 def short(name: str, **settings: Any) -> dict[str, Any]:
     """Settings of short episodes of an id, as JSON has them."""
-    return {**SETTINGS.get(name, {"timeline": SHORT}), **settings}
+    return {**SETTINGS.get(name, {"timeline": SHORT}), **NOMINAL.get(name, {}), **settings}
 
 
 def early(name: str, **settings: Any) -> dict[str, Any]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 
+from spoofgym.detectors import Never
 from spoofgym.receiver import TightlyCoupled, augmented
 from spoofgym.sim.gnss import ERRORS
 from spoofgym.sim.scenario import Scenario
@@ -130,3 +133,54 @@ def test_detectors_weights_hold_the_filter_back():
     simulator.update(None)
     assert not held.any()
     assert (simulator.buffers.fields["clock"] != before).all()
+
+
+@pytest.mark.parametrize("name", ["trolley", "aviation-actual"])
+def test_an_epoch_shows_the_matrices_of_all_states(name):
+    """They are those by which the filter goes on and is updated."""
+    simulator = begun(name, 2, detector=Matrices())
+    simulator.quiet_epochs(5)
+    before = simulator.memory["augmented_covariance"].copy()
+    epoch = simulator.advance()
+    filter_ = simulator.augmented
+    size = filter_.states
+    Phi, P, H = epoch.transition, epoch.predicted_cov, epoch.design
+    assert Phi.shape == P.shape == (2, size, size)
+    assert H.shape == (2, epoch.innovation.shape[1], size)
+    half, driving = np.zeros((size, size)), np.zeros((size, size))
+    half[:17, :17] = np.diag(0.5 * simulator.setup.interval_s * noise_of(simulator))
+    driving[augmented.FIRST :, augmented.FIRST :] = filter_.model.driving
+    want = Phi @ (before + half) @ Phi.transpose(0, 2, 1) + half + driving
+    np.testing.assert_allclose(P, want, rtol=1e-9, atol=1e-12)
+    gain = np.linalg.solve(epoch.innovation_cov, H @ P).transpose(0, 2, 1)
+    change = (gain @ epoch.innovation[:, :, None])[:, :, 0]
+    drift = simulator._predicted.drift
+    held, more = simulator.position.copy(), simulator.memory["augmented"].copy()
+    simulator.update(None)
+    np.testing.assert_allclose(
+        held - simulator.position, (drift[:, :17] + change[:, :17])[:, 6:9], atol=1e-8
+    )
+    np.testing.assert_allclose(simulator.memory["augmented"] - more, change[:, 17:], atol=1e-12)
+
+
+def test_what_is_shown_moves_with_its_receiver():
+    one, two = (begun("trolley", 2, detector=Matrices()) for _ in range(2))
+    two.begin([np.random.default_rng([9, row]) for row in range(2)])
+    for simulator, epochs in ((one, 3), (two, 6)):
+        simulator.quiet_epochs(epochs)
+        simulator.advance()
+    one.copy_rows(np.array([0]), two, np.array([1]))
+    np.testing.assert_array_equal(one.epoch.predicted_cov[0], two.epoch.predicted_cov[1])
+    again = copy.deepcopy(one)
+    assert not np.shares_memory(again.epoch.design, one.epoch.design)
+    np.testing.assert_array_equal(again.epoch.design, one.epoch.design)
+
+
+class Matrices(Never):
+    """Looks at what the filter works with."""
+
+    needs = frozenset({"transition", "predicted_cov", "design", "innovation_cov"})
+
+
+def noise_of(simulator):
+    return np.array(simulator.buffers.assumed["noise_psd"]).reshape(-1, 17)[0]

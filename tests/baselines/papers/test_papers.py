@@ -48,9 +48,9 @@ def test_the_texts_say_something_and_cite_the_paper(key):
 
 
 @pytest.mark.parametrize("key", KEYS)
-def test_the_index_of_the_docs_and_the_readme_name_every_paper(key):
+def test_the_index_of_the_docs_and_the_page_on_papers_name_every_paper(key):
     assert f"](papers/{key}.md)" in (DOCS.parent / "README.md").read_text()
-    assert f"| `{key}` |" in (ROOT / "README.md").read_text()
+    assert f"| `{key}` |" in (DOCS.parent / "papers.md").read_text()
 
 
 def test_every_other_link_of_the_index_leads_somewhere():

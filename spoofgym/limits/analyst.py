@@ -1,0 +1,190 @@
+r"""A filter that knows the world: true noise, and states for all that is not white.
+
+The victim's covariance is its belief, and the innovations of a filter that believes in other noise
+than there is are not white, so that a sum of :math:`\rho^T S^{-1} \rho` over epochs says nothing of
+how well an attack can be seen.  The analyst's filter has the noise of the world and states for
+constant and wandering errors of satellites, for the clock, and for the constants of the inertial
+sensors.  Its innovations are white with covariance :math:`S^*`.  With :math:`\rho^*` the shift that
+an attack brings to them,
+
+.. math:: d^2 = \sum_k \rho_k^{*T} S_k^{*-1} \rho_k^*
+
+is the deflection of the likelihood-ratio test that knows the attack.  The victim's innovations, by
+any gain and any weights, are an invertible function of the same measurements, so that no detector
+does better; the victim's gain decides how far it is moved, and not whether it can be seen.
+
+This is for benchmarks alone: no detector may see what the analyst knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..detectors import Never
+from ..receiver import TightlyCoupled
+from ..receiver.augmented import FIRST
+from ..receiver.epoch import Epoch
+from ..receiver.error_model import ACCEL_BIAS, STATES
+from ..sim.benign_events import BenignEvents
+from ..simulators.base import Given
+from ..simulators.tightly_coupled import TightlyCoupledSetup, TightlyCoupledSimulator
+from .linear import PLACE, LinearRun, as_it_happens, record_from, unattacked
+
+FloatArray = NDArray[np.float64]
+CONSTANTS = np.r_[ACCEL_BIAS : STATES - 2, STATES:FIRST]
+"""States that are the inertial sensors' constants."""
+
+
+class Whiteness(NamedTuple):
+    """Whether the analyst's innovations are white, over R runs.
+
+    - `nis`: normalized innovation squared over its degrees of freedom, 1 where the model holds;
+    - `lag_1`: correlation of neighbouring whitened innovations, 0 where it holds;
+    - `innovations`: how many innovations that is.
+    """
+
+    nis: float
+    lag_1: float
+    innovations: int
+
+
+class AnalystRun(NamedTuple):
+    """The analyst's filter over one run; `coasting` (K, 3, 3) as of `Analyst.record`."""
+
+    linear: LinearRun
+    coasting: FloatArray
+
+
+class Analyst:
+    """The filter that knows the world of a setup.
+
+    Parameters
+    ----------
+    setup : TightlyCoupledSetup
+        World, attack and timeline; its receiver and detector do not matter.
+    sensors_known : bool
+        Whether the constants of the inertial sensors are known, and not drawn for every run.
+
+    Attributes
+    ----------
+    setup : TightlyCoupledSetup
+        Of the analyst's own filter, which is fed the same measurements as the victim's.
+
+    Raises
+    ------
+    ValueError
+        When the domain has several grades or errors, or other constants from world to world.
+    """
+
+    def __init__(self, setup: TightlyCoupledSetup, *, sensors_known: bool = False) -> None:
+        domain = replace(setup.domain, events=BenignEvents())
+        scenario = replace(setup.scenario, assumed=None, events=None)
+        self.sensors_known = sensors_known
+        self.setup = TightlyCoupledSetup(
+            scenario=scenario,
+            detector=Never(),
+            attack=setup.attack,
+            receiver=TightlyCoupled(grade=_grade(setup), tuning="augmented"),
+            timeline=setup.timeline,
+            domain=replace(domain, imu=()),
+            target_heading_deg=setup.target_heading_deg,
+            decision_interval_s=setup.decision_interval_s,
+            between=setup.between,
+        )
+        # which refuses worlds that the filter does not fit
+        self.setup.combinations.signal_model(self.setup.interval_s)
+
+    def begun(
+        self, rngs: Sequence[np.random.Generator], given: Given | None = None
+    ) -> TightlyCoupledSimulator:
+        """Analyst's filters at the start of runs."""
+        simulator = unattacked(self.setup, len(rngs))
+        simulator.begin(rngs, given)
+        if self.sensors_known:
+            P = simulator.memory["augmented_covariance"]
+            P[:, CONSTANTS] = 0.0
+            P[:, :, CONSTANTS] = 0.0
+        return simulator
+
+    def record(
+        self, rngs: Sequence[np.random.Generator], given: Given | None = None
+    ) -> list[AnalystRun]:
+        r"""Record the filter over clean runs, from the onset on.
+
+        ``coasting`` (K, 3, 3) is :math:`P_{coast} - P`, north, east, down [m^2]: what a filter that
+        takes no measurement since the onset does not know of the position, and this one does.
+        """
+        simulator = self.begun(rngs, given)
+        blind = np.zeros(0)
+        kept: list[FloatArray] = []
+
+        def look(epoch: LinearRun) -> None:
+            nonlocal blind
+            blind = _coasted(simulator, epoch.transition, blind)
+            lost = (blind - simulator.memory["augmented_covariance"])[:, PLACE, PLACE]
+            kept.append(epoch.axes.transpose(0, 2, 1) @ lost @ epoch.axes)
+
+        simulator.quiet_epochs(self.setup.onset)
+        blind = simulator.memory["augmented_covariance"].copy()
+        runs = record_from(simulator, look)
+        coasting = np.stack(kept, axis=1)
+        world = self.setup.world
+        return [
+            AnalystRun(as_it_happens(run, world), own)
+            for run, own in zip(runs, coasting, strict=True)
+        ]
+
+    def whiteness(self, rngs: Sequence[np.random.Generator]) -> Whiteness:
+        """Innovations of clean runs of the simulator, which is not linear, after the onset."""
+        simulator = self.begun(rngs)
+        simulator.quiet_epochs(self.setup.onset)
+        squares = products = 0.0
+        count, pairs, last = 0, 0, None
+        for _ in range(self.setup.steps + self.setup.hold):
+            epoch = simulator.advance()
+            y = whitened(epoch)
+            squares, count = squares + float((y * y).sum()), count + 2 * int(epoch.visible.sum())
+            if last is not None:
+                products, pairs = products + float((y * last).sum()), pairs + int((y != 0.0).sum())
+            last = y
+            simulator.update(None)
+        return Whiteness(squares / count, products / max(pairs, 1), count)
+
+
+def whitened(epoch: Epoch) -> FloatArray:
+    """(B, m) innovations of an epoch with variance 1."""
+    factor = np.linalg.cholesky(np.asarray(epoch.innovation_cov))
+    return np.asarray(np.linalg.solve(factor, epoch.innovation[:, :, None])[:, :, 0])
+
+
+def _grade(setup: TightlyCoupledSetup) -> str:
+    """The one grade of inertial sensors of a domain."""
+    (grade, *others) = setup.domain.imu or (setup.scenario.imu,)
+    if others:
+        raise ValueError(
+            "limits are known for one grade of inertial sensors at a time, but the domain's `imu` "
+            f"has {', '.join(setup.domain.imu)}"
+        )
+    return grade
+
+
+def _coasted(
+    simulator: TightlyCoupledSimulator, transition: FloatArray, P: FloatArray
+) -> FloatArray:
+    """Covariance that is propagated by one epoch, without measurements."""
+    half = np.zeros((simulator.receivers, P.shape[1]))
+    psd = simulator.buffers.assumed["noise_psd"]
+    half[:, :STATES] = 0.5 * simulator.buffers.interval[:, None] * psd
+    index = np.arange(P.shape[1])
+    P = P.copy()
+    P[:, index, index] += half
+    P = transition @ P @ transition.transpose(0, 2, 1)
+    P[:, index, index] += half
+    if simulator.augmented is not None:
+        P[:, FIRST:, FIRST:] += simulator.augmented.model.driving
+    return P

@@ -1,0 +1,240 @@
+"""The floor of a setup: its detectability frontier over the worlds that it draws.
+
+It is the displacement that even a perfect detector would allow, in metres at a stated probability
+of a false alarm and of detection.  A task whose floor lies above its alert limit cannot be
+defended, and a best attack that stays below the floor says that the search for it has failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._registry import whole_number
+from ..simulators.splits import generators_of, seeds_of_runs
+from ..simulators.tightly_coupled import TightlyCoupledSetup
+from .analyst import Analyst
+from .commands import Commands, unit_commands
+from .frontier import WorldFrontier, world_frontier
+from .linear import record
+from .power import deflection_for
+
+FloatArray = NDArray[np.float64]
+Tick = Callable[[float], None]
+HATS = 60
+"""Hat functions of the rate, by axis; as many decisions lose 0.1 to 1 % of the frontier."""
+HEADINGS = 24
+"""Headings of a target direction that is drawn."""
+QUANTILES = (0.1, 0.5, 0.9)
+ASSUMPTIONS = (
+    "the detector sees pseudoranges, range rates and the inertial sensors: no signal strength, "
+    "barometer or second antenna",
+    "the noise of the world and the parameters of its errors are known to it; no benign event",
+    "first order around a clean run, normal errors",
+    "the attack is open-loop, tracks its target perfectly and leaves the authentic errors in "
+    "place; anything else is seen more easily",
+)
+"""Under which a floor holds, printed with every figure."""
+SENSORS = {
+    False: "the constants of the inertial sensors are drawn by their data sheet, and not known",
+    True: "the constants of the inertial sensors are known",
+}
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """The frontier of a setup, over W drawn runs.
+
+    Attributes
+    ----------
+    per_deflection : ndarray
+        (W, 2, 2) matrices M; the frontier at d = 1 along a unit vector c is the root of c' M c [m];
+        infinite where it has no end.
+    coasting : ndarray
+        (W, 2, 2) the same by the closed form, for an attack that commands every channel freely.
+    heading : float or None
+        Direction that counts, clockwise from north [rad]; None where it is drawn, or any one is.
+    sensors_known : bool
+        Whether the constants of the inertial sensors are known.
+    any_direction : bool
+        Whether displacement counts in any direction, so that the attack goes where it gets
+        farthest.
+    one : WorldFrontier
+        Of the first run.
+    times_s : ndarray
+        (E,) times since the onset at which the frontier is known, too [s].
+    course : ndarray
+        (W, E, 2, 2) what `per_deflection` is for attacks that aim at these times.
+    """
+
+    per_deflection: FloatArray
+    coasting: FloatArray
+    heading: float | None
+    sensors_known: bool
+    any_direction: bool
+    one: WorldFrontier
+    times_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    course: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 2, 2)))
+
+    def sizes(self, *, free: bool = False) -> FloatArray:
+        """(N,) frontiers at d = 1 over worlds and headings [m]; `free` for the closed form."""
+        return self._sizes(self.coasting if free else self.per_deflection)
+
+    def _sizes(self, matrices: FloatArray) -> FloatArray:
+        """(N,) frontiers over worlds and headings of (W, 2, 2) matrices [m]."""
+        if self.any_direction:
+            bad = np.asarray(~np.isfinite(matrices).all(axis=(1, 2)))
+            largest = np.linalg.eigvalsh(np.where(bad[:, None, None], 0.0, matrices))[:, -1]
+            return np.sqrt(np.where(bad, np.inf, np.maximum(largest, 0.0)))
+        angles = np.array([self.heading])
+        if self.heading is None:
+            angles = np.arange(HEADINGS) * (np.pi / HEADINGS)
+        c = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        with np.errstate(invalid="ignore"):
+            squares: FloatArray = np.einsum("hi,wij,hj->wh", c, matrices, c)
+        return np.sqrt(np.where(np.isfinite(squares), squares, np.inf)).ravel()
+
+    def floor_m(
+        self, p_fa: float, p_d: float, *, heading: str = "unknown", quantile: float = 0.5
+    ) -> float:
+        """Displacement that a perfect detector allows.
+
+        Parameters
+        ----------
+        p_fa, p_d : float
+            Probabilities of a false alarm, and of detection, in (0, 1).
+        heading : {"known", "unknown"}
+            Whether the detector knows the heading of the attack; it knows the rest.
+        quantile : float
+            Of the worlds, 0 to 1.
+
+        Returns
+        -------
+        float
+            The floor [m]; infinite where the frontier has no end.
+        """
+        d = deflection_for(p_fa, p_d, heading=heading)
+        return float(d * np.quantile(self.sizes(), quantile, method="nearest"))
+
+    def course_m(
+        self, p_fa: float, p_d: float, *, heading: str = "unknown", quantile: float = 0.5
+    ) -> FloatArray:
+        """(E,) floors of attacks that aim at `times_s` [m]; arguments as of `floor_m`."""
+        d = deflection_for(p_fa, p_d, heading=heading)
+        each = (self._sizes(self.course[:, e]) for e in range(len(self.times_s)))
+        return np.array([d * np.quantile(of, quantile, method="nearest") for of in each])
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """Under which it holds."""
+        return (*ASSUMPTIONS, SENSORS[self.sensors_known])
+
+
+def frontier_of(
+    setup: TightlyCoupledSetup,
+    *,
+    worlds: int = 8,
+    sensors_known: bool = False,
+    entropy: int = 0,
+    times: int = 0,
+    tick: Tick | None = None,
+) -> Frontier:
+    """Compute the detectability frontier of a setup.
+
+    Parameters
+    ----------
+    setup : TightlyCoupledSetup
+        World, victim, attack and timeline; the detector does not matter.
+    worlds : int
+        Runs whose worlds are drawn, at least 1; one is enough where nothing is drawn.
+    sensors_known : bool
+        Whether the constants of the inertial sensors are known to the perfect detector.
+    entropy : int
+        Seed of the random number generators.
+    times : int
+        At how many equally spaced times of the command phase the frontier is wanted, too.
+    tick : callable, optional
+        Is given the part of the work that has been done.
+
+    Returns
+    -------
+    Frontier
+        At the end of the command phase, with the time to alert tested, too.
+
+    Raises
+    ------
+    ValueError
+        When the victim has no linear model here, or the attack is not linear in its commands or
+        does something without any.
+
+    Examples
+    --------
+    >>> from spoofgym.limits import frontier_of
+    >>> from spoofgym.simulators import TightlyCoupledSetup
+    >>> found = frontier_of(TightlyCoupledSetup(detector="never"))
+    >>> round(found.floor_m(0.01, 0.5), 1)
+    4.7
+    """
+    check_linear_victim(setup)
+    count = whole_number("`worlds`", worlds, 1)
+    lasts = _epochs(setup.steps, whole_number("`times`", times, 0))
+    if setup.bounds._replace(heading=0.0).single:
+        count = 1
+    advance = tick or (lambda part: None)
+    analyst = Analyst(setup, sensors_known=sensors_known)
+    found: list[WorldFrontier] = []
+    matrices, coasting, course = [], [], []
+    for run in range(count):
+        seeds = seeds_of_runs(entropy, "selection", setup.name, [run])
+        victim = record(setup, generators_of(seeds))[0]
+        again = seeds_of_runs(entropy, "selection", setup.name, [run])
+        its_analyst = analyst.record(generators_of(again))[0]
+        commands = _commands(setup, victim.onset)
+        last = setup.steps - 1
+        each = world_frontier(commands, victim, its_analyst.linear, its_analyst.coasting, last)
+        found = found or [each]
+        matrices.append(each.per_deflection())
+        course.append(each.course(lasts, setup.hold))
+        coasting.append(each.coasting)
+        advance(1.0 / count)
+    fixed = setup.target_heading_deg
+    heading = None if isinstance(fixed, str) else float(np.radians(fixed))
+    return Frontier(
+        np.array(matrices),
+        np.array(coasting),
+        heading,
+        sensors_known,
+        fixed == "worst",
+        found[0],
+        (np.array(lasts, dtype=np.float64) + 1.0) * setup.interval_s,
+        np.array(course),
+    )
+
+
+def _commands(setup: TightlyCoupledSetup, onset: int) -> Commands:
+    """Unit commands of an attack that does nothing unless it is commanded to."""
+    commands = unit_commands(setup, onset).in_hats(HATS)
+    if np.any(commands.idle):
+        raise ValueError(
+            f"no floor is known for {setup.attack.label!r}: it changes the measurements when it is "
+            "commanded nothing, and the frontier is of what commands do"
+        )
+    return commands
+
+
+def _epochs(steps: int, times: int) -> list[int]:
+    """Epochs, from the onset, of so many equally spaced times of the command phase."""
+    return sorted({round(steps * (k + 1) / times) - 1 for k in range(times)} - {-1})
+
+
+def check_linear_victim(setup: Any) -> TightlyCoupledSetup:
+    """The setup of a victim for which limits are known; a ValueError for any other."""
+    if not isinstance(setup, TightlyCoupledSetup):
+        raise ValueError(
+            f"limits are known for tightly coupled receivers alone, not for {setup.whose}"
+        )
+    return setup

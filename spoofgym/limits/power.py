@@ -1,0 +1,220 @@
+r"""What the best possible test can do, as a function of the deflection or of the divergence.
+
+A known attack shifts the clairvoyant statistic, normal with variance 1, by the deflection d:
+
+.. math:: P_D = Q(Q^{-1}(P_{FA}) - d)
+
+A test that knows the attack but for its heading has a chi-square statistic with two degrees of
+freedom and the noncentrality d^2.  For any attack at all, with D the divergence (in nats) of the
+attacked from the clean measurements, no test exceeds the :math:`P_D` at which
+
+.. math:: \mathrm{kl}(P_D, P_{FA}) = P_D \ln\frac{P_D}{P_{FA}}
+    + (1 - P_D) \ln\frac{1 - P_D}{1 - P_{FA}} = D
+
+and a shift by d of normal measurements has :math:`D = d^2 / 2`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from scipy import special, stats
+from scipy.optimize import brentq
+
+from .._registry import check_finite
+
+LEAST_DEFLECTION = 1e-9
+"""Below it the square is lost in rounding, and SciPy's noncentral chi-square goes wrong where that
+is no normal number."""
+
+
+def _check_probability(name: str, value: float) -> None:
+    if not (math.isfinite(value) and 0.0 < value < 1.0):
+        raise ValueError(f"`{name}` must be above 0 and below 1, got {value}")
+
+
+def _check_heading(headings: str) -> None:
+    if headings not in ("known", "unknown"):
+        raise ValueError(f"`heading` must be 'known' or 'unknown', got {headings!r}")
+
+
+def power(deflection: float, p_fa: float, *, heading: str = "known") -> float:
+    """Probability that the best possible test finds an attack.
+
+    Parameters
+    ----------
+    deflection : float
+        d, at least 0.
+    p_fa : float
+        Probability of a false alarm, in (0, 1).
+    heading : {"known", "unknown"}
+        Whether the test knows the attack exactly, or all of it but its heading.
+
+    Returns
+    -------
+    float
+        P_D.
+
+    Raises
+    ------
+    ValueError
+        When an argument is out of range.
+
+    Examples
+    --------
+    >>> from spoofgym.limits import power
+    >>> round(power(2.0, 0.05), 2)
+    0.64
+    """
+    check_finite("deflection", deflection, ">= 0")
+    _check_probability("p_fa", p_fa)
+    _check_heading(heading)
+    if heading == "known":
+        return float(special.ndtr(deflection + special.ndtri(p_fa)))
+    if deflection < LEAST_DEFLECTION:
+        return p_fa
+    threshold = special.chdtri(2.0, p_fa)
+    return float(stats.ncx2.sf(threshold, 2, deflection**2))
+
+
+def deflection_for(p_fa: float, p_d: float, *, heading: str = "known") -> float:
+    """Deflection at which the best possible test finds an attack with some probability.
+
+    Parameters
+    ----------
+    p_fa, p_d : float
+        Probabilities of a false alarm and of detection, in (0, 1), the second at least the first.
+    heading : {"known", "unknown"}
+        Whether the test knows the attack exactly, or all of it but its heading.
+
+    Returns
+    -------
+    float
+        d.
+
+    Raises
+    ------
+    ValueError
+        When an argument is out of range.
+
+    Examples
+    --------
+    >>> from spoofgym.limits import deflection_for
+    >>> round(deflection_for(0.01, 0.06), 2)
+    0.77
+    >>> round(deflection_for(0.01, 0.06, heading="unknown"), 2)
+    1.22
+    """
+    _check_probability("p_fa", p_fa)
+    _check_probability("p_d", p_d)
+    _check_heading(heading)
+    if p_d < p_fa:
+        raise ValueError(f"`p_d` must be at least `p_fa` = {p_fa}, got {p_d}")
+    if heading == "known":
+        return float(special.ndtri(p_d) - special.ndtri(p_fa))
+    if p_d == p_fa:
+        return 0.0
+    high = 1.0
+    while power(high, p_fa, heading=heading) < p_d:
+        high *= 2.0
+    found = brentq(lambda d: power(d, p_fa, heading=heading) - p_d, 0.0, high, xtol=1e-10)
+    return float(found)
+
+
+def divergence_of(deflection: float) -> float:
+    """Divergence of a shift of normal measurements.
+
+    Parameters
+    ----------
+    deflection : float
+        d.
+
+    Returns
+    -------
+    float
+        d^2 / 2 [nats].
+    """
+    return 0.5 * deflection**2
+
+
+def kl_of(p_d: float, p_fa: float) -> float:
+    """Binary divergence kl(p_d, p_fa) [nats]."""
+    return float(special.rel_entr(p_d, p_fa) + special.rel_entr(1.0 - p_d, 1.0 - p_fa))
+
+
+def most_power(divergence: float, p_fa: float) -> float:
+    """Probability of detection that no test exceeds, whatever it knows.
+
+    It holds for the divergence of an attack by a spoofer whose observations are functions of past
+    measurements and of its own commands, as `blind`, `tracking` and the victim's statistics are.
+    For one that sees a latent error, such as the reported position less the true one, the
+    divergence is not d^2 / 2 of what it has commanded, and nothing is known (`check_no_latent`).
+
+    Parameters
+    ----------
+    divergence : float
+        D of the attacked from the clean measurements [nats], at least 0.
+    p_fa : float
+        Probability of a false alarm, in (0, 1).
+
+    Returns
+    -------
+    float
+        P_D.
+
+    Raises
+    ------
+    ValueError
+        When an argument is out of range.
+
+    Examples
+    --------
+    >>> from spoofgym.limits import most_power
+    >>> round(most_power(2.0, 0.05), 2), round(most_power(2.0, 0.01), 2)
+    (0.82, 0.58)
+    """
+    check_finite("divergence", divergence, ">= 0")
+    _check_probability("p_fa", p_fa)
+    if divergence >= -math.log(p_fa):
+        return 1.0
+    if divergence == 0.0:
+        return p_fa
+    return float(brentq(lambda p: kl_of(p, p_fa) - divergence, p_fa, 1.0, xtol=1e-12))
+
+
+MEASURED = ("blind", "tracking")
+"""Knowledge that is of no error of the victim, whatever is observed."""
+HARMLESS = (
+    "own_",
+    "time_",
+    "target_",
+    "sight_",
+    "visible_",
+    "spoofed_",
+    "statistic_ratio",
+    "weight_",
+    "divergence_spent",
+)
+"""How the names of elements begin that are functions of measurements, commands and the truth."""
+
+
+def check_no_latent(knowledge: str, observation_names: Sequence[str] | None = None) -> None:
+    """Raise where the bound by divergence does not hold for what a spoofer observes.
+
+    By its knowledge alone an ``"oracle"`` is refused, since it may see the error of the estimate,
+    as it does by default; with the names of what it observes, only where one of them is no function
+    of the measurements.  The victim's reports are always refused, as what they say of the position
+    less the true one is that error.
+    """
+    if knowledge in MEASURED:
+        return
+    latent = [name for name in observation_names or () if not name.startswith(HARMLESS)]
+    if knowledge == "oracle" and observation_names is not None and not latent:
+        return
+    seen = f", which observes {', '.join(latent)}" if latent else ""
+    raise ValueError(
+        f"there is no bound by divergence for a spoofer with the knowledge {knowledge!r}{seen}: it "
+        "may see an error that the measurements alone do not tell, so that its commands are no "
+        "function of past measurements, and d^2 / 2 is not their divergence"
+    )

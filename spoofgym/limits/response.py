@@ -1,0 +1,440 @@
+r"""Response replay: what passive detectors make of an attack, without the engine.
+
+The innovations of a passive detector's victim are those of the clean run plus the response of the
+closed loop, :math:`z + A u`, with the gains of the clean run.  So clean runs are recorded once, and
+any open-loop attack is added to them and judged by the detector's own `judge`.  It is exact to
+first order for detectors that leave the filter alone; for one that takes weight off measurements
+the gains would change with what it sees, and it is refused.
+
+An attack whose errors are its own, such as a quiet one, has runs in which it is commanded nothing
+in place of clean ones.  Runs of one sky and start share their response: one of them is computed.
+
+Solution separation takes the filter's matrices in, which makes its `judge` slow; its separations
+are linear in the innovations, so that it judges every hat function once, and attacks are sums.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..detectors import Calibrated, Detector, Never, PooledDetector, SolutionSeparation
+from ..detectors.base import check_needs
+from ..detectors.verdicts import judged
+from ..receiver.epoch import ALWAYS, Epoch
+from ..simulators.base import run_serially
+from ..simulators.engine import available_threads
+from ..simulators.splits import generators_of
+from ..simulators.tightly_coupled import TightlyCoupledSetup
+from .commands import Commands, hat_functions, unit_commands
+from .linear import Response, record, respond
+
+FloatArray = NDArray[np.float64]
+HATS = 40
+"""Hat functions of the rate by which the response is known, over the attack window."""
+CHANGED = {
+    "innovation",
+    "pseudorange",
+    "range_rate",
+    "predicted_position",
+    "predicted_velocity",
+}
+"""Fields of an epoch that an attack changes to first order, as far as a detector can see."""
+UNKNOWN = {"gnss_position", "auxiliary_position", "cn0_dbhz"}
+"""Fields whose response is not known."""
+AT_ONCE = 32
+"""Runs whose matrices are held in memory together."""
+BANKS_AT_ONCE = 4
+"""Runs whose banks of solutions are held in memory together."""
+
+
+class Replayed(NamedTuple):
+    """P attacks on N runs.
+
+    - `first_alarm` (P, N) epoch from 1 on; 0 for none;
+    - `peak` (P, N) largest ratio of statistic to threshold in the judged window;
+    - `error` (K, P, N) induced horizontal error, a distance [m].
+    """
+
+    first_alarm: NDArray[np.int64]
+    peak: FloatArray
+    error: FloatArray
+
+
+class LinearBank(NamedTuple):
+    """A bank of solutions over the K epochs of N runs, whose statistic is a largest square.
+
+    - `clean` (N, K, J, 2) whitened separations without an attack, in units of the threshold's root;
+    - `units` (N, K J 2, Q) their change by hat functions of the rate along the target direction.
+    """
+
+    clean: FloatArray
+    units: NDArray[np.float32]
+
+
+class NotReplayable(ValueError):
+    """A detector or an attack whose response is not linear."""
+
+
+def _inner(detector: Detector) -> Detector:
+    """A detector without its calibration."""
+    return detector.detector if isinstance(detector, Calibrated) else detector
+
+
+def check_replayable(detector: Detector) -> None:
+    """Raise where a detector can't be judged by replay, and say what holds instead."""
+    inner = _inner(detector)
+    name = type(inner).__name__
+    if isinstance(inner, PooledDetector):
+        for member in inner.judges:
+            check_replayable(member)
+    unknown = sorted(UNKNOWN & check_needs(detector))
+    if unknown:
+        raise NotReplayable(
+            f"{name} looks at {', '.join(unknown)}, whose response to an attack is not linear: "
+            "play it on the engine"
+        )
+
+
+class Replay:
+    """Clean runs of a world, and the responses of their filters.
+
+    Parameters
+    ----------
+    setup : TightlyCoupledSetup
+        World, attack, timeline and target direction; its detector is not asked.
+    detectors : sequence of Detector
+        Passive ones, in one list so that they share the runs; copied.
+    seeds : sequence of SeedSequence
+        Of the runs.
+    threads : int, optional
+        That judge attacks; all useful cores by default.
+    tick : callable, optional
+        Is given the part of the responses that is done.
+
+    Attributes
+    ----------
+    runs : int
+        N.
+    warmup_alarm, twin_alarm : ndarray
+        (D, N) bool, alarms before the onset, and epoch of the first alarm after it, without attack.
+
+    Raises
+    ------
+    NotReplayable
+        When a detector de-weights, or looks at what is not linear.
+    """
+
+    def __init__(
+        self,
+        setup: TightlyCoupledSetup,
+        detectors: Sequence[Detector],
+        seeds: Sequence[np.random.SeedSequence],
+        *,
+        threads: int | None = None,
+        tick: Callable[[float], None] | None = None,
+    ) -> None:
+        self.setup, self.runs = setup, len(seeds)
+        self._banks: dict[tuple[int, bytes], LinearBank] = {}
+        self.threads = available_threads(10**9) if threads is None else threads
+        self.detectors = [copy.deepcopy(each) for each in detectors]
+        for each in self.detectors:
+            check_replayable(each)
+        self.needs = frozenset().union(*(check_needs(each) for each in self.detectors))
+        self._tick = tick or (lambda part: None)
+        self._record(seeds)
+        self._respond(seeds)
+
+    # --- recording -----------------------------------------------------------------------------
+
+    def _record(self, seeds: Sequence[np.random.SeedSequence]) -> None:
+        """Run the warm-up with the detectors live, and keep the epochs after it."""
+        told = self.setup.altered(detector=Never(), monitors=())
+        told.fields = self.setup.fields | self.needs
+        simulator = told.simulator(self.runs, run_serially)
+        simulator.begin(generators_of(seeds))
+        self._context = simulator._context()
+        for each in self.detectors:
+            simulator.bind_detector(each)
+            each.reset()
+        simulator.quiet_epochs(told.quiet)
+        self.warmup_alarm = np.zeros((len(self.detectors), self.runs), dtype=np.bool_)
+        for _ in range(told.live):
+            epoch = simulator.advance()
+            for k, each in enumerate(self.detectors):
+                self.warmup_alarm[k] |= self._judged(each, epoch).alarm.any(axis=1)
+            simulator.update(None)
+        self.first, self.onset = simulator.memory["first"].copy(), simulator.onset.copy()
+        self.heading = simulator.heading.copy()
+        self.sky = self.onset // told.epochs_each
+        kept: dict[str, list[NDArray[Any]]] = {}
+        idle = simulator.advance if told.attack.idle_is_clean else lambda: simulator.predict(None)
+        for _ in range(told.steps + told.hold):
+            epoch = idle()
+            for name, array in epoch._asdict().items():
+                if array is not None:
+                    kept.setdefault(name, []).append(np.array(array))
+            simulator.update(None)
+        self._epochs = kept
+
+    def _judged(self, detector: Detector, epoch: Epoch) -> Any:
+        verdict = judged(detector, epoch)
+        if verdict.weights is not None:
+            raise NotReplayable(
+                f"{type(_inner(detector)).__name__} takes weight off measurements, which changes "
+                "the gains of the filter: play it on the engine"
+            )
+        return verdict
+
+    @property
+    def epochs(self) -> int:
+        """K, from the onset to the end of the time to alert."""
+        return len(self._epochs["time"])
+
+    # --- responses -----------------------------------------------------------------------------
+
+    def _respond(self, seeds: Sequence[np.random.SeedSequence]) -> None:
+        """Responses to hat functions of the rate, once for all runs of a sky, start and view."""
+        views: dict[bytes, int] = {}
+        seen = np.array(self._epochs["visible"]).transpose(1, 0, 2)
+        keys = [
+            first.tobytes() + view.tobytes() for first, view in zip(self.first, seen, strict=True)
+        ]
+        self.group = np.array([views.setdefault(key, len(views)) for key in keys])
+        ones = [int(np.flatnonzero(self.group == g)[0]) for g in range(len(views))]
+        self.hats = hat_functions(self.setup.steps // self.setup.repeat, HATS)
+        self._units: list[dict[str, FloatArray]] = []
+        for at in range(0, len(ones), AT_ONCE):
+            part = ones[at : at + AT_ONCE]
+            again = generators_of([_copied(seeds[b]) for b in part])
+            for b, run in zip(part, record(self.setup, again), strict=True):
+                commands = self._commands(int(self.onset[b]))
+                offsets = self._in_hats(commands)
+                seen_b = np.tile(run.visible, 2)
+                offsets = offsets * seen_b[:, :, None]
+                self._units.append(self._kept(respond(run, offsets), offsets))
+                self._tick(1.0 / len(ones))
+
+    def _kept(self, found: Response, offsets: FloatArray) -> dict[str, FloatArray]:
+        """Parts of a response that are needed, as 32-bit floats."""
+        parts = {"innovation": found.innovation, "position": found.position[:, :2]}
+        parts["predicted"] = found.predicted
+        if self.needs & {"pseudorange", "range_rate"}:
+            parts["offset"] = offsets
+        return {name: array.astype(np.float32) for name, array in parts.items()}
+
+    def _commands(self, onset: int) -> Commands:
+        commands = unit_commands(self.setup, onset)
+        if commands.heading is None or not np.array_equal(commands.heading, np.eye(2)):
+            raise NotReplayable(
+                "the replay moves a false position north and east, and "
+                f"{self.setup.attack.label!r} commands {', '.join(self.setup.action_names)}"
+            )
+        if np.any(commands.idle):
+            raise NotReplayable(
+                f"{self.setup.attack.label!r} changes the measurements without a command"
+            )
+        return commands
+
+    def _in_hats(self, commands: Commands) -> FloatArray:
+        """(K, m, 2 Q) offsets by hat function, those north first."""
+        each = commands.offsets.reshape(*commands.offsets.shape[:2], commands.decisions, 2)
+        parts = [each[:, :, :, axis] @ self.hats for axis in (0, 1)]
+        return np.concatenate(parts, axis=2)
+
+    def _coefficients(self, rates: FloatArray) -> FloatArray:
+        """(Q, P) of the hat functions that come nearest to rates."""
+        return np.asarray(np.linalg.lstsq(self.hats, rates.T, rcond=None)[0])
+
+    # --- judging -------------------------------------------------------------------------------
+
+    def play(
+        self,
+        number: int,
+        rates: FloatArray,
+        *,
+        rows: NDArray[np.intp] | None = None,
+    ) -> Replayed:
+        """Let one of the detectors judge P attacks on some runs, all by default.
+
+        `rates` (P, decisions) along each run's target direction [m/s].
+        """
+        rows = np.arange(self.runs) if rows is None else rows
+        in_bank = isinstance(_inner(self.detectors[number]), SolutionSeparation)
+        one = self._play_bank if in_bank else self._play
+        if in_bank:
+            self._bank(number)  # once, before threads ask for it
+        parts = np.array_split(rates, min(self.threads, len(rates)))
+        if len(parts) == 1:
+            return one(number, rates, rows)
+        with ThreadPoolExecutor(len(parts)) as pool:
+            found = list(pool.map(lambda part: one(number, part, rows), parts))
+        return Replayed(
+            np.concatenate([each.first_alarm for each in found]),
+            np.concatenate([each.peak for each in found]),
+            np.concatenate([each.error for each in found], axis=1),
+        )
+
+    def _play(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> Replayed:
+        """Let a detector judge some attacks."""
+        moved, error = self.attacked(rates, rows, check_needs(self.detectors[number]))
+        detector = self._ready(number, rows, len(rates))
+        first = np.zeros(len(rates) * len(rows), dtype=np.int64)
+        peak = np.zeros(len(first))
+        buffers: dict[str, NDArray[Any]] = {}
+        for k in range(self.epochs):
+            epoch = self._epoch(k, moved, rows, len(rates), detector.needs, buffers)
+            verdict = self._judged(detector, epoch)
+            np.maximum(peak, (verdict.statistic / verdict.threshold).max(axis=1), out=peak)
+            first[verdict.alarm.any(axis=1) & (first == 0)] = k + 1
+        shape = len(rates), len(rows)
+        return Replayed(first.reshape(shape), peak.reshape(shape), error)
+
+    def _play_bank(self, number: int, rates: FloatArray, rows: NDArray[np.intp]) -> Replayed:
+        """Let solution separation judge some attacks: its separations are linear in them."""
+        bank, u = self._bank(number), self._coefficients(rates).astype(np.float32)
+        shape = len(rates), len(rows)
+        first, peak = np.zeros(shape, dtype=np.int64), np.zeros(shape)
+        for at, row in enumerate(rows.tolist()):
+            clean = bank.clean[row]
+            moved = (bank.units[row] @ u).reshape(*clean.shape, len(rates))
+            ratio = np.square(moved + clean[..., None]).sum(axis=2).max(axis=1)  # (K, P)
+            peak[:, at] = ratio.max(axis=0)
+            above = ratio > 1.0
+            first[:, at] = np.where(above.any(axis=0), above.argmax(axis=0) + 1, 0)
+        return Replayed(first, peak, self.errors(rates, rows))
+
+    def _bank(self, number: int) -> LinearBank:
+        """The bank of a detector along the target directions, made when it is first asked for."""
+        key = number, self.heading.tobytes()
+        if key not in self._banks:
+            parts = np.array_split(np.arange(self.runs), math.ceil(self.runs / BANKS_AT_ONCE))
+            with ThreadPoolExecutor(self.threads) as pool:
+                found = list(pool.map(lambda rows: self._bank_of(number, rows), parts))
+            clean, units = zip(*found, strict=True)
+            self._banks[key] = LinearBank(np.concatenate(clean), np.concatenate(units))
+        return self._banks[key]
+
+    def _bank_of(self, number: int, rows: NDArray[np.intp]) -> LinearBank:
+        """The bank of some runs: the detector judges nothing and every hat function."""
+        rates = np.concatenate([np.zeros((1, len(self.hats))), self.hats.T])
+        moved, _ = self.attacked(rates, rows, check_needs(self.detectors[number]))
+        detector = self._ready(number, rows, len(rates))
+        inner = cast(SolutionSeparation, _inner(detector))
+        buffers: dict[str, NDArray[Any]] = {}
+        kept = []
+        for k in range(self.epochs):
+            epoch = self._epoch(k, moved, rows, len(rates), detector.needs, buffers)
+            verdict = self._judged(detector, epoch)
+            place = np.tile(self._epochs["predicted_position"][k][rows], (len(rates), 1))
+            size = np.sqrt(verdict.threshold[:, :, None])
+            kept.append((inner.whitened(place) / size).reshape(len(rates), len(rows), -1, 2))
+        every = np.array(kept)  # (K, 1 + Q, N, J, 2)
+        clean = every[:, 0].transpose(1, 0, 2, 3)
+        units = (every[:, 1:] - every[:, :1]).transpose(2, 0, 3, 4, 1)
+        return LinearBank(
+            np.ascontiguousarray(clean),
+            np.ascontiguousarray(units.reshape(len(rows), -1, units.shape[-1]), dtype=np.float32),
+        )
+
+    def attacked(
+        self, rates: FloatArray, rows: NDArray[np.intp], needs: frozenset[str]
+    ) -> tuple[dict[str, FloatArray], FloatArray]:
+        """What attacks add to the fields that a detector reads, and the induced horizontal errors.
+
+        (K, P, N or 1, x) by name, one row for all runs where they have one sky and one heading;
+        (K, P, N) [m].
+        """
+        heading, group = self.heading[rows], self.group[rows]
+        alike = len(self._units) == 1 and bool(np.all(heading == heading[0]))
+        some = 1 if alike else len(rows)
+        aim = np.stack([np.cos(heading), np.sin(heading)], axis=1)[:some]
+        u, count = self._coefficients(rates), self._epochs["visible"][0].shape[1]
+        moved = {}
+        for name in sorted(CHANGED & (ALWAYS | needs)):
+            part, where = place_of(name, count)
+            moved[name] = self._along(part, where, u, group[:some], aim)
+        return moved, self.errors(rates, rows)
+
+    def errors(self, rates: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
+        """Induced horizontal errors (K, P, N) of attacks [m], `rates` as of `play`."""
+        aim = np.stack([np.cos(self.heading[rows]), np.sin(self.heading[rows])], axis=1)
+        group, u = self.group[rows], self._coefficients(rates)
+        position = self._along("position", slice(0, 2), u, group, aim)
+        return np.asarray(np.hypot(position[..., 0], position[..., 1]))
+
+    def _along(
+        self,
+        part: str,
+        where: slice,
+        u: FloatArray,
+        group: NDArray[np.intp],
+        aim: FloatArray,
+    ) -> FloatArray:
+        """(K, P, N, x) part of the responses to `u` (Q, P), of runs by their groups and aims."""
+        hats, attacks = u.shape
+        out: FloatArray | None = None
+        for g in np.unique(group).tolist():
+            unit = self._units[g][part][:, where]  # (K, x, 2Q)
+            both = (unit.reshape(-1, 2, hats) @ u).reshape(*unit.shape[:2], 2, attacks)
+            if out is None:
+                out = np.empty((len(unit), attacks, len(aim), unit.shape[1]))
+            for n in np.flatnonzero(group == g):
+                north, east = aim[n]
+                out[:, :, n] = (north * both[:, :, 0] + east * both[:, :, 1]).transpose(0, 2, 1)
+        assert out is not None  # there is at least one run
+        return out
+
+    def _ready(self, number: int, rows: NDArray[np.intp], attacks: int) -> Detector:
+        """A detector at the onset, with all runs for every attack."""
+        detector = copy.deepcopy(self.detectors[number])
+        detector.bind(self._context._replace(receivers=attacks * len(rows)))
+        everyone = np.arange(attacks * len(rows))
+        source = self.detectors[number].memory
+        detector.memory.copy_rows(everyone, source, np.tile(rows, attacks))
+        return detector
+
+    def _epoch(
+        self,
+        k: int,
+        moved: dict[str, FloatArray],
+        rows: NDArray[np.intp],
+        attacks: int,
+        needs: frozenset[str],
+        buffers: dict[str, NDArray[Any]],
+    ) -> Epoch:
+        """The epoch of every attack and run, with the response, in buffers that are used again."""
+        arrays = {}
+        for name in ALWAYS | needs:
+            array = self._epochs[name][k][rows]
+            if name not in buffers:
+                buffers[name] = np.empty((attacks, *array.shape), dtype=array.dtype)
+            out = buffers[name]
+            if name in moved:
+                np.add(array, moved[name][k], out=out)
+            else:
+                out[:] = array
+            arrays[name] = out.reshape(-1, *array.shape[1:])
+        return Epoch(**arrays)
+
+
+def place_of(name: str, channels: int) -> tuple[str, slice]:
+    """Part of the responses, and its rows, in which a field of an epoch is."""
+    return {
+        "innovation": ("innovation", slice(None)),
+        "pseudorange": ("offset", slice(0, channels)),
+        "range_rate": ("offset", slice(channels, None)),
+        "predicted_position": ("predicted", slice(0, 3)),
+        "predicted_velocity": ("predicted", slice(3, 6)),
+    }[name]
+
+
+def _copied(seed: np.random.SeedSequence) -> np.random.SeedSequence:
+    """The same seed, from which nothing has been spawned."""
+    return np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key)

@@ -1,0 +1,398 @@
+"""The search for a blind optimum: against a known one, its players, and in a campaign."""
+
+from __future__ import annotations
+
+import copy
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import special
+
+from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
+from spoofgym.bench import optima as optima_module
+from spoofgym.bench.attack_suite import AROUND_FOUND, grid_of
+from spoofgym.bench.blind_optimum import (
+    SHAPES,
+    BlindOptimizer,
+    BlindSearch,
+    crossing,
+)
+from spoofgym.bench.campaign import search, training_start
+from spoofgym.bench.entries import spoofer_entry
+from spoofgym.bench.optima import AIMS, ENGINE, REPLAY, ZERO_ALARM, Optima, curves_to_fit
+from spoofgym.bench.players import EnginePlayer, ReplayPlayer, limits_of, pushed
+from spoofgym.bench.report import markdown
+from spoofgym.bench.run import WarmStart, play
+from spoofgym.bench.searches import Selection
+from spoofgym.envs.factory import make_setup
+from spoofgym.envs.spoofer_binding import spoofer_context
+from spoofgym.limits import Replay
+from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulators.clean_runs import Silent
+from spoofgym.simulators.splits import generators_of, seed_sequences
+
+from .support import SHORT, small_suite
+
+BLIND = {"name": "blind-optimum", "amplitude": "tuned"}
+
+
+class Quadratic:
+    """A detector whose largest ratio is a weighted length of the curve times each run's noise.
+
+    What is gained grows with the sum of the curve, so that the best of all curves is known.
+    """
+
+    def __init__(self, limits: tuple[float, float] = (1.0, math.inf), spread: float = 0.2) -> None:
+        self.runs, self.steps, self.limits = 96, 120, limits
+        self.noise = np.exp(spread * special.ndtri((np.arange(96) + 0.5) / 96))
+        self.t = (np.arange(120) + 0.5) / 120
+        self.weight = 40.0 * (1.0 + 4.0 * self.t) / 120
+        self.played: list[np.ndarray] = []
+
+    def length(self, curves: np.ndarray) -> np.ndarray:
+        return np.sqrt((curves**2 * self.weight).sum(axis=-1))
+
+    def play(self, curves: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        self.played.append(curves)
+        return self.length(curves)[:, None] * self.noise[rows], np.abs(curves.mean(axis=1))
+
+    def allowed(self, share: float) -> float:
+        """Length of a curve at which a share of the runs alarm."""
+        return float(np.exp(0.2 * special.ndtri(share)))
+
+    def best(self, share: float) -> float:
+        n = np.full(self.steps, 1.0 / self.steps)
+        return self.allowed(share) * float(np.sqrt((n**2 / self.weight).sum()))
+
+    def of(self, shape: np.ndarray, share: float) -> float:
+        return float(shape.mean() / self.length(shape)) * self.allowed(share)
+
+
+@pytest.mark.parametrize("share", [0.04, 0.5])
+def test_the_search_finds_the_best_curve_of_a_known_detector(share: float) -> None:
+    player = Quadratic()
+    found = BlindOptimizer(player, share, BlindSearch()).search()
+    assert found.displacement_m == pytest.approx(player.best(share), rel=0.03)
+    shapes = {name: player.of(shape(player.t), share) for name, shape in SHAPES.items()}
+    assert found.start == max(shapes, key=lambda name: shapes[name])
+    assert found.start_m == pytest.approx(max(shapes.values()), rel=0.05)
+    assert found.displacement_m > 1.05 * max(shapes.values())
+    # what it says of the curve is so
+    (curve,) = BlindOptimizer(player, share, BlindSearch()).curves(found.rates_mps[None])
+    assert player.length(curve) == pytest.approx(player.allowed(share), rel=0.05)
+    assert curve.mean() == pytest.approx(found.displacement_m, rel=0.05)
+
+
+@pytest.mark.parametrize("limits", [(0.05, math.inf), (0.05, 2e-3), (1.0, 4e-4)])
+def test_what_is_played_keeps_the_limits_of_the_attack(limits: tuple[float, float]) -> None:
+    player = Quadratic(limits)
+    found = BlindOptimizer(player, 0.5, BlindSearch(generations=4)).search()
+    assert np.abs(found.rates_mps).max() <= limits[0]
+    curves = np.concatenate(player.played)
+    assert np.abs(curves).max() <= limits[0] * (1.0 + 1e-12)
+    change = np.diff(curves, axis=1, prepend=0.0)
+    assert np.abs(change).max() <= limits[1] * (1.0 + 1e-12)
+    if math.isfinite(limits[1]):
+        assert np.abs(change).max() == pytest.approx(limits[1])
+
+
+def test_the_same_seed_finds_the_same_and_another_one_something_else() -> None:
+    first, again, other = (
+        BlindOptimizer(Quadratic(), 0.1, BlindSearch(generations=5, seed=seed)).search()
+        for seed in (3, 3, 4)
+    )
+    np.testing.assert_array_equal(first.rates_mps, again.rates_mps)
+    assert first.displacement_m == again.displacement_m
+    assert not np.array_equal(first.rates_mps, other.rates_mps)
+
+
+def test_an_earlier_curve_is_among_the_first_ones() -> None:
+    player, optimizer = Quadratic(), BlindSearch(generations=0)
+    t = np.linspace(0.0, 1.0, optimizer.knots)
+    best = 1.0 / (1.0 + 4.0 * t)
+    found = BlindOptimizer(player, 0.3, optimizer).search({"found before": 0.01 * best})
+    assert found.start == "found before"
+    assert found.displacement_m == pytest.approx(player.best(0.3), rel=0.03)
+
+
+def test_where_nothing_alarms_the_search_is_over_at_once() -> None:
+    class Deaf(Quadratic):
+        def length(self, curves: np.ndarray) -> np.ndarray:
+            return 1e-6 * super().length(curves)
+
+    player, ticks = Deaf(), []
+    found = BlindOptimizer(player, 0.05, BlindSearch()).search(tick=ticks.append)
+    assert found.displacement_m == pytest.approx(1.0)
+    assert found.start == "constant"
+    assert found.free
+    assert [len(curves) for curves in player.played] == [1]
+    assert sum(ticks) <= 1.0
+
+
+@pytest.mark.parametrize("runs", [0, 1, 2, 3])
+def test_few_runs_that_count_are_searched_as_far_as_they_go(runs: int) -> None:
+    player = Quadratic()
+    player.runs = runs
+    found = BlindOptimizer(player, 0.05, BlindSearch(generations=2)).search()
+    assert found.rates_mps.shape == (24,)
+    assert np.abs(found.rates_mps).max() > 0.0
+    assert (found.displacement_m > 0.0) == (runs > 1)
+
+
+def test_all_runs_play_before_any_comes_again() -> None:
+    player = Quadratic()
+    optimizer = BlindOptimizer(player, 0.1, BlindSearch(runs=96, batch=32))
+    for again in (0, 3):
+        rows = np.concatenate([optimizer._batch(again + k) for k in range(3)])
+        np.testing.assert_array_equal(np.sort(rows), np.arange(96))
+
+
+def test_an_amplitude_is_between_those_that_were_judged() -> None:
+    scales = np.geomspace(1e-2, 1.0, 5)
+    assert crossing(scales, scales / 0.05) == pytest.approx(0.05)
+    assert crossing(scales, (scales / 0.05) ** 2) == pytest.approx(0.05)
+    assert crossing(scales, 0.5 * scales) == 1.0
+    assert crossing(scales, 500.0 * scales) == 1e-2
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("runs", 7, "`blind_search.runs` must be a whole number of at least 8, got 7"),
+        ("batch", 3, "`blind_search.batch` must be a whole number of at least 4, got 3"),
+        ("knots", 1, "`blind_search.knots` must be a whole number of at least 2, got 1"),
+        ("knots", 65, "`blind_search.knots` must be at most 64, got 65"),
+        ("population", 2.5, "`blind_search.population` must be a whole number"),
+        ("generations", -1, "`blind_search.generations` must be a whole number of at least 0"),
+        ("seed", "x", "`blind_search.seed` must be a whole number"),
+    ],
+)
+def test_settings_of_a_search_are_checked(name: str, value: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=f"^{said}"):
+        BlindSearch(**{name: value})
+
+
+# --- players -------------------------------------------------------------------------------------
+
+
+def players(heading_deg: float | str = 90.0, **settings: Any) -> tuple[ReplayPlayer, EnginePlayer]:
+    setup = make_setup(
+        TightlyCoupledSetup,
+        {"detector": "snapshot-chi2", "timeline": SHORT, **settings},
+    )
+    seeds = seed_sequences(0, "training", setup.name, 8)
+    replay = Replay(setup, [setup.detector], seeds, threads=1)
+    start = WarmStart(setup, generators_of(seed_sequences(0, "training", setup.name, 8)))
+    engine = EnginePlayer(start, play(start, "none"), heading_deg)
+    return ReplayPlayer(replay, 0, heading_deg), engine
+
+
+@pytest.mark.parametrize(
+    ("heading_deg", "settings"),
+    [
+        (90.0, {}),
+        (200.0, {"target_heading_deg": 10.0}),
+        (90.0, {"target_heading_deg": "random"}),
+        ("target", {"target_heading_deg": "random"}),
+        (90.0, {"decision_interval_s": 5.0}),
+        (90.0, {"attack": {"name": "false-position", "control": "rate"}}),
+    ],
+)
+def test_replay_and_engine_agree(heading_deg: float | str, settings: dict[str, Any]) -> None:
+    replay, engine = players(heading_deg, **settings)
+    assert (replay.runs, replay.steps, replay.limits) == (engine.runs, engine.steps, engine.limits)
+    t = np.linspace(0.0, 1.0, replay.steps + 1)[1:]
+    curves = np.array([0.5 * t, 0.4 * t * t])
+    rows = np.array([5, 0, 3])
+    (peak, reach), (expected, farthest) = (each.play(curves, rows) for each in (replay, engine))
+    assert peak.shape == (2, 3)
+    np.testing.assert_allclose(peak, expected, rtol=0.02)
+    np.testing.assert_allclose(reach, farthest, rtol=0.01)
+    clean, _ = engine.play(np.zeros((1, replay.steps)), rows)
+    assert (expected > 1.2 * clean).all()  # so that the attack is seen
+
+
+def test_a_player_moves_as_the_spoofer_does() -> None:
+    for heading_deg, settings in (
+        (90.0, {}),
+        (250.0, {}),
+        ("target", {"target_heading_deg": "random"}),
+    ):
+        _, engine = players(heading_deg, **settings)
+        spec = {"name": "blind-optimum", "rates_mps": [0.0, 0.2, 0.5], "heading_deg": heading_deg}
+        curve = BlindOptimizer(engine, 0.5, BlindSearch()).curves(np.array([spec["rates_mps"]]))
+        peak, _ = engine.play(curve, np.arange(engine.runs))
+        attacked = play(engine.start, spec)
+        np.testing.assert_allclose(peak[0], attacked.peak, rtol=1e-6)
+
+
+def test_attacks_on_single_channels_are_commanded_as_scripted_spoofers_do() -> None:
+    setup = make_setup(TightlyCoupledSetup, {"detector": "never", "attack": "per-channel"})
+    np.testing.assert_array_equal(
+        pushed(setup, 90.0, np.zeros(3)), np.ones((1, len(setup.action_names)))
+    )
+    assert limits_of(setup) == (5.0, 0.05 * setup.interval_s)
+
+
+# --- in a campaign -------------------------------------------------------------------------------
+
+
+def blind_suite(**changes: Any) -> Suite:
+    return small_suite(**{"spoofers": (BLIND,), "detectors": ("shewhart",), **changes})
+
+
+FEW = BlindSearch(runs=8, batch=4, knots=4, population=4, generations=2)
+
+
+@pytest.fixture(autouse=True)
+def _few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let searches of campaigns take a second."""
+    monkeypatch.setattr(optima_module, "BlindSearch", lambda: FEW)
+
+
+def searched(suite: Suite) -> dict[str, Any]:
+    (detector,) = suite.detector_entries
+    return Optima(suite, threads=1).find(detector, spoofer_entry(BLIND), lambda part: None)
+
+
+def test_a_passive_detector_is_searched_against_by_replay() -> None:
+    found = searched(blind_suite())
+    assert found["by"] == REPLAY
+    assert found["linear_error"] < 0.02
+    assert tuple(found["aims"]) == AIMS
+    for aim in found["aims"].values():
+        assert len(aim["rates_mps"]) == FEW.knots
+        assert aim["displacement_m"] >= 0.9 * aim["start_m"] > 0.0
+    assert found["aims"]["half"]["displacement_m"] >= found["aims"]["budget"]["displacement_m"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"detectors": ("ewma",)}, "takes weight off"),
+        ({"attack": "per-channel"}, "commands S"),
+    ],
+)
+def test_others_are_searched_against_on_the_engine_and_it_is_said_why(
+    changes: dict[str, Any], why: str
+) -> None:
+    found = searched(blind_suite(**changes))
+    assert found["by"] == ENGINE
+    assert why in found["why"]
+    assert found["linear_error"] is None
+
+
+def test_a_curve_that_the_engine_displaces_otherwise_is_searched_again_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(optima_module, "LINEAR_ERROR", 0.0)
+    found = searched(blind_suite())
+    assert found["by"] == ENGINE
+    assert found["linear_error"] > 0.0
+    assert found["why"].startswith("the displacement by replay is off by")
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Suite, ResultsFolder]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(optima_module, "BlindSearch", lambda: FEW)
+        folder = ResultsFolder(tmp_path_factory.mktemp("blind"))
+        suite = blind_suite(selection=Selection(runs=8, sift_runs=4, values=3), runs=8)
+        folder.open(suite)
+        run_campaign(suite, folder, threads=1)
+    return suite, folder
+
+
+def test_the_tuning_has_what_was_found_and_the_cell_plays_it(
+    campaign: tuple[Suite, ResultsFolder],
+) -> None:
+    _, folder = campaign
+    tuning = folder.tuning("shewhart", "blind-optimum")
+    assert tuning is not None
+    assert tuning.found is not None
+    assert tuning.found["by"] == REPLAY
+    cell = folder.cell("shewhart", "blind-optimum")
+    played = cell.head["spoofer_settings"]
+    assert played["rates_mps"] == tuning.found["played"]["rates_mps"]
+    assert played["amplitude"] == tuning.value
+
+
+def test_the_curve_that_gets_farthest_on_the_training_runs_is_played(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    profile = {"name": "profile", "rates_mps": (0.0, 0.1, 0.4), "label": "mine"}
+    suite = blind_suite(spoofers=(BLIND, profile))
+    found = {
+        "by": REPLAY,
+        "aims": {name: {"rates_mps": [0.3] * 12 + [-0.2] * 12} for name in AIMS},
+        "shapes": {ZERO_ALARM: [0.0, 0.1, 0.3]},
+    }
+    monkeypatch.setattr(Optima, "find", lambda *_: copy.deepcopy(found))
+    (detector,) = suite.detector_entries
+    start, clean = training_start(suite, detector, 1, Silent())
+    result = search(suite, detector, spoofer_entry(BLIND), start, clean, Silent())
+    assert result.found is not None
+    fitted = result.found["fitted_m"]
+    assert set(fitted) == {"found", "constant", "linear", "mine", ZERO_ALARM}
+    assert fitted["found"] < max(fitted.values()) == result.score
+    played = result.found["played"]
+    assert fitted[played["curve"]] == result.score
+    assert played["rates_mps"] == curves_to_fit(suite, found)[played["curve"]]
+    # nothing gets farther than the largest rate, where that was found
+    limit, _ = limits_of(suite.world)
+    fastest = {"aims": {name: {"rates_mps": [limit] * 4} for name in AIMS}}
+    assert list(curves_to_fit(suite, fastest)) == ["found"]
+
+
+def test_a_campaign_that_goes_on_finds_the_same(
+    campaign: tuple[Suite, ResultsFolder], tmp_path: Path
+) -> None:
+    suite, folder = campaign
+    again = ResultsFolder(tmp_path)
+    again.open(suite)
+    run_campaign(suite, again, threads=1)
+    for one in ("tuning", "cells", "protection"):
+        files = sorted((folder.path / one).iterdir())
+        assert files
+        for file in files:
+            assert (tmp_path / one / file.name).read_bytes() == file.read_bytes()
+    (tmp_path / "cells" / "shewhart--blind-optimum.jsonl").unlink()
+    before = (tmp_path / "tuning" / "shewhart--blind-optimum.json").stat().st_mtime_ns
+    run_campaign(suite, again, threads=1)  # by what the tuning has, without another search
+    assert (tmp_path / "tuning" / "shewhart--blind-optimum.json").stat().st_mtime_ns == before
+    file = Path("cells") / "shewhart--blind-optimum.jsonl"
+    assert (tmp_path / file).read_bytes() == (folder.path / file).read_bytes()
+
+
+def test_the_blind_optimum_is_a_candidate_of_the_protection(
+    campaign: tuple[Suite, ResultsFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from spoofgym.bench.campaign import _members
+
+    suite, folder = campaign
+    (detector,) = suite.detector_entries
+    members = [each for each in _members(suite, folder, detector) if each.letter == "c"]
+    tuning = folder.tuning("shewhart", "blind-optimum")
+    assert tuning is not None
+    assert tuning.found is not None
+    each = tuning.found["played"], *(tuning.found["aims"][name] for name in AIMS)
+    curves = [curve["rates_mps"] for curve in each]
+    # two aims may have found the same curve, which plays once
+    assert [each.entry.spec["rates_mps"] for each in members] == [
+        curve for k, curve in enumerate(curves) if curve not in curves[:k]
+    ]
+    for member in members:
+        assert member.entry.tuned == "amplitude"
+        grid = grid_of(member, spoofer_context(suite.world), 5)
+        assert (grid[0], grid[-1]) == pytest.approx(AROUND_FOUND, rel=1e-3)
+    assert summarize(folder)
+    assert "blind-optimum" in markdown(folder.config(), summarize(folder))
+
+
+def test_one_without_rates_must_be_tuned() -> None:
+    suite = blind_suite(spoofers=("blind-optimum",))
+    with pytest.raises(ValueError, match="a blind optimum is looked for under the alarm budget"):
+        suite.check_fit()

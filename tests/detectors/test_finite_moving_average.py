@@ -1,0 +1,110 @@
+"""The finite moving average: its sums, its rate of false alarms, and what each shape is for."""
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from spoofgym.detectors import FiniteMovingAverage, Shewhart
+
+from .support import belief, context, drawn, epoch
+
+B, N = 3, 4
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("signals", ["pseudorange", "range_rate", "both"])
+@pytest.mark.parametrize("shape", ["step", "ramp"])
+def test_it_is_the_normalized_sum_of_a_window(signals, shape):
+    """Satellites that are away count in neither sum."""
+    rng = np.random.default_rng(0)
+    S = belief(rng, B, N)
+    detector = FiniteMovingAverage(false_alarm=0.01, window_s=2.5, shape=shape, signals=signals)
+    detector.bind(context(B, N))
+    weights = np.arange(1.0, 6.0) if shape == "ramp" else np.ones(5)
+    rows = {"pseudorange": [0], "range_rate": [1], "both": [0, 1]}[signals]
+    past, shown = [], []
+    for k in range(14):
+        visible = rng.random((B, N)) < 0.8
+        z = drawn(rng, S)
+        found = detector.judge(epoch(z, S, visible))
+        u = z / np.sqrt(np.einsum("bii->bi", S))
+        past.append(np.where(visible[:, None], u.reshape(B, 2, N), 0.0))
+        shown.append(visible)
+        c = weights[-len(past[-5:]) :, None, None]
+        total = np.abs((c[..., None] * np.array(past[-5:])).sum(axis=0))
+        squares = (c**2 * np.array(shown[-5:])).sum(axis=0)
+        want = np.where(visible, total[:, rows].max(axis=1) / np.sqrt(np.maximum(squares, 1e-9)), 0)
+        np.testing.assert_allclose(found.statistic, want, rtol=1e-12, err_msg=str(k))
+    quantile = scipy.stats.norm.isf(0.005 / len(rows))
+    np.testing.assert_allclose(found.threshold, quantile, rtol=1e-9)
+    assert found.weights is None
+
+
+def test_a_window_of_one_epoch_is_the_shewhart_chart():
+    rng = np.random.default_rng(1)
+    S = belief(rng, B, N)
+    sums, chart = FiniteMovingAverage(window_s=0.5), Shewhart()
+    for each in (sums, chart):
+        each.bind(context(B, N))
+    for _ in range(5):
+        seen = epoch(drawn(rng, S), S)
+        np.testing.assert_allclose(sums.judge(seen).statistic, chart.judge(seen).statistic)
+
+
+@pytest.mark.parametrize("shape", ["step", "ramp"])
+def test_white_innovations_alarm_as_often_as_it_says(shape):
+    receivers, rng = 500, np.random.default_rng(2)
+    S = np.tile(np.eye(2 * N), (receivers, 1, 1))
+    detector = FiniteMovingAverage(false_alarm=0.02, window_s=5.0, shape=shape)
+    detector.bind(context(receivers, N))
+    rates = []
+    for k in range(200):
+        found = detector.judge(epoch(rng.standard_normal((receivers, 2 * N)), S))
+        if k % 10 == 9:  # windows that do not overlap
+            rates.append(found.alarm.mean())
+    assert np.mean(rates) == pytest.approx(0.02, abs=5.0 * np.sqrt(0.02 / (len(rates) * 2000)))
+
+
+@pytest.mark.parametrize("onset", ["step", "ramp"])
+def test_each_shape_finds_its_own_fault_more_often(onset):
+    receivers, rng, window = 2000, np.random.default_rng(3), 10
+    S = np.tile(np.eye(2), (receivers, 1, 1))
+    tests = {
+        shape: FiniteMovingAverage(false_alarm=1e-3, window_s=5.0, shape=shape)
+        for shape in ("step", "ramp")
+    }
+    for each in tests.values():
+        each.bind(context(receivers, 1))
+    fault = np.linspace(0.1, 1.0, window) * 1.7 if onset == "ramp" else np.ones(window)
+    for shift in [*np.zeros(window), *fault]:
+        z = rng.standard_normal((receivers, 2))
+        z[:, 0] += shift
+        seen = epoch(z, S)
+        found = {shape: each.judge(seen).alarm.mean() for shape, each in tests.items()}
+    other = {"step": "ramp", "ramp": "step"}[onset]
+    assert found[onset] > found[other] + 0.05
+
+
+def test_an_old_fault_is_forgotten_with_the_window():
+    S = np.tile(np.eye(2 * N), (1, 1, 1))
+    detector = FiniteMovingAverage(window_s=3.0)
+    detector.bind(context(1, N))
+    assert detector.memory_epochs == 6
+    z = np.zeros((1, 2 * N))
+    z[0, 0] = 100.0
+    assert detector.judge(epoch(z, S)).alarm[0, 0]
+    sizes = [detector.judge(epoch(0.0 * z, S)).statistic[0, 0] for _ in range(6)]
+    np.testing.assert_allclose(sizes, [*(100.0 / np.sqrt(range(2, 7))), 0.0])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"window_s": 0.0}, "`window_s` must be finite and >= 0.001, got 0.0"),
+        ({"shape": "jump"}, "unknown shape 'jump'; valid: ramp, step"),
+        ({"signals": "phase"}, "`signals` must be one of"),
+    ],
+)
+def test_settings_are_checked_at_birth(settings, message):
+    with pytest.raises(ValueError, match=message):
+        FiniteMovingAverage(**settings)

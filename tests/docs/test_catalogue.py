@@ -1,0 +1,44 @@
+"""The catalogue leaves nothing out."""
+
+from __future__ import annotations
+
+import re
+
+import gymnasium as gym
+import pytest
+
+import spoofgym  # noqa: F401  (registers the ids)
+from spoofgym.attacks import ATTACKS, THREATS
+from spoofgym.detectors import DETECTORS
+from spoofgym.spoofers import KNOWLEDGE, SPOOFERS, shipped
+
+from .pages import ROOT, text_of
+
+PAGE = text_of("catalogue.md")
+ROWS = {line.split("`")[1]: line for line in PAGE.splitlines() if line.startswith("| `")}
+
+
+@pytest.mark.parametrize("kinds", [DETECTORS, SPOOFERS, ATTACKS, shipped()])
+def test_every_registered_name_is_in_a_table(kinds):
+    assert set(kinds) <= set(ROWS)
+
+
+def test_every_environment_is_named():
+    ids = [name for name in gym.registry if name.startswith("spoofgym/")]
+    named = {f"spoofgym/{name}" for name in re.findall(r"`(?:spoofgym/)?(\w+-v\d+)`", PAGE)}
+    named |= {f"spoofgym/BenchT{k}-v1" for k in range(2, 6)}  # "T1 to T6"
+    assert len(ids) > 5
+    assert set(ids) == named
+
+
+def test_every_threat_and_every_knowledge_is_named():
+    assert [name for name in THREATS if f"`{name}`" not in PAGE] == []
+    for name in KNOWLEDGE:
+        assert all(f"`{word}`" in PAGE for word in name.replace("+", " +").split())
+
+
+@pytest.mark.parametrize("name", sorted(DETECTORS))
+def test_the_source_of_every_detector_is_in_the_bibliography(name):
+    keys = re.findall(r"@\w+\{(\S+),", (ROOT / "references.bib").read_text())
+    assert DETECTORS[name].paper in keys
+    assert f"`{DETECTORS[name].paper}`" in ROWS[name]

@@ -1,0 +1,171 @@
+"""The filter that knows the world: white innovations, and the frontier on runs of the simulator."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from spoofgym.limits import Analyst, Commands, analyst, frontier_of
+from spoofgym.limits.analyst import whitened
+from spoofgym.limits.frontier import world_frontier
+from spoofgym.limits.linear import unattacked
+from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulators.splits import generators_of, seeds_of_runs
+
+DRAWN = {"turn_on": "drawn"}
+EAST = np.array([0.0, 1.0])
+
+
+def rngs_of(setup, runs):
+    return generators_of(seeds_of_runs(0, "selection", setup.name, range(runs)))
+
+
+def every_channel(run):
+    """Commands that are offsets of every visible measurement at every epoch, one by one."""
+    epochs, m = run.design.shape[:2]
+    seen = np.tile(run.visible, 2)
+    offsets = np.zeros((epochs, m, int(seen.sum())))
+    for column, (k, i) in enumerate(np.argwhere(seen)):
+        offsets[k, i, column] = 1.0
+    return Commands(offsets, np.zeros((epochs, m)), 1, None, 1.0, 1.0, False)
+
+
+@pytest.mark.parametrize("sensors_known", [False, True])
+@pytest.mark.parametrize(("scenario", "hold_s"), [("zhong2025", 0.0), ("trolley", 2.0)])
+def test_where_every_channel_is_free_the_frontier_is_the_spread_of_a_coasting_twin(
+    scenario, hold_s, sensors_known, monkeypatch
+):
+    line = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": hold_s}
+    setup = TightlyCoupledSetup(scenario=scenario, detector="never", timeline=line)
+
+    def found():
+        (its,) = Analyst(setup, sensors_known=sensors_known).record(rngs_of(setup, 1))
+        run, last = its.linear, setup.steps - 1
+        frontier = world_frontier(every_channel(run), run, run, its.coasting, last)
+        return frontier.per_deflection(), its.coasting[last, :2, :2]
+
+    # the receiver mechanizes to second order, which its filter leaves out
+    really, coasting = found()
+    assert np.abs(really - coasting).max() < 0.01 * np.trace(coasting)
+    # in a world that is the filter's own they are the same to all digits
+    monkeypatch.setattr(analyst, "as_it_happens", lambda run, world: run)
+    np.testing.assert_allclose(*found(), rtol=1e-6)
+
+
+def test_what_is_known_of_the_sensors_narrows_what_a_twin_loses():
+    line = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 2.0}
+    setup = TightlyCoupledSetup(detector="never", timeline=line)
+    drawn, known = (
+        Analyst(setup, sensors_known=each).record(rngs_of(setup, 1))[0].coasting
+        for each in (False, True)
+    )
+    assert (np.trace(known[40:], axis1=1, axis2=2) < np.trace(drawn[40:], axis1=1, axis2=2)).all()
+    grows = np.diff(np.einsum("kii->ki", drawn)[:, :2], axis=0)
+    assert (grows[5:] > 0.0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ["zhong2025", "trolley"])
+def test_a_twin_without_measurements_drifts_as_the_closed_form_says(scenario):
+    runs = 96
+    setup = TightlyCoupledSetup(scenario=scenario, detector="never", domain=DRAWN)
+    analyst = Analyst(setup)
+    coasting = analyst.record(rngs_of(setup, 1))[0].coasting[setup.steps - 1]
+    fed = analyst.begun(rngs_of(setup, runs))
+    fed.quiet_epochs(setup.onset)
+    starved = copy.deepcopy(fed)
+    nothing = np.zeros((runs, 2 * setup.world.channels))
+    for _ in range(setup.steps):
+        fed.advance()
+        fed.update(None)
+        seen = np.tile(starved.advance().visible, 2)
+        starved.update(np.where(seen, nothing, 1.0))
+    axes = setup.C_en[fed.epochs]
+    apart = np.einsum("bij,bi->bj", axes, starved.position - fed.position)[:, :2]
+    slack = 0.05 + 3.0 / np.sqrt(2.0 * (runs - 1))
+    expected = np.sqrt(np.diag(coasting)[:2])
+    np.testing.assert_allclose(apart.std(axis=0, ddof=1), expected, rtol=slack)
+    assert (np.abs(apart.mean(axis=0)) < 4.0 * expected / np.sqrt(runs)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ["zhong2025", "trolley"])
+def test_innovations_are_white_on_runs_that_are_not_linear(scenario):
+    setup = TightlyCoupledSetup(scenario=scenario, detector="never", domain=DRAWN)
+    found = Analyst(setup).whiteness(rngs_of(setup, 100))
+    assert found.innovations > 400_000
+    assert found.nis == pytest.approx(1.0, abs=0.01)
+    assert abs(found.lag_1) < 0.01
+
+
+def attacked(simulator, actions):
+    """(K, R, m) whitened innovations and (K, R, 3) positions of receivers under commands."""
+    setup = simulator.setup
+    seen, moved = [], []
+    for k in range(setup.steps + setup.hold):
+        command = None
+        if k < setup.steps:
+            command = np.repeat(actions[k // setup.repeat][None], simulator.receivers, axis=0)
+        epoch = simulator.predict(command)
+        seen.append(whitened(epoch))
+        simulator.update(None)
+        moved.append(simulator.position.copy())
+    return np.array(seen), np.array(moved)
+
+
+@pytest.mark.slow
+def test_best_commands_shift_the_statistic_by_d_and_the_victim_to_the_frontier():
+    runs, d = 100, 2.0
+    setup = TightlyCoupledSetup(
+        detector="never", domain=DRAWN, attack={"name": "false-position", "control": "rate"}
+    )
+    found = frontier_of(setup).one
+    u = found.best(EAST, d)
+    rates = found.commands.rates @ u
+    actions = rates / setup.attack.rate_limit_mps
+    shift = found.whitened @ u
+    assert np.linalg.norm(shift) == pytest.approx(d)
+    statistics, places = [], []
+    for each in (actions, np.zeros_like(actions)):
+        analyst = Analyst(setup).begun(rngs_of(setup, runs))
+        analyst.quiet_epochs(setup.onset)
+        y, _ = attacked(analyst, each)
+        statistics.append(np.einsum("km,krm->r", shift / d, y))
+        victim = unattacked(setup, runs)
+        victim.begin(rngs_of(setup, runs))
+        victim.quiet_epochs(setup.onset)
+        places.append(attacked(victim, each)[1][found.last])
+    error = 1.0 / np.sqrt(runs)
+    assert statistics[1].mean() == pytest.approx(0.0, abs=3.0 * error)
+    assert statistics[1].std(ddof=1) == pytest.approx(1.0, abs=3.0 * error / np.sqrt(2.0))
+    assert statistics[0].mean() == pytest.approx(d, abs=3.0 * error)
+    np.testing.assert_allclose((statistics[0] - statistics[1]).mean(), d, rtol=0.01)
+    axes = setup.C_en[victim.onset + setup.steps]
+    moved = np.einsum("bij,bi->bj", axes, places[0] - places[1])[:, 1]
+    size = float(EAST @ found.victim.position[found.last, :2] @ u)
+    assert size == pytest.approx(d * np.sqrt(EAST @ found.per_deflection() @ EAST))
+    np.testing.assert_allclose(moved.mean(), size, rtol=0.01)
+    assert moved.std() < 0.01 * size
+
+
+@pytest.mark.parametrize("scenario", ["trolley-tactical", "aviation-actual"])
+def test_a_shift_of_the_analyst_is_that_of_its_filter_on_the_simulator(scenario):
+    """Where range rates or sensors are such that what they say of the position counts."""
+    line = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 2.0}
+    setup = TightlyCoupledSetup(
+        scenario={"name": scenario, "events": None},
+        detector="never",
+        attack={"name": "false-position", "control": "rate"},
+        timeline=line,
+    )
+    found, d = frontier_of(setup).one, 2.0
+    u = found.best(EAST, d)
+    actions = found.commands.rates @ u / setup.attack.rate_limit_mps
+    both = []
+    for each in (actions, np.zeros_like(actions)):
+        analyst = Analyst(setup).begun(rngs_of(setup, 1))
+        analyst.quiet_epochs(setup.onset)
+        both.append(attacked(analyst, each)[0][:, 0])
+    seen = both[0] - both[1]
+    np.testing.assert_allclose(np.linalg.norm(seen), d, rtol=0.1)
+    assert np.linalg.norm(seen - found.whitened @ u) < 0.25 * d

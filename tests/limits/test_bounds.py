@@ -1,0 +1,144 @@
+"""Zero-alarm bounds over the worlds of a setup."""
+
+import json
+
+import numpy as np
+import pytest
+
+from spoofgym.detectors import make_detector
+from spoofgym.limits import Bound, Replay, bounds
+from spoofgym.limits.bounds import cases_of, zero_alarm_bounds
+from spoofgym.limits.no_alarm import Timing, judge_run
+from spoofgym.simulators import LooselyCoupledSetup, TightlyCoupledSetup
+from spoofgym.simulators.splits import seed_sequences
+
+LINE = {"warmup_s": 60.0, "live_s": 30.0, "attack_s": 30.0, "time_to_alert_s": 5.0}
+SKY = {"turned_deg": (0.0, 360.0), "constellation_time_s": (0.0, 86_400.0), "worlds": 4}
+
+
+def setup_of(**settings):
+    return TightlyCoupledSetup(**{"detector": "never", "timeline": LINE, **settings})
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    setup = setup_of(domain=SKY)
+    return setup, cases_of(setup, 3)
+
+
+def test_bounds_are_means_over_the_worlds(drawn):
+    setup, cases = drawn
+    ticks = []
+    shewhart = make_detector({"name": "shewhart", "signals": "both"})
+    found = zero_alarm_bounds(setup, shewhart, cases, ticks.append)
+    alone = [zero_alarm_bounds(setup, shewhart, [case]) for case in cases]
+    assert sum(ticks) == pytest.approx(1.0)
+    assert found.free_m == pytest.approx(np.mean([each.free_m for each in alone]))
+    assert found.restricted_m == pytest.approx(np.mean([each.restricted_m for each in alone]))
+    assert np.ptp([each.restricted_m for each in alone]) > 0.0
+    assert (found.kind, found.why, len(found.rates_mps)) == ("exact", "", 3)
+    assert found.restricted_m < found.free_m
+
+
+def test_a_looser_threshold_allows_more(drawn):
+    setup, cases = drawn
+    tight, loose = (
+        zero_alarm_bounds(
+            setup, make_detector({"name": "snapshot-chi2", "threshold_scale": scale}), cases
+        )
+        for scale in (0.01, 0.04)
+    )
+    assert tight.free_m < loose.free_m
+    assert tight.restricted_m < loose.restricted_m
+    # without noise the statistic grows with the square of the attack
+    assert loose.free_m == pytest.approx(2.0 * tight.free_m, rel=1e-4)
+
+
+def test_the_rates_of_a_bound_raise_the_statistic_to_the_threshold_and_no_further():
+    setup = setup_of(attack={"name": "false-position", "control": "rate"})
+    detector = make_detector({"name": "snapshot-chi2", "threshold_scale": 0.02})
+    (case,) = cases_of(setup, 1)
+    found = zero_alarm_bounds(setup, detector, [case])
+    attacker = case.attacker
+    u = found.rates_mps[0]
+    replay = Replay(setup, [detector], seed_sequences(0, "training", setup.name, 1))
+    rates = attacker.profile(u)[:, 0]
+    assert np.abs(rates).max() <= setup.attack.rate_limit_mps * (1.0 + 1e-6)
+    moved = replay.errors(rates[None], np.array([0]))[setup.steps - 1, 0, 0]
+    assert moved == pytest.approx(found.restricted_m, rel=0.01)
+    innovation = attacker.response.innovation @ u
+    judged = judge_run(detector, case.run, Timing.of(setup), innovation)
+    ratio = (judged.statistic / judged.threshold).max(axis=1)
+    assert ratio.max() == pytest.approx(1.0, abs=1e-5)
+    assert (ratio > 0.999).sum() > 5  # it is held there
+
+
+def test_a_detector_without_a_bound_says_why(drawn):
+    setup, cases = drawn
+    found = zero_alarm_bounds(setup, make_detector("ewma"), cases)
+    assert (found.free_m, found.restricted_m, found.rates_mps) == (None, None, [])
+    assert "weight" in found.why
+    assert json.loads(json.dumps(found.as_json()))["why"] == found.why
+
+
+def solved(monkeypatch, *, free, restricted):
+    """Let the solver say something of each attack, by world."""
+    free, restricted = iter(free), iter(restricted)
+
+    def found(*_, attacker=None, **__):
+        bound = next(free if attacker is None else restricted)
+        if isinstance(bound, str):
+            raise RuntimeError(bound)
+        return bound
+
+    monkeypatch.setattr(bounds, "zero_alarm_of", found)
+
+
+def some_bound(value, kind="exact", note=""):
+    return Bound(value, kind, 0, (1.0, 0.0), note=note)
+
+
+def test_a_free_bound_is_kept_where_the_restricted_one_fails(drawn, monkeypatch):
+    setup, cases = drawn
+    each = [some_bound(3.0), some_bound(4.0), some_bound(5.0)]
+    solved(monkeypatch, free=each, restricted=[some_bound(1.0), "no optimum", "no optimum"])
+    found = zero_alarm_bounds(setup, make_detector("snapshot-chi2"), cases)
+    assert (found.free_m, found.restricted_m, found.kind) == (4.0, None, "exact")
+    assert found.why == "restricted: no optimum"
+    solved(monkeypatch, free=["no optimum"] * 3, restricted=each)
+    found = zero_alarm_bounds(setup, make_detector("snapshot-chi2"), cases)
+    assert (found.free_m, found.restricted_m, found.why) == (None, 4.0, "free: no optimum")
+
+
+def test_one_world_with_an_upper_bound_makes_the_mean_one_and_says_so(drawn, monkeypatch):
+    setup, cases = drawn
+    each = [some_bound(1.0), some_bound(2.0, "upper", "almost solved"), some_bound(3.0)]
+    solved(monkeypatch, free=[some_bound(9.0)] * 3, restricted=each)
+    found = zero_alarm_bounds(setup, make_detector("snapshot-chi2"), cases)
+    assert (found.restricted_m, found.kind) == (2.0, "upper")
+    assert found.why == "restricted: almost solved"
+
+
+def test_what_has_no_end_is_a_word_in_results(drawn):
+    setup, cases = drawn
+    found = zero_alarm_bounds(setup, make_detector("never"), cases)
+    assert found.free_m == np.inf
+    assert found.as_json()["free_m"] == "unbounded"
+    limited = setup.attack.rate_limit_mps * LINE["attack_s"]
+    assert 0.0 < found.restricted_m < limited
+
+
+@pytest.mark.parametrize("attack", ["meaconer", "per-channel"])
+def test_an_attack_that_moves_no_position_has_the_free_bound_alone(attack):
+    setup = setup_of(attack=attack)
+    cases = cases_of(setup, 1)
+    assert cases[0].attacker is None
+    found = zero_alarm_bounds(setup, make_detector("snapshot-chi2"), cases)
+    assert found.restricted_m is None
+    assert found.free_m > 0.0
+    assert found.kind == "exact"
+
+
+def test_other_victims_are_refused():
+    with pytest.raises(ValueError, match="tightly coupled receivers alone"):
+        cases_of(LooselyCoupledSetup(detector="never"), 1)

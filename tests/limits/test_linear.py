@@ -1,0 +1,101 @@
+"""The response of a filter, against the simulator whose clean run it is of."""
+
+import numpy as np
+import pytest
+
+from spoofgym.limits import record, respond, unit_commands
+from spoofgym.limits.linear import mechanized, unattacked, white
+from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulators.splits import generators_of, seeds_of_runs
+
+from .toy import toy_run
+
+SHORT = {"warmup_s": 60.0, "live_s": 10.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
+
+
+def rngs_of(setup, runs=1):
+    return generators_of(seeds_of_runs(0, "selection", setup.name, range(runs)))
+
+
+def played(setup, actions):
+    """(K, m) innovations and (K, 3) positions of a receiver under commands."""
+    simulator = unattacked(setup, 1)
+    simulator.begin(rngs_of(setup))
+    simulator.quiet_epochs(setup.onset)
+    seen, place = [], []
+    for k in range(setup.steps + setup.hold):
+        command = actions[k][None] if k < setup.steps else None
+        seen.append(np.array(simulator.predict(command).innovation[0]))
+        simulator.update(None)
+        axes = setup.C_en[simulator.epochs[0]]
+        place.append(simulator.position[0] @ axes)
+    return np.array(seen), np.array(place)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "receiver"),
+    [("zhong2025", "paper"), ("trolley-consumer", "paper"), ("trolley", "matched")],
+)
+def test_innovations_and_position_move_as_the_simulator_s(scenario, receiver):
+    attack = {"name": "false-position", "control": "rate"}
+    setup = TightlyCoupledSetup(
+        scenario=scenario, receiver=receiver, attack=attack, detector="never", timeline=SHORT
+    )
+    (run,) = record(setup, rngs_of(setup))
+    t = np.linspace(0.0, 1.0, setup.steps)
+    rates = 0.3 * np.stack([t, np.sin(4.0 * t)], axis=1)
+    zero = np.zeros_like(rates)
+    attacked = played(setup, rates / setup.attack.rate_limit_mps)
+    innovation, place = (
+        each - clean for each, clean in zip(attacked, played(setup, zero), strict=True)
+    )
+    offsets = unit_commands(setup, run.onset).offsets @ rates.ravel()
+    found = respond(run, offsets[:, :, None])
+    np.testing.assert_allclose(found.position[:, :, 0], place, atol=5e-4 * np.abs(place).max())
+    n = innovation.shape[1] // 2
+    for rows, part in ((slice(0, n), 0.01), (slice(n, None), 0.06)):
+        size = np.abs(innovation[:, rows]).max()
+        np.testing.assert_allclose(
+            found.innovation[:, rows, 0], innovation[:, rows], atol=part * size
+        )
+
+
+def test_a_filter_whose_gain_is_0_only_propagates():
+    run = toy_run(epochs=8)
+    still = run._replace(gain=0.0 * run.gain)
+    offsets = np.random.default_rng(0).standard_normal((8, 8, 2))
+    found = respond(still, offsets)
+    np.testing.assert_array_equal(found.innovation, offsets)
+    assert not found.position.any()
+
+
+def test_responses_add_up():
+    run, rng = toy_run(epochs=12), np.random.default_rng(1)
+    offsets, u = rng.standard_normal((12, 8, 5)), rng.standard_normal(5)
+    parts, whole = respond(run, offsets), respond(run, (offsets @ u)[:, :, None])
+    for part, each in zip(parts, whole, strict=True):
+        np.testing.assert_allclose(part @ u, each[:, :, 0], atol=1e-12)
+
+
+def test_an_attack_has_no_effect_before_it():
+    offsets = np.zeros((12, 8, 1))
+    offsets[7:] = 1.0
+    found = respond(toy_run(epochs=12), offsets)
+    assert not found.innovation[:7].any()
+    assert found.innovation[7].any()
+
+
+def test_whitened_rows_have_the_identity_for_a_covariance():
+    run = toy_run(epochs=3)
+    L = white(run.innovation_cov, np.tile(np.eye(8), (3, 1, 1)))
+    np.testing.assert_allclose(
+        L @ run.innovation_cov @ L.transpose(0, 2, 1), np.tile(np.eye(8), (3, 1, 1)), atol=1e-9
+    )
+
+
+def test_a_tilt_becomes_a_position_within_one_epoch():
+    tau, g = 0.5, 9.8
+    F = np.zeros((3, 3))  # tilt, velocity, position
+    F[1, 0], F[2, 1] = g, 1.0
+    exact = np.eye(3) + F * tau + F @ F * tau**2 / 2.0
+    np.testing.assert_allclose(mechanized((np.eye(3) + F * tau)[None])[0], exact)

@@ -1,0 +1,132 @@
+"""What the best possible test can do: published values, and what must hold of any of them."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from spoofgym.envs.factory import make_setup
+from spoofgym.envs.terms.observation import KNOWLEDGE, OBSERVATION_TERMS, default_terms
+from spoofgym.limits import deflection_for, divergence_of, most_power, power
+from spoofgym.limits.power import check_no_latent, kl_of
+from spoofgym.simulators import TightlyCoupledSetup
+
+PART = st.floats(1e-6, 0.999)
+HEADING = st.sampled_from(["known", "unknown"])
+
+
+@pytest.mark.parametrize(
+    ("p_fa", "p_d", "heading", "d"),
+    [
+        (0.01, 0.06, "known", 0.77),
+        (0.05, 0.10, "known", 0.36),
+        (0.01, 0.06, "unknown", 1.22),
+        (0.01, 0.5, "unknown", 2.86),
+        (0.01, 0.999, "unknown", 6.01),
+    ],
+)
+def test_deflections_of_the_theory(p_fa, p_d, heading, d):
+    assert deflection_for(p_fa, p_d, heading=heading) == pytest.approx(d, abs=0.005)
+
+
+@pytest.mark.parametrize(("p_fa", "known", "any_test"), [(0.05, 0.64, 0.82), (0.01, 0.37, 0.58)])
+def test_powers_of_the_theory_at_two_nats(p_fa, known, any_test):
+    assert divergence_of(2.0) == 2.0
+    assert power(2.0, p_fa) == pytest.approx(known, abs=0.005)
+    assert most_power(2.0, p_fa) == pytest.approx(any_test, abs=0.005)
+
+
+def test_power_is_what_simulated_tests_find():
+    rng = np.random.default_rng(0)
+    d, p_fa, draws = 2.5, 0.02, 400_000
+    x = rng.standard_normal((draws, 2))
+    slack = 5.0 * 0.5 / math.sqrt(draws)
+    threshold = -2.0 * math.log(p_fa)  # of a chi-square with two degrees of freedom
+    found = ((x[:, 0] + d) ** 2 + x[:, 1] ** 2 > threshold).mean()
+    assert power(d, p_fa, heading="unknown") == pytest.approx(found, abs=slack)
+    threshold = np.quantile(x, 1.0 - p_fa)
+    assert power(d, p_fa) == pytest.approx((x[:, 0] + d > threshold).mean(), abs=2.0 * slack)
+
+
+@given(p_fa=PART, d=st.floats(0.0, 20.0), more=st.floats(0.0, 5.0), heading=HEADING)
+def test_power_grows_with_the_deflection_and_with_false_alarms(p_fa, d, more, heading):
+    low = power(d, p_fa, heading=heading)
+    assert p_fa - 1e-9 <= low <= power(d + more, p_fa, heading=heading) + 1e-9
+    assert low <= power(d, 0.5 * (1.0 + p_fa), heading=heading) + 1e-9
+
+
+@given(p_fa=PART, p_d=PART, heading=HEADING)
+def test_power_and_deflection_are_inverse(p_fa, p_d, heading):
+    if p_d < p_fa:
+        p_fa, p_d = p_d, p_fa
+    d = deflection_for(p_fa, p_d, heading=heading)
+    assert d >= 0.0
+    assert power(d, p_fa, heading=heading) == pytest.approx(p_d, abs=1e-7)
+
+
+@given(p_fa=PART, d=st.floats(0.0, 8.0))
+def test_knowing_less_never_helps_and_no_test_beats_the_divergence(p_fa, d):
+    known, unknown = power(d, p_fa), power(d, p_fa, heading="unknown")
+    assert unknown <= known + 1e-9
+    assert known <= most_power(divergence_of(d), p_fa) + 1e-9
+
+
+@given(p_fa=PART, divergence=st.floats(0.0, 50.0))
+def test_most_power_is_where_the_binary_divergence_is_spent(p_fa, divergence):
+    found = most_power(divergence, p_fa)
+    assert p_fa <= found <= 1.0
+    if found < 1.0:
+        assert kl_of(found, p_fa) == pytest.approx(divergence, abs=1e-6)
+    else:
+        assert divergence >= kl_of(1.0 - 1e-9, p_fa) - 1e-6
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: power(-1.0, 0.1), "`deflection` must be finite and >= 0, got -1.0"),
+        (lambda: power(math.inf, 0.1), "`deflection` must be finite and >= 0, got inf"),
+        (lambda: power(1.0, 0.0), "`p_fa` must be above 0 and below 1, got 0.0"),
+        (lambda: power(1.0, math.nan), "`p_fa` must be above 0 and below 1, got nan"),
+        (lambda: power(1.0, 0.1, heading="x"), "`heading` must be 'known' or 'unknown', got 'x'"),
+        (lambda: deflection_for(1.0, 0.5), "`p_fa` must be above 0 and below 1, got 1.0"),
+        (lambda: deflection_for(0.1, 1.0), "`p_d` must be above 0 and below 1, got 1.0"),
+        (lambda: deflection_for(0.1, 0.05), "`p_d` must be at least `p_fa` = 0.1, got 0.05"),
+        (lambda: most_power(-0.1, 0.1), "`divergence` must be finite and >= 0, got -0.1"),
+        (lambda: most_power(1.0, 2.0), "`p_fa` must be above 0 and below 1, got 2.0"),
+    ],
+)
+def test_what_is_out_of_range_is_named(call, said):
+    with pytest.raises(ValueError, match=f"^{re.escape(said)}$"):
+        call()
+
+
+@pytest.mark.parametrize("knowledge", KNOWLEDGE)
+def test_no_bound_by_divergence_for_knowledge_of_a_latent_error(knowledge):
+    setup = make_setup(TightlyCoupledSetup, {"detector": "never"})
+    names = [name for term in default_terms(setup, knowledge) for name in term.names(setup)]
+    if knowledge in ("blind", "tracking"):
+        check_no_latent(knowledge)
+        check_no_latent(knowledge, names)
+        return
+    for observed in (None, names):
+        with pytest.raises(
+            ValueError, match=f"no bound by divergence .* {knowledge!r}".replace("+", r"\+")
+        ):
+            check_no_latent(knowledge, observed)
+
+
+def test_an_oracle_that_sees_statistics_alone_has_the_bound():
+    setup = make_setup(TightlyCoupledSetup, {"detector": "ewma"})
+    refused = set()
+    for name, kind in OBSERVATION_TERMS.items():
+        try:
+            check_no_latent("oracle", kind().names(setup))
+        except ValueError:
+            refused.add(name)
+    assert refused == {"estimate-error", "reported-position", "reported-deviation"}
+    with pytest.raises(ValueError, match="observes error_east, my_own"):
+        check_no_latent("oracle", ["statistic_ratio", "error_east", "my_own"])

@@ -1,0 +1,235 @@
+"""Response replay against the simulator that it stands for."""
+
+import copy
+import functools
+
+import numpy as np
+import pytest
+
+from spoofgym.bench.victims import HEADLINE_DOMAIN
+from spoofgym.detectors import DETECTORS, Calibrated, Never, make_detector
+from spoofgym.detectors.base import Detector
+from spoofgym.detectors.verdicts import judged
+from spoofgym.limits import NotReplayable, Replay
+from spoofgym.limits.response import check_replayable
+from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.simulators.base import run_serially
+from spoofgym.simulators.clean_runs import weighs
+from spoofgym.simulators.monitors import Monitor
+from spoofgym.simulators.splits import generators_of, seed_sequences
+
+SHORT = {"warmup_s": 60.0, "live_s": 40.0, "attack_s": 60.0, "time_to_alert_s": 5.0}
+TOP_MPS = 0.4
+SPECIAL = {"pool", "oracle-step", "oracle-ramp"}
+"""Of other detectors, and of what an attack is."""
+
+
+def setup_of(**settings):
+    return TightlyCoupledSetup(**{"detector": "never", "timeline": SHORT, **settings})
+
+
+@functools.cache
+def sorted_out():
+    """Names of the detectors that can be replayed, and of those that can't."""
+    setup, can, cannot = setup_of(), [], []
+    for name in sorted(DETECTORS.keys() - SPECIAL):
+        detector = make_detector(name)
+        if detector.measures == "position":
+            continue
+        try:
+            check_replayable(detector)
+            ok = not weighs(setup, detector)
+        except NotReplayable:
+            ok = False
+        (can if ok else cannot).append(name)
+    return can, cannot
+
+
+def seeds_of(setup, runs):
+    return seed_sequences(0, "training", setup.name, runs)
+
+
+class Series(Monitor):
+    """Ratios and alarms of detectors that look at every epoch."""
+
+    def __init__(self, detectors):
+        self.detectors = detectors
+        self.needs = frozenset().union(*(each.needs for each in detectors))
+        self.ratio, self.alarm = [], []
+
+    def bind(self, simulator):
+        for each in self.detectors:
+            simulator.bind_detector(each)
+
+    def begin(self):
+        for each in self.detectors:
+            each.reset()
+
+    def update(self, simulator):
+        verdicts = [judged(each, simulator.epoch) for each in self.detectors]
+        ratios = [(each.statistic / each.threshold).max(axis=1) for each in verdicts]
+        self.ratio.append(ratios)
+        self.alarm.append([each.alarm.any(axis=1) for each in verdicts])
+
+
+def played(setup, detectors, runs, curve):
+    """(K, D, R) ratios and alarms, and (K, R, 2) positions north and east, of the simulator."""
+    series = Series([copy.deepcopy(each) for each in detectors])
+    told = setup.altered(detector=Never(), monitors=())
+    told.fields = setup.fields | series.needs
+    simulator = told.simulator(runs, run_serially)
+    simulator.begin(generators_of(seeds_of(setup, runs)))
+    simulator.quiet_epochs(setup.quiet)
+    series.bind(simulator)
+    series.begin()
+    place, limit = [], setup.attack.acceleration_limit_mps2 * setup.interval_s * setup.repeat
+    actions = np.diff(curve, prepend=0.0) / limit
+    aim = np.stack([np.cos(simulator.heading), np.sin(simulator.heading)], axis=1)
+    for k in range(setup.live + setup.steps + setup.hold):
+        command, at = None, k - setup.live
+        if 0 <= at < setup.steps:
+            command = np.ascontiguousarray(actions[at // setup.repeat] * aim)
+        simulator.predict(command) if at >= 0 else simulator.advance()
+        series.update(simulator)
+        simulator.update(None)
+        if at >= 0:
+            axes = setup.C_en[simulator.epochs]
+            place.append(np.einsum("bij,bi->bj", axes, simulator.position)[:, :2])
+    parts = (np.array(each)[setup.live :] for each in (series.ratio, series.alarm))
+    return (*parts, np.array(place))
+
+
+def first_of(alarm):
+    return np.where(alarm.any(axis=0), alarm.argmax(axis=0) + 1, 0)
+
+
+def ramp_of(setup, top=TOP_MPS):
+    return top * np.linspace(0.0, 1.0, setup.steps // setup.repeat + 1)[1:]
+
+
+def test_all_detectors_of_satellites_but_those_that_weigh_are_replayed():
+    can, cannot = sorted_out()
+    assert len(can) >= 15
+    assert {"ewma", "joint-chart"} <= set(cannot)
+    assert {"snapshot-chi2", "aime", "raim", "solution-separation", "never"} <= set(can)
+
+
+@pytest.mark.parametrize("name", sorted_out()[1])
+def test_what_can_not_be_replayed_is_refused_by_name(name):
+    setup, detector = setup_of(), make_detector(name)
+    with pytest.raises(
+        NotReplayable, match=rf"^{type(detector).__name__} .*: play it on the engine$"
+    ):
+        Replay(setup, [Never(), detector], seeds_of(setup, 1))
+
+
+def check_agreement(setup, names, runs):
+    """Compare the replay with the simulator, at thresholds among which alarms come and go."""
+    curve, plain = ramp_of(setup), [make_detector(name) for name in names]
+    clean, _, still = played(setup, plain, runs, 0.0 * curve)
+    ratio, _, place = played(setup, plain, runs, curve)
+    typical = [np.median(each.max(axis=0), axis=1) for each in (clean, ratio)]
+    scales = np.where(typical[1] > 0.0, np.sqrt(typical[0] * typical[1]), 1.0)
+    scaled = [
+        make_detector({"name": name, "threshold_scale": float(scale)})
+        if DETECTORS[name].calibrates
+        else make_detector(name)
+        for name, scale in zip(names, scales, strict=True)
+    ]
+    _, alarm, _ = played(setup, scaled, runs, curve)
+    replay = Replay(setup, scaled, seeds_of(setup, runs), threads=1)
+    induced = np.hypot(*np.moveaxis(place - still, 2, 0))
+    late = 0
+    for k, name in enumerate(names):
+        found, wanted = replay.play(k, curve[None]), first_of(alarm[:, k])
+        assert (found.first_alarm[0] == wanted).mean() >= 0.9, name
+        largest = ratio[:, k].max(axis=0) / scales[k]
+        np.testing.assert_allclose(found.peak[0], largest, rtol=0.005, err_msg=name)
+        np.testing.assert_allclose(found.error[:, 0], induced, atol=5e-4 * induced.max())
+        late += int((wanted > 1).sum())
+    assert late > len(names) * runs // 4  # so that something has been compared
+
+
+def test_every_detector_alarms_as_on_the_simulator():
+    check_agreement(setup_of(), sorted_out()[0], 24)
+
+
+def test_with_longer_decisions_it_is_the_same():
+    setup = setup_of(decision_interval_s=10.0)
+    check_agreement(setup, ["snapshot-chi2", "shewhart", "aime"], 24)
+
+
+@pytest.mark.slow
+def test_every_detector_alarms_as_on_the_simulator_in_drawn_worlds():
+    check_agreement(setup_of(domain=HEADLINE_DOMAIN), sorted_out()[0], 16)
+
+
+def test_a_counterfeit_has_its_own_errors():
+    setup = setup_of(attack="quiet")
+    check_agreement(setup, ["snapshot-chi2", "aime", "solution-separation"], 24)
+    runs = 6
+    clean = Replay(setup_of(), [make_detector("snapshot-chi2")], seeds_of(setup, runs))
+    quiet = Replay(setup, [make_detector("snapshot-chi2")], seeds_of(setup, runs))
+    nothing = np.zeros((1, setup.steps // setup.repeat))
+    assert (quiet.play(0, nothing).peak != clean.play(0, nothing).peak).all()
+
+
+def test_a_drawn_direction_is_each_run_s_own():
+    check_agreement(setup_of(target_heading_deg="random"), ["snapshot-chi2", "raim"], 16)
+
+
+def test_several_attacks_on_some_runs_are_those_of_one_on_all():
+    setup = setup_of()
+    replay = Replay(setup, [make_detector("shewhart")], seeds_of(setup, 6), threads=2)
+    curves = np.array([ramp_of(setup, top) for top in (0.1, 0.2, 0.4)])
+    rows = np.array([4, 1])
+    some = replay.play(0, curves, rows=rows)
+    for number, curve in enumerate(curves):
+        every = replay.play(0, curve[None])
+        np.testing.assert_array_equal(some.first_alarm[number], every.first_alarm[0, rows])
+        np.testing.assert_allclose(some.peak[number], every.peak[0, rows], rtol=1e-12)
+        np.testing.assert_allclose(some.error[:, number], every.error[:, 0, rows], rtol=1e-9)
+    np.testing.assert_allclose(replay.errors(curves, rows), some.error)
+
+
+def test_no_attack_is_the_clean_run():
+    setup = setup_of()
+    detector = make_detector({"name": "snapshot-chi2", "threshold_scale": 0.2})
+    replay = Replay(setup, [detector], seeds_of(setup, 8))
+    found = replay.play(0, np.zeros((1, setup.steps)))
+    ratio, alarm, _ = played(setup, [detector], 8, np.zeros(setup.steps))
+    np.testing.assert_array_equal(found.peak[0], ratio[:, 0].max(axis=0))
+    np.testing.assert_array_equal(found.first_alarm[0], first_of(alarm[:, 0]))
+    assert not found.error.any()
+
+
+@pytest.mark.parametrize(
+    ("attack", "why"),
+    [
+        ("per-channel", r"moves a false position north and east, and .* commands S"),
+        ("meaconer", "moves a false position north and east"),
+    ],
+)
+def test_other_attacks_are_refused(attack, why):
+    setup = setup_of(attack=attack)
+    with pytest.raises(NotReplayable, match=why):
+        Replay(setup, [make_detector("snapshot-chi2")], seeds_of(setup, 1))
+
+
+class Fixes(Detector):
+    """Looks at a position, whose response is not known."""
+
+    paper = "groves2013"
+    needs = frozenset({"gnss_position"})
+
+    def bind(self, context):
+        super().bind(context)
+
+    def judge(self, epoch):
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize("made", [lambda: Fixes(), lambda: Calibrated(Fixes(), scale=2.0)])
+def test_a_detector_that_needs_a_position_is_refused_by_name(made):
+    with pytest.raises(NotReplayable, match=r"^Fixes looks at gnss_position, whose response"):
+        check_replayable(made())

@@ -1,0 +1,419 @@
+"""Bounds of every detector with a convex no-alarm set, against its own verdicts and a solver."""
+
+import sys
+from types import SimpleNamespace
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from scipy import stats
+
+from spoofgym.detectors import (
+    DETECTORS,
+    Aime,
+    Calibrated,
+    ClockDrift,
+    CumulativeBank,
+    Cusum,
+    Ewma,
+    FiniteMovingAverage,
+    GlrRamp,
+    GlrStep,
+    InnovationRate,
+    JointChart,
+    LagCusum,
+    Never,
+    SequentialChi2,
+    Shewhart,
+    SnapshotChi2,
+    WindowedChi2,
+)
+from spoofgym.limits import convex
+from spoofgym.limits.judged import SETS, judged_by
+from spoofgym.limits.linear import white
+from spoofgym.limits.no_alarm import Timing, judge_run
+from spoofgym.limits.restricted import zero_alarm_of
+from spoofgym.limits.zero_alarm import sensitivity
+
+from .toy import EAST, TIMING, false_position, toy_run
+
+RUN = toy_run()
+SETTING = toy_run(setting=(12, 22))
+YOUNG = Timing(0.5, live=0)
+PASSIVE = [
+    SnapshotChi2(),
+    SnapshotChi2(signals="pseudorange", bias_window_s=5.0),
+    WindowedChi2(),
+    WindowedChi2(signals="range_rate", window=5),
+    SequentialChi2(),
+    SequentialChi2(signals="both", window_s=5.0),
+    Aime(),
+    Aime(signals="both", windows_s=(1.0, 4.0), bias_window_s=10.0),
+    Ewma(weight_scale=None),
+    JointChart(weight_scale=None, alarm_scale=1.2),
+    Shewhart(),
+    Shewhart(signals="both", bias_window_s=3.0),
+    Cusum(limit=4.0),
+    Cusum(signals="both"),
+    LagCusum(threshold=4.0, lag=10, baseline=20),
+    LagCusum(threshold=4.0, lag=3, baseline=5, signals="range_rate"),
+    ClockDrift(),
+    ClockDrift(signals="pseudorange", window_s=4.0),
+    GlrStep(window=12, baseline=20),
+    GlrRamp(window=12, baseline=20),
+    GlrRamp(window=30, baseline=10, signals="both"),
+    FiniteMovingAverage(),
+    FiniteMovingAverage(window_s=3.0, shape="ramp", signals="both", bias_window_s=4.0),
+    FiniteMovingAverage(window_s=40.0, shape="ramp", signals="range_rate"),
+    CumulativeBank(),
+    CumulativeBank(windows_s=(1.0, 4.0, 9.0), signals="pseudorange", bias_window_s=3.0),
+    CumulativeBank(windows_s=(2.0, 40.0), signals="range_rate"),
+    InnovationRate(),
+    InnovationRate(memory_s=20.0, settled_s=18.0, start_s=3.0, alarm_scale=0.5),
+]
+CASES = {f"{type(each).__name__}-{i}": each for i, each in enumerate(PASSIVE)}
+FREE = {
+    name: each
+    for name, each in CASES.items()
+    if getattr(each, "signals", "pseudorange") == "both" and not isinstance(each, ClockDrift)
+}
+LOOSE = {"rate": 1e3, "change": np.inf}
+
+
+def largest_ratio(detector, run, timing, innovation):
+    """Largest statistic over threshold of epochs whose alarms are on."""
+    verdicts = judge_run(detector, run, timing, innovation)
+    ratio = verdicts.statistic / verdicts.threshold
+    return ratio[verdicts.armed].max()
+
+
+def check_edge(detector, run, timing, bound):
+    """Just inside the bound there is no alarm, and just outside there is one."""
+    assert bound.kind == "exact"
+    assert largest_ratio(detector, run, timing, 0.999 * bound.innovation) <= 1.0
+    assert largest_ratio(detector, run, timing, 1.02 * bound.innovation) > 1.0
+
+
+@pytest.mark.parametrize(
+    ("run", "timing"), [(SETTING, TIMING), (RUN, YOUNG)], ids=["setting", "young"]
+)
+@pytest.mark.parametrize("name", CASES)
+def test_a_restricted_bound_is_the_edge_of_the_detector_s_own_alarm(name, run, timing):
+    detector, attacker = CASES[name], false_position(run, **LOOSE)
+    bound = zero_alarm_of(detector, run, timing, epoch=45, direction=EAST, attacker=attacker)
+    check_edge(detector, run, timing, bound)
+    wanted = attacker.response.position[45, 1] @ bound.commands
+    assert bound.value_m == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_a_free_bound_is_the_edge_of_the_detector_s_own_alarm(name):
+    run = RUN if isinstance(FREE[name], GlrRamp) else SETTING
+    bound = zero_alarm_of(FREE[name], run, TIMING, epoch=45, direction=EAST)
+    check_edge(FREE[name], run, TIMING, bound)
+
+
+@pytest.mark.parametrize("detector", [Ewma(weight_scale=None), SnapshotChi2(signals="pseudorange")])
+def test_a_filter_of_pseudoranges_alone_has_a_free_bound(detector):
+    gain = RUN.gain.copy()
+    gain[:, :, 4:] = 0.0
+    run = RUN._replace(gain=gain)
+    bound = zero_alarm_of(detector, run, TIMING, epoch=45, direction=EAST)
+    check_edge(detector, run, TIMING, bound)
+
+
+@pytest.mark.parametrize("kind", [GlrStep, GlrRamp])
+def test_a_scan_knows_no_satellite_that_was_offset_when_it_rose(kind):
+    detector = kind(window=12, baseline=20, signals="both")
+    for run, timing in [(SETTING, TIMING), (RUN, YOUNG)]:
+        assert zero_alarm_of(detector, run, timing, epoch=45, direction=EAST).kind == "unbounded"
+
+
+def moving_sums(y, weights, limits, last):
+    """Normalized sums of y (L + K) x r of the run's epochs, newest weight last."""
+    held, window = [], len(weights)
+    for k in range(TIMING.live, TIMING.live + len(limits)):
+        root = np.linalg.norm(weights[-min(window, k + 1) :])
+        part = sum(weights[-1 - i] * y[k - i] for i in range(min(window, k + 1)))
+        held.append(cp.abs(part[:last]) <= limits[k - TIMING.live] * root)
+    return held
+
+
+def bank_sums(energy, windows, degrees, false_alarm=1e-5):
+    """Sums of the energies of windows of so many epochs, `degrees` rows in each epoch."""
+    held = []
+    for window in windows:
+        for k in range(len(RUN.gain)):
+            count = min(window, k + 1 + TIMING.live) * degrees
+            limit = stats.chi2.isf(false_alarm / len(windows), count)
+            held.append(sum(energy[i] for i in range(max(k + 1 - window, 0), k + 1)) <= limit)
+    return held
+
+
+@pytest.mark.parametrize("shape", ["step", "ramp"])
+def test_a_free_bound_of_moving_sums_is_the_largest_that_another_solver_finds(shape):
+    detector = FiniteMovingAverage(window_s=4.0, shape=shape, signals="both")
+    y = cp.Variable((EPOCHS, 8))
+    before = [np.zeros(8)] * TIMING.live
+    limits = np.tile(judge_run(detector, RUN, TIMING).threshold, 2)
+    weights = np.ones(8) if shape == "step" else np.arange(1, 9) / 8.0
+    held = moving_sums([*before, *y], weights, limits, 8)
+    value = cp.sum(cp.multiply(sensitivity(RUN, 45, EAST).rows * SD, y))
+    wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.HIGHS)
+    bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST)
+    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
+
+
+def test_a_free_bound_of_a_bank_is_the_largest_that_another_solver_finds():
+    detector = CumulativeBank(windows_s=(1.0, 4.0, 60.0))
+    energy = cp.Variable(EPOCHS, nonneg=True)
+    value = sensitivity(RUN, 45, EAST).weights @ cp.sqrt(energy)
+    held = bank_sums(energy, (2, 8, 120), 8)
+    wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.CLARABEL)
+    bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST)
+    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
+
+
+EPOCHS = len(RUN.gain)
+ATTACKER = false_position(RUN, **LOOSE)
+WHITE = white(RUN.innovation_cov, ATTACKER.response.innovation)
+RANGES = white(RUN.innovation_cov[:, :4, :4], ATTACKER.response.innovation[:, :4])
+SD = np.sqrt(np.einsum("kii->ki", RUN.innovation_cov))
+NORMAL = ATTACKER.response.innovation / SD[:, :, None]
+
+
+def squares(u, rows, first, last):
+    """Sum of the squares of some epochs."""
+    return cp.sum_squares(rows[max(first, 0) : last].reshape(-1, rows.shape[2]) @ u)
+
+
+def snapshot(u, tau):
+    return [squares(u, WHITE, k, k + 1) <= tau[k] for k in range(EPOCHS)]
+
+
+def windowed(u, tau):
+    return [squares(u, WHITE, k - 9, k + 1) <= tau[k] for k in range(EPOCHS)]
+
+
+def sequential(u, tau):
+    return [squares(u, RANGES, 0, k + 1) <= tau[k] for k in range(EPOCHS)]
+
+
+def averages(u, tau):
+    total = np.cumsum(np.vstack([np.zeros_like(RANGES[:1]), RANGES]), axis=0)
+    held = []
+    for window, k in [(w, k) for w in (4, 10) for k in range(EPOCHS)]:
+        count = min(window, k + 1 + TIMING.live)
+        part = total[k + 1] - total[max(k + 1 - window, 0)]
+        held.append(cp.sum_squares(part @ u) <= tau[k] * count)
+    return held
+
+
+def ewma(u, limits):
+    average, held = np.zeros_like(NORMAL[0]), []
+    for k in range(EPOCHS):
+        average = 0.1 * ATTACKER.response.innovation[k] + 0.9 * average
+        held.append(cp.abs(average[:4] @ u) <= limits[k])
+    return held
+
+
+def moving(u, limits):
+    y = np.concatenate([np.zeros((TIMING.live, 4, WHITE.shape[2])), NORMAL[:, :4]])
+    return moving_sums([each @ u for each in y], np.arange(1, 11) / 10.0, limits, 4)
+
+
+def bank(u, tau):
+    energy = [squares(u, WHITE, k, k + 1) for k in range(EPOCHS)]
+    return bank_sums(energy, (4, 20), 8)
+
+
+def cusum(u, limits):
+    up, down = (cp.Variable((EPOCHS, 4), nonneg=True) for _ in range(2))
+    held = []
+    for k in range(EPOCHS):
+        y = NORMAL[k, :4] @ u
+        for total, sign in ((up, 1.0), (down, -1.0)):
+            before = total[k - 1] if k else 0.0
+            held += [total[k] >= before + sign * y - 0.5, total[k] <= limits[k]]
+    return held
+
+
+def steps(u, limits):
+    """Every onset of the last 12 epochs, with a baseline of at most 20."""
+    y = np.concatenate([np.zeros((TIMING.live, 4, WHITE.shape[2])), NORMAL[:, :4]])
+    held = []
+    for k in range(TIMING.live, TIMING.live + EPOCHS):
+        for n in range(1, 13):
+            m = min(k + 1 - n, 20)
+            change = y[k + 1 - n : k + 1].mean(axis=0) - y[k + 1 - n - m : k + 1 - n].mean(axis=0)
+            root = np.sqrt((1.0 / n + 1.0 / m) * limits[k - TIMING.live])
+            held.append(cp.abs(change @ u) <= root)
+    return held
+
+
+@pytest.mark.parametrize(
+    ("detector", "held"),
+    [
+        (SnapshotChi2(), snapshot),
+        (WindowedChi2(), windowed),
+        (SequentialChi2(), sequential),
+        (Aime(windows_s=(2.0, 5.0)), averages),
+        (Ewma(weight_scale=None), ewma),
+        (Cusum(limit=4.0), cusum),
+        (FiniteMovingAverage(window_s=5.0, shape="ramp"), moving),
+        (CumulativeBank(windows_s=(2.0, 10.0)), bank),
+        (GlrStep(window=12, baseline=20), steps),
+    ],
+    ids=lambda each: type(each).__name__ if not callable(each) else "",
+)
+@pytest.mark.parametrize("limited", [False, True])
+def test_a_restricted_bound_is_the_largest_that_another_solver_finds(detector, held, limited):
+    limits = judge_run(detector, RUN, TIMING).threshold
+    limits = limits[:, 0] if limits.shape[1] == 1 else limits
+    u, rest, attacker = cp.Variable(WHITE.shape[2]), [], ATTACKER
+    if limited:
+        attacker = attacker._replace(rate_limit_mps=0.3, change_limit_mps=0.02)
+        rest = [cp.abs(u) <= 0.3, cp.abs(u[0]) <= 0.02, cp.abs(cp.diff(u)) <= 0.02]
+    value = attacker.response.position[45, 1] @ u
+    wanted = cp.Problem(cp.Maximize(value), held(u, limits) + rest).solve(solver=cp.CLARABEL)
+    bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST, attacker=attacker)
+    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
+
+
+@pytest.mark.parametrize("detector", [Never(), SnapshotChi2()], ids=["never", "snapshot"])
+def test_limits_of_two_axes_are_of_the_size_of_the_vector(detector):
+    attacker = false_position(RUN, axes=2, rate=0.5, change=0.02)
+    aim = {"epoch": 45, "direction": (0.6, 0.8)}
+    bound = zero_alarm_of(detector, RUN, TIMING, **aim, attacker=attacker)
+    rates = attacker.profile(bound.commands)
+    assert np.linalg.norm(rates, axis=1).max() <= 0.5 * (1.0 + 1e-6)
+
+    u = cp.Variable(2 * EPOCHS)
+    rows = white(RUN.innovation_cov, attacker.response.innovation)
+    held = [cp.norm(u[:2]) <= 0.02]
+    for k in range(EPOCHS):
+        rate = u[2 * k : 2 * k + 2]
+        held.append(cp.norm(rate) <= 0.5)
+        if k:
+            held.append(cp.norm(rate - u[2 * k - 2 : 2 * k]) <= 0.02)
+    if not isinstance(detector, Never):
+        tau = judge_run(detector, RUN, TIMING).threshold[:, 0]
+        held += [squares(u, rows, k, k + 1) <= tau[k] for k in range(EPOCHS)]
+    value = np.array([0.6, 0.8]) @ attacker.response.position[45, :2] @ u
+    wanted = cp.Problem(cp.Maximize(value), held).solve(solver=cp.CLARABEL)
+    assert bound.value_m == pytest.approx(wanted, rel=1e-4)
+
+
+def test_a_restricted_attacker_without_limits_is_unbounded_where_nothing_is_judged():
+    attacker = ATTACKER._replace(rate_limit_mps=np.inf)
+    bound = zero_alarm_of(Never(), RUN, TIMING, epoch=45, direction=EAST, attacker=attacker)
+    assert (bound.value_m, bound.kind, bound.commands) == (np.inf, "unbounded", None)
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_a_calibration_takes_its_factor_along(free):
+    attacker = None if free else ATTACKER
+    known = {"epoch": 45, "direction": EAST, "attacker": attacker}
+    plain = zero_alarm_of(SnapshotChi2(), RUN, TIMING, **known)
+    scaled = Calibrated(SnapshotChi2(), scale=4.0)
+    bound = zero_alarm_of(scaled, RUN, TIMING, **known)
+    assert bound.value_m == pytest.approx(2.0 * plain.value_m, rel=1e-5)
+    check_edge(scaled, RUN, TIMING, bound)
+
+
+@pytest.mark.parametrize("inner", [Cusum(signals="both"), LagCusum(lag=10, baseline=20)])
+def test_rescaled_innovations_are_judged_as_they_are(inner):
+    detector = Calibrated(inner, scale=0.7, rescaled=True, rescale=(2.0, 0.5, 1.5, 3.0))
+    for run in (RUN, SETTING):
+        attacker = false_position(run, **LOOSE)
+        bound = zero_alarm_of(detector, run, TIMING, epoch=45, direction=EAST, attacker=attacker)
+        check_edge(detector, run, TIMING, bound)
+
+
+def test_a_calibrated_flag_scales_its_alarm():
+    for inner in (JointChart(weight_scale=None), InnovationRate(settled_s=18.0)):
+        detector = Calibrated(inner, scale=0.7)
+        bound = zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST, attacker=ATTACKER)
+        check_edge(detector, RUN, TIMING, bound)
+
+
+@pytest.mark.parametrize(
+    ("detector", "why"),
+    [
+        (Ewma(), "Ewma: its weights change the gains; the blind optimum"),
+        (JointChart(), "JointChart: its weights change the gains"),
+        (Shewhart(weight_scale=0.3), "Shewhart: its weights change the gains"),
+        (InnovationRate(weight_scale=1.0), "InnovationRate: its weights change the gains"),
+        (SnapshotChi2(two_sided=True), "SnapshotChi2: it alarms at innovations that are too small"),
+        (WindowedChi2(covariance="estimated"), "WindowedChi2: an estimated covariance lets"),
+        (Calibrated(Ewma(), scale=2.0), "Ewma: its weights change the gains"),
+    ],
+)
+def test_a_refusal_says_why_and_what_holds_instead(detector, why):
+    with pytest.raises(ValueError, match=f"no zero-alarm bound for {why}.*;? "):
+        zero_alarm_of(detector, RUN, TIMING, epoch=45, direction=EAST)
+
+
+def test_a_subclass_is_another_detector():
+    class Mine(SnapshotChi2):
+        pass
+
+    with pytest.raises(ValueError, match="Mine: nothing is known of its statistic"):
+        judged_by(Mine(), RUN, TIMING)
+
+
+def test_without_the_solver_it_is_said_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "clarabel", None)
+    with pytest.raises(ImportError, match=r"pip install 'spoofgym\[limits\]'"):
+        convex.clarabel_module()
+
+
+@pytest.fixture
+def stopped_after(monkeypatch):
+    """Stop the solver after some iterations."""
+    clarabel = convex.clarabel_module()
+
+    def stop(iterations):
+        def settings():
+            found = clarabel.DefaultSettings()
+            found.max_iter = iterations
+            return found
+
+        short = SimpleNamespace(**{**vars(clarabel), "DefaultSettings": settings})
+        monkeypatch.setattr(convex, "clarabel_module", lambda: short)
+
+    return stop
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_a_solver_that_stops_short_has_an_upper_bound_or_none(stopped_after, free):
+    detector, attacker = WindowedChi2(window=7), None if free else ATTACKER
+    known = {"epoch": 45, "direction": EAST, "attacker": attacker}
+    exact = zero_alarm_of(detector, RUN, TIMING, **known).value_m
+    stopped_after(2)
+    with pytest.raises(RuntimeError, match="Clarabel found no optimum: MaxIterations"):
+        zero_alarm_of(detector, RUN, TIMING, **known)
+    stopped_after(8)
+    bound = zero_alarm_of(detector, RUN, TIMING, **known)
+    assert (bound.kind, bound.innovation, bound.commands) == ("upper", None, None)
+    assert bound.note.startswith("Clarabel found no optimum: ")
+    assert bound.note.endswith("; upper bound by the dual")
+    assert exact <= bound.value_m <= 1.2 * exact
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_energies_of_any_size_are_solved(scale):
+    known = {"epoch": 45, "direction": EAST, "attacker": ATTACKER}
+    detector = SequentialChi2(signals="range_rate")
+    plain = zero_alarm_of(detector, RUN, TIMING, **known)
+    bound = zero_alarm_of(Calibrated(detector, scale=scale), RUN, TIMING, **known)
+    assert bound.kind == "exact"
+    assert bound.value_m <= max(np.sqrt(scale), 1.0) * plain.value_m * (1.0 + 1e-6)
+
+
+def test_every_detector_is_decided():
+    passive = {type(each) for each in PASSIVE} | {Never}
+    assert passive == {*SETS}
+    for kind in {*DETECTORS.values()} - passive:
+        with pytest.raises(ValueError, match=f"no zero-alarm bound for {kind.__name__}: .*; "):
+            judged_by(kind(), RUN, TIMING)

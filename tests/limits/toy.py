@@ -1,0 +1,55 @@
+"""A small filter with velocity and position that measures ranges and range rates."""
+
+import numpy as np
+
+from spoofgym.limits.linear import LinearRun, respond
+from spoofgym.limits.no_alarm import Timing
+from spoofgym.limits.restricted import Attacker
+
+EAST = (0.0, 1.0)
+TIMING = Timing(0.5, live=30, onset_s=15.0)
+SIGHT = np.array([[0.8, 0.5, 0.33], [-0.6, 0.7, 0.39], [0.1, -0.9, 0.42], [0.5, -0.2, -0.84]])
+
+
+def toy_run(epochs=50, satellites=4, setting=None):
+    """A run in which the last satellite, if wanted, is out of view for a while."""
+    n, tau = satellites, 0.5
+    phi = np.eye(9)
+    phi[6:9, 3:6] = tau * np.eye(3)
+    Q = np.diag([0.0] * 3 + [0.01] * 3 + [1e-4] * 3)
+    P = np.diag([0.0] * 3 + [0.1] * 3 + [2.0] * 3)
+    parts = []
+    for k in range(-100, epochs):
+        visible = np.ones(n, dtype=np.bool_)
+        if setting and setting[0] <= k < setting[1]:
+            visible[-1] = False
+        H = np.zeros((2 * n, 9))
+        sight = SIGHT[:n] + 0.001 * k
+        H[:n, 6:9], H[n:, 3:6] = sight, sight
+        seen = np.hstack([visible, visible])
+        H *= seen[:, None]
+        R = np.where(seen, np.repeat([4.0, 0.01], n), 1.0)
+        P = phi @ P @ phi.T + Q
+        S = H @ P @ H.T + np.diag(R)
+        K = np.linalg.solve(S, H @ P).T
+        P = (np.eye(9) - K @ H) @ P
+        if k >= 0:
+            parts.append((phi, H, K, S, visible, np.eye(3)))
+    return LinearRun(*(np.stack(each) for each in zip(*parts, strict=True)))
+
+
+def false_position(run, axes=1, stop=None, rate=1.0, change=0.05):
+    """Rates of a false position at every epoch, to the east, or north and east."""
+    epochs, m = run.design.shape[:2]
+    n, count = m // 2, stop or epochs
+    rates = np.zeros((epochs, axes, count * axes))
+    for i in range(count):
+        for a in range(axes):
+            rates[i, a, i * axes + a] = 1.0
+    displacement = 0.5 * np.cumsum(rates, axis=0)
+    columns = [1] if axes == 1 else [0, 1]
+    offsets = np.zeros((epochs, m, count * axes))
+    for k in range(epochs):
+        sight = run.design[k, :n, 6:9][:, columns]
+        offsets[k, :n], offsets[k, n:] = -sight @ displacement[k], -sight @ rates[k]
+    return Attacker(respond(run, offsets), rates, rate, change)
