@@ -167,18 +167,23 @@ def _of_module(torch: Any, module: Any) -> Function:
     return act
 
 
+def inner_env(env: Any) -> Any:
+    """Environment with a core inside all wrappers; None where there is none."""
+    while env is not None and getattr(env, "core", None) is None:
+        env = getattr(env, "venv", None) or getattr(env, "env", None)
+    return env
+
+
 def describe_env(env: Any) -> Mapping[str, Any]:
     """What a spoofer knows and commands in an environment: arguments of `ModelPolicy`.
 
     `env`: any that has a core of the spoofer's side, in wrappers of stable-baselines3 or Gymnasium.
     """
-    inner = env
-    while not hasattr(inner, "core") and (hasattr(inner, "venv") or hasattr(inner, "env")):
-        inner = inner.venv if hasattr(inner, "venv") else inner.env
-    core = getattr(inner, "core", None)
-    settings = getattr(core, "settings", None)
-    if core is None or settings is None:
+    inner = inner_env(env)
+    settings = None if inner is None else getattr(inner.core, "settings", None)
+    if inner is None or settings is None:
         return {}
+    core = inner.core
     low, high = core.bounds
     space = Space(names=core.observation_names, low=tuple(low.tolist()), high=tuple(high.tolist()))
     return {
