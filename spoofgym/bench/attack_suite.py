@@ -44,7 +44,7 @@ SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
 STEEPEST = 0.25
 """Largest rate of a profile with amplitude 1, of what the acceleration allows in a whole window."""
 AROUND_FOUND = (0.5, 2.0)
-"""Amplitudes of a blind optimum that are tried, in parts of that at which it was found."""
+"""Amplitudes of a blind optimum that are tried first, in parts of that at which it was found."""
 LAST_PARTS = (0.15, 0.4)
 """Parts of the attack window in which a dash takes place."""
 

@@ -1,6 +1,7 @@
 """The protection of a detector: the worst attack of the suite, chosen on runs of its own.
 
-1. On a few runs of the split `selection` every member of the suite plays its whole range.
+1. On a few runs of the split `selection` every member of the suite plays its whole range.  Blind
+   optima play around the amplitude that they were found at, and beyond where its ends are best.
 2. For each aim, an alert limit or a share of the runs, the best of these and its neighbours play
    all runs of the selection, and the best one there is the winner.
 3. The winners play the evaluation runs, which have decided nothing, but for one thing: the worst of
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from ..simulators.setup import Setup
 from ..spoofers import SpooferContext
+from ..spoofers.scaled import LARGEST, SMALLEST
 from .attack_suite import Member, grid_of
 from .run import Runs, WarmStart, horizontal, induced, off_truth, play
 from .scores import SHARES, counted, exceeded, undetected_displacement, worst_skies
@@ -221,6 +223,7 @@ class Search:
         sifted = {(m, v): self._play(m, v, few) for m, grid in enumerate(grids) for v in grid}
         measures = list(next(iter(sifted.values())))
         aims = aims_of(measures, limits, skies=False)
+        self._beyond_ends(sifted, grids, aims, few)
         wanted = {self._best(sifted, aim, few) for aim in aims}
         near = {(m, v) for m, value in wanted for v in _around(value, grids[m])}
         everyone = self.start.receivers
@@ -232,6 +235,31 @@ class Search:
         for aim in aims:
             found.setdefault(self._best(played, aim, everyone), []).append(aim)
         return found
+
+    def _beyond_ends(
+        self, sifted: Played, grids: list[list[float]], aims: Sequence[Aim], runs: int
+    ) -> None:
+        """Let found curves go on beyond their range, for as long as its ends are the best of it."""
+        while True:
+            best = {self._best(sifted, aim, runs) for aim in aims}
+            found = {(m, self._next(grids[m], at)) for m, at in best if self._is_found(m)}
+            new = sorted((m, value) for m, value in found if value is not None)
+            for m, value in new:
+                grids[m] = sorted([*grids[m], value])
+                sifted[m, value] = self._play(m, value, runs)
+            if not new:
+                return
+
+    def _is_found(self, member: int) -> bool:
+        return self.members[member].letter == "c"
+
+    @staticmethod
+    def _next(grid: list[float], at: float) -> float | None:
+        """Value beyond an end of a grid, within what an amplitude may be."""
+        ratio = grid[1] / grid[0]
+        value = at * ratio if at == grid[-1] else at / ratio
+        inside = SMALLEST <= value <= LARGEST
+        return rounded_down(value) if at in (grid[0], grid[-1]) and inside else None
 
     def _play(self, member: int, value: float, runs: int) -> dict[str, FloatArray]:
         start = self.start if runs >= self.start.receivers else self.start.first(runs)

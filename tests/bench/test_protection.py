@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import protection as module
-from spoofgym.bench.attack_suite import Member
+from spoofgym.bench.attack_suite import AROUND_FOUND, Member
 from spoofgym.bench.comparisons import compare
 from spoofgym.bench.entries import spoofer_entry
 from spoofgym.bench.protection import MEASURES, Aim, Protection, Search, Winner, aims_of
 from spoofgym.bench.scores import exceeded
 from spoofgym.bench.searches import Selection
 from spoofgym.bench.summary import score_protection
+from spoofgym.spoofers.scaled import LARGEST, SMALLEST
 
 RUNS = 120
 FIRST = MEASURES[0]
@@ -81,6 +82,44 @@ def test_each_aim_has_its_worst_attack(search: Any) -> None:
     # the tenth of twelve skies is two of them, by the attack that is worst in half of the runs
     assert len(search.skies) == 2
     assert Aim(FIRST, 0.5, skies=True) in by_aim
+
+
+@pytest.mark.parametrize("peak", [0.11, 0.7, 4.3])
+def test_a_found_curve_is_played_beyond_its_range_while_that_is_worse(
+    search: Any, monkeypatch: pytest.MonkeyPatch, peak: float
+) -> None:
+    played = []
+
+    def fake_play(start: Any, spec: dict[str, Any], **_: Any) -> float:
+        played.append(spec["amplitude"])
+        return float(spec["amplitude"])
+
+    def fake_measured(setup: Start, amplitude: float, twin: Any) -> dict[str, Any]:
+        moved = 50.0 * np.exp(-abs(np.log(amplitude / peak))) + np.zeros(setup.receivers)
+        return {FIRST: moved}
+
+    monkeypatch.setattr(module, "play", fake_play)
+    monkeypatch.setattr(module, "measured", fake_measured)
+    curve = member("c", name="profile", rates_mps=[0.1, 0.2], amplitude="tuned")
+    search.members = (curve,)
+    ((_, value),) = search.winners([])
+    assert value == pytest.approx(peak, rel=0.1)
+    low, high = AROUND_FOUND
+    assert (min(played) < 0.99 * low) == (peak < low)
+    assert (max(played) > 1.01 * high) == (peak > high)
+    assert SMALLEST <= min(played) <= max(played) <= LARGEST
+
+
+def test_what_gets_farther_without_end_ends_at_the_largest_amplitude(
+    search: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "play", lambda start, spec, **_: spec["amplitude"])
+    monkeypatch.setattr(
+        module, "measured", lambda setup, at, twin: {FIRST: at + np.zeros(setup.receivers)}
+    )
+    search.members = (member("c", name="profile", rates_mps=[0.1, 0.2], amplitude="tuned"),)
+    ((_, value),) = search.winners([])
+    assert 0.8 * LARGEST < value <= LARGEST
 
 
 def test_runs_that_do_not_count_choose_nobody(search: Any) -> None:
