@@ -40,6 +40,16 @@ TOLERANCE = 1e-5
 """Largest difference of an action between the model and its file."""
 TRIED = 1024
 """Random observations on which they are compared."""
+OF_THE_CALL = (
+    "autoreset_mode",
+    "infos",
+    "num_envs",
+    "prefetch",
+    "render_mode",
+    "threads",
+    "vectorization_mode",
+)
+"""Arguments of `gymnasium.make` and `make_vec` that change nothing of what is simulated."""
 GAUSSIANS = (
     "DiagGaussianDistribution",
     "SquashedDiagGaussianDistribution",
@@ -300,7 +310,7 @@ def _named(inner: Any) -> tuple[str, dict[str, Any]]:
         if env_id.startswith("spoofgym/Bench"):
             env_id = "spoofgym/TightlyCoupled-v0"
     own = {name: value for name, value in dict(given or {}).items() if value is not None}
-    own = {name: x for name, x in own.items() if name not in ("autoreset_mode", "threads", "infos")}
+    own = {name: value for name, value in own.items() if name not in OF_THE_CALL}
     try:
         return env_id, json.loads(json.dumps({k: describe(x) for k, x in own.items()}))
     except (TypeError, ValueError) as error:

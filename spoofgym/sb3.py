@@ -188,7 +188,7 @@ class SpoofVecEnv(VecEnv):
             self.core.reset(self._rngs, given=given)
         self._returns[:] = self._lengths[:] = 0
         self._actions = None
-        return self.core.observe()
+        return np.asarray(self.core.observe())
 
     def step_async(self, actions: Array) -> None:
         """Take the commands of the next step.
@@ -516,10 +516,11 @@ class RecordEpochs(VecEnvWrapper):
         inner: Any = venv
         while isinstance(inner, VecEnvWrapper):
             inner = inner.venv
-        if not isinstance(inner, SpoofVecEnv) or inner.side == "detector":
+        if not isinstance(inner, SpoofVecEnv):
+            raise TypeError(f"this wrapper needs a SpoofVecEnv, wrapped or not, got {inner!r}")
+        if inner.side == "detector":
             raise TypeError(
-                f"this wrapper needs a SpoofVecEnv of the spoofer's side, wrapped or not, got "
-                f"{inner!r}"
+                "the epochs of a duel are not recorded: this SpoofVecEnv has the side 'detector'"
             )
         self.recorder = EpochRecorder(folder, self.num_envs)
         inner.core.listeners.append(self.recorder)

@@ -69,7 +69,7 @@ class LearnersSide(NamedTuple):
         if self.side == DETECTOR:
             duel = make_duel(num_envs, threads=threads, action="full-command", **self.settings)
             return DetectorCore(duel, self.pool, self.weights)
-        further = {"threads": threads, "prefetch": prefetch}
+        further: dict[str, Any] = {"threads": threads, "prefetch": prefetch}
         if self.pool is None:
             return make_core(self.setup, num_envs, self.settings, whose=whose, **further)
         check_settings(SpooferView, self.settings, self.pool)

@@ -257,8 +257,12 @@ def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:
 
 def _settings(setup: Setup) -> dict[str, Any]:
     """Everything that decides what a spoofer meets, JSON-able."""
-    settings = inspect.signature(type(setup)).parameters
-    return {name: _described(getattr(setup, name)) for name in settings}
+    found = {}
+    for name, parameter in inspect.signature(type(setup)).parameters.items():
+        # not every victim keeps a setting as it was given
+        given = (setup.given or {}).get(name, parameter.default)
+        found[name] = _described(getattr(setup, name, given))
+    return found
 
 
 def _described(part: Any) -> Any:

@@ -34,7 +34,7 @@ CHANCE = (
     "RandomUniformLike",
 )
 """Operators that a policy must not have: the same observation gives the same action."""
-CONTROL_FLOW = ("If", "Loop", "Scan", "SequenceMap")
+CONTROL_FLOW = frozenset({"If", "Loop", "Scan", "SequenceMap"})
 """Operators with graphs of their own, of which none is needed by a policy."""
 LARGEST_BYTES, MOST_OPERATORS = 32 << 20, 5_000
 """Of a file; a policy is asked hundreds of times an episode."""
@@ -73,6 +73,7 @@ def _check_parts(model: ModelProto, where: str) -> None:
     """Look at every tensor, operator and function, in subgraphs and functions too."""
     from onnx import FunctionProto, NodeProto, TensorProto
 
+    branching: set[str] = set()
     for part in _messages(model):
         if isinstance(part, TensorProto):
             if part.data_location == TensorProto.EXTERNAL or part.external_data:
@@ -88,15 +89,16 @@ def _check_parts(model: ModelProto, where: str) -> None:
                 )
             if part.op_type in CHANCE:
                 raise ValueError(f"{where} draws random numbers by {part.op_type}")
-            if part.op_type in CONTROL_FLOW:
-                raise ValueError(
-                    f"{where} has the control flow {part.op_type}; export a network without "
-                    "branches and loops"
-                )
+            branching |= {part.op_type} & CONTROL_FLOW
         elif isinstance(part, FunctionProto) and part.domain not in DOMAINS:
             raise ValueError(
                 f"{where} defines the custom operator {part.domain}::{part.name}; inline it"
             )
+    if branching:
+        raise ValueError(
+            f"{where} has the control flow {', '.join(sorted(branching))}; export a network "
+            "without branches and loops"
+        )
 
 
 def _messages(message: Any) -> Iterator[Any]:
@@ -183,7 +185,7 @@ class OnnxModel:
         size = path.stat().st_size
         if size > LARGEST_BYTES:
             raise ValueError(
-                f"{path} has {size / (1 << 20):.0f} MiB; a policy may have "
+                f"{path} has {size / (1 << 20):.1f} MiB; a policy may have "
                 f"{LARGEST_BYTES >> 20} MiB"
             )
         self.content = path.read_bytes()
