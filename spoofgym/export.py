@@ -114,12 +114,21 @@ def onnx(
             "was made with it"
         )
     low, high = inner.core.bounds
+    judges = hasattr(inner.core, "duel")
+    if judges and amplitude != 1.0:
+        raise ValueError(f"a detector has no commands to scale: `amplitude` = {amplitude:g}")
     actor = _Actor(model, amplitude)
-    _check_sizes(actor, len(low), len(inner.core.action_names))
-    content = traced(actor, len(low))
+    modes = {part: part.training for part in actor.modules()}
+    actor.train(False)
+    try:
+        _check_sizes(actor, len(low), len(inner.core.action_names))
+        content = traced(actor, len(low))
+    finally:
+        for part, training_mode in modes.items():
+            part.training = training_mode
     told = {**_said_by(model), "amplitude": amplitude, **(training or {})}
-    if getattr(inner, "side", "spoofer") == "detector" or hasattr(inner.core, "duel"):
-        return _write_detector(model, inner, path, content, amplitude, told)
+    if judges:
+        return _write_detector(model, inner, path, content, told)
     card = _card_of(inner, path, content, told, designed_on)
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / path.name
@@ -182,7 +191,6 @@ class _Actor(torch.nn.Module):
     def __init__(self, model: Any, amplitude: float) -> None:
         super().__init__()
         self.mean = _mean_of(model)
-        self.mean.train(False)
         found = normalization_of(model)
         self.clip = None if found is None else found[2]
         if found is not None:
@@ -346,7 +354,7 @@ def _normalizer(env: Any) -> Any:
 
 
 def _write_detector(
-    model: Any, inner: Any, path: Path, content: bytes, amplitude: float, training: dict[str, Any]
+    model: Any, inner: Any, path: Path, content: bytes, training: dict[str, Any]
 ) -> Any:
     """Write a detector policy, once a trial of it acts as the model does."""
     low, high = inner.core.bounds
@@ -354,7 +362,7 @@ def _write_detector(
         trial = Path(folder) / path.name
         trial.write_bytes(content)
         write_card(trial, inner, name=path.stem, training=training)
-        _compare(model, OnnxDetector(trial).model.act, low, high, amplitude)
+        _compare(model, OnnxDetector(trial).model.act, low, high, 1.0)
     write_file(path, content)
     card_path(path).unlink(missing_ok=True)
     return write_card(path, inner, name=path.stem, training=training)

@@ -118,6 +118,7 @@ def test_a_torch_module_of_gymnasiums_environments(vector, tmp_path):
     seen = np.random.default_rng(0).normal(size=(50, size)).astype(np.float32)
     act = OnnxPolicy(str(tmp_path / "net.onnx")).model.act
     np.testing.assert_allclose(act(seen), np.clip(function_of(net)(seen), -1, 1), atol=1e-5)
+    assert net.training  # as it was
     envs.close()
 
 
@@ -139,6 +140,8 @@ def test_a_detector_that_has_learned_is_a_detector_policy(tmp_path):
     card = onnx(model, path=tmp_path / "guard.onnx")
     assert card.kind == "detector-policy"
     assert card.training["steps"] == 16
+    with pytest.raises(ValueError, match="a detector has no commands to scale"):
+        onnx(model, path=tmp_path / "guard.onnx", amplitude=2.0)
     seen = observations(envs)
     wanted, _ = model.predict(seen, deterministic=True)
     act = OnnxDetector(tmp_path / "guard.onnx").model.act

@@ -63,7 +63,8 @@ class ModelPolicy(Spoofer):
             same = Space(names=context.action_names, low=(-1.0,) * size, high=(1.0,) * size)
             found = unlike_spaces(self.observation, same, context)
             if found:
-                raise ValueError(f"{self.label} does not fit this attack: {'; '.join(found)}")
+                lines = "; ".join(found).replace("on the card", "where it was trained")
+                raise ValueError(f"{self.label} does not fit this attack: {lines}")
         super().bind(context)
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
@@ -159,10 +160,14 @@ def _of_stable_baselines(model: Any, policy: Any) -> Function:
 
 def _of_module(torch: Any, module: Any) -> Function:
     def act(seen: NDArray[np.float32]) -> Any:
-        if module.training:
+        training = module.training
+        if training:
             module.eval()
         with torch.no_grad():
-            return module(torch.as_tensor(seen)).cpu().numpy()
+            action = module(torch.as_tensor(seen)).cpu().numpy()
+        if training:
+            module.train()
+        return action
 
     return act
 
