@@ -7,10 +7,8 @@ written.
 
 from __future__ import annotations
 
-import logging
 import math
 import tempfile
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,6 +26,7 @@ from stable_baselines3.common.distributions import (
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from spoofgym._files import write_file
+from spoofgym.export import traced
 from spoofgym.policies.onnx_model import file_of
 from spoofgym.spoofers.base import SpooferContext
 from spoofgym.spoofers.card import Card
@@ -276,39 +275,13 @@ def _check_policy(policy: ActorCriticPolicy) -> None:
 
 def _trace(policy: ActorCriticPolicy, directions: FloatArray) -> onnx.ModelProto:
     """Graph of the policy; its parameters keep their names."""
-    example = torch.zeros(2, seen_by(policy), device=policy.device)
     training = policy.training
     policy.set_training_mode(False)
-    log = logging.getLogger("torch.onnx")
-    level = log.level
-    log.setLevel(logging.ERROR)  # it misses torchvision
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # torch about torch
-            program = torch.onnx.export(
-                _Actor(policy, directions),
-                (example,),
-                dynamo=True,
-                verbose=False,
-                optimize=False,  # which would fold weights away; onnxruntime optimises by itself
-                input_names=["observation"],
-                output_names=["action"],
-                dynamic_shapes={"observation": {0: torch.export.Dim("batch")}},
-            )
+        content = traced(_Actor(policy, directions), seen_by(policy))
     finally:
-        log.setLevel(level)
         policy.set_training_mode(training)
-    return _plain(program.model_proto)
-
-
-def _plain(model: onnx.ModelProto) -> onnx.ModelProto:
-    """Without the remarks of the exporter, which hold paths of this machine."""
-    graph = model.graph
-    for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.initializer):
-        part.ClearField("doc_string")
-        part.ClearField("metadata_props")
-    graph.ClearField("value_info")
-    return model
+    return onnx.load_model_from_string(content)
 
 
 def _factors(

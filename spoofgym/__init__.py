@@ -19,8 +19,12 @@ duel       the game of a spoofer and a detector, its two forms and the views of 
 duel_v0    what is public of the duel, for PettingZoo and Gymnasium
 tasks      the tasks of `spoofgym-bench-v1`, and the papers' scenarios
 bench      campaigns: detectors x spoofers x paired seeds, and their scores
+sb3        the vector environment of stable-baselines3, and a callback that scores
+export     from a model to an ONNX file with its card
 testing    check_detector, check_attack, check_spoofer
 cli        spoofgym list | calibrate | run | tune | bench | perf | report | warmup
+
+`spoofgym.evaluate` scores any spoofer by the rule of the benchmark.
 
 **Frames**
 
@@ -59,9 +63,14 @@ random time in a random direction, and the small environments ``spoofgym/Loosely
 ``spoofgym/SpooferView-v0`` or ``spoofgym/DetectorView-v0``.
 """
 
+from typing import TYPE_CHECKING, Any
+
 from gymnasium.envs.registration import register
 
 from .tasks import TASKS as _TASKS
+
+if TYPE_CHECKING:
+    from .bench.evaluate import evaluate as evaluate
 
 __version__ = "0.1.0"
 
@@ -119,3 +128,12 @@ for _task in _TASKS.values():
         else "spoofgym.envs:SpoofVectorEnv",
         kwargs=_task.env_kwargs,
     )
+
+
+def __getattr__(name: str) -> Any:
+    """`evaluate`, which is imported when it is first asked for: the benchmark takes its time."""
+    if name == "evaluate":
+        from .bench.evaluate import evaluate
+
+        return evaluate
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

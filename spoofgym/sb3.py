@@ -9,6 +9,9 @@ dictionary is filled for a receiver before its episode ends.
 >>> model = PPO("MlpPolicy", envs, gamma=1.0, n_steps=300, batch_size=2400, device="cpu")
 >>> envs.close()
 
+`SpoofVecEnv` takes any environment of the package by ``env_id``, a task by ``task``, and either
+side of the duel by ``side``; `ScoreCallback` scores a policy while it learns.
+
 Install it with the extra ``train``.
 """
 
@@ -17,15 +20,21 @@ from __future__ import annotations
 import inspect
 import sys
 import time
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from .envs.core import SpoofCore
-from .envs.factory import make_core, signature_of
+from ._registry import whole_number
+from .bench.evaluate import FIT_RUNS, Evaluator
+from .bench.tune import TuningResult
+from .duel.learner import LearnersSide
+from .envs.factory import signature_of
 from .envs.options import (
     HALFWAY,
     InfoSpec,
@@ -40,17 +49,26 @@ from .envs.options import (
     whole_reset,
 )
 from .envs.recorder import EpochRecorder
-from .envs.step_result import StepResult
+from .envs.step_result import PlainResult, StepResult
 from .envs.terms.registry import RewardSpec, make_terms
+from .policies.contract import NotFinite
+from .simulators.clean_runs import Progress
 from .simulators.tightly_coupled import TightlyCoupledSetup
 
 Array = NDArray[Any]
-AT_THE_END = ("undetected_displacement_m", "detected", "warmup_alarm", "coasting", "cost")
+AT_THE_END = (
+    "undetected_displacement_m",
+    "detected",
+    "warmup_alarm",
+    "coasting",
+    "cost",
+    "attacked",
+)
 """What is reported at the end of every episode, with that of passive detectors."""
 
 
 class SpoofVecEnv(VecEnv):
-    """`SpoofEnv` for stable-baselines3; receiver i is the single environment seeded ``seed + i``.
+    """An environment for stable-baselines3; receiver i is the single one seeded ``seed + i``.
 
     A finished receiver starts its next episode within the same step: what `step` returns is the
     first observation of that episode, and ``infos[i]["terminal_observation"]`` the last one of the
@@ -67,6 +85,17 @@ class SpoofVecEnv(VecEnv):
     ----------
     num_envs : int
         Receivers, at least 1.
+    env_id : str, optional
+        Id of the environment, for any kind of victim; by default ``spoofgym/TightlyCoupled-v0``.
+    task : str, optional
+        ``"T1"`` to ``"T6"`` in its place.
+    side : {"spoofer", "detector"}
+        Who learns.  A detector learns against a pool of spoofers, as in `DetectorView`.
+    pool : list, optional
+        Frozen opponents, of which one is drawn for every episode, as `SpooferView` and
+        `DetectorView` take them; a spoofer has a single ``detector`` without one.
+    weights : sequence of float, optional
+        Probability of each of the pool.
     threads : int, optional
         Threads of the engine; all useful cores by default.
     prefetch : bool
@@ -82,12 +111,14 @@ class SpoofVecEnv(VecEnv):
     infos : {"none", "all"} or sequence of str
         Which information of every step is handed out, by its keys, such as ``["cost"]``.
     **settings
-        As in `SpoofEnv`.
+        As in the environment, such as `SpoofEnv`.
 
     Attributes
     ----------
-    core : SpoofCore
+    core : SpoofCore or DetectorCore
         The receivers.
+    env_id, env_kwargs : str and dict
+        What it was made from, for a card.
     observation_names, action_names : tuple of str
         Name of every element.
     """
@@ -98,6 +129,11 @@ class SpoofVecEnv(VecEnv):
         self,
         num_envs: int,
         *,
+        env_id: str | None = None,
+        task: str | None = None,
+        side: str = "spoofer",
+        pool: Any = None,
+        weights: Sequence[float] | None = None,
         threads: int | None = None,
         prefetch: bool = True,
         torch_threads: int | None = 1,
@@ -111,22 +147,17 @@ class SpoofVecEnv(VecEnv):
                 raise ValueError(f"`torch_threads` must be at least 1, got {torch_threads}")
             # stable-baselines3 has loaded it; nothing here needs it otherwise
             sys.modules["torch"].set_num_threads(torch_threads)
-        self.core: SpoofCore = make_core(
-            TightlyCoupledSetup,
-            num_envs,
-            settings,
-            threads=threads,
-            prefetch=prefetch,
-            whose=type(self).__name__,
-        )
-        self.observation_names = self.core.observer.names
+        made = LearnersSide.of(env_id, task, side, pool, weights, settings)
+        self.side, self.env_id, self.env_kwargs = made.side, made.card_id, made.card_kwargs()
+        self.core: Any = made.core(num_envs, threads, prefetch, type(self).__name__)
+        self.observation_names = self.core.observation_names
         self.action_names = self.core.action_names
         self._keys = info_keys(infos, self.core.info_names)
         self.render_mode = None
         self._rngs: list[np.random.Generator] = []
         self._actions: Array | None = None
         self._halfway = False
-        self._returns = np.zeros(num_envs)
+        self._returns, self._lengths = np.zeros(num_envs), np.zeros(num_envs, dtype=np.int64)
         self._began = time.perf_counter()
         super().__init__(num_envs, observation_space(self.core), action_space(self.core))
         if seed is not None:
@@ -155,9 +186,9 @@ class SpoofVecEnv(VecEnv):
         self._reset_options()
         with whole_reset(self):
             self.core.reset(self._rngs, given=given)
-        self._returns[:] = 0.0
+        self._returns[:] = self._lengths[:] = 0
         self._actions = None
-        return self.core.observe()
+        return np.asarray(self.core.observe())
 
     def step_async(self, actions: Array) -> None:
         """Take the commands of the next step.
@@ -194,6 +225,7 @@ class SpoofVecEnv(VecEnv):
         result, observations = self.core.step(self._actions)
         self._actions = None
         self._returns += result.reward
+        self._lengths += 1
         infos = self._each(result)
         over = result.terminated | result.truncated
         if over.any():
@@ -202,7 +234,7 @@ class SpoofVecEnv(VecEnv):
                 infos[row] |= self._at_the_end(row, observations, info)
                 infos[row]["TimeLimit.truncated"] = bool(result.truncated[row])
             self.core.reset([self._rngs[row] for row in rows], rows)
-            self._returns[rows] = 0.0
+            self._returns[rows] = self._lengths[rows] = 0
             observations = self.core.observe()
         self._halfway = False
         return observations, result.reward.astype(np.float32), over, infos
@@ -212,13 +244,13 @@ class SpoofVecEnv(VecEnv):
             "terminal_observation": observations[row].copy(),
             "episode": {
                 "r": round(float(self._returns[row]), 6),
-                "l": -(-int(self.core.step_count[row]) // self.core.setup.repeat),
+                "l": int(self._lengths[row]),
                 "t": round(time.perf_counter() - self._began, 6),
             },
             **{name: info[name][row].item() for name in info if _is_of_the_end(name)},
         }
 
-    def _each(self, result: StepResult) -> list[dict[str, Any]]:
+    def _each(self, result: StepResult | PlainResult) -> list[dict[str, Any]]:
         """Information of every receiver that is asked for."""
         if self._keys is not None and not self._keys:
             return [{} for _ in range(self.num_envs)]
@@ -247,6 +279,8 @@ class SpoofVecEnv(VecEnv):
         terms : str, mapping, path, RewardTerm or sequence of them
             As ``reward=`` of `SpoofEnv`.
         """
+        if self.side == "detector":
+            raise ValueError("a detector is paid by the rules of the duel: see its settings")
         self.core.set_rewards(make_terms("reward", terms))
 
     def close(self) -> None:
@@ -335,6 +369,130 @@ SpoofVecEnv.__signature__ = signature_of(
 )
 
 
+class ScoreCallback(BaseCallback):
+    """Scores a policy while it learns, and keeps the best one.
+
+    The amplitude of the policy is fitted to the alarm budget on training runs, and the score is the
+    stealthy displacement there.  It is logged as ``spoofer/stealthy_m``, with
+    ``spoofer/amplitude``, ``spoofer/alarm_rate`` and ``spoofer/best_m``.  A figure to report is
+    that of `spoofgym.evaluate` afterwards, on runs that decided nothing.
+
+    A policy that returns NaN or infinity ends the training; the best one is kept.
+
+    Parameters
+    ----------
+    task : str, optional
+        As in `spoofgym.evaluate`.
+    every : int
+        Steps of all receivers together from one score to the next; the first one is that of the
+        policy as it begins.
+    path : str or Path, optional
+        Where the best policy is written, ``.../NAME.onnx``, with its card; needs the extra
+        ``train``.
+    fit_runs : int
+        Training runs, on which it is scored.
+    entropy, threads, progress : optional
+        As in `spoofgym.evaluate`.
+    verbose : int
+        1 for a line at every score.
+    **world
+        As in `spoofgym.evaluate`.
+
+    Attributes
+    ----------
+    history : list of (int, TuningResult)
+        Steps, and what was found then.
+    best_m, best_step, best_amplitude : float, int and float
+        Largest score within the budget [m], when it was, and its amplitude; 0, -1 and 1 before.
+    diverged : str or None
+        Why the training was ended.
+    """
+
+    def __init__(
+        self,
+        task: str | None = None,
+        *,
+        every: int = 50_000,
+        path: str | Path | None = None,
+        fit_runs: int = FIT_RUNS,
+        entropy: int = 0,
+        threads: int | None = None,
+        progress: Progress | None = None,
+        verbose: int = 1,
+        **world: Any,
+    ) -> None:
+        super().__init__(verbose)
+        self.every = whole_number("`every`", every, 1)
+        self.path = None if path is None else Path(path)
+        if self.path is not None and self.path.suffix != ".onnx":
+            raise ValueError(f"`path` must end in .onnx, got {path}")
+        self.judge = Evaluator(
+            task, fit_runs=fit_runs, entropy=entropy, threads=threads, progress=progress, **world
+        )
+        self.history: list[tuple[int, TuningResult]] = []
+        self.best_m, self.best_step, self.best_amplitude = 0.0, -1, 1.0
+        self.diverged: str | None = None
+        self._next = 0
+
+    def _on_rollout_start(self) -> None:
+        """Score the policy, when that is due; it is not updated before the rollout is full."""
+        if self.diverged is None and self.num_timesteps >= self._next:
+            self._next = self.num_timesteps + self.every
+            self._score()
+
+    def _on_step(self) -> bool:
+        return self.diverged is None
+
+    def _on_training_end(self) -> None:
+        if self.diverged is None and (not self.history or self.history[-1][0] < self.num_timesteps):
+            self._score()
+
+    def _score(self) -> None:
+        """Score the policy as it is."""
+        try:
+            found = self.judge.fit(self.model)
+        except NotFinite as error:
+            kept = (
+                f"the best one, of step {self.best_step:,} with {self.best_m:.2f} m, is kept"
+                if self.best_step >= 0
+                else "none before it was within the budget"
+            )
+            self.diverged = (
+                f"training has diverged after {self.num_timesteps:,} steps: {error}; {kept}"
+            )
+            warnings.warn(self.diverged, UserWarning, stacklevel=2)
+            return
+        self.history.append((self.num_timesteps, found))
+        better = found.within_budget and (self.best_step < 0 or found.score > self.best_m)
+        if better:
+            self.best_m, self.best_step = found.score, self.num_timesteps
+            self.best_amplitude = found.value
+            if self.path is not None:
+                self._keep(found)
+        chosen = found.chosen
+        for key, value in (
+            ("stealthy_m", found.score),
+            ("amplitude", found.value),
+            ("alarm_rate", chosen.alarm_rate),
+            ("best_m", self.best_m),
+        ):
+            self.logger.record(f"spoofer/{key}", value)
+        if self.verbose:
+            over = "" if found.within_budget else ", over the budget"
+            print(
+                f"{self.num_timesteps:>10,d} steps   stealthy {found.score:8.2f} m   alarms "
+                f"{100 * chosen.alarm_rate:5.1f} %   amplitude {found.value:.3g}{over}"
+                f"{'   best' if better else ''}",
+                flush=True,
+            )
+
+    def _keep(self, found: TuningResult) -> None:
+        from .export import onnx  # torch, which the engine does not need
+
+        assert self.path is not None  # else nothing is kept
+        onnx(self.model, path=self.path, amplitude=found.value)
+
+
 class RecordEpochs(VecEnvWrapper):
     """Writes every epoch of the commands into Parquet files, one an episode of a receiver.
 
@@ -360,6 +518,10 @@ class RecordEpochs(VecEnvWrapper):
             inner = inner.venv
         if not isinstance(inner, SpoofVecEnv):
             raise TypeError(f"this wrapper needs a SpoofVecEnv, wrapped or not, got {inner!r}")
+        if inner.side == "detector":
+            raise TypeError(
+                "the epochs of a duel are not recorded: this SpoofVecEnv has the side 'detector'"
+            )
         self.recorder = EpochRecorder(folder, self.num_envs)
         inner.core.listeners.append(self.recorder)
 

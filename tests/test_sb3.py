@@ -20,7 +20,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 from spoofgym.envs import SpoofEnv
 from spoofgym.envs.terms.reward import AlarmPenalty, default_rewards
 from spoofgym.envs.wrappers import vector as vector_wrappers
-from spoofgym.sb3 import RecordEpochs, SpoofVecEnv
+from spoofgym.policies.contract import NotFinite
+from spoofgym.sb3 import RecordEpochs, ScoreCallback, SpoofVecEnv
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 5.0, "time_to_alert_s": 1.0}
 SETTINGS = {
@@ -356,3 +357,167 @@ def test_rewards_are_set_by_name():
     assert envs.step(actions(1)[0])[1].max() <= 0.0
     with pytest.raises(ValueError, match="did you mean 'alarm-penalty'"):
         envs.set_rewards("alarm-penality")
+
+
+# --- any environment, either side ---
+
+SHORT = {"timeline": TIMELINE}
+NOMINAL = {"name": "snapshot-chi2", "thresholds": "nominal"}
+TWO_WORLDS = {"worlds": 2, "turned_deg": [0.0, 360.0]}
+OTHERS = [
+    (
+        "spoofgym/LooselyCoupled-v0",
+        {
+            "timeline": {"warmup_s": 1, "live_s": 1, "attack_s": 2, "time_to_alert_s": 0.5},
+            "detector": {"name": "windowed-chi2", "window": 8},
+        },
+    ),
+    ("spoofgym/Snapshot-v0", {"timeline": {"warmup_s": 5, "live_s": 5, "attack_s": 6}}),
+    ("spoofgym/WheeledRobot-v0", {"timeline": {"warmup_s": 5, "live_s": 5, "attack_s": 6}}),
+    ("spoofgym/SpooferView-v0", {**SHORT, "pool": [NOMINAL, {"name": "never"}]}),
+    ("spoofgym/DetectorView-v0", {**SHORT, "pool": ["ramp", "step"]}),
+    ("spoofgym/BenchT3-v1", {**SHORT, "detector": NOMINAL, "domain": TWO_WORLDS}),
+    ("spoofgym/BenchT6-v1", {**SHORT, "pool": [NOMINAL, {"name": "never"}]}),
+]
+
+
+@pytest.mark.parametrize(("env_id", "settings"), OTHERS, ids=[name for name, _ in OTHERS])
+def test_every_id_is_the_same_as_by_make_vec(env_id, settings):
+    vector = gym.make_vec(env_id, num_envs=3, autoreset_mode="same_step", **settings)
+    envs = SpoofVecEnv(3, env_id=env_id, seed=5, **settings)
+    seen, _ = vector.reset(seed=5)
+    assert np.array_equal(envs.reset(), seen)
+    assert envs.observation_space == vector.single_observation_space
+    assert envs.action_space == vector.single_action_space
+    drawn = np.random.default_rng(1)
+    ended, lengths = 0, np.zeros(3, dtype=int)
+    for _ in range(90):
+        action = drawn.uniform(-0.3, 0.3, vector.action_space.shape).astype(np.float32)
+        seen, rewards, terminated, truncated, _ = vector.step(action)
+        other, paid, dones, infos = envs.step(action)
+        lengths += 1
+        assert np.array_equal(other, seen)
+        assert np.array_equal(paid, rewards.astype(np.float32))
+        assert np.array_equal(dones, terminated | truncated)
+        for row in np.flatnonzero(dones):
+            assert infos[row]["episode"]["l"] == lengths[row]
+            assert "undetected_displacement_m" in infos[row]
+            lengths[row], ended = 0, ended + 1
+    assert ended
+    vector.close()
+    envs.close()
+
+
+def test_a_task_is_its_environment():
+    settings = {**SHORT, "detector": NOMINAL, "domain": TWO_WORLDS}
+    one = SpoofVecEnv(2, task="T3", seed=1, **settings)
+    other = SpoofVecEnv(2, env_id="spoofgym/BenchT3-v1", seed=1, **settings)
+    assert np.array_equal(one.reset(), other.reset())
+    assert one.env_kwargs["scenario"] == "trolley"
+    assert one.core.length_m == 20.0
+
+
+def test_a_side_or_a_pool_alone_chooses_the_view():
+    assert SpoofVecEnv(2, side="detector", pool="step", **SHORT).core.opponents() == ["step"] * 2
+    pooled = SpoofVecEnv(2, pool=[NOMINAL, "never"], weights=[0, 1], seed=0, **SHORT)
+    pooled.reset()
+    assert pooled.env_kwargs["detector"]["members"] == [NOMINAL, "never"]
+    assert pooled.env_kwargs["detector"]["weights"] == [0, 1]
+    assert SpoofVecEnv(2, pool="never", **SHORT).env_kwargs["detector"] == "never"
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        ({"env_id": "nix"}, ValueError, "unknown environment 'nix'; valid: spoofgym/Bench"),
+        ({"env_id": "CartPole-v1"}, ValueError, "CartPole-v1 is no environment of a spoofer"),
+        ({"env_id": "a", "task": "T1"}, ValueError, "`env_id` and `task` are both given"),
+        ({"task": "T9"}, ValueError, "unknown task 'T9'"),
+        ({"side": "referee"}, ValueError, "unknown side 'referee'; valid: detector, spoofer"),
+        ({"side": "detector", "detector": "ewma"}, ValueError, "the detector is the learner"),
+        ({"weights": [1.0]}, ValueError, "`weights` are those of a `pool`, and there is none"),
+        ({"env_id": "spoofgym/Snapshot-v0", "side": "detector"}, ValueError, "has none"),
+        ({"env_id": "spoofgym/Snapshot-v0", "pool": ["raim"]}, ValueError, "has none"),
+        ({"pool": ["never"], "detector": "ewma"}, ValueError, "two detectors are set at once"),
+        ({"pool": ["never"], "foo": 1}, TypeError, "has no argument 'foo'"),
+        ({"pool": ["nobody"]}, ValueError, "nobody"),
+        ({"side": "detector", "foo": 1}, TypeError, "has no argument 'foo'"),
+    ],
+)
+def test_sides_and_ids_that_do_not_fit_are_refused(settings, error, message):
+    with pytest.raises(error, match=message):
+        SpoofVecEnv(2, **settings)
+
+
+def test_what_belongs_to_the_spoofers_side_is_refused_on_the_other(tmp_path):
+    envs = SpoofVecEnv(2, side="detector", **SHORT)
+    with pytest.raises(ValueError, match="paid by the rules of the duel"):
+        envs.set_rewards(default_rewards(7.0))
+    with pytest.raises(TypeError, match="this SpoofVecEnv has the side 'detector'"):
+        RecordEpochs(envs, tmp_path)
+
+
+# --- scores while a policy learns ---
+
+WORLD = {"detector": NOMINAL, **SHORT}
+
+
+def learner(envs):
+    return PPO("MlpPolicy", envs, n_steps=20, batch_size=160, gamma=1.0, seed=0, device="cpu")
+
+
+def scored(**settings):
+    return ScoreCallback(**{**WORLD, "fit_runs": 80, "verbose": 0, **settings})
+
+
+def test_a_callback_scores_the_policy_as_it_learns_and_keeps_the_best(tmp_path):
+    pytest.importorskip("onnxscript")
+    envs = VecNormalize(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD), norm_reward=False)
+    callback = scored(every=160, path=tmp_path / "best.onnx")
+    model = learner(envs)
+    model.learn(480, callback=callback)
+    steps = [step for step, _ in callback.history]
+    assert steps == [0, 160, 320, 480]
+    scores = [found.score for _, found in callback.history]
+    assert callback.best_m == max(scores)
+    assert steps[int(np.argmax(scores))] == callback.best_step
+    again = callback.judge.fit(str(tmp_path / "best.onnx"))
+    assert any(trial.value == 1.0 or trial.stealthy_displacement_m for trial in again.trials)
+    kept = callback.judge.score(str(tmp_path / "best.onnx"), amplitude=None)
+    assert kept.knowledge == "blind"
+    assert callback.judge.fit(model).value == callback.history[-1][1].value
+
+
+def test_a_score_changes_nothing_of_the_training():
+    weights = []
+    for callback in (None, scored(every=80)):
+        model = learner(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD))
+        model.learn(320, callback=callback)
+        weights.append([weight.detach().numpy().copy() for weight in model.policy.parameters()])
+    assert all(np.array_equal(a, b) for a, b in zip(*weights, strict=True))
+
+
+def test_a_diverged_training_ends_and_keeps_the_best():
+    envs = SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD)
+    callback = scored(every=160)
+    model = learner(envs)
+
+    def fit(policy, **_):
+        if policy.num_timesteps >= 320:
+            raise NotFinite("PPO returned NaN for receiver 0")
+        return found(policy)
+
+    found, callback.judge.fit = callback.judge.fit, fit
+    with pytest.warns(UserWarning, match="training has diverged after 320 steps: .* is kept"):
+        model.learn(1600, callback=callback)
+    assert model.num_timesteps < 1600
+    assert "of step " in callback.diverged
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [({"every": 0}, "`every` must be"), ({"path": "best.zip"}, r"`path` must end in \.onnx")],
+)
+def test_bad_settings_of_a_callback_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        scored(**settings)

@@ -232,10 +232,10 @@ def training_start(
     suite: Suite, detector: Entry, threads: int | None, progress: Progress
 ) -> tuple[WarmStart, Runs]:
     """Training runs of a detector at the onset, and what they do without attack."""
-    return _start(suite, detector, "training", suite.tuning.runs, threads, progress)
+    return start_of(suite, detector, "training", suite.tuning.runs, threads, progress)
 
 
-def _start(
+def start_of(
     suite: Suite, detector: Entry, split: str, runs: int, threads: int | None, progress: Progress
 ) -> tuple[WarmStart, Runs]:
     """Runs of a split at the onset, and what they do without attack."""
@@ -319,7 +319,7 @@ def _worst(
     """Look for the worst attacks on runs of the selection."""
     assert suite.selection is not None  # as `_open` has seen
     runs = suite.selection.runs
-    start, clean = _start(suite, detector, "selection", runs, threads, progress)
+    start, clean = start_of(suite, detector, "selection", runs, threads, progress)
     expected = protection_work(suite) - runs * (1.0 + WARMUP_SHARE)
     left = _Left(progress, expected, f"{detector.label}: worst attack")
     context = spoofer_context(start.setup)
@@ -337,7 +337,7 @@ def _cells(
     threads: int | None,
     progress: Progress,
 ) -> None:
-    start, twin = _start(suite, detector, "evaluation", suite.runs, threads, progress)
+    start, twin = start_of(suite, detector, "evaluation", suite.runs, threads, progress)
     for entry in cells:
         tuning = folder.tuning(detector.label, entry.label) if entry.tuned else None
         spec = entry.spec
@@ -423,7 +423,7 @@ def _published(
     left = _left_of_published(suite, folder, detector)
     if not left:
         return
-    start, twin = _start(suite, detector, "evaluation", suite.runs, threads, progress)
+    start, twin = start_of(suite, detector, "evaluation", suite.runs, threads, progress)
     for entry in left:
         folder.put_cell(_cell(suite, detector, entry, entry.spec, None, start, twin, progress))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from ..envs.spoofer_binding import ENV_ID
+from ..envs.spoofer_binding import SETUPS
 from ..simulators import (
     LooselyCoupledSetup,
     SnapshotSetup,
@@ -38,12 +38,11 @@ HEADLINE_DOMAIN = {
 `SKIES`, and the turn-on constants of the inertial sensors.  Which way an attack pushes is fixed, so
 that its angle to the flight is drawn, too."""
 LOOSE = loosely_coupled.DEFAULT_DETECTOR
-VICTIMS = {
-    ENV_ID: Victim(TightlyCoupledSetup, DEFAULT_DETECTORS),
-    "spoofgym/LooselyCoupled-v0": Victim(LooselyCoupledSetup, (LOOSE,)),
-    "spoofgym/Snapshot-v0": Victim(SnapshotSetup, ({"name": "raim"}, {"name": "srv-raim"})),
-    "spoofgym/WheeledRobot-v0": Victim(
-        WheeledRobotSetup, ({"name": "rio"}, wheeled_robot.DEFAULT_DETECTOR)
-    ),
+DEFAULTS: dict[type[Setup], tuple[dict[str, Any], ...]] = {
+    TightlyCoupledSetup: DEFAULT_DETECTORS,
+    LooselyCoupledSetup: (LOOSE,),
+    SnapshotSetup: ({"name": "raim"}, {"name": "srv-raim"}),
+    WheeledRobotSetup: ({"name": "rio"}, wheeled_robot.DEFAULT_DETECTOR),
 }
+VICTIMS = {env_id: Victim(setup, DEFAULTS[setup]) for env_id, setup in SETUPS.items()}
 """By environment."""

@@ -10,9 +10,14 @@ from numbers import Real
 from typing import Any
 
 from .._describe import describe, unlike
+from ..simulators import (
+    LooselyCoupledSetup,
+    SnapshotSetup,
+    TightlyCoupledSetup,
+    WheeledRobotSetup,
+)
 from ..simulators.broadcast import PastPositions
 from ..simulators.setup import Setup
-from ..simulators.tightly_coupled import TightlyCoupledSetup
 from ..spoofers import (
     Card,
     ScriptedSpoofer,
@@ -27,14 +32,19 @@ from .core import SpoofCore
 from .factory import composable, make_setup, settings_of
 from .observer import Observer
 from .options import action_space, observation_space
-from .terms.action import ActionTerm, CommandMap, FullCommand, default_action
+from .terms.action import ActionTerm, CommandMap, default_action
 from .terms.observation import REPORTED, default_terms
 from .terms.registry import make_terms
 
 ENV_ID = "spoofgym/TightlyCoupled-v0"
-"""Environment that cards are compared with."""
-SETUP = tuple(inspect.signature(TightlyCoupledSetup).parameters)
-"""Settings that make the world, the victim, the attack, the detector and the decisions."""
+"""Environment of the headlines."""
+SETUPS: dict[str, type[Setup]] = {
+    ENV_ID: TightlyCoupledSetup,
+    "spoofgym/LooselyCoupled-v0": LooselyCoupledSetup,
+    "spoofgym/Snapshot-v0": SnapshotSetup,
+    "spoofgym/WheeledRobot-v0": WheeledRobotSetup,
+}
+"""Kinds of victims by the environments of the spoofer's side."""
 
 
 def attach(
@@ -137,13 +147,12 @@ def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
 def commands_of(spoofer: Spoofer, setup: Setup) -> CommandMap:
     """How the actions of a spoofer command an attack that nothing else stands before.
 
-    A policy acts as in the environment on its card, all others by the attack's own elements.
+    A policy acts as in the environment that it was made in, all others by the attack's own
+    elements.
     """
-    card: Card | None = getattr(spoofer, "card", None)
-    terms: Sequence[ActionTerm] = (FullCommand(),)
-    if card is not None and card.observation is not None:
-        given = card.env_kwargs.get("action")
-        terms = default_action(setup) if given is None else make_terms("action", given)
+    given = spoofer.action
+    terms: Sequence[ActionTerm]
+    terms = default_action(setup) if given is None else make_terms("action", given)
     return CommandMap(terms, setup)
 
 
@@ -204,11 +213,15 @@ def spoofer_context(
     )
 
 
-def setup_of_card(card: Card) -> TightlyCoupledSetup:
+def setup_of_card(card: Card) -> Setup:
     """World, victim, attack, detector and timeline that a spoofer was made for."""
-    if card.env_id != ENV_ID:
-        raise ValueError(f"card of {card.name!r}: `env_id` must be {ENV_ID}, got {card.env_id!r}")
-    valid = settings_of(TightlyCoupledSetup)
+    if card.env_id not in SETUPS:
+        raise ValueError(
+            f"card of {card.name!r}: `env_id` must be one of {', '.join(SETUPS)}, got "
+            f"{card.env_id!r}"
+        )
+    kind = SETUPS[card.env_id]
+    valid = settings_of(kind)
     unknown = [name for name in card.env_kwargs if name not in valid]
     if unknown:
         raise ValueError(
@@ -216,7 +229,7 @@ def setup_of_card(card: Card) -> TightlyCoupledSetup:
             f"{', '.join(valid)}"
         )
     try:
-        return make_setup(TightlyCoupledSetup, card.env_kwargs)
+        return make_setup(kind, card.env_kwargs)
     except (TypeError, ValueError) as error:
         raise ValueError(f"card of {card.name!r}: `env_kwargs`: {error}") from error
 
@@ -244,7 +257,12 @@ def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:
 
 def _settings(setup: Setup) -> dict[str, Any]:
     """Everything that decides what a spoofer meets, JSON-able."""
-    return {name: _described(getattr(setup, name)) for name in SETUP}
+    found = {}
+    for name, parameter in inspect.signature(type(setup)).parameters.items():
+        # not every victim keeps a setting as it was given
+        given = (setup.given or {}).get(name, parameter.default)
+        found[name] = _described(getattr(setup, name, given))
+    return found
 
 
 def _described(part: Any) -> Any:

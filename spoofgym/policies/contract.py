@@ -52,6 +52,10 @@ class Policy(ABC, Generic[ContextT]):
         self.memory.reset(mask)
 
 
+class NotFinite(ValueError):
+    """A policy returned NaN or an infinite action."""
+
+
 def checked_action(action: Any, receivers: int, size: int, policy: str) -> FloatArray:
     """Action of a policy, (B, a) float64, cut to [-1, 1]; `policy` names it in errors."""
     array = np.array(action, dtype=np.float64, order="C")
@@ -59,6 +63,9 @@ def checked_action(action: Any, receivers: int, size: int, policy: str) -> Float
         raise ValueError(
             f"{policy} returned actions of shape {array.shape}, not {(receivers, size)}"
         )
-    if np.isnan(array).any():
-        raise ValueError(f"{policy} returned NaN for receiver {np.argwhere(np.isnan(array))[0][0]}")
+    finite = np.isfinite(array)
+    if not finite.all():
+        row, column = np.argwhere(~finite)[0]
+        word = "NaN" if np.isnan(array[row, column]) else f"{array[row, column]}"
+        raise NotFinite(f"{policy} returned {word} for receiver {row}")
     return np.clip(array, -1.0, 1.0)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .card import PolicyFile, Space
-from .contract import FloatArray, checked_action
+from .contract import FloatArray, NotFinite, checked_action
 
 if TYPE_CHECKING:
     from onnx import ModelProto, ValueInfoProto
@@ -34,6 +34,16 @@ CHANCE = (
     "RandomUniformLike",
 )
 """Operators that a policy must not have: the same observation gives the same action."""
+CONTROL_FLOW = frozenset({"If", "Loop", "Scan", "SequenceMap"})
+"""Operators with graphs of their own, of which none is needed by a policy."""
+LARGEST_BYTES, MOST_OPERATORS = 32 << 20, 5_000
+"""Of a file; a policy is asked hundreds of times an episode."""
+TRIED, PARTS = 16, (1, 2, 3)
+"""Observations that a network is tried on when it is loaded, and sizes of smaller batches."""
+WIDEST = 10.0
+"""Largest element of these observations."""
+_consistent: set[str] = set()
+"""Digests of the files that have passed, in this process."""
 
 
 def read_model(content: bytes, where: str) -> ModelProto:
@@ -47,6 +57,10 @@ def read_model(content: bytes, where: str) -> ModelProto:
         raise ValueError(f"{where} is no ONNX file, or cut off: {error}") from error
     if not model.graph.node or not model.opset_import:
         raise ValueError(f"{where} is no ONNX file: it has no graph of operators")
+    if len(model.graph.node) > MOST_OPERATORS:
+        raise ValueError(
+            f"{where} has {len(model.graph.node):,} operators; a policy may have {MOST_OPERATORS:,}"
+        )
     _check_parts(model, where)
     try:
         onnx.checker.check_model(model)
@@ -59,6 +73,7 @@ def _check_parts(model: ModelProto, where: str) -> None:
     """Look at every tensor, operator and function, in subgraphs and functions too."""
     from onnx import FunctionProto, NodeProto, TensorProto
 
+    branching: set[str] = set()
     for part in _messages(model):
         if isinstance(part, TensorProto):
             if part.data_location == TensorProto.EXTERNAL or part.external_data:
@@ -74,10 +89,16 @@ def _check_parts(model: ModelProto, where: str) -> None:
                 )
             if part.op_type in CHANCE:
                 raise ValueError(f"{where} draws random numbers by {part.op_type}")
+            branching |= {part.op_type} & CONTROL_FLOW
         elif isinstance(part, FunctionProto) and part.domain not in DOMAINS:
             raise ValueError(
                 f"{where} defines the custom operator {part.domain}::{part.name}; inline it"
             )
+    if branching:
+        raise ValueError(
+            f"{where} has the control flow {', '.join(sorted(branching))}; export a network "
+            "without branches and loops"
+        )
 
 
 def _messages(message: Any) -> Iterator[Any]:
@@ -161,6 +182,12 @@ class OnnxModel:
         sha256: str | None = None,
     ) -> None:
         self.path = os.fspath(path)
+        size = path.stat().st_size
+        if size > LARGEST_BYTES:
+            raise ValueError(
+                f"{path} has {size / (1 << 20):.1f} MiB; a policy may have "
+                f"{LARGEST_BYTES >> 20} MiB"
+            )
         self.content = path.read_bytes()
         self._session: Any = None
         self._process = 0
@@ -175,6 +202,30 @@ class OnnxModel:
             raise ValueError(f"{path} is of opset {_opset_of(model)}, and {file.opset} on its card")
         self.size = len(action.names)
         check_signature(model, len(observation.names), self.size, self.path)
+        if self.sha256 not in _consistent:
+            self._check_answers(observation)
+            _consistent.add(self.sha256)
+
+    def _check_answers(self, space: Space) -> None:
+        """Raise unless the same observation has the same finite answer, again and in any batch."""
+        low, high = (np.clip(side, -WIDEST, WIDEST) for side in (space.low, space.high))
+        drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
+        seen = drawn.astype(np.float32)
+        try:
+            whole, again = self.act(seen), self.act(seen)
+            parts = [self.act(seen[k : k + n]) for n in PARTS for k in range(0, TRIED - n + 1, n)]
+        except NotFinite as error:
+            raise ValueError(
+                f"{self.path}, tried within the bounds on its card: {error}"
+            ) from error
+        if again.tobytes() != whole.tobytes():
+            raise ValueError(f"{self.path} answers the same observation otherwise when asked again")
+        rows = [whole[k : k + n] for n in PARTS for k in range(0, TRIED - n + 1, n)]
+        if any(mine.tobytes() != other.tobytes() for mine, other in zip(parts, rows, strict=True)):
+            raise ValueError(
+                f"{self.path} answers the same observation otherwise in another batch: nothing may "
+                "mix the rows of a batch, as a normalization over it does"
+            )
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         """Action of every receiver.  `observation` (B, o); returns (B, a) in [-1, 1]."""

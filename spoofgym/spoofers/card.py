@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar, Literal, Self
 
 from pydantic import (
@@ -25,13 +26,14 @@ class Conditions(Record):
     """What an attack has to be like for the actions to mean what they meant.
 
     `acceleration_limit_mps2`, `rate_limit_mps`: of the attack; with control by rate the first one
-    does not matter; `setpoint_mps`: rate that an action of 1 asks for, with control by set-point.
+    does not matter, and may be None; `setpoint_mps`: rate that an action of 1 asks for, with
+    control by set-point.
     """
 
     interval_s: PositiveFloat
     steps: PositiveInt
     control: Literal["rate", "acceleration", "setpoint"]
-    acceleration_limit_mps2: PositiveFloat
+    acceleration_limit_mps2: PositiveFloat | None
     rate_limit_mps: PositiveFloat
     setpoint_mps: PositiveFloat | None = None
 
@@ -189,4 +191,6 @@ def fields_of(context: SpooferContext) -> dict[str, Any]:
 
 
 def _conditions_of(context: SpooferContext) -> dict[str, Any]:
-    return {name: getattr(context, name) for name in Conditions.model_fields}
+    found = {name: getattr(context, name) for name in Conditions.model_fields}
+    limit = found["acceleration_limit_mps2"]
+    return {**found, "acceleration_limit_mps2": limit if math.isfinite(limit) else None}

@@ -40,7 +40,7 @@ class OnnxPolicy(Spoofer):
     knowledge = "of its card"
 
     def __post_init__(self) -> None:
-        """Check file and card; the network is not run yet."""
+        """Check file and card, and try the network once."""
         self.file = os.fspath(self.file)
         path = path_of(self.file)
         if not path.is_file():
@@ -55,6 +55,7 @@ class OnnxPolicy(Spoofer):
         self.knowledge = card.knowledge.run_time
         self.designed_on = card.knowledge.design_time
         self.label = card.name
+        self.action = card.env_kwargs.get("action")
 
     def bind(self, context: SpooferContext) -> None:
         """Prepare for a batch of receivers."""

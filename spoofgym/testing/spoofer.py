@@ -90,6 +90,11 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
             target_heading_deg="random" if follows else 90.0,
         )
     own = setup_of_card(card)
+    if not isinstance(own, TightlyCoupledSetup):
+        raise ValueError(
+            f"only spoofers of the tightly coupled receiver can be checked; the card of "
+            f"{card.name!r} is of {card.env_id}"
+        )
     return TightlyCoupledSetup(
         scenario=own.scenario,
         receiver=own.receiver,

@@ -18,8 +18,11 @@ BLOCKS = blocks_of(PAGE)
 SHORT = 'timeline={"warmup_s": 20.0, "live_s": 10.0, "attack_s": 10.0, "time_to_alert_s": 2.0}'
 SMALLER = [
     (r'detector="', f'{SHORT}, detector="'),
-    (r"model\.learn\([\d_]+\)", "model.learn(320)"),
+    (r"model\.learn\([\d_]+", "model.learn(320"),
     (r"n_steps=300, batch_size=600", "n_steps=10, batch_size=40"),
+    (r"world = \{", f'world = {{"timeline": {SHORT.removeprefix("timeline=")}, '),
+    (r"every=100_000", "fit_runs=80, every=160"),
+    (r"(evaluate\(.*)\*\*world\)", r"\1**world, runs=20, fit_runs=80)"),
     (r"learning_starts=2_000", "learning_starts=100"),
     (r"buffer_size=200_000", "buffer_size=1_000"),
     (r"range\(350\)", "range(60)"),
@@ -65,7 +68,8 @@ def scope():
 
 
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
-def test_a_block_runs(number, scope):
+def test_a_block_runs(number, scope, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     needs, code = BLOCKS[number]
     if needs is not None:
         pytest.importorskip(needs)

@@ -205,7 +205,10 @@ def test_what_is_no_environment_of_ours_is_refused(policy: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"env_id": "CartPole-v1"}, r"card of 'tiny': `env_id` must be spoofgym/.*got 'CartPole"),
+        (
+            {"env_id": "CartPole-v1"},
+            r"card of 'tiny': `env_id` must be one of spoofgym/.*got 'CartPole",
+        ),
         ({"env_kwargs": {"scenery": "x"}}, r"card of 'tiny': `env_kwargs` has 'scenery'; valid:"),
         ({"env_kwargs": {"detector": "emwa"}}, r"`env_kwargs`: unknown detector 'emwa'; valid:"),
         ({"env_kwargs": {"timeline": {"attack_s": "x"}}}, r"card of 'tiny': `env_kwargs`: "),

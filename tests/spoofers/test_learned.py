@@ -17,6 +17,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
+from spoofgym.policies.onnx_model import LARGEST_BYTES, MOST_OPERATORS
 from spoofgym.spoofers import OnnxPolicy, make_spoofer
 from spoofgym.spoofers.card import Card
 from spoofgym.testing import check_spoofer
@@ -399,18 +400,74 @@ def hidden_batch(model: onnx.ModelProto) -> None:
     model.graph.node[-1].CopyFrom(helper.make_node("Reshape", ["z2", "shape"], ["action"]))
 
 
+def infinite(model: onnx.ModelProto) -> None:
+    model.graph.initializer.append(numpy_helper.from_array(np.float32([np.inf] * 2), "inf"))
+    model.graph.node[-1].CopyFrom(helper.make_node("Add", ["z2", "inf"], ["action"]))
+
+
+def less_the_mean(model: onnx.ModelProto) -> None:
+    """Centred over the batch, as a normalization in training mode does."""
+    model.graph.initializer.append(numpy_helper.from_array(np.array([0]), "axes"))
+    mean = helper.make_node("ReduceMean", ["z2", "axes"], ["mean"], keepdims=1)
+    model.graph.node[-1].CopyFrom(mean)
+    model.graph.node.append(helper.make_node("Sub", ["z2", "mean"], ["action"]))
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (not_a_number, r"tiny\.onnx returned NaN for receiver \d"),
-        (flat, r"tiny\.onnx returned actions of shape \(1, 6\), not \(3, 2\)"),
+        (not_a_number, r"tiny\.onnx, tried within the bounds on its card: .* NaN for receiver \d"),
+        (infinite, r"tiny\.onnx, tried within the bounds on its card: .* inf for receiver \d"),
+        (flat, r"tiny\.onnx returned actions of shape \(1, 32\), not \(16, 2\)"),
         (hidden_batch, r"tiny\.onnx can't be run: .*"),
+        (less_the_mean, r"tiny\.onnx answers the same observation otherwise in another batch"),
     ],
 )
-def test_what_fails_when_it_is_run_is_told(edit: Edit, message: str, tmp_path: Path) -> None:
-    policy = bound(write_policy(tmp_path, model=edit))
+def test_what_fails_when_it_is_run_is_refused_when_it_is_loaded(
+    edit: Edit, message: str, tmp_path: Path
+) -> None:
     with pytest.raises(ValueError, match=message):
-        policy.act(observations(3))
+        OnnxPolicy(str(write_policy(tmp_path, model=edit)))
+
+
+def branches(model: onnx.ModelProto) -> None:
+    """One of two equal branches."""
+    same = helper.make_node("Identity", ["z2"], ["out"])
+    out = helper.make_tensor_value_info("out", TensorProto.FLOAT, ["batch", 2])
+    branch = helper.make_graph([same], "branch", [], [out])
+    model.graph.initializer.append(numpy_helper.from_array(np.array(True), "yes"))
+    node = helper.make_node("If", ["yes"], ["action"], then_branch=branch, else_branch=branch)
+    model.graph.node[-1].CopyFrom(node)
+
+
+def long(model: onnx.ModelProto) -> None:
+    """A chain of more operators than a policy may have."""
+    del model.graph.node[-1]
+    count = MOST_OPERATORS + 1
+    names = ["z2", *(f"c{k}" for k in range(count - 1)), "action"]
+    chain = [helper.make_node("Identity", [names[k]], [names[k + 1]]) for k in range(count)]
+    model.graph.node.extend(chain)
+
+
+def heavy(model: onnx.ModelProto) -> None:
+    """A tensor that nothing needs, larger than a policy may be."""
+    weight = np.zeros(LARGEST_BYTES // 4 + 1, dtype=np.float32)
+    model.graph.initializer.append(numpy_helper.from_array(weight, "ballast"))
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (branches, r"tiny\.onnx has the control flow If; export a network without branches"),
+        (long, r"tiny\.onnx has 5,00\d operators; a policy may have 5,000"),
+        (heavy, r"tiny\.onnx has 32.0 MiB; a policy may have 32 MiB"),
+    ],
+)
+def test_control_flow_and_oversized_networks_are_refused(
+    edit: Edit, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        OnnxPolicy(str(write_policy(tmp_path, model=edit)))
 
 
 def test_the_card_is_there_for_who_holds_the_policy(tmp_path: Path) -> None:

@@ -1,0 +1,426 @@
+"""Score of any spoofer by the benchmark's rule, without a campaign and its folder."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._registry import check_finite, check_keywords
+from ..simulators.clean_runs import Progress, Silent
+from ..spoofers import Spoofer
+from ..spoofers.model import ModelPolicy, describe_env
+from ..spoofers.scaled import AMPLITUDE, Scaled
+from ..tasks import task_of
+from .campaign import search, start_of, training_start, with_rates
+from .entries import Entry, build_spoofer, fitted, spoofer_entry
+from .metrics import Estimate, bootstrap_mean, percentiles, resamples_of, wilson
+from .run import Runs, WarmStart, displacement_of, play
+from .scores import clusters_of, counted, stealth_of
+from .suite import WORLD, Suite, Tuning
+from .tables import interval
+from .tune import TuningResult
+
+FloatArray = NDArray[np.float64]
+FITTED = "fitted"
+"""Amplitude that is fitted to the alarm budget on training runs, which are not scored."""
+RUNS, FIT_RUNS = 400, 128
+"""Evaluation runs and training runs by default."""
+SIFTED = 16
+"""Share of the training runs that sift the amplitudes, as one in so many."""
+PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".joblib")
+"""Files that run code of their author when they are opened."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a spoofer is worth against one detector; paired with every other one of the same runs.
+
+    - `task`, `detector`, `spoofer`: whom it met, and its name;
+    - `knowledge`: what it observes while it attacks;
+    - `setting`, `value`: what was fitted, or given, and to what; None where nothing can be;
+    - `runs`, `counted`: evaluation runs, and those that are silent before the onset and without an
+      attack, over which all else is taken;
+    - `stealthy_displacement_m`: mean undetected displacement with its 95 % interval [m];
+    - `alarm_rate`: part of the runs with an alarm, with its 95 % interval;
+    - `budget`: largest rate that is allowed; `within_budget`, whether it is kept on the evaluation
+      runs, by the rate itself;
+    - `fit_within_budget`: the same on the training runs, by the upper 95 % limit of the rate; None
+      where nothing was fitted;
+    - `displacement_m` (R,) of each run [m]; `counts` (R,) bool, whether it counts; `sky` (R,) under
+      which it flew; `alarmed` (R,) bool.
+    """
+
+    task: str | None
+    detector: str
+    spoofer: str
+    knowledge: str
+    setting: str | None
+    value: float | None
+    runs: int
+    counted: int
+    stealthy_displacement_m: Estimate
+    alarm_rate: Estimate
+    budget: float
+    within_budget: bool
+    fit_within_budget: bool | None
+    displacement_m: FloatArray = field(repr=False, compare=False)
+    alarmed: NDArray[np.bool_] = field(repr=False, compare=False)
+    counts: NDArray[np.bool_] = field(repr=False, compare=False)
+    sky: NDArray[np.int64] = field(repr=False, compare=False)
+
+    @property
+    def keeps_budget(self) -> bool:
+        """Whether the displacement is a score: the budget is kept wherever it was looked at."""
+        return self.within_budget and self.fit_within_budget is not False
+
+    def ratio_to(self, other: Score) -> Estimate:
+        """How many times as far as another spoofer on the same runs, with a paired 95 % interval.
+
+        Raises a ValueError where the runs are not the same ones.
+        """
+        same = (self.task, self.detector, self.runs) == (other.task, other.detector, other.runs)
+        if not same or not np.array_equal(self.counts, other.counts):
+            raise ValueError(
+                f"{self.spoofer} and {other.spoofer} have not played the same runs: "
+                f"{self.detector}, {self.runs} runs and {other.detector}, {other.runs}"
+            )
+        mine, theirs = self.displacement_m[self.counts], other.displacement_m[self.counts]
+        samples = resamples_of(clusters_of(self.sky)[self.counts])
+        base = float(theirs.sum())
+        with np.errstate(divide="ignore", invalid="ignore"):
+            drawn = (samples @ mine) / (samples @ theirs)
+        return percentiles(float(mine.sum()) / base if base else math.nan, drawn)
+
+    def as_dict(self) -> dict[str, Any]:
+        """All but the single runs, JSON-able."""
+        plain = ("task", "detector", "spoofer", "knowledge", "setting", "value", "runs", "counted")
+        return {
+            **{name: getattr(self, name) for name in plain},
+            "stealthy_displacement_m": self.stealthy_displacement_m.as_json(),
+            "alarm_rate": self.alarm_rate.as_json(),
+            "budget": self.budget,
+            "within_budget": self.within_budget,
+            "fit_within_budget": self.fit_within_budget,
+        }
+
+    def __str__(self) -> str:
+        """One line to read."""
+        where = self.detector if self.task is None else f"{self.detector}, {self.task}"
+        alarms = interval({k: _percent(v) for k, v in self.alarm_rate._asdict().items()}, 1)
+        what = "" if self.value is None else f", {self.setting} {self.value:.4g}"
+        over = "" if self.keeps_budget else f", over the budget of {100 * self.budget:g} %"
+        return (
+            f"{self.spoofer} ({self.knowledge}{what}) against {where}: "
+            f"{interval(self.stealthy_displacement_m.as_json())} m, alarms {alarms} % of "
+            f"{self.counted} runs{over}"
+        )
+
+
+def _percent(share: float) -> float | None:
+    return None if math.isnan(share) else 100.0 * share
+
+
+@dataclass(frozen=True)
+class LiveEntry(Entry):
+    """A spoofer that is an object, which no text describes; its amplitude is fitted, or given."""
+
+    spoofer: Spoofer
+    fits: bool
+
+    @property
+    def tuned(self) -> str | None:
+        """Setting that is to be searched for."""
+        return AMPLITUDE if self.fits else None
+
+    @property
+    def searched(self) -> bool:
+        """Its commands are its own."""
+        return False
+
+    @property
+    def untuned(self) -> Any:
+        """The spoofer as it is."""
+        return self.spoofer
+
+    def with_value(self, value: float) -> Any:
+        """The spoofer with an amplitude."""
+        return Scaled(self.spoofer, value)
+
+
+class Evaluator:
+    """Scores spoofers on the same runs, whose warm-up and clean twins are simulated once.
+
+    Parameters
+    ----------
+    task : str, optional
+        ``"T1"`` to ``"T6"``; or the settings of a world and its detector in its place.
+    runs : int
+        Evaluation runs, which decide nothing.
+    fit_runs : int
+        Training runs, on which an amplitude is fitted.
+    entropy : int
+        Seed of all of them.
+    threads : int, optional
+        Threads of the engine.
+    progress : Progress, optional
+        Shows how far it is.
+    **world
+        Without a task: ``detector``, and settings of the environment as `Suite` takes them, such as
+        ``scenario``, ``receiver``, ``attack``, ``timeline`` and ``domain``.
+
+    Raises
+    ------
+    ValueError
+        When the detector is asked for a rate of false alarms that it is not calibrated for here;
+        the message has the command that does so.
+
+    Examples
+    --------
+    >>> from spoofgym.bench.evaluate import Evaluator
+    >>> world = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
+    >>> detector = {"name": "snapshot-chi2", "thresholds": "nominal"}
+    >>> judge = Evaluator(detector=detector, runs=4, fit_runs=80, **world)
+    >>> ramp = judge.score({"name": "ramp", "rate_mps": 0.1})
+    >>> ramp.runs, ramp.knowledge
+    (4, 'blind')
+    """
+
+    def __init__(
+        self,
+        task: str | None = None,
+        *,
+        runs: int = RUNS,
+        fit_runs: int = FIT_RUNS,
+        entropy: int = 0,
+        threads: int | None = None,
+        progress: Progress | None = None,
+        **world: Any,
+    ) -> None:
+        if task is None:
+            if "detector" not in world:
+                raise ValueError("`evaluate` needs a task, or a `detector` and its world")
+            detector = world.pop("detector")
+            check_keywords("evaluate", world, (*WORLD, "env", "settings"))
+            chosen: dict[str, Any] = {**world, "detectors": [detector]}
+        elif world:
+            raise ValueError(
+                f"task {task} decides the world: `{', '.join(world)}` can't be given with it"
+            )
+        else:
+            chosen = task_of(task).suite_kwargs
+        tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1))
+        self.task, self.threads, self.progress = task, threads, progress or Silent()
+        self.suite = Suite(**chosen, spoofers=["none"], runs=runs, entropy=entropy, tuning=tuning)
+        self.suite.check_fit()
+        (self.detector,) = self.suite.detector_entries
+
+    @cached_property
+    def _training(self) -> tuple[WarmStart, Runs]:
+        return training_start(self.suite, self.detector, self.threads, self.progress)
+
+    @cached_property
+    def _evaluation(self) -> tuple[WarmStart, Runs]:
+        runs, threads = self.suite.runs, self.threads
+        return start_of(self.suite, self.detector, "evaluation", runs, threads, self.progress)
+
+    def _fitted(self, entry: Entry) -> TuningResult:
+        start, clean = self._training
+        return search(self.suite, self.detector, entry, start, clean, self.progress)
+
+    def fit(self, policy: Any, *, knowledge: str | None = None) -> TuningResult:
+        """Fit the amplitude of a spoofer on the training runs; its `score` is of these.
+
+        Parameters
+        ----------
+        policy, knowledge : optional
+            As in `evaluate`.
+
+        Returns
+        -------
+        TuningResult
+            ``value``, ``within_budget``, ``score`` [m] and all that was tried.
+        """
+        return self._fitted(entry_of(policy, FITTED, knowledge))
+
+    def score(
+        self,
+        policy: Any,
+        *,
+        amplitude: float | str | None = FITTED,
+        knowledge: str | None = None,
+        label: str | None = None,
+    ) -> Score:
+        """Score of one spoofer.
+
+        Parameters
+        ----------
+        policy, amplitude, knowledge, label : optional
+            As in `evaluate`.
+
+        Returns
+        -------
+        Score
+            Of the evaluation runs.
+        """
+        entry = entry_of(policy, amplitude, knowledge, label)
+        setting, spec, within, value = entry.tuned, entry.untuned, None, None
+        if setting is not None:
+            found = self._fitted(entry)
+            if found.found is not None:
+                entry = with_rates(entry, found.found["played"]["rates_mps"])
+            spec, within, value = entry.with_value(found.value), found.within_budget, found.value
+        elif isinstance(entry, LiveEntry) and isinstance(entry.spoofer, Scaled):
+            setting, value = AMPLITUDE, entry.spoofer.amplitude
+        start, twin = self._evaluation
+        setup, runs, now = start.setup, self.suite.runs, f"{entry.label}: evaluation runs"
+        attacked = play(start, spec, tick=lambda part: self.progress.advance(part * runs, now))
+        counts = counted(start.warmup_alarm, twin.first_alarm)
+        moved = displacement_of(setup, attacked, twin)
+        alarmed = attacked.first_alarm > 0
+        stealth = stealth_of(moved, alarmed, counts)
+        sky = twin.onset // setup.epochs_each
+        samples = resamples_of(clusters_of(sky)[counts])
+        budget = self.suite.tuning.budget
+        return Score(
+            task=self.task,
+            detector=self.detector.label,
+            spoofer=entry.label,
+            knowledge=build_spoofer(entry.untuned).knowledge,
+            setting=setting,
+            value=value,
+            runs=runs,
+            counted=stealth.runs,
+            stealthy_displacement_m=bootstrap_mean(moved[counts], samples),
+            alarm_rate=wilson(stealth.alarms, stealth.runs),
+            budget=budget,
+            within_budget=stealth.seems_to_keep(budget),
+            fit_within_budget=within,
+            displacement_m=moved,
+            alarmed=alarmed,
+            counts=counts,
+            sky=np.asarray(sky),
+        )
+
+
+def evaluate(
+    policy: Any,
+    task: str | None = None,
+    *,
+    runs: int = RUNS,
+    fit_runs: int = FIT_RUNS,
+    amplitude: float | str | None = FITTED,
+    knowledge: str | None = None,
+    label: str | None = None,
+    entropy: int = 0,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    **world: Any,
+) -> Score:
+    """Score a spoofer by the rule of the benchmark, on runs that nothing was decided on.
+
+    The score is the stealthy displacement: the mean undetected displacement over the runs that are
+    silent before the onset and without an attack, of which at most 5 % may alarm.  The amplitude of
+    the commands is fitted to that on training runs of their own.
+
+    Parameters
+    ----------
+    policy : object
+        A model of stable-baselines3, with the ``VecNormalize`` of its environment folded in; a
+        torch module; a function of (B, o) observations that returns (B, a) actions; a `Spoofer`;
+        its name, or name and settings; or the path of an ``.onnx`` file with its card.
+    task : str, optional
+        ``"T1"`` to ``"T6"``; without one, ``detector`` and its world are given by name.
+    runs, fit_runs, entropy, threads, progress : optional
+        As in `Evaluator`.
+    amplitude : {"fitted"}, float or None
+        Factor on all commands, fitted by default; None for the commands as they are.  A scripted
+        spoofer by its name alone has its usual setting fitted, as a ramp its rate.
+    knowledge : str, optional
+        What a model observes: by default what the environment that it has been trained in gave it,
+        ``"blind"`` where none is known.
+    label : str, optional
+        Name of a model in the score.
+    **world
+        As in `Evaluator`.
+
+    Returns
+    -------
+    Score
+        Also whether the budget is kept; a displacement over it is no score.
+
+    Raises
+    ------
+    TypeError
+        When the policy is something else.
+    ValueError
+        When it does not fit the task, returns NaN or infinity, remembers, or is a pickled file.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import spoofgym
+    >>> world = {"timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2}}
+    >>> detector = {"name": "snapshot-chi2", "thresholds": "nominal"}
+    >>> score = spoofgym.evaluate(
+    ...     lambda seen: np.full((len(seen), 1), 0.1), detector=detector, runs=4, amplitude=None,
+    ...     label="mine", **world
+    ... )
+    >>> score.spoofer, score.runs, score.keeps_budget
+    ('mine', 4, True)
+    """
+    judge = Evaluator(
+        task,
+        runs=runs,
+        fit_runs=fit_runs,
+        entropy=entropy,
+        threads=threads,
+        progress=progress,
+        **world,
+    )
+    return judge.score(policy, amplitude=amplitude, knowledge=knowledge, label=label)
+
+
+def entry_of(
+    policy: Any, amplitude: float | str | None, knowledge: str | None, label: str | None = None
+) -> Entry:
+    """Entry of a spoofer of any form, and what of it is to be fitted."""
+    fits = amplitude == FITTED
+    if not fits and amplitude is not None:
+        if isinstance(amplitude, str):
+            raise ValueError(f"`amplitude` must be {FITTED!r}, a number or None, got {amplitude!r}")
+        check_finite("amplitude", amplitude, "> 0")
+    if isinstance(policy, str | os.PathLike | Mapping):
+        if knowledge is not None or label is not None:
+            raise ValueError("`knowledge` and `label` are for models; this spoofer has its own")
+        spec = dict(policy) if isinstance(policy, Mapping) else {"name": os.fspath(policy)}
+        _refuse_pickle(str(spec.get("name")))
+        if not fits and amplitude is not None:
+            spec = {**spec, AMPLITUDE: amplitude}
+        return spoofer_entry(fitted(spec) if fits else spec)
+    spoofer = policy
+    if not isinstance(policy, Spoofer):
+        made_in = describe_env(policy.get_env()) if hasattr(policy, "get_env") else {}
+        known = {**made_in, **({} if knowledge is None else {"knowledge": knowledge})}
+        spoofer = ModelPolicy(policy, label=label, **known)
+    name = str(spoofer.label or type(spoofer).__name__)
+    if isinstance(spoofer, Scaled) and amplitude is not None:
+        raise ValueError(f"{name} has an amplitude already, {spoofer.amplitude:g}: give None")
+    if not fits and amplitude is not None:
+        spoofer = Scaled(spoofer, float(amplitude))
+    return LiveEntry(name, {"name": name}, spoofer, fits and spoofer.transmits)
+
+
+def _refuse_pickle(path: str) -> None:
+    """Raise for a file that would have to be unpickled."""
+    if path.endswith(PICKLES):
+        raise ValueError(
+            f"{path} is a pickled file, which is never opened, since it can run any code: load the "
+            "model yourself and give the object, or export it by spoofgym.export.onnx"
+        )

@@ -1,0 +1,120 @@
+"""Receivers of the side that learns, of any environment of the package."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Self
+
+import gymnasium as gym
+
+from .._registry import check_choice
+from ..envs.core import SpoofCore
+from ..envs.factory import make_core
+from ..envs.spoofer_binding import ENV_ID, SETUPS
+from ..simulators.setup import Setup
+from ..simulators.tightly_coupled import TightlyCoupledSetup
+from ..tasks import task_of
+from .detector_core import DetectorCore
+from .rules import make_duel
+from .spoofer_view import SpooferSide, SpooferView, check_settings
+
+SPOOFER, DETECTOR = "spoofer", "detector"
+VIEWS = {"SpooferView": "ewma", "DetectorView": "ramp"}
+"""Views of one side of the duel, with whom they meet by default."""
+
+
+class LearnersSide(NamedTuple):
+    """What an environment is made from: its id, the victim, the opponents and all settings."""
+
+    env_id: str
+    side: str
+    setup: type[Setup]
+    pool: Any
+    weights: Sequence[float] | None
+    settings: dict[str, Any]
+
+    @classmethod
+    def of(
+        cls,
+        env_id: str | None,
+        task: str | None,
+        side: str,
+        pool: Any,
+        weights: Sequence[float] | None,
+        settings: Mapping[str, Any],
+    ) -> Self:
+        """Look the id up, and put its settings below those that are given."""
+        check_choice("side", side, (SPOOFER, DETECTOR))
+        if task is not None and env_id is not None:
+            raise ValueError(f"`env_id` and `task` are both given: {env_id!r} and {task!r}")
+        name = task_of(task).env_id if task is not None else env_id or ENV_ID
+        setup, view, merged = _registered(name)
+        if view == "DetectorView":
+            side = DETECTOR
+        own = merged.pop("pool", None), merged.pop("weights", None)
+        if pool is None and side == SPOOFER:
+            pool, weights = own[0] or VIEWS.get(view), own[1] if weights is None else weights
+        elif pool is None:
+            pool = VIEWS["DetectorView"]
+        _check_opponents(name, side, setup, pool, weights, settings.get("detector"))
+        if pool is not None:
+            merged.pop("detector", None)  # of the id, in whose place the pool or the learner is
+        return cls(name, side, setup, pool, weights, {**merged, **settings})
+
+    def core(
+        self, num_envs: int, threads: int | None, prefetch: bool, whose: str
+    ) -> SpoofCore | DetectorCore:
+        """Receivers, not begun yet."""
+        if self.side == DETECTOR:
+            duel = make_duel(num_envs, threads=threads, action="full-command", **self.settings)
+            return DetectorCore(duel, self.pool, self.weights)
+        further: dict[str, Any] = {"threads": threads, "prefetch": prefetch}
+        if self.pool is None:
+            return make_core(self.setup, num_envs, self.settings, whose=whose, **further)
+        check_settings(SpooferView, self.settings, self.pool)
+        return SpooferSide(num_envs, self.pool, self.weights, {**self.settings, **further}).core
+
+    @property
+    def card_id(self) -> str:
+        """Environment of a spoofer's card: that of the victim."""
+        return next(name for name, setup in SETUPS.items() if setup is self.setup)
+
+    def card_kwargs(self) -> dict[str, Any]:
+        """Settings of `card_id` as a card has them: a pool is one detector."""
+        if self.pool is None or self.side == DETECTOR:
+            return dict(self.settings)
+        members = [self.pool] if isinstance(self.pool, str | Mapping) else list(self.pool)
+        met: Any = members[0]
+        if len(members) > 1:
+            met = {"name": "pool", "members": members}
+            met |= {} if self.weights is None else {"weights": list(self.weights)}
+        return {**self.settings, "detector": met}
+
+
+def _registered(env_id: str) -> tuple[type[Setup], str, dict[str, Any]]:
+    """Victim of an id, the class that it makes, and the settings that it has."""
+    if env_id not in gym.registry:
+        valid = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
+        raise ValueError(f"unknown environment {env_id!r}; valid: {', '.join(valid)}")
+    spec = gym.spec(env_id)
+    made, view = str(spec.entry_point), str(spec.entry_point).rpartition(":")[2]
+    setups = {str(gym.spec(name).entry_point): setup for name, setup in SETUPS.items()}
+    if made not in setups and view not in VIEWS:
+        raise ValueError(f"{env_id} is no environment of a spoofer or a detector")
+    return setups.get(made, TightlyCoupledSetup), view, copy.deepcopy(dict(spec.kwargs))
+
+
+def _check_opponents(
+    env_id: str, side: str, setup: type[Setup], pool: Any, weights: Any, detector: Any
+) -> None:
+    """Raise where opponents contradict each other, or the victim has no duel."""
+    if side == DETECTOR and detector is not None:
+        raise ValueError("the detector is the learner: `detector` can't be given as well")
+    if weights is not None and pool is None:
+        raise ValueError("`weights` are those of a `pool`, and there is none")
+    if setup is not TightlyCoupledSetup and pool is not None:
+        raise ValueError(
+            "only the tightly coupled receiver has a duel, with pools and a detector's side; "
+            f"{env_id} has none"
+        )

@@ -1,0 +1,389 @@
+"""From a model to an ONNX file with its card.
+
+>>> import spoofgym.export
+>>> card = spoofgym.export.onnx(model, env, "mine.onnx")  # doctest: +SKIP
+
+The file is self-contained and is run by onnxruntime, on any machine and by any detector's side: the
+deterministic action, with the normalization of observations folded in, and nothing of the value
+function.  It is compared with the model before it is written.  This module is the one that needs
+torch; install it with the extra ``train``.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import tempfile
+import warnings
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ._describe import describe
+from ._files import write_file
+from ._registry import check_finite
+from .bench.suite import versions
+from .duel.onnx_detector import OnnxDetector, card_path, write_card
+from .envs.spoofer_binding import spoofer_context
+from .policies.onnx_model import SUFFIX, file_of
+from .spoofers.card import Card, Knowledge, fields_of
+from .spoofers.learned import OnnxPolicy
+from .spoofers.model import function_of, inner_env, normalization_of, refuse_state
+
+__all__ = ["onnx", "traced"]
+
+TOLERANCE = 1e-5
+"""Largest difference of an action between the model and its file."""
+TRIED = 1024
+"""Random observations on which they are compared."""
+OF_THE_CALL = (
+    "autoreset_mode",
+    "infos",
+    "num_envs",
+    "prefetch",
+    "render_mode",
+    "threads",
+    "vectorization_mode",
+)
+"""Arguments of `gymnasium.make` and `make_vec` that change nothing of what is simulated."""
+GAUSSIANS = (
+    "DiagGaussianDistribution",
+    "SquashedDiagGaussianDistribution",
+    "StateDependentNoiseDistribution",
+)
+"""Distributions of stable-baselines3 whose mean is the deterministic action."""
+
+
+def onnx(
+    model: Any,
+    env: Any = None,
+    path: str | Path = "spoofer.onnx",
+    *,
+    amplitude: float = 1.0,
+    training: Mapping[str, Any] | None = None,
+    designed_on: str | None = None,
+) -> Any:
+    """Write a spoofer, or a detector policy, and its card.
+
+    Parameters
+    ----------
+    model : object
+        A model of stable-baselines3 with a Gaussian or deterministic policy, such as PPO, A2C, SAC,
+        TD3 and DDPG; its policy alone; or a torch module of (B, o) observations that returns (B, a)
+        actions, which are cut to [-1, 1].
+    env : SpoofVecEnv, SpoofEnv or SpoofVectorEnv, optional
+        Where it was trained, wrapped or not; by default the environment that the model has.  A
+        `VecNormalize` around it is folded in.
+    path : str or Path
+        ``.../NAME.onnx``; the card becomes ``.../NAME.json``.
+    amplitude : float
+        Factor on all commands, above 0, as `spoofgym.evaluate` fits it.
+    training : mapping, optional
+        How it was made, JSON-able: further fields beside what a model says of itself.
+    designed_on : str, optional
+        What it was optimised on; by default the detector of the environment, by training.
+
+    Returns
+    -------
+    Card or DetectorCard
+        As it was written, the latter where a detector learned (``side="detector"``).
+
+    Raises
+    ------
+    TypeError
+        When the model is something else, or its policy has no deterministic action of a network.
+    ValueError
+        When it is recurrent, its environment can't be written down, or the file does not act as
+        the model does; nothing is written then.
+    """
+    path = Path(path)
+    if path.suffix != SUFFIX:
+        raise ValueError(f"`path` must end in {SUFFIX}, got {path}")
+    check_finite("amplitude", amplitude, "> 0")
+    env = model.get_env() if env is None and hasattr(model, "get_env") else env
+    inner = inner_env(env)
+    if inner is None:
+        raise TypeError(f"`env` must be an environment of spoofgym, wrapped or not, got {env!r}")
+    if normalization_of(model) is None and _normalizer(env) is not None:
+        raise ValueError(
+            "`env` normalizes observations, but the model does not know of it: give the model that "
+            "was made with it"
+        )
+    low, high = inner.core.bounds
+    judges = hasattr(inner.core, "duel")
+    if judges and amplitude != 1.0:
+        raise ValueError(f"a detector has no commands to scale: `amplitude` = {amplitude:g}")
+    actor = _Actor(model, amplitude)
+    modes = {part: part.training for part in actor.modules()}
+    actor.train(False)
+    try:
+        _check_sizes(actor, len(low), len(inner.core.action_names))
+        content = traced(actor, len(low))
+    finally:
+        for part, training_mode in modes.items():
+            part.training = training_mode
+    told = {**_said_by(model), "amplitude": amplitude, **(training or {})}
+    if judges:
+        return _write_detector(model, inner, path, content, told)
+    card = _card_of(inner, path, content, told, designed_on)
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Path(folder) / path.name
+        _write(trial, content, card)
+        _compare(model, OnnxPolicy(str(trial)).model.act, low, high, amplitude)
+    _write(path, content, card)
+    return card
+
+
+def traced(module: torch.nn.Module, size: int) -> bytes:
+    """ONNX file of a module of (B, o) observations, of any batch; its weights are its own.
+
+    Parameters
+    ----------
+    module : torch.nn.Module
+        In the mode in which it is to be traced.
+    size : int
+        o.
+
+    Returns
+    -------
+    bytes
+        Without external data, and without a word of this machine.
+    """
+    example = torch.zeros(2, size)
+    log = logging.getLogger("torch.onnx")
+    level = log.level
+    log.setLevel(logging.ERROR)  # it misses torchvision
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # torch about torch
+            program = torch.onnx.export(
+                module,
+                (example,),
+                dynamo=True,
+                verbose=False,
+                optimize=False,  # which would fold weights away; onnxruntime optimises by itself
+                input_names=["observation"],
+                output_names=["action"],
+                dynamic_shapes={"observation": {0: torch.export.Dim("batch")}},
+            )
+    except (torch.onnx.errors.OnnxExporterError, RuntimeError) as error:
+        first = str(error).strip().partition("\n")[0]
+        raise ValueError(f"torch can't export this network: {first}") from error
+    finally:
+        log.setLevel(level)
+    model: Any = program.model_proto  # type: ignore[union-attr]  # as `dynamo` returns it
+    graph = model.graph
+    # the remarks of the exporter hold paths of this machine
+    for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.initializer):
+        part.ClearField("doc_string")
+        part.ClearField("metadata_props")
+    graph.ClearField("value_info")
+    return bytes(model.SerializeToString(deterministic=True))
+
+
+class _Actor(torch.nn.Module):
+    """Deterministic action of a model, of observations that nothing has normalized."""
+
+    def __init__(self, model: Any, amplitude: float) -> None:
+        super().__init__()
+        self.mean = _mean_of(model)
+        found = normalization_of(model)
+        self.clip = None if found is None else found[2]
+        if found is not None:
+            # in single precision the difference comes first, as in the model's own
+            self.register_buffer("center", torch.as_tensor(found[0], dtype=torch.float64))
+            self.register_buffer("scale", torch.as_tensor(found[1], dtype=torch.float64))
+        self.amplitude = float(amplitude)
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        seen = observation
+        if self.clip is not None:
+            apart = seen.double() - self.get_buffer("center")
+            seen = torch.clamp(apart / self.get_buffer("scale"), -self.clip, self.clip).float()
+        action = torch.clamp(self.mean(seen), -1.0, 1.0)
+        return torch.clamp(action * self.amplitude, -1.0, 1.0)
+
+
+class _ActorCritic(torch.nn.Module):
+    """Mean action of PPO and A2C."""
+
+    def __init__(self, policy: Any) -> None:
+        super().__init__()
+        self.policy, self.squashed = policy, bool(policy.squash_output)
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        features = self.policy.extract_features(seen, self.policy.pi_features_extractor)
+        mean = self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))
+        return torch.tanh(mean) if self.squashed else mean
+
+
+class _Squashed(torch.nn.Module):
+    """Mean action of SAC."""
+
+    def __init__(self, actor: Any) -> None:
+        super().__init__()
+        self.actor = actor
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        features = self.actor.extract_features(seen, self.actor.features_extractor)
+        return torch.tanh(self.actor.mu(self.actor.latent_pi(features)))
+
+
+def _check_sizes(actor: torch.nn.Module, observed: int, commanded: int) -> None:
+    """Raise unless a network takes the observations of an environment and returns its actions."""
+    try:
+        with torch.no_grad():
+            found = actor(torch.zeros(2, observed))
+    except RuntimeError as error:
+        first = str(error).strip().partition("\n")[0]
+        raise ValueError(f"the model can't be run with {observed} observations: {first}") from error
+    if tuple(found.shape) != (2, commanded):
+        raise ValueError(
+            f"the model must return actions of shape (B, {commanded}), got {tuple(found.shape)} "
+            "for 2 observations"
+        )
+
+
+def _mean_of(model: Any) -> torch.nn.Module:
+    """Network of the deterministic action, by what a model has."""
+    policy = getattr(model, "policy", model)
+    refuse_state(policy)
+    if hasattr(policy, "mlp_extractor") and hasattr(policy, "action_net"):
+        kind = type(getattr(policy, "action_dist", None)).__name__
+        if kind not in GAUSSIANS:
+            raise TypeError(
+                "only a policy with a Gaussian action can be exported, got "
+                f"{type(policy).__name__} with {kind}"
+            )
+        return _ActorCritic(policy)
+    actor = getattr(policy, "actor", None)
+    if isinstance(actor, torch.nn.Module):
+        return _Squashed(actor) if hasattr(actor, "latent_pi") else actor
+    if isinstance(policy, torch.nn.Module):
+        return policy
+    raise TypeError(
+        "a model of stable-baselines3, its policy or a torch module can be exported, got "
+        f"{type(model).__name__}"
+    )
+
+
+def _said_by(model: Any) -> dict[str, Any]:
+    """What a model says of its training."""
+    told: dict[str, Any] = {"algorithm": type(model).__name__}
+    for key, name in (("steps", "num_timesteps"), ("seed", "seed")):
+        value = getattr(model, name, None)
+        if isinstance(value, int | np.integer):
+            told[key] = int(value)
+    return told
+
+
+def _card_of(
+    inner: Any, path: Path, content: bytes, training: Mapping[str, Any], designed_on: str | None
+) -> Card:
+    """Card of a spoofer."""
+    core = inner.core
+    if core.settings["observation"] is not None:
+        raise ValueError(
+            "a spoofer in a file observes what its `knowledge` gives; the environment has an "
+            f"`observation` of its own: {core.settings['observation']!r}"
+        )
+    env_id, env_kwargs = _named(inner)
+    context = spoofer_context(core.setup, 1, core.observer, core.commands)
+    met = designed_on or f"{_label(env_kwargs)} and its world, by training"
+    return Card(
+        name=path.stem,
+        kind="onnx-policy",
+        env_id=env_id,
+        env_kwargs=env_kwargs,
+        **fields_of(context),
+        knowledge=Knowledge(run_time=core.settings["knowledge"], design_time=met),
+        training=dict(training),
+        versions=versions() | _own_versions(),
+        file=file_of(path.name, content),
+    )
+
+
+def _named(inner: Any) -> tuple[str, dict[str, Any]]:
+    """Id and settings of an environment, JSON-able."""
+    env_id, given = getattr(inner, "env_id", None), getattr(inner, "env_kwargs", None)
+    if env_id is None:
+        spec = getattr(inner, "spec", None)
+        if spec is None:
+            raise ValueError("`env` must be made by `gymnasium.make`, `make_vec` or `SpoofVecEnv`")
+        env_id, given = spec.id, spec.kwargs
+        if env_id.startswith("spoofgym/Bench"):
+            env_id = "spoofgym/TightlyCoupled-v0"
+    own = {name: value for name, value in dict(given or {}).items() if value is not None}
+    own = {name: value for name, value in own.items() if name not in OF_THE_CALL}
+    try:
+        return env_id, json.loads(json.dumps({k: describe(x) for k, x in own.items()}))
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"the settings of the environment can't be written into a card ({error}): give its "
+            "parts by name and settings"
+        ) from error
+
+
+def _label(env_kwargs: Mapping[str, Any]) -> str:
+    """Short name of the detector that was met."""
+    met = env_kwargs.get("detector", "the default detector")
+    return str(met["name"]) if isinstance(met, Mapping) else str(met)
+
+
+def _own_versions() -> dict[str, str]:
+    found = {}
+    for name in ("torch", "stable-baselines3", "onnx"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _normalizer(env: Any) -> Any:
+    """`VecNormalize` of observations around an environment."""
+    while env is not None:
+        if getattr(env, "norm_obs", False):
+            return env
+        env = getattr(env, "venv", None)
+    return None
+
+
+def _write_detector(
+    model: Any, inner: Any, path: Path, content: bytes, training: dict[str, Any]
+) -> Any:
+    """Write a detector policy, once a trial of it acts as the model does."""
+    low, high = inner.core.bounds
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Path(folder) / path.name
+        trial.write_bytes(content)
+        write_card(trial, inner, name=path.stem, training=training)
+        _compare(model, OnnxDetector(trial).model.act, low, high, 1.0)
+    write_file(path, content)
+    card_path(path).unlink(missing_ok=True)
+    return write_card(path, inner, name=path.stem, training=training)
+
+
+def _compare(model: Any, act: Any, low: Any, high: Any, amplitude: float) -> None:
+    """Raise unless a file acts as its model, all over the space of its card."""
+    drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
+    seen = np.vstack([drawn, 0.1 * drawn]).astype(np.float32)
+    wanted = np.clip(np.asarray(function_of(model)(seen), dtype=np.float64), -1.0, 1.0)
+    wanted = np.clip(amplitude * wanted, -1.0, 1.0)
+    apart = float(np.abs(act(seen) - wanted).max())
+    allowed = TOLERANCE * max(amplitude, 1.0)
+    if not apart <= allowed:
+        raise ValueError(
+            f"the exported file differs from the model by {apart:.2g}, more than {allowed:.2g}; "
+            "does it draw random numbers, or depend on the batch?"
+        )
+
+
+def _write(path: Path, content: bytes, card: Card) -> None:
+    """File first: what is interrupted in between does not fit its card, and is refused."""
+    write_file(path, content)
+    card.save(path.with_suffix(".json"))

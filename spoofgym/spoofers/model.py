@@ -1,0 +1,198 @@
+"""A spoofer that is a model in memory: of stable-baselines3, of torch, or any function."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._registry import check_choice
+from ..policies.card import Space, unlike_spaces
+from ..policies.contract import checked_action
+from .base import KNOWLEDGE, FloatArray, Spoofer, SpooferContext
+
+Function = Callable[[NDArray[np.float32]], Any]
+"""(B, o) observations in, (B, a) actions out."""
+FORMS = (
+    "a model of stable-baselines3, a torch module, a function of (B, o) observations that returns "
+    "(B, a) actions, a Spoofer, its name, or the path of an .onnx file"
+)
+
+
+class ModelPolicy(Spoofer):
+    """Acts as a model does, by its deterministic action.
+
+    The model is neither copied nor changed, but for the mode in which a network is evaluated.
+
+    Parameters
+    ----------
+    model : object
+        As `function_of` takes it.
+    knowledge : str
+        What it observes, one of `KNOWLEDGE`.
+    action : str, mapping or sequence, optional
+        How its actions command the attack, as ``action=`` of `SpoofEnv`.
+    observation : Space, optional
+        What it has been trained to observe; anything else is refused then.
+    label : str, optional
+        Short name in results; by default that of its class.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        *,
+        knowledge: str = "blind",
+        action: Any = None,
+        observation: Space | None = None,
+        label: str | None = None,
+    ) -> None:
+        check_choice("knowledge", knowledge, KNOWLEDGE)
+        self.model, self.knowledge, self.action = model, knowledge, action
+        self.observation = observation
+        self.label = label or name_of(model)
+        self._function = function_of(model)
+
+    def bind(self, context: SpooferContext) -> None:
+        """Prepare for a batch of receivers."""
+        if self.observation is not None:
+            size = len(context.action_names)
+            same = Space(names=context.action_names, low=(-1.0,) * size, high=(1.0,) * size)
+            found = unlike_spaces(self.observation, same, context)
+            if found:
+                lines = "; ".join(found).replace("on the card", "where it was trained")
+                raise ValueError(f"{self.label} does not fit this attack: {lines}")
+        super().bind(context)
+
+    def act(self, observation: NDArray[np.float32]) -> FloatArray:
+        """Command the attack for the coming epoch: (B, a) in [-1, 1]."""
+        size = len(self.context.action_names)
+        return checked_action(self._function(observation), len(observation), size, str(self.label))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Another memory for the same model."""
+        twin = object.__new__(type(self))
+        twin.__dict__.update(self.__dict__)
+        twin.__dict__.pop("context", None)
+        twin.__dict__.pop("memory", None)
+        return twin
+
+
+def name_of(model: Any) -> str:
+    """Short name of a model."""
+    return str(getattr(model, "__name__", None) or type(model).__name__)
+
+
+def function_of(model: Any) -> Function:
+    """Function of observations behind a model.
+
+    `model`: of stable-baselines3, with the `VecNormalize` that it was trained in folded in; with
+    ``predict``, as libraries have it; a torch module; or a function.  A TypeError says what else it
+    is.
+    """
+    policy = getattr(model, "policy", None)
+    if policy is not None and hasattr(policy, "obs_to_tensor"):
+        return _of_stable_baselines(model, policy)
+    if hasattr(model, "obs_to_tensor"):
+        return _of_stable_baselines(None, model)
+    if hasattr(model, "predict"):
+        return lambda seen: model.predict(seen, deterministic=True)[0]
+    torch: Any = sys.modules.get("torch")
+    if torch is not None and isinstance(model, torch.nn.Module):
+        return _of_module(torch, model)
+    if not callable(model):
+        raise TypeError(f"a policy must be {FORMS}, got {model!r}")
+    return lambda seen: model(seen)
+
+
+def refuse_state(policy: Any) -> None:
+    """Raise for a policy of stable-baselines3 that remembers, since nobody keeps its state."""
+    if hasattr(policy, "lstm_actor"):
+        raise ValueError(
+            f"{type(policy).__name__} is recurrent: it needs its state from step to step, which "
+            "neither `evaluate` nor an ONNX file of a spoofer keeps"
+        )
+
+
+def normalization_of(model: Any) -> tuple[FloatArray, FloatArray, float] | None:
+    """Mean and scale of observations (o,), and where they are clipped, of a `VecNormalize`."""
+    found = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
+    if found is None or not found.norm_obs:
+        return None
+    running = found.obs_rms
+    scale = np.sqrt(np.asarray(running.var, dtype=np.float64) + found.epsilon)
+    return np.asarray(running.mean, dtype=np.float64).copy(), scale, float(found.clip_obs)
+
+
+def _of_stable_baselines(model: Any, policy: Any) -> Function:
+    """Deterministic action of a policy, without what `predict` does anew at every call."""
+    refuse_state(policy)
+    torch: Any = sys.modules["torch"]
+    low = np.asarray(policy.action_space.low, dtype=np.float64)
+    high = np.asarray(policy.action_space.high, dtype=np.float64)
+    if not (np.allclose(low, -1.0) and np.allclose(high, 1.0)):
+        raise ValueError(
+            f"actions must be within -1 and 1, but the model's are {policy.action_space}"
+        )
+
+    def act(seen: NDArray[np.float32]) -> Any:
+        wanted = policy.observation_space.shape
+        if seen.shape[1:] != wanted:
+            raise ValueError(
+                f"the model observes {wanted[0]} elements, but there are {seen.shape[1]}: say what "
+                "it knows by knowledge="
+            )
+        if policy.training:
+            policy.set_training_mode(False)
+        now = normalization_of(model)
+        if now is not None:
+            mean, scale, clip = now
+            seen = np.clip((seen - mean) / scale, -clip, clip).astype(np.float32)
+        with torch.no_grad():
+            given = torch.as_tensor(seen, device=policy.device)
+            return policy._predict(given, deterministic=True).cpu().numpy()
+
+    return act
+
+
+def _of_module(torch: Any, module: Any) -> Function:
+    def act(seen: NDArray[np.float32]) -> Any:
+        training = module.training
+        if training:
+            module.eval()
+        with torch.no_grad():
+            action = module(torch.as_tensor(seen)).cpu().numpy()
+        if training:
+            module.train()
+        return action
+
+    return act
+
+
+def inner_env(env: Any) -> Any:
+    """Environment with a core inside all wrappers; None where there is none."""
+    while env is not None and getattr(env, "core", None) is None:
+        env = getattr(env, "venv", None) or getattr(env, "env", None)
+    return env
+
+
+def describe_env(env: Any) -> Mapping[str, Any]:
+    """What a spoofer knows and commands in an environment: arguments of `ModelPolicy`.
+
+    `env`: any that has a core of the spoofer's side, in wrappers of stable-baselines3 or Gymnasium.
+    """
+    inner = inner_env(env)
+    settings = None if inner is None else getattr(inner.core, "settings", None)
+    if inner is None or settings is None:
+        return {}
+    core = inner.core
+    low, high = core.bounds
+    space = Space(names=core.observation_names, low=tuple(low.tolist()), high=tuple(high.tolist()))
+    return {
+        "knowledge": settings["knowledge"],
+        "action": settings["action"],
+        "observation": space,
+    }

@@ -1,0 +1,176 @@
+"""Scores of any spoofer without a campaign: by the same rule, paired, and refused where it must."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import spoofgym
+from spoofgym.bench.campaign import run_campaign
+from spoofgym.bench.evaluate import Evaluator, evaluate
+from spoofgym.bench.store import ResultsFolder
+from spoofgym.bench.suite import Suite, Tuning
+from spoofgym.bench.summary import summarize
+from spoofgym.policies.contract import NotFinite
+from spoofgym.spoofers import make_spoofer
+
+WORLD = {
+    "scenario": "trolley",
+    "receiver": "matched",
+    "timeline": {"warmup_s": 40.0, "live_s": 5.0, "attack_s": 30.0, "time_to_alert_s": 2.0},
+    "detector": {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"},
+}
+RUNS, FIT = 60, 80
+
+
+@pytest.fixture(scope="module")
+def judge() -> Evaluator:
+    return Evaluator(**WORLD, runs=RUNS, fit_runs=FIT)
+
+
+def constant(size: float = 0.1):
+    def push(seen):
+        return np.full((len(seen), 1), size)
+
+    return push
+
+
+def test_a_score_is_that_of_a_campaign(judge, tmp_path):
+    world = {key: value for key, value in WORLD.items() if key != "detector"}
+    suite = Suite(
+        **world,
+        detectors=[WORLD["detector"]],
+        spoofers=[{"name": "ramp", "rate_mps": "tuned"}],
+        runs=RUNS,
+        tuning=Tuning(runs=FIT, sift_runs=FIT // 16),
+    )
+    folder = ResultsFolder(tmp_path / "campaign")
+    folder.open(suite)
+    run_campaign(suite, folder)
+    cells = {cell["spoofer"]: cell for cell in summarize(folder)["cells"]}
+    found = judge.score("ramp")
+    wanted = cells["ramp(tuned)"]
+    assert found.stealthy_displacement_m.as_json() == wanted["stealthy_displacement_m"]
+    assert found.alarm_rate.as_json() == wanted["alarm_rate"]
+    assert found.counted == wanted["counted"]
+    assert found.value == folder.tuning(found.detector, "ramp(tuned)").value
+    assert found.value != found.budget  # a setting was found, not copied
+
+
+def test_a_function_is_fitted_to_the_budget_and_commands_along_the_target(judge):
+    fitted = judge.score(constant(), label="mine")
+    ramp = judge.score("ramp")
+    assert (fitted.setting, ramp.setting) == ("amplitude", "rate_mps")
+    assert fitted.knowledge == "blind"
+    # a set-point along the target direction is a ramp of that rate to the east
+    assert 0.1 * fitted.value == pytest.approx(ramp.value, rel=0.1)
+    assert fitted.ratio_to(ramp).value == pytest.approx(1.0, abs=0.1)
+    assert fitted.keeps_budget
+    assert "mine (blind, amplitude" in str(fitted)
+
+
+def test_what_alarms_too_often_is_no_score(judge):
+    found = judge.score(constant(1.0), amplitude=None)
+    assert found.alarm_rate.value > 0.5
+    assert not found.keeps_budget
+    assert "over the budget of 5 %" in str(found)
+    assert found.fit_within_budget is None
+
+
+def test_ratios_are_paired_and_have_an_interval(judge):
+    half, whole = (
+        judge.score(constant(0.05), amplitude=None),
+        judge.score(constant(), amplitude=1.0),
+    )
+    ratio = half.ratio_to(whole)
+    assert ratio.low <= ratio.value <= ratio.high
+    assert ratio.value == pytest.approx(0.5, abs=0.05)
+    assert ratio.high - ratio.low < 0.05
+    other = Evaluator(**WORLD, runs=RUNS // 2, fit_runs=FIT).score(constant(), amplitude=1.0)
+    with pytest.raises(ValueError, match="have not played the same runs"):
+        half.ratio_to(other)
+
+
+def test_a_score_is_json_and_the_same_again(judge):
+    score = judge.score(make_spoofer("ramp"), amplitude=0.3)
+    data = json.loads(json.dumps(score.as_dict(), allow_nan=False))
+    assert data["value"] == 0.3
+    assert data["runs"] == RUNS
+    again = evaluate(make_spoofer("ramp"), **WORLD, runs=RUNS, fit_runs=FIT, amplitude=0.3)
+    assert again == score
+    assert spoofgym.evaluate is evaluate
+
+
+def test_the_policy_is_asked_and_not_copied(judge):
+    class Counting:
+        def __init__(self):
+            self.calls = 0
+
+        def __call__(self, seen):
+            self.calls += 1
+            return np.zeros((len(seen), 1))
+
+    policy = Counting()
+    judge.score(policy, amplitude=None)
+    assert policy.calls == 60  # one a command, of all runs together
+
+
+@pytest.mark.parametrize(
+    ("policy", "settings", "error", "message"),
+    [
+        (3, {}, TypeError, "a policy must be a model of stable-baselines3"),
+        ("model.zip", {}, ValueError, "model.zip is a pickled file, which is never opened"),
+        ("nobody", {}, ValueError, "unknown spoofer 'nobody'; valid: "),
+        ("nobody.onnx", {}, ValueError, "there is no ONNX file nobody.onnx"),
+        (
+            lambda seen: np.full((len(seen), 1), np.nan),
+            {},
+            NotFinite,
+            "returned NaN for receiver 0",
+        ),
+        (
+            lambda seen: np.full((len(seen), 1), np.inf),
+            {},
+            NotFinite,
+            "returned inf for receiver 0",
+        ),
+        (lambda seen: np.zeros((len(seen), 3)), {}, ValueError, r"not \(\d+, 1\)"),
+        (constant(), {"amplitude": "large"}, ValueError, "`amplitude` must be 'fitted', a number"),
+        (constant(), {"amplitude": -1.0}, ValueError, "`amplitude` must be finite and > 0, got -1"),
+        (constant(), {"knowledge": "psychic"}, ValueError, "psychic"),
+        ("ramp", {"knowledge": "blind"}, ValueError, "are for models"),
+        (
+            make_spoofer({"name": "step", "amplitude": 0.5}),
+            {},
+            ValueError,
+            "amplitude already, 0.5",
+        ),
+    ],
+)
+def test_what_is_no_spoofer_is_refused(judge, policy, settings, error, message):
+    with pytest.raises(error, match=message):
+        judge.score(policy, **settings)
+
+
+@pytest.mark.usefixtures("default_rate")
+def test_a_detector_that_is_not_calibrated_here_says_how_that_is_done():
+    with pytest.raises(ValueError, match=r"there is no calibration of ewma .* `spoofgym calibrate"):
+        Evaluator(**{**WORLD, "detector": "ewma"})
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        ({}, ValueError, "needs a task, or a `detector` and its world"),
+        ({"task": "T9"}, ValueError, "unknown task 'T9'"),
+        ({"task": "T3", "scenario": "trolley"}, ValueError, "`scenario` can't be given with it"),
+        ({**WORLD, "skenario": "trolley"}, TypeError, "did you mean 'scenario'"),
+        ({**WORLD, "runs": 1}, ValueError, "`runs` must be a whole number of at least 2, got 1"),
+        ({**WORLD, "fit_runs": 10}, ValueError, "must be at least .* for a budget of 0.05"),
+    ],
+)
+def test_worlds_are_checked_before_anything_is_played(settings, error, message):
+    with pytest.raises(error, match=message):
+        Evaluator(**settings)

@@ -1,0 +1,214 @@
+"""From a model to an ONNX file with its card: the same actions, the right card, or nothing."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+# ruff: noqa: E402 - torch may be missing
+torch = pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+pytest.importorskip("onnxscript")
+
+import gymnasium as gym
+from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
+from stable_baselines3.common.vec_env import VecNormalize
+
+import spoofgym.export
+from spoofgym.bench.evaluate import Evaluator
+from spoofgym.duel.onnx_detector import OnnxDetector
+from spoofgym.envs import attach
+from spoofgym.export import onnx
+from spoofgym.sb3 import SpoofVecEnv
+from spoofgym.spoofers import OnnxPolicy
+from spoofgym.spoofers.model import function_of
+
+TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
+NOMINAL = {"name": "snapshot-chi2", "thresholds": "nominal"}
+WORLD = {"detector": NOMINAL, "timeline": TIMELINE}
+
+
+@pytest.fixture(autouse=True)
+def torch_threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def make(**settings):
+    return SpoofVecEnv(4, seed=0, **{**WORLD, "knowledge": "blind", **settings})
+
+
+def observations(envs, count=300):
+    space = envs.observation_space
+    drawn = np.random.default_rng(4).uniform(space.low, space.high, (count, *space.shape))
+    return (0.3 * drawn).astype(np.float32)
+
+
+@pytest.mark.parametrize("kind", [PPO, A2C, SAC, TD3, DDPG])
+def test_a_file_acts_as_its_model_of_stable_baselines3(kind, tmp_path):
+    further = {"learning_starts": 8} if kind in (SAC, TD3, DDPG) else {"n_steps": 16}
+    envs = make()
+    model = kind("MlpPolicy", envs, seed=0, device="cpu", **further)
+    model.learn(64)
+    onnx(model, path=tmp_path / "mine.onnx")
+    seen = observations(envs)
+    wanted, _ = model.predict(seen, deterministic=True)
+    np.testing.assert_allclose(
+        OnnxPolicy(str(tmp_path / "mine.onnx")).model.act(seen), wanted, atol=1e-5
+    )
+
+
+def test_the_normalization_of_observations_is_folded_in(tmp_path):
+    envs = VecNormalize(make(), norm_reward=False)
+    model = PPO("MlpPolicy", envs, n_steps=20, batch_size=80, seed=0, device="cpu")
+    model.learn(160)
+    onnx(model, path=tmp_path / "mine.onnx", amplitude=2.0)
+    seen = observations(envs)
+    wanted, _ = model.predict(envs.normalize_obs(seen), deterministic=True)
+    np.testing.assert_allclose(
+        OnnxPolicy(str(tmp_path / "mine.onnx")).model.act(seen),
+        np.clip(2.0 * np.clip(wanted, -1, 1), -1, 1),
+        atol=2e-5,
+    )
+    assert np.abs(wanted - model.predict(seen, deterministic=True)[0]).max() > 0.01
+    judge = Evaluator(**WORLD, runs=20, fit_runs=80)
+    mine = judge.score(model, amplitude=2.0)
+    file = judge.score(str(tmp_path / "mine.onnx"), amplitude=None)
+    assert file.stealthy_displacement_m.value == pytest.approx(mine.stealthy_displacement_m.value)
+    with pytest.raises(ValueError, match="the model does not know of it"):
+        onnx(model.policy, envs, tmp_path / "other.onnx")
+
+
+def test_a_card_says_where_it_was_made_and_the_file_fits_there(tmp_path):
+    envs = make(task="T3", domain={"worlds": 2, "turned_deg": [0.0, 360.0]})
+    model = PPO("MlpPolicy", envs, n_steps=8, batch_size=32, seed=3, device="cpu")
+    model.learn(32)
+    card = onnx(model, path=tmp_path / "mine.onnx", training={"note": "short"})
+    assert card.env_id == "spoofgym/TightlyCoupled-v0"
+    assert card.env_kwargs["scenario"] == "trolley"
+    assert card.knowledge.run_time == "blind"
+    assert card.knowledge.design_time == "snapshot-chi2 and its world, by training"
+    assert card.training == {
+        "algorithm": "PPO",
+        "steps": 32,
+        "seed": 3,
+        "amplitude": 1.0,
+        "note": "short",
+    }
+    assert json.loads((tmp_path / "mine.json").read_text())["name"] == "mine"
+    attach(str(tmp_path / "mine.onnx"), envs)
+    with pytest.raises(ValueError, match="was made for another environment"):
+        attach(str(tmp_path / "mine.onnx"), make())
+    attach(str(tmp_path / "mine.onnx"), make(), transfer=True)
+
+
+@pytest.mark.parametrize("vector", [False, True])
+def test_a_torch_module_of_gymnasiums_environments(vector, tmp_path):
+    settings = {**WORLD, "knowledge": "blind"}
+    env_id = "spoofgym/TightlyCoupled-v0"
+    envs = gym.make_vec(env_id, num_envs=2, **settings) if vector else gym.make(env_id, **settings)
+    size = len(envs.unwrapped.observation_names)
+    net = torch.nn.Sequential(torch.nn.Linear(size, 8), torch.nn.Tanh(), torch.nn.Linear(8, 1))
+    card = onnx(net, envs, tmp_path / "net.onnx", designed_on="nothing")
+    assert card.knowledge.design_time == "nothing"
+    attach(str(tmp_path / "net.onnx"), envs)
+    seen = np.random.default_rng(0).normal(size=(50, size)).astype(np.float32)
+    act = OnnxPolicy(str(tmp_path / "net.onnx")).model.act
+    np.testing.assert_allclose(act(seen), np.clip(function_of(net)(seen), -1, 1), atol=1e-5)
+    assert net.training  # as it was
+    envs.close()
+
+
+@pytest.mark.parametrize("env_id", ["LooselyCoupled", "Snapshot", "WheeledRobot"])
+def test_other_victims_have_cards_too(env_id, tmp_path):
+    envs = SpoofVecEnv(2, env_id=f"spoofgym/{env_id}-v0", knowledge="blind")
+    net = torch.nn.Linear(len(envs.observation_names), len(envs.action_names))
+    card = onnx(net, envs, tmp_path / "net.onnx")
+    assert card.env_id == f"spoofgym/{env_id}-v0"
+    attach(str(tmp_path / "net.onnx"), envs)
+    with pytest.raises(ValueError, match=r"does not fit|was made for another"):
+        attach(str(tmp_path / "net.onnx"), make())
+
+
+def test_a_detector_that_has_learned_is_a_detector_policy(tmp_path):
+    envs = SpoofVecEnv(2, side="detector", pool="ramp", timeline=TIMELINE, seed=0)
+    model = PPO("MlpPolicy", envs, n_steps=8, batch_size=16, seed=0, device="cpu")
+    model.learn(16)
+    card = onnx(model, path=tmp_path / "guard.onnx")
+    assert card.kind == "detector-policy"
+    assert card.training["steps"] == 16
+    with pytest.raises(ValueError, match="a detector has no commands to scale"):
+        onnx(model, path=tmp_path / "guard.onnx", amplitude=2.0)
+    seen = observations(envs)
+    wanted, _ = model.predict(seen, deterministic=True)
+    act = OnnxDetector(tmp_path / "guard.onnx").model.act
+    np.testing.assert_allclose(act(seen), wanted, atol=1e-5)
+
+
+def test_nothing_of_this_machine_is_in_the_file(tmp_path):
+    net = torch.nn.Linear(len(make().observation_names), 1)
+    onnx(net, make(), tmp_path / "net.onnx")
+    content = (tmp_path / "net.onnx").read_bytes()
+    for word in (b"/home", b"/root", b"site-packages", b".py", str(tmp_path).encode()):
+        assert word not in content
+
+
+class Noisy(torch.nn.Module):
+    def __init__(self, size):
+        super().__init__()
+        self.linear = torch.nn.Linear(size, 1)
+
+    def forward(self, seen):
+        return self.linear(seen) + 0.1 * torch.randn_like(seen[:, :1])
+
+
+def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path):
+    envs = make()
+    size = len(envs.observation_names)
+    cases = [
+        ((3, envs), TypeError, "can be exported, got int"),
+        ((torch.nn.Linear(size, 1), None), TypeError, "`env` must be an environment of spoofgym"),
+        ((torch.nn.Linear(size, 1), gym.make("CartPole-v1")), TypeError, "environment of spoofgym"),
+        ((torch.nn.Linear(size + 1, 1), envs), ValueError, f"can't be run with {size} observ"),
+        ((torch.nn.Linear(size, 2), envs), ValueError, r"actions of shape \(B, 1\), got \(2, 2\)"),
+        ((Noisy(size), envs), ValueError, "draws random numbers"),
+    ]
+    for given, error, message in cases:
+        with pytest.raises(error, match=message):
+            onnx(*given, tmp_path / "x.onnx")
+    net = torch.nn.Linear(size, 1)
+    with pytest.raises(ValueError, match=r"`path` must end in \.onnx"):
+        onnx(net, envs, tmp_path / "x.pt")
+    with pytest.raises(ValueError, match="`amplitude` must be finite and > 0, got 0"):
+        onnx(net, envs, tmp_path / "x.onnx", amplitude=0.0)
+    own = make(observation=["own-command"])
+    with pytest.raises(ValueError, match="`observation` of its own"):
+        onnx(torch.nn.Linear(len(own.observation_names), 1), own, tmp_path / "x.onnx")
+    discrete = PPO("MlpPolicy", gym.make("CartPole-v1"), device="cpu")
+    with pytest.raises(TypeError, match="environment of spoofgym"):
+        onnx(discrete, path=tmp_path / "x.onnx")
+    with pytest.raises(TypeError, match="only a policy with a Gaussian action"):
+        onnx(discrete, envs, tmp_path / "x.onnx")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recurrent_policy_is_refused(tmp_path):
+    contrib = pytest.importorskip("sb3_contrib")
+    envs = make()
+    model = contrib.RecurrentPPO("MlpLstmPolicy", envs, n_steps=8, device="cpu")
+    with pytest.raises(ValueError, match="is recurrent: it needs its state"):
+        onnx(model, path=tmp_path / "x.onnx")
+    with pytest.raises(ValueError, match="is recurrent"):
+        Evaluator(**WORLD, runs=2, fit_runs=80).score(model)
+
+
+def test_a_file_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
+    envs = make()
+    net = torch.nn.Linear(len(envs.observation_names), 1)
+    monkeypatch.setattr(spoofgym.export, "function_of", lambda _: lambda seen: seen[:, :1] * 0.0)
+    with pytest.raises(ValueError, match="the exported file differs from the model by"):
+        onnx(net, envs, tmp_path / "x.onnx")
+    assert list(tmp_path.iterdir()) == []
