@@ -175,7 +175,7 @@ def traced(module: torch.nn.Module, size: int) -> bytes:
         raise ValueError(f"torch can't export this network: {first}") from error
     finally:
         log.setLevel(level)
-    model: Any = program.model_proto  # type: ignore[union-attr]  # as `dynamo` returns it
+    model: Any = program.model_proto  # as `dynamo` returns it
     graph = model.graph
     # the remarks of the exporter hold paths of this machine
     for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.initializer):

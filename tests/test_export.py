@@ -172,7 +172,7 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path):
         ((3, envs), TypeError, "can be exported, got int"),
         ((torch.nn.Linear(size, 1), None), TypeError, "`env` must be an environment of spoofgym"),
         ((torch.nn.Linear(size, 1), gym.make("CartPole-v1")), TypeError, "environment of spoofgym"),
-        ((torch.nn.Linear(size + 1, 1), envs), ValueError, f"can't be run with {size} observ"),
+        ((torch.nn.Linear(size + 1, 1), envs), ValueError, f"can't be run with {size} obs"),
         ((torch.nn.Linear(size, 2), envs), ValueError, r"actions of shape \(B, 1\), got \(2, 2\)"),
         ((Noisy(size), envs), ValueError, "draws random numbers"),
     ]
