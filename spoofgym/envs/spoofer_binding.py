@@ -150,7 +150,7 @@ def commands_of(spoofer: Spoofer, setup: Setup) -> CommandMap:
     A policy acts as in the environment that it was made in, all others by the attack's own
     elements.
     """
-    given = spoofer.action
+    given = spoofer.action_terms
     terms: Sequence[ActionTerm]
     terms = default_action(setup) if given is None else make_terms("action", given)
     return CommandMap(terms, setup)

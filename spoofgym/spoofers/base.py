@@ -43,7 +43,7 @@ class Spoofer(Policy[SpooferContext]):
         Short name in results; by default it is made of the registered name and the settings.
     designed_on : str
         What it was optimised on before the attack: detector, receiver, scenario; or nothing.
-    action : str, mapping, sequence or None
+    action_terms : str, mapping, sequence or None
         How its actions command the attack, as ``action=`` of `SpoofEnv`; None as there by default.
     transmits : bool
         Whether it counterfeits at all.  An attack that is commanded nothing may still be seen, by
@@ -55,7 +55,7 @@ class Spoofer(Policy[SpooferContext]):
     knowledge: str
     tunable: ClassVar[str | None] = None
     transmits: ClassVar[bool] = True
-    action: Any = "full-command"
+    action_terms: Any = "full-command"
     label: str | None = None
     designed_on: str = "nothing"
 

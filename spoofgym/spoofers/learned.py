@@ -55,7 +55,7 @@ class OnnxPolicy(Spoofer):
         self.knowledge = card.knowledge.run_time
         self.designed_on = card.knowledge.design_time
         self.label = card.name
-        self.action = card.env_kwargs.get("action")
+        self.action_terms = card.env_kwargs.get("action")
 
     def bind(self, context: SpooferContext) -> None:
         """Prepare for a batch of receivers."""

@@ -51,7 +51,7 @@ class ModelPolicy(Spoofer):
         label: str | None = None,
     ) -> None:
         check_choice("knowledge", knowledge, KNOWLEDGE)
-        self.model, self.knowledge, self.action = model, knowledge, action
+        self.model, self.knowledge, self.action_terms = model, knowledge, action
         self.observation = observation
         self.label = label or name_of(model)
         self._function = function_of(model)

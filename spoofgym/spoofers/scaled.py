@@ -44,7 +44,7 @@ class Scaled(Spoofer):
             raise TypeError(f"`spoofer` must be a Spoofer that is not scaled, got {spoofer!r}")
         check_finite(AMPLITUDE, amplitude, "> 0")
         self.spoofer, self.amplitude = spoofer, float(amplitude)
-        for name in ("knowledge", "action", "label", "designed_on", "transmits"):
+        for name in ("knowledge", "action_terms", "label", "designed_on", "transmits"):
             setattr(self, name, getattr(spoofer, name))
         if hasattr(spoofer, "card"):
             self.card = spoofer.card
