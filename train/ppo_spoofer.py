@@ -91,7 +91,7 @@ class Arguments:
     """What an alarm costs in the reward, in lengths; as in the environment by default."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     """One training each; they seed the network, the exploration and the episodes."""
-    steps: int = 3_000_000
+    steps: int = 1_500_000
     """Steps of all receivers together, for each seed."""
     num_envs: int = 64
     """Receivers side by side."""
@@ -107,7 +107,7 @@ class Arguments:
     """Logarithm of the exploration's standard deviation at first, in parts of the full scale."""
     full_scale_mps: float = 1.0
     """Rate that an action of 1 asks for."""
-    stages: int = 5
+    stages: int = 4
     """How often a policy is scored, and a checkpoint is written."""
     fit_runs: int = 256
     """Training runs, on which amplitudes are fitted and the best policy is chosen."""
@@ -346,7 +346,6 @@ class Bar(BaseCallback):
 
 def train(args: Arguments, console: Console) -> dict[str, Any]:
     """Train all seeds that are not finished, score and compare them; the results, JSON-able."""
-    open_folder(args.out, args.identity)
     judge = Evaluator(
         runs=args.runs,
         fit_runs=args.fit_runs,
@@ -354,6 +353,7 @@ def train(args: Arguments, console: Console) -> dict[str, Any]:
         threads=args.threads,
         **args.world,
     )
+    open_folder(args.out, args.identity)
     trainings = []
     for seed in args.seeds:
         training = Training(args, seed, judge)
@@ -389,7 +389,7 @@ def main() -> None:
         console = Console(quiet=args.json)
         torch.set_num_threads(1)  # more of them fight with those of the engine
         results = train(args, console)
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise SystemExit(f"error: {error}") from error
     except KeyboardInterrupt:
         raise SystemExit("interrupted; the same command goes on") from None
