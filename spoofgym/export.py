@@ -377,9 +377,7 @@ def _write_detector(
     return write_card(path, inner, name=path.stem, training=training)
 
 
-def _compare(
-    model: Any, act: Any, low: Any, high: Any, amplitude: float, own: list[int]
-) -> None:
+def _compare(model: Any, act: Any, low: Any, high: Any, amplitude: float, own: list[int]) -> None:
     """Raise unless a file acts as its model, all over the space of its card."""
     drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
     seen = np.vstack([drawn, 0.1 * drawn]).astype(np.float32)

@@ -19,9 +19,8 @@ What is not a default of PPO or of the environment, and why:
 
 1. `gamma` = 1: what is scored is not discounted, and an episode has an end.
 2. `n_steps` is an episode, and minibatches are large, since the environment is fast.
-3. `log_std_init`: a tuned ramp is a few hundredths of the largest command; exploration by the
-   library's own standard deviation of 1 alarms in every episode.
-4. `learning_rate` = 1e-3, falling to a tenth.
+3. `log_std_init` = -1.5: with the library's standard deviation of 1 every episode alarms.
+4. `learning_rate` = 1e-3, falling to a tenth; `gae_lambda` = 0.98 for long episodes.
 5. `VecNormalize`: observations and rewards in units of their own standard deviations, so that one
    set of settings suits detectors that allow for metres and for hundreds of metres.
 6. The environment's action is a wanted rate; `full_scale_mps` is what an action of 1 asks for, and
@@ -36,7 +35,7 @@ import re
 import shlex
 import time
 from collections.abc import Callable
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -118,9 +117,9 @@ class Arguments:
     rivals: tuple[str, ...] = RIVALS
     """Spoofers to compare with on the same runs; none for no comparison."""
     threads: int | None = None
-    """Threads of the engine; all useful cores by default."""
+    """Of the engine; all useful cores by default."""
     tensorboard: bool = False
-    """Whether to log for TensorBoard."""
+    """Log for TensorBoard."""
     json: bool = False
     """Print the results as JSON, and nothing else."""
 
@@ -188,10 +187,9 @@ class Arguments:
         words = ["--out", self.out.name]
         for item in fields(self):
             value = getattr(self, item.name)
-            default = () if item.default is MISSING else item.default
-            if item.name not in FREE and value != default:
-                values = value if isinstance(value, tuple) else (value,)
-                words += [f"--{item.name.replace('_', '-')}", *map(str, values)]
+            if item.name not in FREE and value != item.default:
+                words += [f"--{item.name.replace('_', '-')}", str(value)]
+        words += ["--seeds", *map(str, self.seeds)]
         return shlex.join(["python", "-m", "train.ppo_spoofer", *words])
 
 
@@ -236,8 +234,8 @@ class Training:
         self.watch = ScoreCallback(judge=self.judge, every=args.steps, path=self.policy, verbose=0)
         self.envs = VecNormalize(args.make_envs(), gamma=1.0)
         self.model = make_model(args, self.seed, self.envs, self._learning_rate)
-        log = ["tensorboard"] if args.tensorboard else []
-        self.model.set_logger(configure(str(self.folder / "tensorboard"), log))
+        if args.tensorboard:
+            self.model.set_logger(configure(str(self.folder / "tensorboard"), ["tensorboard"]))
         if (self.folder / CHECKPOINT).is_file():
             self.restore()
 
@@ -253,9 +251,8 @@ class Training:
 
     def _learning_rate(self, _: float) -> float:
         """It falls over all stages, where the library knows of one."""
-        model = getattr(self, "model", None)
-        done = 0.0 if model is None else min(model.num_timesteps / self.args.steps, 1.0)
-        return self.args.learning_rate * (1.0 - 0.9 * done)
+        taken = self.model.num_timesteps if hasattr(self, "model") else 0
+        return self.args.learning_rate * (1.0 - 0.9 * min(taken / self.args.steps, 1.0))
 
     def run(self, tick: BaseCallback) -> None:
         """Learn from where it is to the end, a checkpoint after every stage."""
@@ -356,8 +353,7 @@ def train(args: Arguments, console: Console) -> dict[str, Any]:
     open_folder(args.out, args.identity)
     trainings = []
     for seed in args.seeds:
-        training = Training(args, seed, judge)
-        bar = Bar(console, f"seed {seed}", args.steps)
+        training, bar = Training(args, seed, judge), Bar(console, f"seed {seed}", args.steps)
         with bar.progress:
             training.run(bar)
         training.envs.close()
