@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from io import BytesIO
+from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
+import numpy as np
 import typer
 
-from spoofgym._files import write_file
+from spoofgym._pictures import COLOURS, GREY, figure_class, save_figure, style
 
 from .record import Point, read_record
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
-"""Okabe and Ito's, which colour-blind people tell apart."""
-DRAWN = ("eval_undetected_m", "within_budget")
-"""What every point must have, beside its step and time."""
+DRAWN = ("stealthy_m", "within_budget")
+"""What every point must have, beside its step."""
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-def draw_curves(records: dict[str, list[Point]], path: Path) -> None:
-    """Draw what training reached over time, one column for each record.
+def draw_curves(
+    records: dict[str, list[Point]], path: Path, levels: Mapping[str, float] | None = None
+) -> None:
+    """Draw what trainings reached over their steps, a line for each, and the median of all.
 
     Parameters
     ----------
@@ -29,32 +31,35 @@ def draw_curves(records: dict[str, list[Point]], path: Path) -> None:
         Points of every record by its name, as `read_record` returns them.
     path : Path
         The picture, replaced.
+    levels : mapping, optional
+        Displacements to compare with, by the names of who reached them [m].
 
     Raises
     ------
     ValueError
-        When a record has no points, or one that was not evaluated.
+        When a record has no points, or one that was not scored.
     """
     for name, points in records.items():
         _check(name, points)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(3.6 * len(records), 5.4), layout="constrained")
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.subplots(2, len(records), sharex="col", squeeze=False)
-    for column, (name, points) in enumerate(records.items()):
-        upper, lower = axes[:, column]
-        _displacement(upper, points, COLOURS[column % len(COLOURS)])
-        _alarms(lower, points)
-        upper.set_title(name)
-        lower.set_xlabel("training [min]")
-    axes[0, 0].set_ylabel("undetected displacement [m]\nwithin the alarm budget")
-    axes[1, 0].set_ylabel("alarm penalty [m]")
-    axes[0, 0].legend(loc="lower right", fontsize="small")
-    content = BytesIO()
-    canvas.print_figure(content, dpi=110, format="png")
-    write_file(path, content.getvalue())
+    figure = figure_class()(figsize=(7.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    style(axes)
+    reached = []
+    for (name, points), colour in zip(records.items(), cycle(COLOURS), strict=False):
+        steps = [point["step"] / 1e6 for point in points]
+        moved = [point["stealthy_m"] if point["within_budget"] else 0.0 for point in points]
+        reached.append((steps, moved))
+        axes.plot(steps, moved, ".-", color=colour, lw=1.0, alpha=0.7, label=name)
+    if len(reached) > 1 and all(steps == reached[0][0] for steps, _ in reached):
+        middle = np.median([moved for _, moved in reached], axis=0)
+        axes.plot(reached[0][0], middle, color="black", lw=2.0, label="median")
+    for name, level in (levels or {}).items():
+        axes.axhline(level, color=GREY, ls="--", lw=1.0)
+        axes.annotate(name, (0.0, level), xytext=(2, 2), textcoords="offset points", fontsize=8)
+    axes.set(xlabel="steps [million]", ylabel="stealthy displacement on training runs [m]")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(fontsize="small", ncols=2, framealpha=0.9)
+    save_figure(figure, path, dpi=110)
 
 
 def _check(name: str, points: list[Point]) -> None:
@@ -93,27 +98,6 @@ def names_of(paths: list[Path]) -> list[str]:
         name if short.count(name) == 1 else str(path)
         for name, path in zip(short, paths, strict=True)
     ]
-
-
-def _minutes(points: list[Point]) -> list[float]:
-    return [point["wall_s"] / 60.0 for point in points]
-
-
-def _displacement(axes: Any, points: list[Point], colour: str) -> None:
-    within = [point for point in points if point["within_budget"]]
-    values = [point["eval_undetected_m"] for point in within]
-    best = [max(values[: i + 1]) for i in range(len(values))]
-    axes.step(_minutes(within), best, where="post", color=colour, label="best so far")
-    axes.plot(_minutes(within), values, "o", color=colour, ms=4, alpha=0.5, label="evaluated")
-    axes.margins(y=0.15)
-    axes.grid(alpha=0.3)
-
-
-def _alarms(axes: Any, points: list[Point]) -> None:
-    told = [point for point in points if point.get("alarm_penalty_m") is not None]
-    axes.plot(_minutes(told), [p["alarm_penalty_m"] for p in told], color="#777777", marker=".")
-    axes.set_ylim(bottom=0.0)
-    axes.grid(alpha=0.3)
 
 
 @app.command()

@@ -33,6 +33,7 @@ from .policies.onnx_model import SUFFIX, file_of
 from .spoofers.card import Card, Knowledge, fields_of
 from .spoofers.learned import OnnxPolicy
 from .spoofers.model import function_of, inner_env, normalization_of, refuse_state
+from .spoofers.scaled import own_columns
 
 __all__ = ["onnx", "traced"]
 
@@ -117,7 +118,8 @@ def onnx(
     judges = hasattr(inner.core, "duel")
     if judges and amplitude != 1.0:
         raise ValueError(f"a detector has no commands to scale: `amplitude` = {amplitude:g}")
-    actor = _Actor(model, amplitude)
+    own = [] if judges else own_columns(inner.core.observer.names)
+    actor = _Actor(model, amplitude, len(low), own)
     modes = {part: part.training for part in actor.modules()}
     actor.train(False)
     try:
@@ -133,7 +135,7 @@ def onnx(
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / path.name
         _write(trial, content, card)
-        _compare(model, OnnxPolicy(str(trial)).model.act, low, high, amplitude)
+        _compare(model, OnnxPolicy(str(trial)).model.act, low, high, amplitude, own)
     _write(path, content, card)
     return card
 
@@ -186,9 +188,13 @@ def traced(module: torch.nn.Module, size: int) -> bytes:
 
 
 class _Actor(torch.nn.Module):
-    """Deterministic action of a model, of observations that nothing has normalized."""
+    """Deterministic action of a model, of observations that nothing has normalized.
 
-    def __init__(self, model: Any, amplitude: float) -> None:
+    Scaled by an amplitude as `spoofgym.spoofers.Scaled` does it; `own`: elements of the `size`
+    observations that are the spoofer's own commands.
+    """
+
+    def __init__(self, model: Any, amplitude: float, size: int, own: list[int]) -> None:
         super().__init__()
         self.mean = _mean_of(model)
         found = normalization_of(model)
@@ -198,9 +204,12 @@ class _Actor(torch.nn.Module):
             self.register_buffer("center", torch.as_tensor(found[0], dtype=torch.float64))
             self.register_buffer("scale", torch.as_tensor(found[1], dtype=torch.float64))
         self.amplitude = float(amplitude)
+        divisor = torch.ones(size)
+        divisor[own] = self.amplitude
+        self.register_buffer("divisor", divisor)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        seen = observation
+        seen = observation / self.get_buffer("divisor")
         if self.clip is not None:
             apart = seen.double() - self.get_buffer("center")
             seen = torch.clamp(apart / self.get_buffer("scale"), -self.clip, self.clip).float()
@@ -362,17 +371,19 @@ def _write_detector(
         trial = Path(folder) / path.name
         trial.write_bytes(content)
         write_card(trial, inner, name=path.stem, training=training)
-        _compare(model, OnnxDetector(trial).model.act, low, high, 1.0)
+        _compare(model, OnnxDetector(trial).model.act, low, high, 1.0, [])
     write_file(path, content)
     card_path(path).unlink(missing_ok=True)
     return write_card(path, inner, name=path.stem, training=training)
 
 
-def _compare(model: Any, act: Any, low: Any, high: Any, amplitude: float) -> None:
+def _compare(model: Any, act: Any, low: Any, high: Any, amplitude: float, own: list[int]) -> None:
     """Raise unless a file acts as its model, all over the space of its card."""
     drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
     seen = np.vstack([drawn, 0.1 * drawn]).astype(np.float32)
-    wanted = np.clip(np.asarray(function_of(model)(seen), dtype=np.float64), -1.0, 1.0)
+    planned = seen.copy()
+    planned[:, own] /= np.float32(amplitude)
+    wanted = np.clip(np.asarray(function_of(model)(planned), dtype=np.float64), -1.0, 1.0)
     wanted = np.clip(amplitude * wanted, -1.0, 1.0)
     apart = float(np.abs(act(seen) - wanted).max())
     allowed = TOLERANCE * max(amplitude, 1.0)

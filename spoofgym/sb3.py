@@ -21,7 +21,7 @@ import inspect
 import sys
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -65,6 +65,10 @@ AT_THE_END = (
     "attacked",
 )
 """What is reported at the end of every episode, with that of passive detectors."""
+
+
+STATE = ("best_m", "best_step", "best_amplitude", "diverged", "_next")
+"""What a `ScoreCallback` keeps, beside its history."""
 
 
 class SpoofVecEnv(VecEnv):
@@ -393,6 +397,8 @@ class ScoreCallback(BaseCallback):
         Training runs, on which it is scored.
     entropy, threads, progress : optional
         As in `spoofgym.evaluate`.
+    judge : Evaluator, optional
+        Made before, in place of all that decides one: task, runs and world.
     verbose : int
         1 for a line at every score.
     **world
@@ -418,15 +424,18 @@ class ScoreCallback(BaseCallback):
         entropy: int = 0,
         threads: int | None = None,
         progress: Progress | None = None,
+        judge: Evaluator | None = None,
         verbose: int = 1,
         **world: Any,
     ) -> None:
         super().__init__(verbose)
+        if judge is not None and (task is not None or world):
+            raise ValueError("`judge` decides the world: no task and no settings can be given")
         self.every = whole_number("`every`", every, 1)
         self.path = None if path is None else Path(path)
         if self.path is not None and self.path.suffix != ".onnx":
             raise ValueError(f"`path` must end in .onnx, got {path}")
-        self.judge = Evaluator(
+        self.judge = judge or Evaluator(
             task, fit_runs=fit_runs, entropy=entropy, threads=threads, progress=progress, **world
         )
         self.history: list[tuple[int, TuningResult]] = []
@@ -436,7 +445,7 @@ class ScoreCallback(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         """Score the policy, when that is due; it is not updated before the rollout is full."""
-        if self.diverged is None and self.num_timesteps >= self._next:
+        if self.num_timesteps >= self._next:
             self._next = self.num_timesteps + self.every
             self._score()
 
@@ -444,23 +453,56 @@ class ScoreCallback(BaseCallback):
         return self.diverged is None
 
     def _on_training_end(self) -> None:
-        if self.diverged is None and (not self.history or self.history[-1][0] < self.num_timesteps):
-            self._score()
+        self._score()
+
+    def state(self) -> dict[str, Any]:
+        """What it has found so far, JSON-able, for a checkpoint.
+
+        Returns
+        -------
+        dict
+            For `restore`.
+        """
+        own = {name: getattr(self, name) for name in STATE}
+        return {**own, "history": [[step, found.as_dict()] for step, found in self.history]}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a checkpoint; the file of the best policy is kept by whoever wrote it.
+
+        Parameters
+        ----------
+        state : mapping
+            From `state`.
+        """
+        for name in STATE:
+            setattr(self, name, state[name])
+        self.history = [(step, TuningResult.from_dict(found)) for step, found in state["history"]]
+
+    def give_up(self, why: str) -> None:
+        """End the training as diverged, with a warning; the best policy is kept.
+
+        Parameters
+        ----------
+        why : str
+            What has happened.
+        """
+        kept = (
+            f"the best one, of step {self.best_step:,} with {self.best_m:.2f} m, is kept"
+            if self.best_step >= 0
+            else "none before it was within the budget"
+        )
+        self.diverged = f"training has diverged after {self.num_timesteps:,} steps: {why}; {kept}"
+        warnings.warn(self.diverged, UserWarning, stacklevel=3)
 
     def _score(self) -> None:
-        """Score the policy as it is."""
+        """Score the policy as it is, unless that has been done, or it has diverged."""
+        done = bool(self.history) and self.history[-1][0] == self.num_timesteps
+        if done or self.diverged is not None:
+            return
         try:
             found = self.judge.fit(self.model)
         except NotFinite as error:
-            kept = (
-                f"the best one, of step {self.best_step:,} with {self.best_m:.2f} m, is kept"
-                if self.best_step >= 0
-                else "none before it was within the budget"
-            )
-            self.diverged = (
-                f"training has diverged after {self.num_timesteps:,} steps: {error}; {kept}"
-            )
-            warnings.warn(self.diverged, UserWarning, stacklevel=2)
+            self.give_up(str(error))
             return
         self.history.append((self.num_timesteps, found))
         better = found.within_budget and (self.best_step < 0 or found.score > self.best_m)

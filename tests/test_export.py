@@ -67,7 +67,9 @@ def test_the_normalization_of_observations_is_folded_in(tmp_path):
     model.learn(160)
     onnx(model, path=tmp_path / "mine.onnx", amplitude=2.0)
     seen = observations(envs)
-    wanted, _ = model.predict(envs.normalize_obs(seen), deterministic=True)
+    planned = seen.copy()
+    planned[:, :2] /= 2.0  # its own displacement and rate, as they were planned
+    wanted, _ = model.predict(envs.normalize_obs(planned), deterministic=True)
     np.testing.assert_allclose(
         OnnxPolicy(str(tmp_path / "mine.onnx")).model.act(seen),
         np.clip(2.0 * np.clip(wanted, -1, 1), -1, 1),

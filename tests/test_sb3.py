@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import pickle
 import sys
 
@@ -512,6 +513,21 @@ def test_a_diverged_training_ends_and_keeps_the_best():
         model.learn(1600, callback=callback)
     assert model.num_timesteps < 1600
     assert "of step " in callback.diverged
+
+
+def test_a_callback_goes_on_from_its_state():
+    """One judge for two callbacks; what the second has been given it does not score again."""
+    first = scored(every=160)
+    model = learner(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD))
+    model.learn(320, callback=first)
+    second = ScoreCallback(judge=first.judge, every=160, verbose=0)
+    second.restore(json.loads(json.dumps(first.state())))
+    assert second.state() == first.state()
+    model.learn(160, callback=second, reset_num_timesteps=False)
+    assert [step for step, _ in second.history] == [0, 160, 320, 480]
+    assert second.history[:3] == first.history
+    with pytest.raises(ValueError, match="`judge` decides the world"):
+        ScoreCallback("T3", judge=first.judge)
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,10 @@ import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
+from stable_baselines3.common.vec_env import VecNormalize
 
 from spoofgym.sb3 import SpoofVecEnv
-from train.ppo_spoofer import AlongHeading, Arguments, make_model
+from train.ppo_spoofer import Arguments, make_model
 
 
 @dataclass(frozen=True)
@@ -72,9 +73,9 @@ class Nothing(SpoofVecEnv):
 
 def steps_per_s(kind: type[SpoofVecEnv], args: Arguments, rollouts: int) -> float:
     """Steps a second of PPO, learning included, after a first rollout."""
-    engine = kind(args.num_envs, seed=args.seed, **(args.env_kwargs | {"knowledge": "oracle"}))
-    envs = AlongHeading(engine, args.heading_deg)
-    model = make_model(args, envs)
+    engine = kind(args.num_envs, seed=0, knowledge=args.knowledge, **args.world)
+    envs = VecNormalize(engine, gamma=1.0)
+    model = make_model(args, 0, envs, args.learning_rate)
     size = model.n_steps * args.num_envs
     model.learn(size)
     began = time.perf_counter()
@@ -88,6 +89,7 @@ def measure(settings: Settings) -> dict[str, Any]:
     """Both speeds in turn, and their ratio."""
     args = Arguments(
         out=Path("unused"),
+        task="T1",
         num_envs=settings.num_envs,
         detector=settings.detector,
         knowledge=settings.knowledge,

@@ -15,13 +15,21 @@ AMPLITUDE = "amplitude"
 """Key of a spoofer's spec that is no setting of its class: the factor on its commands."""
 SMALLEST, LARGEST = 1e-3, 10.0
 """Range of a search for an amplitude."""
+OWN = ("own_displacement", "own_rate")
+"""First words of what a spoofer observes of its own commands."""
+
+
+def own_columns(names: tuple[str, ...]) -> list[int]:
+    """Elements of an observation that are the spoofer's own commands so far."""
+    return [k for k, name in enumerate(names) if name.startswith(OWN)]
 
 
 class Scaled(Spoofer):
     """A spoofer whose actions are multiplied by a factor, and cut to what the attack allows.
 
-    It observes and remembers what the spoofer does, and displaces so many times as far for the same
-    commands, as long as none is cut.
+    The spoofer inside plans as if there were no factor: of its own displacement and rate it
+    observes what it has planned, the commanded ones divided by the factor.  So the same plan
+    displaces so many times as far, as long as nothing is cut.
 
     Parameters
     ----------
@@ -53,6 +61,7 @@ class Scaled(Spoofer):
         """Prepare for a batch of receivers."""
         self.spoofer.bind(context)
         self.context, self.memory = context, self.spoofer.memory
+        self._own = own_columns(context.observation_names)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Forget everything about some receivers."""
@@ -60,7 +69,11 @@ class Scaled(Spoofer):
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
         """Command the attack for the coming epoch: (B, a) in [-1, 1]."""
-        action = self.amplitude * np.asarray(self.spoofer.act(observation), dtype=np.float64)
+        seen = observation
+        if self._own and self.amplitude != 1.0:
+            seen = observation.copy()
+            seen[:, self._own] /= np.float32(self.amplitude)
+        action = self.amplitude * np.asarray(self.spoofer.act(seen), dtype=np.float64)
         return np.ascontiguousarray(np.clip(action, -1.0, 1.0))
 
     @classmethod

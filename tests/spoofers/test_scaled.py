@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from spoofgym.spoofers import Ramp, Scaled, SpooferContext, make_spoofer
+from spoofgym.spoofers.model import ModelPolicy
 from spoofgym.testing import check_spoofer
 
 CONTEXT = SpooferContext(
@@ -33,6 +34,31 @@ def test_commands_are_so_many_times_as_large(name):
     whole = pushed(name)
     assert np.abs(whole).max() > 0.0
     np.testing.assert_allclose(pushed({"name": name, "amplitude": 0.3}), 0.3 * whole)
+
+
+def test_a_plan_that_looks_at_its_own_commands_is_scaled_as_a_whole():
+    """Of its own commands a scaled policy observes what it has planned."""
+
+    def chases(seen: np.ndarray) -> np.ndarray:
+        return np.stack([0 * seen[:, 0], 0.3 - 0.5 * seen[:, 0] - 0.2 * seen[:, 1]], axis=1)
+
+    names = ("own_displacement_east", "own_rate_east", "time_since_onset")
+    context = CONTEXT._replace(observation_names=names)
+
+    def commanded(amplitude: float) -> np.ndarray:
+        spoofer = Scaled(ModelPolicy(chases), amplitude)
+        spoofer.bind(context)
+        spoofer.reset()
+        rate, moved, found = np.zeros(2), np.zeros(2), []
+        for _ in range(20):
+            seen = np.stack([moved, rate, np.ones(2)], axis=1).astype(np.float32)
+            rate = rate + spoofer.act(seen)[:, 1]
+            moved = moved + rate
+            found.append(moved)
+        return np.array(found)
+
+    np.testing.assert_allclose(commanded(0.4), 0.4 * commanded(1.0), rtol=1e-5)
+    np.testing.assert_allclose(commanded(2.0), 2.0 * commanded(1.0), rtol=1e-5)
 
 
 def test_what_the_attack_does_not_allow_is_cut():

@@ -1,0 +1,51 @@
+"""Folder of a training: with which settings it was begun, and that it goes on with the same."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from spoofgym._describe import unlike
+from spoofgym._files import remove_stale_parts, write_file
+from spoofgym.bench.suite import versions
+
+CONFIG = "config.json"
+
+
+def used_versions() -> dict[str, str]:
+    """What a training depends on."""
+    return versions() | {name: version(name) for name in ("torch", "stable-baselines3", "onnx")}
+
+
+def open_folder(folder: Path, arguments: dict[str, Any]) -> None:
+    """Write the settings of a training, or look whether the one in the folder has the same.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is not there.
+    arguments : dict
+        Settings that decide the result, JSON-able.
+
+    Raises
+    ------
+    ValueError
+        When the folder holds a training with other settings or versions, or is damaged.
+    """
+    path, here = folder / CONFIG, {"arguments": arguments, "versions": used_versions()}
+    remove_stale_parts(folder)
+    if not path.is_file():
+        write_file(path, (json.dumps(here, indent=1) + "\n").encode())
+        return
+    try:
+        there = json.loads(path.read_text(encoding="utf-8"))
+        found = unlike({key: there[key] for key in here}, here)
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} is damaged ({error!r}); choose another --out") from error
+    if found:
+        lines = "; ".join(line.replace(" on the card", " there") for line in found)
+        raise ValueError(
+            f"{folder} holds a run with other settings, which can't be gone on with: {lines}"
+        )

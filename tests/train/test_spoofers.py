@@ -1,0 +1,83 @@
+"""Many trainings in one command, with settings that take seconds."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+# ruff: noqa: E402 - the packages of the laboratory may be missing
+torch = pytest.importorskip("torch")
+for name in ("stable_baselines3", "onnxscript", "tyro", "matplotlib"):
+    pytest.importorskip(name)
+
+from rich.console import Console
+
+from train import spoofers
+from train.spoofers import DETECTORS, KNOWLEDGE, PAGE, TABLE, WORLDS, Settings, page, play
+
+QUICK = {
+    "settings": json.dumps(
+        {
+            "timeline": {"warmup_s": 8, "live_s": 5, "attack_s": 10, "time_to_alert_s": 2},
+            "scenario": "zhong2025",
+            "domain": {},
+        }
+    ),
+    "num_envs": 5,
+    "batch_size": 50,
+    "n_epochs": 1,
+    "stages": 1,
+    "threads": 1,
+}
+
+
+@pytest.fixture
+def small(tmp_path, monkeypatch):
+    """One detector of one world, with thresholds as published."""
+    monkeypatch.setitem(DETECTORS, "snapshot-chi2", "snapshot-chi2:thresholds=nominal")
+    monkeypatch.setattr(spoofers, "RIVALS", ("ramp",))
+    return Settings(
+        out=tmp_path,
+        only=("T3", "snapshot-chi2", "blind", "oracle"),
+        seeds=(0,),
+        steps=100,
+        fit_runs=80,
+        runs=10,
+        further=json.dumps(QUICK),
+    )
+
+
+def test_all_cells_are_a_hundred_and_eighty_trainings(tmp_path):
+    settings = Settings(out=tmp_path)
+    assert len(settings.cells()) * len(settings.seeds) == 180
+    names = {settings.arguments(*cell).out.name for cell in settings.cells()}
+    assert len(names) == len(settings.cells())
+
+
+def test_a_part_is_trained_and_stays_when_another_part_follows(small, monkeypatch):
+    before = torch.get_num_threads()
+    blind = replace(small, only=("T3", "snapshot-chi2", "blind"))
+    table = play(blind, Console(quiet=True))
+    assert list(table) == ["T3/snapshot-chi2/blind"]
+    assert set(table["T3/snapshot-chi2/blind"]["rivals"]) == {"ramp", "feedback"}
+    after = play(replace(small, only=("T3", "snapshot-chi2", "oracle")), Console(quiet=True))
+    torch.set_num_threads(before)
+    assert list(after) == ["T3/snapshot-chi2/blind", "T3/snapshot-chi2/oracle"]
+    assert after["T3/snapshot-chi2/blind"] == table["T3/snapshot-chi2/blind"]
+    score = after["T3/snapshot-chi2/oracle"]["seeds"][0]["score"]
+    assert score["knowledge"] == "oracle"
+    assert json.loads((small.out / TABLE).read_text()) == after
+    text = (small.out / PAGE).read_text()
+    assert text == page(after)
+    assert "| feedback (oracle) | PPO (oracle) |" in text
+    (row,) = [line for line in text.splitlines() if line.startswith("| T3 | snapshot-chi2 |")]
+    assert row.split(" | ")[-3].strip() == "-"  # blind+reported has not been trained
+
+
+def test_names_are_checked(tmp_path):
+    valid = ", ".join(sorted((*WORLDS, *DETECTORS, *KNOWLEDGE)))
+    with pytest.raises(ValueError, match="unknown world, detector or knowledge 'T9'") as found:
+        Settings(out=tmp_path, only=("T9",))
+    assert valid.split(", ")[0] in str(found.value)

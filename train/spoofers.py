@@ -1,0 +1,176 @@
+"""Train and score spoofers against many detectors, in one command that goes on after a kill.
+
+    python -m train.spoofers --out runs/spoofers
+
+Every cell, a world, a detector and what the spoofer observes, is one `train.ppo_spoofer` with all
+its seeds, in a folder of its own.  What is finished is not trained again, and an interrupted cell
+goes on from its last checkpoint.  Beside PPO stand the ramps, the blind optimum and the scripted
+feedback of the same runs.  The table says what each of them knows: a spoofer with *statistics* sees
+those of the victim's detector (`oracle`), which nobody can in practice, and has columns apart.
+
+By default 6 detectors, 2 worlds, 3 kinds of knowledge and 5 seeds: 180 trainings.  The folder gets
+`spoofers.json` and `spoofers.md`, also while it runs; `--only` picks the worlds, detectors or
+knowledge of a part, and other parts of the same folder stay in the table.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import torch
+import tyro
+from rich.console import Console
+
+from spoofgym._files import write_file
+from spoofgym._registry import check_choice
+from spoofgym.bench.tables import interval
+
+from .ppo_spoofer import RESULTS, RIVALS, Arguments, train
+
+DETECTORS = {
+    "solution-separation": "solution-separation",
+    "aime": "aime:signals=range_rate",
+    "sequential-chi2": "sequential-chi2:signals=range_rate",
+    "windowed-chi2": "windowed-chi2:signals=range_rate",
+    "snapshot-chi2": "snapshot-chi2",
+    "ewma": "ewma",
+}
+"""By short names; all at the default rate of false alarms."""
+WORLDS = ("T3", "T5")
+"""Worlds, by the tasks that have them."""
+KNOWLEDGE = ("blind", "blind+reported", "oracle")
+FEEDBACK = "feedback"
+TABLE, PAGE = "spoofers.json", "spoofers.md"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is trained."""
+
+    out: Path
+    """Folder of all trainings."""
+    only: tuple[str, ...] = ()
+    """Worlds, detectors or knowledge of a part, such as T3 aime blind; all by default."""
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    """Seeds of every cell."""
+    steps: int = 1_500_000
+    """Steps of each training."""
+    fit_runs: int = 256
+    """Training runs, on which amplitudes are fitted."""
+    runs: int = 400
+    """Evaluation runs."""
+    further: str = "{}"
+    """Further settings of train.ppo_spoofer for all of them, as JSON."""
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        for name in self.only:
+            check_choice("world, detector or knowledge", name, (*WORLDS, *DETECTORS, *KNOWLEDGE))
+
+    def cells(self) -> list[tuple[str, str, str]]:
+        """World, detector and knowledge of what is to be trained."""
+
+        def chosen(names: Any) -> list[str]:
+            return [name for name in names if name in self.only] or list(names)
+
+        worlds, detectors, known = map(chosen, (WORLDS, DETECTORS, KNOWLEDGE))
+        return [(w, d, k) for w in worlds for d in detectors for k in known]
+
+    def arguments(self, world: str, detector: str, knowledge: str) -> Arguments:
+        """The training of a cell."""
+        blind = knowledge == "blind"
+        given: dict[str, Any] = {
+            "out": self.out / f"{world}-{detector}-{knowledge.replace('+', '-')}",
+            "task": world,
+            "detector": DETECTORS[detector],
+            "knowledge": knowledge,
+            "rivals": (*RIVALS, FEEDBACK) if blind else ("ramp",),
+        }
+        own = ("seeds", "steps", "fit_runs", "runs")
+        further = json.loads(self.further)
+        return Arguments(**{**given, **{name: getattr(self, name) for name in own}, **further})
+
+
+def play(settings: Settings, console: Console) -> dict[str, Any]:
+    """Train what is missing; results of all cells that are finished, JSON-able."""
+    for cell in settings.cells():
+        args = settings.arguments(*cell)
+        console.print(" ".join(cell))
+        results = train(args, console)
+        write_file(args.out / RESULTS, (json.dumps(results, indent=1) + "\n").encode())
+        table = collected(settings)
+        write_file(settings.out / TABLE, (json.dumps(table, indent=1) + "\n").encode())
+        write_file(settings.out / PAGE, page(table).encode())
+    return collected(settings)
+
+
+def collected(settings: Settings) -> dict[str, Any]:
+    """Results of every cell whose folder has them."""
+    every = [(w, d, k) for w in WORLDS for d in DETECTORS for k in KNOWLEDGE]
+    found = {}
+    for cell in every:
+        path = settings.arguments(*cell).out / RESULTS
+        if path.is_file():
+            found["/".join(cell)] = json.loads(path.read_text(encoding="utf-8"))
+    return found
+
+
+def page(table: dict[str, Any]) -> str:
+    """Table of all cells, a line for each detector; what needs the victim's statistics is last."""
+    heads = (
+        *("world", "detector", *RIVALS, "PPO untrained", "PPO blind", "PPO blind+reported"),
+        *("feedback (oracle)", "PPO (oracle)"),
+    )
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for world in WORLDS:
+        for detector in DETECTORS:
+            blind, reported, oracle = (table.get(f"{world}/{detector}/{k}") for k in KNOWLEDGE)
+            if blind is None and reported is None and oracle is None:
+                continue
+            rivals = {} if blind is None else blind["rivals"]
+            cells = (
+                *(world, detector, *(_score(rivals.get(name)) for name in RIVALS)),
+                *(_seeds(blind, "untrained"), _seeds(blind), _seeds(reported)),
+                *(_score(rivals.get(FEEDBACK)), _seeds(oracle)),
+            )
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _score(score: dict[str, Any] | None) -> str:
+    """Displacement with its interval, `*` where it is over the budget; "-" where there is none."""
+    if not score:
+        return "-"
+    keeps = score["within_budget"] and score["fit_within_budget"] is not False
+    return interval(score["stealthy_displacement_m"]) + ("" if keeps else "*")
+
+
+def _seeds(results: dict[str, Any] | None, key: str = "score") -> str:
+    """Median over the seeds, and the least and largest of them."""
+    if results is None:
+        return "-"
+    scores = [row[key] for row in results["seeds"]]
+    found = [s["stealthy_displacement_m"]["value"] if s else 0.0 for s in scores]
+    return f"{median(found):.1f} [{min(found):.1f}, {max(found):.1f}]"
+
+
+def main() -> None:
+    """Command line."""
+    console = Console()
+    try:
+        settings = tyro.cli(Settings, description=__doc__)
+        torch.set_num_threads(1)
+        table = play(settings, console)
+    except (ValueError, TypeError) as error:
+        raise SystemExit(f"error: {error}") from error
+    except KeyboardInterrupt:
+        raise SystemExit("interrupted; the same command goes on") from None
+    console.print(page(table), f"written: {settings.out / TABLE}", soft_wrap=True)
+
+
+if __name__ == "__main__":
+    main()
