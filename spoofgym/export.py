@@ -30,7 +30,7 @@ from ._registry import check_finite
 from .bench.suite import versions
 from .detectors.learned.agent import DetectorAgent, action_names
 from .detectors.learned.card import DetectorCard, OnnxDetector, card_path
-from .detectors.learned.detector import card_of
+from .detectors.learned.detector import detector_card
 from .detectors.learned.observer import DetectorObserver
 from .duel.card import write_card
 from .envs.spoofer_binding import spoofer_context
@@ -220,7 +220,7 @@ def detector(
         with tempfile.TemporaryDirectory() as folder:
             trial = Path(folder) / path.name
             trial.write_bytes(content)
-            card = card_of(
+            card = detector_card(
                 agent,
                 channels,
                 trial,
