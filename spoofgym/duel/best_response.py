@@ -157,7 +157,7 @@ def best_spoofer(
     tried: list[Member] = list(given)
     family = {each.label: each.label for each in given}
     for number, attack in enumerate(attacks):
-        name = f"{attack.entry.label.removesuffix('(tuned)')}"
+        name = attack.entry.label.removesuffix("(tuned)").replace("tuned,", "")
         for value in grid_of(attack, context, budget.values):
             made = member_of(
                 attack.entry.with_value(value),
