@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..bench.entries import build_spoofer, detector_entry, refuse_oracles
+from ..bench.entries import build_spoofer, detector_entry, refuse_oracles, spoofer_entry
 from ..bench.evaluate import LiveEntry, entry_of
 from ..detectors import Detector
 from ..detectors.pool import checked_weights
 from ..simulators.splits import SPLITS
-from ..spoofers import SUFFIX
+from ..spoofers import SUFFIX, Spoofer
 
 Seeds = frozenset[tuple[int, str]]
 """Entropy and split of runs."""
@@ -127,7 +127,37 @@ Strategy = Member | Mixture
 def mixture(
     label: str, members: Sequence[Member], weights: ArrayLike, decided_on: Seeds = frozenset()
 ) -> Mixture:
-    """Mix of members with a probability above 0; it has been decided on where these were, too."""
+    """Mix of members; those with no probability are left out.
+
+    Parameters
+    ----------
+    label : str
+        Name in tables.
+    members : sequence of Member
+        Pure strategies of one side.
+    weights : array_like
+        Their probabilities, or numbers in proportion to them.
+    decided_on : frozenset of (int, str)
+        Entropy and split of the runs that decided on the weights; those of the members are added.
+
+    Returns
+    -------
+    Mixture
+        Refused by games on these runs.
+
+    Raises
+    ------
+    ValueError
+        When the weights do not fit.
+
+    Examples
+    --------
+    >>> from spoofgym.duel.members import member_of, mixture
+    >>> guards = [member_of(name, "detector") for name in ("solution-separation", "cusum", "aime")]
+    >>> mix = mixture("mine", guards, [3, 1, 0])
+    >>> mix.weights, mix.pool()["name"]
+    ((0.75, 0.25), 'pool')
+    """
     chances = checked_weights(len(members), np.asarray(weights, dtype=np.float64).tolist())
     chances = np.where(chances < OUT, 0.0, chances)
     kept = [(m, p) for m, p in zip(members, chances.tolist(), strict=True) if p > 0.0]
@@ -204,7 +234,10 @@ def _member_of(given: Any, side: str) -> Member:
 
 
 def _spoofer(given: Any) -> Member:
-    entry = entry_of(given, None, None)
+    try:
+        entry = spoofer_entry(given) if isinstance(given, Spoofer) else entry_of(given, None, None)
+    except TypeError:  # no text describes it
+        entry = entry_of(given, None, None)
     if isinstance(entry, LiveEntry):
         return Member(entry.label, SPOOFER, None, entry.spoofer.knowledge, thing=entry.spoofer)
     if entry.tuned or entry.searched:

@@ -79,7 +79,7 @@ class PayoffMatrix:
     @property
     def values(self) -> FloatArray:
         """(m, n) mean payoffs over the runs that count; NaN where none does."""
-        return self.resampled(np.ones((1, len(self.sky))))[0]
+        return np.asarray(self.resampled(np.ones((1, len(self.sky))))[0])
 
     def resampled(self, samples: FloatArray) -> FloatArray:
         """(S, m, n) payoffs of bootstrap samples (S, R), as of `bench.metrics.resamples`."""
@@ -87,7 +87,9 @@ class PayoffMatrix:
         runs = (samples @ self.counts.T.astype(np.float64))[:, None, :]
         with np.errstate(invalid="ignore"):
             pure = np.einsum("sr,pqr->spq", samples, worth, optimize=True) / runs
-        return np.asarray(self.rows @ pure @ self.columns.T)
+        unknown = (self.rows > 0.0) @ np.isnan(pure).astype(np.float64) @ (self.columns > 0.0).T
+        mixed = self.rows @ np.nan_to_num(pure) @ self.columns.T
+        return np.asarray(np.where(unknown > 0.0, np.nan, mixed))
 
     def samples(self, count: int = RESAMPLES) -> FloatArray:
         """(S, R) bootstrap samples of the runs, whole skies at a time."""
