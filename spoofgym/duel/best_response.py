@@ -191,12 +191,12 @@ def best_detector(
 
     Parameters
     ----------
-    game, mix, entropy : optional
+    game, mix : optional
         As in `best_spoofer`; the mix is of spoofers.
     detectors : sequence of Member
         Whom to choose from.
-    runs : int
-        Runs of the selection.
+    runs, entropy : int
+        Runs of the selection, and their seed.
 
     Returns
     -------
