@@ -401,7 +401,7 @@ def page_of(results: dict[str, Any]) -> str:
     for k, each in enumerate(results["iterations"]):
         ends = each["exploitability"]
         above = ends["spoofer"]["above"]
-        shown = f"none: {ends['spoofer']['why']}" if above is None else f"{above:.3f}"
+        shown = f"{'none' if above is None else f'{above:.3f}'}: {ends['spoofer']['why']}"
         cells = [
             interval(each["spread"]["value"], 3),
             f"{interval(ends['spoofer']['below'], 3)}, {ends['spoofer']['member']}",

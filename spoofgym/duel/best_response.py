@@ -377,4 +377,7 @@ def upper_end(game: Game, mix: Mixture) -> tuple[float | None, str]:
             return None, f"{member.label} has no bound: {found.why}"
         total += weight * min(bound / game.payoff.limit_m, 1.0)
         words.append(f"{member.label} {bound:.3g} m" if math.isfinite(bound) else member.label)
-    return total, f"zero-alarm bounds of attacks along one heading: {', '.join(words)}"
+    why = f"zero-alarm bounds of attacks along one heading: {', '.join(words)}"
+    if total >= 1.0 - 1e-9:
+        why += f"; none is below the limit of {game.payoff.limit_m:g} m, so that they say nothing"
+    return total, why
