@@ -40,7 +40,7 @@ from rich.console import Console
 from spoofgym._files import remove_stale_parts, write_file
 from spoofgym._registry import check_choice, whole_number
 from spoofgym.bench.blind_optimum import BlindSearch
-from spoofgym.bench.specs import parse_spec
+from spoofgym.bench.specs import make_judge, parse_spec
 from spoofgym.bench.tables import interval
 from spoofgym.detectors import DETECTORS
 from spoofgym.detectors.calibrated import ASKED, STANDARD_RATE
@@ -52,7 +52,6 @@ from spoofgym.duel.best_response import (
     exploitability,
 )
 from spoofgym.duel.members import DETECTOR, SPOOFER, Member, Mixture, member_of, mixture
-from spoofgym.duel.opponents import make_opponent
 from spoofgym.duel.payoff_matrix import PAYOFFS, PayoffMatrix
 from spoofgym.duel.population import Game
 from spoofgym.simulators.calibration import calibrate, suitable_detectors
@@ -339,15 +338,15 @@ class DoubleOracle:
         """Detector that a command has learned against a mix, at the rate of all others."""
         if self.args.detector_response == "none":
             return []
-        file, pool = (self.args.out / f"detector-{turn}.{end}" for end in ("onnx", "json"))
-        pool = pool.with_name(f"spoofers-{turn}.json")
+        file = self.args.out / f"detector-{turn}.onnx"
+        pool = self.args.out / f"spoofers-{turn}.json"
         write_file(pool, json.dumps(mix.pool()).encode())
         if not file.is_file():
             words = shlex.split(self.args.detector_command)
             subprocess.run([word.format(out=file, pool=pool) for word in words], check=True)
         rate = self.args.false_alarms_per_hour
         spec = {"name": str(file), "false_alarms_per_hour": rate}
-        judge: Any = make_opponent(spec, self.game.setup.live)
+        judge: Any = make_judge(spec)
         calibrate(self.game.setup, [judge.detector], false_alarms_per_hour=rate)
         return [member_of(spec, DETECTOR, label=f"learned {turn}")]
 

@@ -80,7 +80,7 @@ def calibrate(
 
     suite = world_of(world)
     setup, rate = suite.world, false_alarms_per_hour
-    judges, named = _judges(detector, suite, rate, rescaled)
+    judges, named = _judges(detector, suite, rescaled)
     others = {text: _other(suite, text) for text in transfer or ()}
     asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
     left = calibration.expected_runs(setup, judges, **asked, overwrite=overwrite)
@@ -95,7 +95,7 @@ def calibrate(
             overwrite=overwrite,
             strict=False,
         )
-    made, rows, lines, sound = _rows(found, rate)
+    made, rows, lines, sound = _rows(found, judges, rate)
     if check:
         holdouts.check(setup, found, judges, threads=threads)
         lines.append(f"replayed: {len(found)} calibrations hold, to {TOLERANCE:g} of every maximum")
@@ -133,7 +133,7 @@ def calibrate(
 
 
 def _judges(
-    texts: Sequence[str] | None, suite: Suite, rate: float, rescaled: bool
+    texts: Sequence[str] | None, suite: Suite, rescaled: bool
 ) -> tuple[list[Detector], set[int]]:
     """Detectors, and which of them were named; they may not ask for thresholds.
 
@@ -141,8 +141,7 @@ def _judges(
     """
     from ..bench.specs import make_judge
     from ..bench.victims import VICTIMS
-    from ..detectors.calibrated import ASKED, identity_of
-    from ..duel.opponents import make_opponent
+    from ..detectors.calibrated import ASKED, identity_of, is_file
     from ..simulators.calibration import inner_detectors, suitable_detectors
 
     specs: list[Any] = list(VICTIMS[suite.env].detectors) if not texts else specs_of(texts)
@@ -158,11 +157,8 @@ def _judges(
         if spec["name"] == "all":
             fit = suitable_detectors(suite.world)
             offered += [each for each in fit if each.drifts or not rescaled]
-        elif str(spec["name"]).endswith(".onnx"):
-            wanted = {**spec, "false_alarms_per_hour": rate}
-            named.append(make_opponent(wanted, suite.world.live))
         else:
-            named.append(make_judge(spec))
+            named.append(spec if is_file(spec) else make_judge(spec))
     judges = inner_detectors([*named, *offered])
     if not judges:
         raise ValueError("there is no detector to calibrate: one that never alarms has no rate")
@@ -193,7 +189,7 @@ def _other(suite: Suite, text: str) -> Any:
 
 
 def _rows(
-    found: Sequence[Calibration], rate: float
+    found: Sequence[Calibration], judges: Sequence[Detector], rate: float
 ) -> tuple[list[dict[str, Any]], list[tuple[str, ...]], list[str], list[int]]:
     """Operating points, a row for each, notes, and which detectors have one."""
     from ..detectors.calibrated import NOISY_WARMUP, noisy_warmup
@@ -202,8 +198,8 @@ def _rows(
     rows: list[tuple[str, ...]] = []
     lines: list[str] = []
     sound: list[int] = []
-    for k, each in enumerate(found):
-        name = str(each.detector["name"])
+    for k, (each, judge) in enumerate(zip(found, judges, strict=True)):
+        name = judge.label or str(each.detector["name"])
         points.append({"detector": name, "file": str(each.path), "runs": each.runs, "scale": None})
         try:
             point = each.point(rate)

@@ -15,7 +15,7 @@ from ..bench.evaluate import LiveEntry, entry_of
 from ..detectors import Detector
 from ..detectors.pool import checked_weights
 from ..simulators.splits import SPLITS
-from ..spoofers import SUFFIX, Spoofer
+from ..spoofers import Spoofer
 
 Seeds = frozenset[tuple[int, str]]
 """Entropy and split of runs."""
@@ -249,9 +249,6 @@ def _spoofer(given: Any) -> Member:
 
 
 def _detector(given: Any) -> Member:
-    spec = {"name": given} if isinstance(given, str) else given
-    if isinstance(spec, Mapping) and str(spec.get("name")).endswith(SUFFIX):
-        return Member(str(spec["name"]), DETECTOR, dict(spec))
     try:
         entry = detector_entry(given)
     except TypeError:

@@ -33,10 +33,8 @@ from ..simulators.engine import Engine
 from ..simulators.monitors import Monitored, PassiveDetectors
 from ..simulators.setup import Setup
 from ..simulators.splits import SPLITS
-from ..spoofers import SUFFIX
 from ..tasks import task_of
 from .members import DETECTOR, SPOOFER, Member, Mixture, Strategy, strategy_of
-from .opponents import make_opponent
 from .payoff_matrix import PayoffMatrix, RunPayoff
 
 FloatArray = NDArray[np.float64]
@@ -308,11 +306,9 @@ class Game:
     def _judge(self, member: Member) -> tuple[Detector, bool]:
         """Detector with its thresholds, and whether it takes weight off measurements."""
         if member.label not in self._judges:
-            given, setup = member.given, self.setup
-            learned = isinstance(given, Mapping) and str(given["name"]).endswith(SUFFIX)
-            made = make_opponent(given, setup.live) if learned else make_judge(given)
-            resolve(made, setup)
-            self._judges[member.label] = made, weighs(setup, made)
+            made = make_judge(member.given)
+            resolve(made, self.setup)
+            self._judges[member.label] = made, weighs(self.setup, made)
         return self._judges[member.label]
 
     def _field(self, detectors: Sequence[Member], alone: bool) -> _Field:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import partial
 
 import pytest
 
@@ -14,10 +15,15 @@ for name in ("stable_baselines3", "onnxscript", "tyro"):
 from rich.console import Console
 
 import spoofgym.tasks
+from spoofgym import duel_v0
 from spoofgym.detectors import make_detector
+from spoofgym.detectors.calibration import FOLDER_VARIABLE
+from spoofgym.simulators import calibrate
 from spoofgym.tasks import Task
 from train import double_oracle
 from train.double_oracle import RESULTS, Arguments, DoubleOracle, main
+
+from ..spoofers.policies import network
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 QUICK = {
@@ -94,6 +100,30 @@ def test_ppo_answers_a_mix(tmp_path):
     found = play(tmp_path, iterations=1, search_runs=0, ppo_steps=100)
     policies = {name for name in found["iterations"][0]["best_spoofer"]["best"] if "PPO" in name}
     assert policies >= {"PPO 1, 0.5", "PPO 1, 0.7", "PPO 1, 1"}
+
+
+def test_a_learned_detector_is_calibrated_and_enters(tmp_path, monkeypatch):
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "calibrations"))
+    view = duel_v0.DetectorView(timeline=SHORT)
+    sizes = view.observation_space.shape[0], view.action_space.shape[0]
+    guard = tmp_path / "guard.onnx"
+    guard.write_bytes(network(*sizes).SerializeToString())
+    duel_v0.write_card(guard, view, name="guard")
+    script = tmp_path / "write.py"
+    script.write_text(
+        "import json, pathlib, shutil, sys\n"
+        "assert json.load(open(sys.argv[3]))['weights']\n"
+        "guard, out = map(pathlib.Path, sys.argv[1:3])\n"
+        "for end in ('.json', '.onnx'):\n"
+        "    shutil.copy(guard.with_suffix(end), out.with_suffix(end))\n"
+    )
+    monkeypatch.setattr(double_oracle, "calibrate", partial(calibrate, runs=60))
+    command = f"{sys.executable} {script} {guard} {{out}} {{pool}}"
+    learned = {"detector_response": "learned", "detector_command": command}
+    found = play(tmp_path / "game", search_runs=0, false_alarms_per_hour=60.0, **learned)
+    labels = [[m["label"] for m in each["matrix"]["detectors"]] for each in found["iterations"]]
+    assert labels[1] == [*labels[0], "learned 0"]
+    assert "learned 1" in found["iterations"][1]["best_detector"]["best"]
 
 
 @pytest.mark.parametrize(
