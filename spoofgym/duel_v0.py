@@ -5,6 +5,9 @@ epoch that has just arrived (``decision_delay`` 0); in `parallel_env` its decisi
 epoch late (``decision_delay`` 1): two different games.  The page docs/duel.md says which agent
 observes what, and when.
 
+A population of both sides is a matrix game, `Game`, with equilibria, best responses and their
+exploitability: docs/game.md.
+
 PettingZoo is imported when `env` or `parallel_env` is called; the views and `calibrate` do without.
 """
 
@@ -15,31 +18,43 @@ from typing import Any
 from .detectors.learned.agent import PolicyDetector
 from .detectors.learned.card import DetectorCard, OnnxDetector
 from .detectors.learned.policy import DetectorPolicy, FunctionPolicy
+from .duel.best_response import AttackBudget, best_detector, best_spoofer, exploitability
 from .duel.calibrate import calibrate
 from .duel.calibration import Calibration
 from .duel.card import write_card
 from .duel.detector_view import DetectorVectorView, DetectorView
+from .duel.matrix_game import solve
+from .duel.members import member_of, mixture
 from .duel.payoff import NeymanPearson, Weighted
+from .duel.population import Game
 from .duel.rules import duel_signature
 from .duel.spoofer_view import SpooferVectorView, SpooferView
 
 __all__ = [
+    "AttackBudget",
     "Calibration",
     "DetectorCard",
     "DetectorPolicy",
     "DetectorVectorView",
     "DetectorView",
     "FunctionPolicy",
+    "Game",
     "NeymanPearson",
     "OnnxDetector",
     "PolicyDetector",
     "SpooferVectorView",
     "SpooferView",
     "Weighted",
+    "best_detector",
+    "best_spoofer",
     "calibrate",
     "env",
+    "exploitability",
+    "member_of",
+    "mixture",
     "parallel_env",
     "raw_env",
+    "solve",
     "write_card",
 ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,26 @@ class ReplayPlayer:
         found = self.replay.play(self.number, curves, rows=self._rows[rows])
         error = found.error[: self.replay.setup.steps]
         return found.peak, error.max(axis=0).mean(axis=1)
+
+
+class MixedPlayer:
+    """Several players, each of which plays its share of the runs: a pool of their detectors."""
+
+    def __init__(self, players: Sequence[ReplayPlayer], weights: Sequence[float]) -> None:
+        self.players, self.steps, self.limits = players, players[0].steps, players[0].limits
+        self.runs = min(each.runs for each in players)
+        ends = np.round(np.cumsum(weights) / np.sum(weights) * self.runs).astype(int)
+        self._owner = np.searchsorted(ends, np.arange(self.runs), side="right")
+
+    def play(self, curves: FloatArray, rows: Rows) -> tuple[FloatArray, FloatArray]:
+        """Largest ratios (P, n), and mean over the runs of the farthest error (P,) [m]."""
+        peak, reach = np.zeros((len(curves), len(rows))), np.zeros(len(curves))
+        for k, player in enumerate(self.players):
+            mine = self._owner[rows] == k
+            if mine.any():
+                peak[:, mine], farthest = player.play(curves, rows[mine])
+                reach += farthest * mine.mean()
+        return peak, reach
 
 
 class EnginePlayer:

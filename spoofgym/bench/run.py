@@ -113,8 +113,13 @@ def play(
     *,
     drop_alarmed: bool = False,
     tick: Callable[[float], None] | None = None,
+    watch: Callable[[int, Engine], None] | None = None,
 ) -> Runs:
-    """Let a spoofer attack all runs, from the onset to the end of the hold."""
+    """Let a spoofer attack all runs, from the onset to the end of the hold.
+
+    `watch` is called after every epoch with its number, from 0 on, and the engine; it needs all
+    runs, so that none may be dropped.
+    """
     setup = start.setup
     epochs, everyone = setup.steps + setup.hold, start.receivers
     alarm = np.zeros((epochs, everyone), dtype=np.bool_)
@@ -132,6 +137,8 @@ def play(
         alarm[k, rows] = verdict.alarm.any(axis=1)
         blamed[rows] += verdict.alarm.sum(axis=1)
         peak[rows] = np.maximum(peak[rows], simulator.ratio())
+        if watch is not None:
+            watch(k, attacker.engine)
         if tick is not None:
             tick(1.0 / epochs)
         if drop_alarmed and (k + 1) % DROP_EVERY == 0:

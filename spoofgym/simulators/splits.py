@@ -14,6 +14,7 @@ SPLITS = {
     "holdout": 4,
     "selection": 5,
     "search": 6,
+    "game": 7,
 }
 """First element of the spawn keys; 3 was once another split's."""
 

@@ -1,0 +1,146 @@
+"""Best responses, chosen on runs of their own, and both ends of the exploitability."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from spoofgym.bench.blind_optimum import BlindSearch
+from spoofgym.duel.best_response import (
+    AttackBudget,
+    best_detector,
+    best_spoofer,
+    exploitability,
+    upper_end,
+)
+from spoofgym.duel.members import member_of, mixture
+from spoofgym.duel.population import Game
+
+from .test_population import CHI2, CUSUM, EWMA, NOMINAL, RAMP, SHARP, SHORT
+
+SEPARATION = {"name": "solution-separation", **NOMINAL}
+SEARCH = BlindSearch(runs=8, batch=4, knots=4, population=4, generations=1)
+BUDGET = AttackBudget(runs=6, sift_runs=3, values=4, kept=3, blind=SEARCH)
+
+
+def game(**settings):
+    return Game(**{"limit_m": 5.0, "runs": 6, "timeline": SHORT, **settings})
+
+
+def mix_of(side, *specs):
+    members = [member_of(spec, side) for spec in specs]
+    return mixture(f"{side}s", members, np.ones(len(members)))
+
+
+@pytest.fixture(scope="module")
+def answered():
+    mix = mix_of("detector", SHARP, SEPARATION)
+    given = member_of({"name": "ramp", "rate_mps": 0.01}, "spoofer", label="slow")
+    warm = member_of({"name": "profile", "rates_mps": [0.0, 0.1, 0.4]}, "spoofer", label="curve")
+    return mix, best_spoofer(
+        game(), mix, BUDGET, entropy=3, given=[given], warm=[warm], label="new"
+    )
+
+
+def test_a_response_is_the_best_of_all_families(answered):
+    _, found = answered
+    assert {"slow", "ramp", "accelerating-ramp", "feedback", "blind-optimum"} <= set(found.best)
+    assert set(found.best) == set(found.by_family)
+    assert found.value > found.best["slow"]
+    assert found.member.label.startswith("new: ")
+    assert json.dumps(found.as_json(), allow_nan=False)
+
+
+def test_a_response_is_not_scored_on_the_runs_that_chose_it(answered):
+    mix, found = answered
+    assert found.member.decided_on == {(3, "selection"), (3, "search")}
+    with pytest.raises(ValueError, match="trained or chosen on"):
+        game(split="selection", entropy=3).matrix([found.member], [mix], oracles=True)
+    fresh = game(split="evaluation").matrix([found.member, RAMP], [mix], oracles=True)
+    assert np.isfinite(fresh.values).all()
+
+
+def test_the_same_budget_finds_the_same_response(answered):
+    mix, found = answered
+    given, warm = (
+        found.by_family["slow"],
+        member_of({"name": "profile", "rates_mps": [0.0, 0.1, 0.4]}, "spoofer", label="curve"),
+    )
+    again = best_spoofer(game(), mix, BUDGET, entropy=3, given=[given], warm=[warm], label="new")
+    assert again == found
+    assert BUDGET.as_json()["digest"] == AttackBudget(**vars(BUDGET)).as_json()["digest"]
+    assert BUDGET.as_json()["digest"] != AttackBudget().as_json()["digest"]
+
+
+def test_without_oracles_nobody_observes_statistics():
+    blind = AttackBudget(runs=3, sift_runs=2, values=2, kept=1, blind=None, oracles=False)
+    found = best_spoofer(game(), mix_of("detector", CUSUM), blind, entropy=0)
+    assert "feedback" not in found.best
+    assert "blind-optimum" not in found.best
+    assert {each.knowledge for each in found.by_family.values()} == {"blind"}
+
+
+def test_a_search_says_whom_it_leaves_out():
+    few = AttackBudget(runs=2, sift_runs=2, values=2, kept=1, blind=SEARCH, oracles=False)
+    found = best_spoofer(game(), mix_of("detector", EWMA), few, entropy=0)
+    (note,) = found.notes
+    assert note.startswith("the search for blind optima is without ewma")
+    assert note.endswith(": it takes weight off measurements")
+    assert "blind-optimum" not in found.best
+
+
+def test_the_best_detector_concedes_the_least():
+    detectors = [member_of(spec, "detector") for spec in (CHI2, SHARP, SEPARATION)]
+    mix = mix_of("spoofer", {"name": "ramp", "rate_mps": 0.8})
+    found = best_detector(game(), mix, detectors, runs=6, entropy=0)
+    assert found.value == min(found.best.values()) < max(found.best.values())
+    assert found.member in detectors
+
+
+def test_what_a_side_gains_is_paired_and_nothing_for_its_own_mix():
+    spoofers, detectors = mix_of("spoofer", RAMP), mix_of("detector", SHARP, SEPARATION)
+    fresh = game(split="evaluation")
+    fast = member_of({"name": "accelerating-ramp"}, "spoofer")
+    same = exploitability(fresh, spoofers, detectors, spoofers.members[0], detectors.members[0])
+    assert same.spoofer.below == (0.0, 0.0, 0.0)
+    found = exploitability(fresh, spoofers, detectors, fast, detectors.members[1])
+    matrix = fresh.matrix([spoofers, fast], [detectors, detectors.members[1]])
+    (value, conceded), (got, _) = matrix.values
+    assert found.value.value == pytest.approx(value)
+    assert found.spoofer.below.value == pytest.approx(got - value)
+    assert found.detector.below.value == pytest.approx(value - conceded)
+    assert found.below.value == pytest.approx(got - conceded)
+    assert json.dumps(found.as_json(), allow_nan=False)
+
+
+def test_the_upper_end_is_the_bounds_weighted_by_the_mix():
+    one, why = upper_end(game(limit_m=100.0), mix_of("detector", SEPARATION))
+    assert 0.0 < one < 1.0
+    assert "solution-separation" in why
+    other, _ = upper_end(game(limit_m=100.0), mix_of("detector", SHARP))
+    both, _ = upper_end(game(limit_m=100.0), mix_of("detector", SEPARATION, SHARP))
+    assert both == pytest.approx((one + other) / 2)
+    all_of_it, why = upper_end(game(limit_m=1e-3), mix_of("detector", SEPARATION))
+    assert all_of_it == 1.0
+    assert why.endswith("so that they say nothing")
+    # nobody exceeds it
+    spoofers = [{"name": "accelerating-ramp", "acceleration_mps2": a} for a in (0.01, 0.03, 0.05)]
+    matrix = game(limit_m=100.0).matrix(spoofers, [SEPARATION])
+    assert matrix.values.max() <= one
+
+
+def test_there_is_no_upper_end_where_a_member_has_no_bound():
+    bound, why = upper_end(game(), mix_of("detector", SEPARATION, EWMA))
+    assert bound is None
+    assert why.startswith("ewma")
+    assert why.endswith(" has no bound: it takes weight off measurements")
+    with pytest.raises(ValueError, match="detectors"):
+        upper_end(game(), mix_of("spoofer", RAMP))
+
+
+@pytest.mark.parametrize("setting", ["runs", "sift_runs", "values", "kept"])
+def test_a_budget_of_nothing_is_refused(setting):
+    with pytest.raises(ValueError, match=setting):
+        AttackBudget(**{setting: 0})

@@ -1,0 +1,118 @@
+"""Zero-sum matrix games: known equilibria, guarantees of both sides, and bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from spoofgym.duel.matrix_game import gains, solve, spread
+
+ROCK_PAPER_SCISSORS = [[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]]
+
+
+@pytest.mark.parametrize(
+    ("payoff", "rows", "columns", "value"),
+    [
+        (ROCK_PAPER_SCISSORS, [1 / 3] * 3, [1 / 3] * 3, 0.0),
+        ([[1.0, -1.0], [-1.0, 1.0]], [0.5, 0.5], [0.5, 0.5], 0.0),
+        # the third row is dominated by the first, the third column by the second
+        ([[3.0, 0.0, 4.0], [1.0, 2.0, 5.0], [2.0, -1.0, 3.0]], [0.25, 0.75, 0], [0.5, 0.5, 0], 1.5),
+        ([[2.0, 1.0], [0.0, 5.0]], [5 / 6, 1 / 6], [2 / 3, 1 / 3], 5 / 3),
+    ],
+)
+def test_known_games_have_their_mixes(payoff, rows, columns, value):
+    found = solve(payoff)
+    np.testing.assert_allclose(found.spoofer, rows, atol=1e-9)
+    np.testing.assert_allclose(found.detector, columns, atol=1e-9)
+    assert found.value == pytest.approx(value, abs=1e-9)
+    assert not found.pure
+
+
+@pytest.mark.parametrize(
+    ("payoff", "row", "column"),
+    [
+        ([[4.0, 1.0, 3.0], [5.0, 2.0, 2.5]], 1, 1),
+        ([[7.0]], 0, 0),
+        ([[0.0, 0.0], [0.0, 0.0]], 0, 0),
+    ],
+)
+def test_a_saddle_point_is_a_pure_pair(payoff, row, column):
+    found = solve(payoff)
+    assert found.pure
+    assert (found.spoofer[row], found.detector[column]) == (1.0, 1.0)
+    assert found.value == payoff[row][column]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_neither_side_gains_by_leaving_a_random_game(seed):
+    rng = np.random.default_rng(seed)
+    payoff = rng.normal(size=rng.integers(1, 12, 2)) * 10.0 ** rng.integers(-3, 4)
+    found, size = solve(payoff), np.abs(payoff).max()
+    for mix in (found.spoofer, found.detector):
+        assert mix.min() >= 0.0
+        assert mix.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(gains(payoff, found.spoofer, found.detector), 0.0, atol=1e-6 * size)
+    # what each is sure of is the same, and no pure strategy is sure of more
+    assert (found.spoofer @ payoff).min() == pytest.approx(found.value, abs=1e-6 * size)
+    assert payoff.min(axis=1).max() <= found.value + 1e-6 * size
+    assert payoff.max(axis=0).min() >= found.value - 1e-6 * size
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_two_by_two_games_agree_with_every_mix_of_a_fine_grid(seed):
+    payoff = np.random.default_rng(100 + seed).uniform(size=(2, 2))
+    p = np.linspace(0.0, 1.0, 20_001)
+    sure = (np.column_stack([p, 1.0 - p]) @ payoff).min(axis=1).max()
+    assert solve(payoff).value == pytest.approx(sure, abs=1e-4)
+
+
+def test_value_moves_with_the_payoffs():
+    payoff = np.random.default_rng(5).uniform(size=(4, 3))
+    plain, moved = solve(payoff), solve(3.0 * payoff - 2.0)
+    assert moved.value == pytest.approx(3.0 * plain.value - 2.0)
+    assert solve(-payoff.T).value == pytest.approx(-plain.value)  # the sides are exchanged
+
+
+def test_gains_of_a_bad_pair_are_what_each_loses():
+    assert gains([[1.0, -1.0], [-1.0, 1.0]], [1.0, 0.0], [1.0, 0.0]) == (0.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("payoff", "words"),
+    [
+        (np.zeros((0, 3)), "shape"),
+        (np.zeros((2, 0)), "shape"),
+        ([1.0, 2.0], "shape"),
+        ([[1.0, np.nan]], "nan at"),
+        ([[1.0], [np.inf]], "inf at"),
+    ],
+)
+def test_what_is_no_matrix_of_payoffs_is_refused(payoff, words):
+    with pytest.raises(ValueError, match=words):
+        solve(payoff)
+
+
+def test_samples_without_noise_leave_no_interval():
+    payoff = np.array([[2.0, 1.0], [0.0, 5.0]])
+    found = spread(payoff, np.repeat(payoff[None], 7, axis=0))
+    for each in (found.value, *found.spoofer, *found.detector):
+        assert each.low == pytest.approx(each.value, abs=1e-9)
+        assert each.high == pytest.approx(each.value, abs=1e-9)
+    assert (found.pure, found.samples) == (0.0, 7)
+
+
+def test_a_sample_that_makes_another_game_widens_the_intervals():
+    payoff = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    found = spread(payoff, np.array([payoff, payoff, [[3.0, 2.0], [0.0, 0.0]]]))
+    assert found.value.high > 1.5
+    assert found.pure == pytest.approx(1 / 3)
+
+
+def test_samples_that_can_not_be_solved_are_left_out_or_refused():
+    payoff = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    unknown = np.full((2, 2), np.nan)
+    assert spread(payoff, np.array([payoff, unknown])).samples == 1
+    with pytest.raises(ValueError, match="too few runs"):
+        spread(payoff, unknown[None])
+    with pytest.raises(ValueError, match="shape"):
+        spread(payoff, np.zeros((3, 2, 1)))

@@ -1,0 +1,266 @@
+"""Payoffs of populations on paired runs, what is kept of them, and what is refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from spoofgym import duel_v0
+from spoofgym.bench.run import displacement_of, play
+from spoofgym.bench.scores import counted
+from spoofgym.detectors import make_detector
+from spoofgym.duel import population
+from spoofgym.duel.members import member_of, mixture, strategy_of
+from spoofgym.duel.payoff_matrix import RunPayoff
+from spoofgym.duel.population import Game
+from spoofgym.spoofers import Ramp
+from spoofgym.spoofers.model import ModelPolicy
+
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
+NOMINAL = {"thresholds": "nominal"}
+CHI2 = {"name": "snapshot-chi2", **NOMINAL}
+CUSUM = {"name": "cusum", "signals": "range_rate", **NOMINAL}
+SHARP = {"name": "snapshot-chi2", "signals": "range_rate", "false_alarm": 0.003, **NOMINAL}
+EWMA = {"name": "ewma", **NOMINAL}
+"""It takes weight off measurements."""
+DETECTORS = [CHI2, CUSUM, SHARP, EWMA]
+RAMP = {"name": "ramp", "rate_mps": 0.2}
+SPOOFERS = ["none", RAMP, {"name": "ramp", "rate_mps": 0.8}, "feedback"]
+RUNS = 6
+
+
+def game(**settings):
+    return Game(**{"limit_m": 5.0, "runs": RUNS, "timeline": SHORT, **settings})
+
+
+@pytest.fixture(scope="module")
+def played():
+    found = game()
+    return found, found.matrix(SPOOFERS, DETECTORS, oracles=True)
+
+
+def test_a_shared_pass_equals_separate_ones_to_the_last_bit(played):
+    found, matrix = played
+    for j, detector in enumerate(matrix.detectors):
+        field = found._field([detector], alone=True)
+        twin, setup = field.twin, field.start.setup
+        assert np.array_equal(matrix.counts[j], counted(field.start.warmup_alarm, twin.first_alarm))
+        for i, spoofer in enumerate(matrix.spoofers):
+            runs = play(field.start, spoofer.given)
+            moved = displacement_of(setup, runs, twin)
+            assert np.array_equal(matrix.displacement[i, j], moved)
+            assert np.array_equal(matrix.alarmed[i, j], runs.first_alarm > 0)
+
+
+def test_all_entries_have_the_same_runs(played):
+    _, matrix = played
+    never_alarm = [j for j in range(2) if not matrix.alarmed[1, j].any()]
+    assert never_alarm == [0, 1]  # so that the next line is about two detectors
+    assert np.array_equal(matrix.displacement[1, 0], matrix.displacement[1, 1])
+    assert len(np.unique(matrix.displacement[1, 0])) == RUNS  # and about runs that differ
+
+
+def test_a_part_of_the_matrix_has_the_entries_of_the_whole(played):
+    _, matrix = played
+    part = game().matrix([SPOOFERS[1]], [DETECTORS[2]])
+    np.testing.assert_array_equal(part.displacement[0, 0], matrix.displacement[1, 2])
+    np.testing.assert_allclose(part.values, matrix.values[1:2, 2:3])
+    more = game(runs=RUNS - 2).matrix([SPOOFERS[1]], [DETECTORS[2]])
+    np.testing.assert_array_equal(more.displacement[0, 0], matrix.displacement[1, 2, : RUNS - 2])
+
+
+def test_payoffs_need_no_budget():
+    moved = np.array([0.0, 2.0, 9.0, 9.0])
+    alarmed = np.array([False, False, False, True])
+    stealth, hmi = RunPayoff("stealth", 8.0), RunPayoff("hmi", 8.0)
+    np.testing.assert_array_equal(stealth.worth(moved, alarmed), [0.0, 0.25, 1.0, 0.0])
+    np.testing.assert_array_equal(hmi.worth(moved, alarmed), [0.0, 0.0, 1.0, 1.0])
+
+
+def test_nobody_is_paid_for_nothing_and_no_more_than_all(played):
+    _, matrix = played
+    np.testing.assert_array_equal(matrix.values[0], 0.0)
+    assert matrix.values.max() <= 1.0
+    assert matrix.values[1:].max() > 0.1
+
+
+def test_a_mixture_is_worth_what_its_members_are_on_average(played):
+    found, matrix = played
+    who = mixture("half", [matrix.spoofers[1], matrix.spoofers[2]], [1.0, 1.0])
+    whom = mixture("third", [matrix.detectors[0], matrix.detectors[2]], [1.0, 2.0])
+    mixed = found.matrix([who, RAMP], [whom, CHI2])
+    expected = matrix.values[1:3][:, [0, 2]] @ [1 / 3, 2 / 3]
+    np.testing.assert_allclose(mixed.values[0, 0], expected.mean())
+    np.testing.assert_allclose(mixed.values[1, 0], expected[0])
+    named = found.matrix([{"none": 1.0, "ramp": 3.0}], [CHI2])
+    assert named.spoofers[0].label == "1 none + 3 ramp"
+    assert named.rows.tolist() == [[0.25, 0.75]]
+    with pytest.raises(ValueError, match="mix of mixtures"):
+        mixed.mixes(mixed.solve())
+
+
+def test_an_equilibrium_is_a_pool_for_both_sides(played):
+    _, matrix = played
+    spoofers, detectors = matrix.mixes(matrix.solve())
+    pool = json.loads(json.dumps(detectors.pool()))
+    assert len(make_detector(pool).judges) == len(detectors.members)
+    given = json.loads(json.dumps(spoofers.pool()))
+    view = duel_v0.DetectorView(**given, timeline=SHORT, target_heading_deg=90.0)
+    view.reset(seed=1)
+    view.close()
+    assert json.dumps(matrix.as_json(), allow_nan=False)
+    assert sum(spoofers.weights) == pytest.approx(1.0)
+    assert matrix.seeds in detectors.decided_on
+
+
+def test_a_difference_is_paired(played):
+    _, matrix = played
+    same = np.zeros(matrix.values.shape)
+    same[1, 0], same[1, 1] = 1.0, -1.0  # two detectors that never alarm
+    assert matrix.contrast(same) == (0.0, 0.0, 0.0)
+    spread = matrix.spread(50)
+    assert spread.value.low <= spread.value.value <= spread.value.high
+    assert 0.0 <= spread.value.low <= spread.value.high <= 1.0
+
+
+def test_what_is_kept_is_not_played_again_and_is_the_same(tmp_path, monkeypatch, played):
+    _, matrix = played
+    with monkeypatch.context() as patch:
+        attack, calls = Game._attack, []
+
+        def killed(self, *args):
+            if len(calls) == 2:
+                raise KeyboardInterrupt
+            calls.append(args)
+            attack(self, *args)
+
+        patch.setattr(Game, "_attack", killed)
+        with pytest.raises(KeyboardInterrupt):
+            game(folder=tmp_path).matrix(SPOOFERS, DETECTORS, oracles=True)
+    assert len(list(tmp_path.glob("*.npz"))) == 2 * 3  # two spoofers, three passive detectors
+    again = game(folder=tmp_path).matrix(SPOOFERS, DETECTORS, oracles=True)
+    np.testing.assert_array_equal(again.values, matrix.values)
+    monkeypatch.setattr(population, "play", None)
+    third = game(folder=tmp_path)
+    assert third.passes(again.spoofers, again.detectors) == 0
+    np.testing.assert_array_equal(
+        third.matrix(SPOOFERS, DETECTORS, oracles=True).values, matrix.values
+    )
+
+
+def test_other_runs_or_another_world_are_other_entries(tmp_path):
+    def entry(**settings):
+        found = game(folder=tmp_path, **settings)
+        return found._file(strategy_of(RAMP, "spoofer"), strategy_of(CHI2, "detector"))
+
+    files = [
+        entry(),
+        entry(entropy=1),
+        entry(split="evaluation"),
+        entry(runs=RUNS + 1),
+        entry(timeline={**SHORT, "attack_s": 20.0}),
+    ]
+    assert len(set(files)) == len(files)
+    assert entry(payoff="hmi", limit_m=9.0) == files[0]  # how runs are paid changes none of them
+
+
+def test_objects_play_and_leave_nothing_in_the_folder(tmp_path):
+    found = game(folder=tmp_path)
+    model = ModelPolicy(lambda seen: np.full((len(seen), 1), 0.1), label="mine", knowledge="blind")
+    matrix = found.matrix([Ramp(rate_mps=0.2), model], [CHI2])
+    assert [each.label for each in matrix.spoofers] == ["ramp(rate_mps=0.2)", "mine"]
+    assert len(list(tmp_path.glob("*.npz"))) == 1  # a ramp can be described, a function can't
+    with pytest.raises(TypeError, match="mine"):
+        mixture("mix", matrix.spoofers, [1.0, 1.0]).pool()
+
+
+def test_nobody_is_scored_on_runs_that_decided_on_it(played):
+    found, matrix = played
+    chosen = member_of(RAMP, "spoofer", label="chosen", decided_on=[(0, "game")])
+    with pytest.raises(ValueError, match="trained or chosen on the runs"):
+        found.matrix([chosen], [CHI2])
+    for fresh in (found.on("evaluation"), found.on("game", entropy=1)):
+        assert fresh.seeds not in chosen.decided_on
+    mix, _ = matrix.mixes(matrix.solve())
+    with pytest.raises(ValueError, match="spoofers' mix was trained or chosen"):
+        found.matrix([mix], [CHI2], oracles=True)
+    guard = member_of(CHI2, "detector", decided_on=[(0, "game")])
+    with pytest.raises(ValueError, match="trained or chosen"):
+        found.matrix([RAMP], [mixture("mix", [guard], [1.0])])
+
+
+def test_an_oracle_is_marked_and_not_compared_unasked(played):
+    found, matrix = played
+    assert matrix.spoofers[3].knowledge == "oracle"
+    assert [each.get("knowledge") for each in matrix.as_json()["spoofers"]] == [
+        *["blind"] * 3,
+        "oracle",
+    ]
+    with pytest.raises(ValueError, match=r"feedback: an oracle.*oracles=True"):
+        found.matrix(SPOOFERS, [CHI2])
+    assert found.matrix(["none", "feedback"], [CHI2]).values.shape == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("spoofers", "detectors", "words"),
+    [
+        ([], [CHI2], "at least one strategy"),
+        ([RAMP], [], "at least one strategy"),
+        (["rmap"], [CHI2], "ramp"),
+        ([RAMP], ["cusumm"], "cusum"),
+        ([{"rmap": 1.0}], [CHI2], "ramp"),
+        ([{"ramp": -1.0}], [CHI2], "weights"),
+        ([{}], [CHI2], "at least one member"),
+        ([{"name": "ramp", "rate_mps": "tuned"}], [CHI2], "fit"),
+        (["blind-optimum"], [CHI2], "fit"),
+        ([RAMP], ["oracle-ramp"], "oracle"),
+        ([RAMP], ["no-such.onnx"], "no-such.onnx"),
+    ],
+)
+def test_bad_members_are_named(spoofers, detectors, words):
+    with pytest.raises((ValueError, OSError), match=words):
+        game().matrix(spoofers, detectors)
+
+
+def test_two_members_of_one_name_are_refused():
+    one = member_of(RAMP, "spoofer", label="mine")
+    other = member_of("ramp", "spoofer", label="mine")
+    with pytest.raises(ValueError, match="two spoofers are called 'mine'"):
+        game().matrix([one, other], [CHI2])
+    with pytest.raises(ValueError, match="is a spoofer, and no detector"):
+        game().matrix([RAMP], [one])
+
+
+def test_a_detector_that_leaves_no_run_has_no_payoff():
+    always = {"name": "snapshot-chi2", "threshold_scale": 1e-9}
+    matrix = game().matrix([RAMP], [CHI2, always])
+    assert np.isnan(matrix.values).tolist() == [[False, True]]
+    with pytest.raises(ValueError, match=r"ramp\(rate_mps=0.2\) against snapshot-chi2.*no payoff"):
+        matrix.solve()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"limit_m": None}, "limit_m"),
+        ({"limit_m": -1.0}, "limit_m"),
+        ({"split": "calibration"}, "split"),
+        ({"split": "mine"}, "split"),
+        ({"payoff": "gold"}, "payoff"),
+        ({"speed": 1.0}, "speed"),
+        ({"task": "T3"}, "decides the world"),
+    ],
+)
+def test_bad_games_are_refused(settings, words):
+    with pytest.raises((ValueError, TypeError), match=words):
+        game(**settings)
+
+
+def test_a_task_brings_its_world_and_its_alert_limit():
+    found = Game("T3")
+    assert found.payoff.limit_m == 20.0
+    assert found.setup.name == "trolley"
+    with pytest.raises(ValueError, match="limit_m"):
+        Game("T1")

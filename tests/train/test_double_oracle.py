@@ -1,0 +1,141 @@
+"""The double oracle, end to end, in a world that takes seconds."""
+
+from __future__ import annotations
+
+import json
+import sys
+from functools import partial
+
+import pytest
+
+# ruff: noqa: E402 - the packages of the laboratory may be missing
+for name in ("stable_baselines3", "onnxscript", "tyro"):
+    pytest.importorskip(name)
+
+from rich.console import Console
+
+import spoofgym.tasks
+from spoofgym import duel_v0
+from spoofgym.detectors import make_detector
+from spoofgym.detectors.calibration import FOLDER_VARIABLE
+from spoofgym.simulators import calibrate
+from spoofgym.tasks import Task
+from train import double_oracle
+from train.double_oracle import RESULTS, Arguments, DoubleOracle, main
+
+from ..spoofers.policies import network
+
+SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
+QUICK = {
+    "iterations": 2,
+    "runs": 6,
+    "selection_runs": 4,
+    "sift_runs": 2,
+    "values": 2,
+    "search_runs": 8,
+    "generations": 1,
+    "detectors": (
+        "snapshot-chi2:thresholds=nominal",
+        "solution-separation:thresholds=nominal",
+        "cusum:thresholds=nominal,signals=range_rate",
+    ),
+}
+
+
+@pytest.fixture(autouse=True)
+def short_task(monkeypatch):
+    task = Task("T3", "short", {"timeline": SHORT}, ({"name": "ewma"},), 5.0)
+    monkeypatch.setitem(spoofgym.tasks.TASKS, "T3", task)
+
+
+def quiet():
+    return Console(quiet=True)
+
+
+def play(out, **changes):
+    return main(Arguments(out=out, **{**QUICK, **changes}), quiet())
+
+
+@pytest.fixture
+def whole(tmp_path):
+    return play(tmp_path / "whole")
+
+
+def test_a_game_grows_and_has_a_page(tmp_path, whole):
+    first, last = (each["matrix"] for each in whole["iterations"])
+    assert len(last["detectors"]) == len(first["detectors"]) == 3
+    labels = [each["label"] for each in last["spoofers"]]
+    assert labels[: len(first["spoofers"])] == [each["label"] for each in first["spoofers"]]
+    assert "feedback (start)" in labels
+    for each in whole["iterations"]:
+        assert each["exploitability"]["below"]["value"] is not None
+        assert each["matrix"]["split"] == "game"
+    make_detector(whole["final"]["pool"])
+    page = (tmp_path / "whole" / "game.md").read_text()
+    assert "| feedback (start) | oracle |" in page
+    assert json.loads((tmp_path / "whole" / RESULTS).read_text()) == json.loads(json.dumps(whole))
+
+
+def test_a_killed_game_goes_on_to_the_same_result(tmp_path, whole, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(double_oracle, "exploitability", lambda *args: sys.exit(1))
+        with pytest.raises(SystemExit):
+            play(tmp_path / "killed")
+    assert (tmp_path / "killed" / "start.json").is_file()
+    assert not (tmp_path / "killed" / "iteration-0.json").exists()
+    assert play(tmp_path / "killed") == whole
+    monkeypatch.setattr(DoubleOracle, "_iterate", None)  # what is finished is not played again
+    monkeypatch.setattr(DoubleOracle, "_final", None)
+    assert play(tmp_path / "killed") == whole
+
+
+def test_another_game_does_not_go_on_in_the_same_folder(tmp_path):
+    (tmp_path / "config.json").write_text('{"task": "T4"}')
+    with pytest.raises(SystemExit, match="other settings"):
+        play(tmp_path)
+
+
+@pytest.mark.slow
+def test_ppo_answers_a_mix(tmp_path):
+    found = play(tmp_path, iterations=1, search_runs=0, ppo_steps=100)
+    policies = {name for name in found["iterations"][0]["best_spoofer"]["best"] if "PPO" in name}
+    assert policies >= {"PPO 1, 0.5", "PPO 1, 0.7", "PPO 1, 1"}
+
+
+def test_a_learned_detector_is_calibrated_and_enters(tmp_path, monkeypatch):
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "calibrations"))
+    view = duel_v0.DetectorView(timeline=SHORT)
+    sizes = view.observation_space.shape[0], view.action_space.shape[0]
+    guard = tmp_path / "guard.onnx"
+    guard.write_bytes(network(*sizes).SerializeToString())
+    duel_v0.write_card(guard, view, name="guard")
+    script = tmp_path / "write.py"
+    script.write_text(
+        "import json, pathlib, shutil, sys\n"
+        "assert json.load(open(sys.argv[3]))['weights']\n"
+        "guard, out = map(pathlib.Path, sys.argv[1:3])\n"
+        "for end in ('.json', '.onnx'):\n"
+        "    shutil.copy(guard.with_suffix(end), out.with_suffix(end))\n"
+    )
+    monkeypatch.setattr(double_oracle, "calibrate", partial(calibrate, runs=60))
+    command = f"{sys.executable} {script} {guard} {{out}} {{pool}}"
+    learned = {"detector_response": "learned", "detector_command": command}
+    found = play(tmp_path / "game", search_runs=0, false_alarms_per_hour=60.0, **learned)
+    labels = [[m["label"] for m in each["matrix"]["detectors"]] for each in found["iterations"]]
+    assert labels[1] == [*labels[0], "learned 0"]
+    assert "learned 1" in found["iterations"][1]["best_detector"]["best"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"task": "T9"}, "T9"),
+        ({"payoff": "gold"}, "payoff"),
+        ({"iterations": 0}, "iterations"),
+        ({"detector_response": "learned"}, "detector_command"),
+        ({"detector_command": "python"}, "detector_command"),
+    ],
+)
+def test_bad_settings_are_refused(tmp_path, changes, words):
+    with pytest.raises(ValueError, match=words):
+        Arguments(out=tmp_path, **changes)

@@ -1,0 +1,451 @@
+"""Double oracle: populations of spoofers and detectors that grow by best responses to mixes.
+
+    python -m train.double_oracle --task T3 --out runs/game
+
+What happens (`mcmahan2003`, `lanctot2017`):
+
+1. The game starts with all detectors that are calibrated in the world of the task, at one rate of
+   false alarms, and with the best attack of every scripted family against an even mix of them:
+   ramps, accelerating ramps, profiles, dashes, feedback and blind optima.  Nobody is ever removed.
+2. In every iteration all pairs play the runs of the split `game`, the matrix is solved, and both
+   sides look for a best response to the mix of the other: a spoofer among all families, blind
+   optima and, with `--ppo-steps`, a policy that PPO of stable-baselines3 learns; a detector among
+   those that are there and, with `--detector-response learned`, one that `--detector-command`
+   makes, calibrated to the same rate before it enters.
+3. Both responses are scored against the mixes on the split `evaluation`, which decides nothing:
+   that is the exploitability from below.  From above it is known where all detectors of the mix
+   have a zero-alarm bound.  The budget of the search is the same in all iterations.
+4. At the end the mix of detectors and the best single one each meet the best response to them, on
+   the same fresh runs.  That a single detector solves the game is a valid result.
+
+The folder holds `config.json`, `entries/` with a file for every pair, a file for every iteration,
+`results.json` and the page `game.md`.  After a kill the same command goes on, to the same result.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+
+from spoofgym._files import remove_stale_parts, write_file
+from spoofgym._registry import check_choice, whole_number
+from spoofgym.bench.blind_optimum import BlindSearch
+from spoofgym.bench.specs import make_judge, parse_spec
+from spoofgym.bench.tables import interval
+from spoofgym.detectors import DETECTORS
+from spoofgym.detectors.calibrated import ASKED, STANDARD_RATE
+from spoofgym.duel.best_response import (
+    AttackBudget,
+    Response,
+    best_detector,
+    best_spoofer,
+    exploitability,
+)
+from spoofgym.duel.members import DETECTOR, SPOOFER, Member, Mixture, member_of, mixture
+from spoofgym.duel.payoff_matrix import PAYOFFS, PayoffMatrix
+from spoofgym.duel.population import Game
+from spoofgym.simulators.calibration import calibrate, suitable_detectors
+from spoofgym.tasks import RANGE_RATE_TESTS, task_of
+
+CONFIG, RESULTS, PAGE = "config.json", "results.json", "game.md"
+RESPONSES = ("none", "learned")
+AMPLITUDES = (0.5, 0.7, 1.0)
+"""Factors on the commands of a learned policy that are tried."""
+NUM_ENVS, N_STEPS, BATCH = 32, 300, 2400
+"""Of PPO; the rest are the defaults of stable-baselines3, with gamma 1."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Settings of a game; all but `threads` belong to its identity."""
+
+    out: Path
+    """Folder of the game."""
+    task: str = "T3"
+    """Task whose world and alert limit are taken, T1 to T6."""
+    iterations: int = 3
+    """Matrices that are solved; the first one is that of the start."""
+    detectors: tuple[str, ...] = ()
+    """Detectors as name:key=value or JSON; by default all that are calibrated in this world."""
+    false_alarms_per_hour: float = STANDARD_RATE
+    """Rate of all detectors."""
+    payoff: str = "stealth"
+    """What a run is worth: stealth or hmi."""
+    limit_m: float = 0.0
+    """Alert limit in place of the task's; 0 for that."""
+    runs: int = 200
+    """Runs of the matrix, and as many fresh ones."""
+    selection_runs: int = 96
+    """Runs that decide on best responses."""
+    sift_runs: int = 32
+    """How many of them play all candidates."""
+    values: int = 8
+    """Values of every family's setting that are tried."""
+    search_runs: int = 64
+    """Runs of the search for blind optima; 0 for no search."""
+    generations: int = 6
+    """Of that search."""
+    ppo_steps: int = 0
+    """Steps of a PPO best response in every iteration; 0 for none."""
+    detector_response: str = "none"
+    """none, or learned by `detector_command`."""
+    detector_command: str = ""
+    """Command that writes a detector to {out}, against the spoofers of the JSON file {pool}."""
+    entropy: int = 0
+    """Seed of everything."""
+    threads: int = 1
+    """Threads of the engine."""
+
+    def __post_init__(self) -> None:
+        """Check them."""
+        task_of(self.task)
+        check_choice("payoff", self.payoff, PAYOFFS)
+        check_choice("detector_response", self.detector_response, RESPONSES)
+        for name, least in (("iterations", 1), ("ppo_steps", 0), ("search_runs", 0)):
+            whole_number(f"`{name}`", getattr(self, name), least)
+        if (self.detector_response == "learned") != bool(self.detector_command):
+            raise ValueError(
+                "`detector_command` is needed for `detector_response` 'learned', and for it alone"
+            )
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """All that results depend on, JSON-able."""
+        settings = dataclasses.asdict(self)
+        return {name: x for name, x in settings.items() if name not in ("out", "threads")}
+
+    @property
+    def budget(self) -> AttackBudget:
+        """Of every best response."""
+        blind = None
+        if self.search_runs:
+            blind = BlindSearch(
+                runs=self.search_runs,
+                batch=max(self.search_runs // 2, 4),
+                knots=12,
+                generations=self.generations,
+            )
+        return AttackBudget(
+            runs=self.selection_runs, sift_runs=self.sift_runs, values=self.values, blind=blind
+        )
+
+
+class Shown:
+    """Prints what is being done, but for single attacks."""
+
+    def __init__(self, console: Console) -> None:
+        self.console, self.last = console, ""
+
+    def advance(self, amount: float, now: str) -> None:
+        """Print what has begun."""
+        if amount == 0.0 and now != self.last:
+            self.console.print(f"  {now}", style="dim", highlight=False)
+            self.last = now
+
+
+class DoubleOracle:
+    """A game that grows; what has been found is read from its folder."""
+
+    def __init__(self, args: Arguments, console: Console) -> None:
+        self.args, self.console, self.budget = args, console, args.budget
+        settings: dict[str, Any] = {
+            "payoff": args.payoff,
+            "limit_m": args.limit_m or None,
+            "runs": args.runs,
+            "entropy": args.entropy,
+            "folder": args.out / "entries",
+            "threads": args.threads,
+            "progress": Shown(console),
+        }
+        self.game = Game(args.task, **settings)
+        self.fresh = self.game.on("evaluation")
+        self.spoofers: list[Member] = []
+        self.detectors: list[Member] = []
+
+    def play(self) -> dict[str, Any]:
+        """Play all iterations that are missing; the results, JSON-able."""
+        begun = self._kept("start", self._start)
+        self._enter(begun)
+        iterations = []
+        for k in range(self.args.iterations):
+            self.console.print(f"iteration {k}: {len(self.spoofers)} x {len(self.detectors)}")
+            found = self._kept(f"iteration-{k}", lambda k=k: self._iterate(k))
+            iterations.append(found)
+            if k + 1 < self.args.iterations:
+                self._enter(found["entered"])
+        self.console.print("final mix against the best single detector")
+        final = self._kept("final", self._final)
+        return {
+            "config": self.args.config,
+            "budget": self.budget.as_json(),
+            "left_out": begun["left_out"],
+            "iterations": iterations,
+            "final": final,
+        }
+
+    def _kept(self, name: str, work: Any) -> Any:
+        """What a step has found, now or before a kill."""
+        file = self.args.out / f"{name}.json"
+        if not file.is_file():
+            write_file(file, (json.dumps(work(), indent=1, allow_nan=False) + "\n").encode())
+        return json.loads(file.read_text(encoding="utf-8"))
+
+    def _enter(self, found: dict[str, Any]) -> None:
+        """Add members that are not there yet."""
+        for side, own in ((SPOOFER, self.spoofers), (DETECTOR, self.detectors)):
+            for data in found[f"{side}s"]:
+                member = Member.from_json(side, data)
+                if all(member.spec != each.spec for each in own):
+                    own.append(member)
+
+    def _start(self) -> dict[str, Any]:
+        """Members at the start: calibrated detectors, and every family's best against all."""
+        detectors, left_out = self._classics()
+        even = mixture("even mix", detectors, np.ones(len(detectors)))
+        found = self._spoofer(even, 0, [])
+        spoofers = [
+            dataclasses.replace(each, label=f"{name} (start)")
+            for name, each in found.by_family.items()
+        ]
+        return {
+            "spoofers": [each.as_json() for each in spoofers],
+            "detectors": [each.as_json() for each in detectors],
+            "left_out": [*left_out, *found.notes],
+        }
+
+    def _classics(self) -> tuple[list[Member], list[str]]:
+        """Detectors that have a calibration in this world, and why others have none."""
+        rate = {"false_alarms_per_hour": self.args.false_alarms_per_hour}
+        specs: list[dict[str, Any]] = [parse_spec(text) for text in self.args.detectors]
+        if not specs:
+            names = {kind: name for name, kind in DETECTORS.items()}
+            specs = [{"name": names[type(each)]} for each in suitable_detectors(self.game.setup)]
+            specs = [*map(dict, RANGE_RATE_TESTS), *specs]
+        members, left_out = [], []
+        for spec in specs:
+            asks = any(key in spec for key in ASKED)
+            member = member_of(spec if asks else {**rate, **spec}, DETECTOR)
+            try:
+                self.game.detector(member)
+            except ValueError as error:
+                if self.args.detectors:
+                    raise
+                left_out.append(f"{member.label}: {error}")
+                continue
+            members.append(member)
+        return members, left_out
+
+    def _iterate(self, k: int) -> dict[str, Any]:
+        """Solve the matrix, and look for both best responses."""
+        matrix = self._matrix()
+        found, spread = matrix.solve(), matrix.spread()
+        spoofers, detectors = matrix.mixes(found)
+        answer = self._spoofer(detectors, k + 1, self.spoofers)
+        learned = self._learned(spoofers, k)
+        guard = self._detector(spoofers, k + 1, [*self.detectors, *learned])
+        ends = exploitability(self.fresh, spoofers, detectors, answer.member, guard.member)
+        entered = {
+            "spoofers": [answer.member.as_json()],
+            "detectors": [each.as_json() for each in learned],
+        }
+        return {
+            "matrix": matrix.as_json(),
+            "pure": found.pure,
+            "spread": spread.as_json(),
+            "spoofers_mix": spoofers.as_json(),
+            "detectors_mix": detectors.as_json(),
+            "best_spoofer": answer.as_json(),
+            "best_detector": guard.as_json(),
+            "exploitability": ends.as_json(),
+            "entered": entered,
+        }
+
+    def _final(self) -> dict[str, Any]:
+        """Hold the last mix of detectors, and the best single one, against their best responses."""
+        matrix = self._matrix()
+        found = matrix.solve()
+        _, detectors = matrix.mixes(found)
+        k = int(np.argmin(matrix.values.max(axis=0)))
+        seeds = self.detectors[k].decided_on | {matrix.seeds}
+        single = mixture(self.detectors[k].label, [self.detectors[k]], [1.0], seeds)
+        turn = self.args.iterations + 1
+        to_mix = to_single = self._spoofer(detectors, turn, self.spoofers).member
+        if detectors.members != single.members:
+            to_single = self._spoofer(single, turn, self.spoofers).member
+        who = [to_mix, to_single]
+        if to_mix.label == to_single.label:
+            who[1] = dataclasses.replace(to_single, label=f"{to_single.label}, to the single one")
+        fresh = self.fresh.matrix(who, [detectors, single], oracles=True)
+        return {
+            "pure": found.pure,
+            "detectors_mix": detectors.as_json(),
+            "pool": detectors.pool(),
+            "single": single.label,
+            "best_to_mix": to_mix.as_json(),
+            "best_to_single": to_single.as_json(),
+            "mix": fresh.contrast([[1.0, 0.0], [0.0, 0.0]]).as_json(),
+            "alone": fresh.contrast([[0.0, 0.0], [0.0, 1.0]]).as_json(),
+            "gain_of_mixing": fresh.contrast([[-1.0, 0.0], [0.0, 1.0]]).as_json(),
+        }
+
+    def _matrix(self) -> PayoffMatrix:
+        return self.game.matrix(self.spoofers, self.detectors, oracles=True)
+
+    def _spoofer(self, mix: Mixture, turn: int, given: Sequence[Member]) -> Response:
+        return best_spoofer(
+            self.game,
+            mix,
+            self.budget,
+            entropy=self.args.entropy + 1 + turn,
+            given=[*given, *self._policies(mix, turn)],
+            warm=given,
+            label=f"response {turn}",
+        )
+
+    def _detector(self, mix: Mixture, turn: int, detectors: Sequence[Member]) -> Response:
+        return best_detector(
+            self.game,
+            mix,
+            detectors,
+            runs=self.args.selection_runs,
+            entropy=self.args.entropy + 1 + turn,
+        )
+
+    def _policies(self, mix: Mixture, turn: int) -> list[Member]:
+        """What PPO has learned against a mix, at some amplitudes."""
+        if not self.args.ppo_steps:
+            return []
+        name = "".join(c if c.isalnum() else "-" for c in mix.label)
+        file = self.args.out / f"ppo-{turn}-{name}.onnx"
+        if not file.with_suffix(".json").is_file():
+            learn(self.args, mix, file, self.args.entropy + turn)
+        return [
+            member_of({"name": str(file), "amplitude": x}, SPOOFER, label=f"PPO {turn}, {x:g}")
+            for x in AMPLITUDES
+        ]
+
+    def _learned(self, mix: Mixture, turn: int) -> list[Member]:
+        """Detector that a command has learned against a mix, at the rate of all others."""
+        if self.args.detector_response == "none":
+            return []
+        file = self.args.out / f"detector-{turn}.onnx"
+        pool = self.args.out / f"spoofers-{turn}.json"
+        write_file(pool, json.dumps(mix.pool()).encode())
+        if not file.is_file():
+            words = shlex.split(self.args.detector_command)
+            subprocess.run([word.format(out=file, pool=pool) for word in words], check=True)
+        rate = self.args.false_alarms_per_hour
+        spec = {"name": str(file), "false_alarms_per_hour": rate}
+        judge: Any = make_judge(spec)
+        calibrate(self.game.setup, [judge.detector], false_alarms_per_hour=rate)
+        return [member_of(spec, DETECTOR, label=f"learned {turn}")]
+
+
+def learn(args: Arguments, mix: Mixture, file: Path, seed: int) -> None:
+    """Let PPO learn against a pool of detectors, and write what it has learned."""
+    from stable_baselines3 import PPO
+
+    from spoofgym.export import onnx
+    from spoofgym.sb3 import SpoofVecEnv
+
+    pool = mix.pool()
+    task = task_of(args.task)
+    length = args.limit_m or task.alert_limit_m
+    env = SpoofVecEnv(
+        NUM_ENVS,
+        pool=pool["members"],
+        weights=pool["weights"],
+        threads=args.threads,
+        seed=seed,
+        alarm_price=1.5,
+        **({} if length is None else {"length_m": length}),
+        **task.world_kwargs,
+    )
+    model = PPO(
+        "MlpPolicy", env, n_steps=N_STEPS, batch_size=BATCH, gamma=1.0, seed=seed, device="cpu"
+    )
+    model.learn(args.ppo_steps)
+    onnx(model, env, file)
+    env.close()
+
+
+def page_of(results: dict[str, Any]) -> str:
+    """Results as a page: matrix, mixes, both ends of the exploitability."""
+    last, config = results["iterations"][-1], results["config"]
+    lines = [f"# The game in the world of {config['task']}", ""]
+    final = results["final"]
+    mixed = "A single detector solves this game" if last["pure"] else "No single detector solves it"
+    lines += [
+        f"{mixed}: its value is {interval(last['spread']['value'], 3)}. On fresh runs the best "
+        f"response to the mix of detectors gets {interval(final['mix'], 3)}, and that to "
+        f"{final['single']} alone {interval(final['alone'], 3)}: mixing saves "
+        f"{interval(final['gain_of_mixing'], 3)}.",
+        "",
+        *matrix_table(last),
+        "",
+        "| iteration | value | gain of a spoofer, from below | from above | gain of a detector, "
+        "from below | both, from below |",
+        "|---|---|---|---|---|---|",
+    ]
+    for k, each in enumerate(results["iterations"]):
+        ends = each["exploitability"]
+        above = ends["spoofer"]["above"]
+        shown = f"{'none' if above is None else f'{above:.3f}'}: {ends['spoofer']['why']}"
+        cells = [
+            interval(each["spread"]["value"], 3),
+            f"{interval(ends['spoofer']['below'], 3)}, {ends['spoofer']['member']}",
+            shown,
+            f"{interval(ends['detector']['below'], 3)}, {ends['detector']['member']}",
+            interval(ends["below"], 3),
+        ]
+        lines.append(f"| {k} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def matrix_table(found: dict[str, Any]) -> list[str]:
+    """Table of a matrix, with what each spoofer observes, and the mixes of both sides."""
+    matrix, spread = found["matrix"], found["spread"]
+    names = [each["label"] for each in matrix["detectors"]]
+    lines = [
+        f"| spoofer | observes | mix | {' | '.join(names)} |",
+        "|---|---|---|" + "---|" * len(names),
+        f"| **mix** | | | {' | '.join(interval(p, 2) for p in spread['detector'])} |",
+    ]
+    for who, p, row in zip(matrix["spoofers"], spread["spoofer"], matrix["values"], strict=True):
+        cells = " | ".join(f"{value:.3f}" for value in row)
+        lines.append(f"| {who['label']} | {who['knowledge']} | {interval(p, 2)} | {cells} |")
+    return lines
+
+
+def open_folder(args: Arguments) -> None:
+    """Make the folder of a game, or find that of the same game."""
+    args.out.mkdir(parents=True, exist_ok=True)
+    remove_stale_parts(args.out)
+    file, config = args.out / CONFIG, json.loads(json.dumps(args.config))
+    if file.is_file() and json.loads(file.read_text(encoding="utf-8")) != config:
+        raise SystemExit(f"{args.out} holds a game with other settings: give another --out")
+    write_file(file, (json.dumps(config, indent=1) + "\n").encode())
+
+
+def main(args: Arguments, console: Console | None = None) -> dict[str, Any]:
+    """Play a game, and write its results and its page."""
+    open_folder(args)
+    results = DoubleOracle(args, console or Console()).play()
+    text = json.dumps(results, indent=1, allow_nan=False) + "\n"
+    write_file(args.out / RESULTS, text.encode())
+    write_file(args.out / PAGE, page_of(results).encode())
+    return results
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))
