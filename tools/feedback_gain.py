@@ -6,10 +6,10 @@
 
 The curve of the blind optimum is that of docs/headlines.json, or is searched for in a task.  On the
 same training runs the amplitude is fitted of that curve, played blind, and of `feedback-profile`
-and `threshold-rider` along it, each with a few settings; the best of each kind there plays the
-evaluation runs, once.  All runs are fresh ones, of another seed than those of the headlines.  The
-gain is paired, run by run.  The *room* is what the zero-alarm bound leaves above the blind optimum,
-none where no attack gets farther.
+and `threshold-rider` along it, each with a few settings, one of which is feedback switched off.
+The best of each kind there plays the evaluation runs, once.  All runs are fresh ones, of another
+seed than those of the headlines, and the gain is paired, run by run.  The zero-alarm bound says how
+much room there is above the blind optimum: none where no attack gets farther.
 
 Killed, it goes on where it was.
 """
@@ -21,8 +21,6 @@ import json
 import sys
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from spoofgym._describe import digest_of
 from spoofgym._files import write_file
@@ -36,10 +34,12 @@ from tools.headlines import KEPT
 
 BLIND, WORLD = "blind-optimum", "trolley"
 FEEDBACK, RIDER = "feedback-profile", "threshold-rider"
-RATIOS = ((1.0, 1.01), (0.3, 1.0), (0.7, 1.15), (0.6, 1.3), (0.7, 2.0))
-"""`full_ratio` and `zero_ratio`; the first pair is the curve as it is, up to the first alarm."""
-RIDES = ((1.15, 20.0), (1.0, 20.0), (1.15, 5.0))
-"""`margin` and `horizon_s`."""
+RATIOS = ((0.3, 1.0), (0.7, 1.15), (0.7, 2.0))
+"""`full_ratio` and `zero_ratio` that are tried."""
+OFF = {"full_ratio": 1.0, "zero_ratio": 1.01, "back": 0.0}
+"""Nothing is held back: the curve as it is, up to the first alarm."""
+RIDES = ((1.15, 20.0),)
+"""`margin` and `horizon_s` that are tried."""
 REACHED = 0.98
 """Part of the farthest reach of the attack from which on there is no room."""
 HEAD = ("detector", "blind optimum [m]", "spoofer", "settings", "[m]", "times as far", "bound [m]")
@@ -57,29 +57,32 @@ def candidates(rates_mps: list[float]) -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def best_of(judge: Evaluator, specs: list[dict[str, Any]]) -> tuple[dict[str, Any], float]:
-    """The spec, with its amplitude, that gets farthest on the training runs, and how far [m]."""
-    fits = [judge.fit(spec) for spec in specs]
-    scores = [fit.score for fit in fits]
-    k = int(np.argmax(scores))
-    return {**specs[k], "amplitude": fits[k].value}, scores[k]
-
-
 def played(judge: Evaluator, rates_mps: list[float]) -> dict[str, Any]:
-    """Gain of each kind over the blind optimum."""
+    """Gain of each kind over the blind optimum; feedback may be switched off."""
     found: dict[str, Any] = {"rates_mps": rates_mps}
+    fits = {
+        kind: [(judge.fit(spec), spec) for spec in specs]
+        for kind, specs in candidates(rates_mps).items()
+    }
+    blind, _ = fits[BLIND][0]
+    fits[FEEDBACK].append((blind, {"name": FEEDBACK, "rates_mps": rates_mps, **OFF}))
     scores: dict[str, Score] = {}
-    for kind, specs in candidates(rates_mps).items():
-        spec, trained = best_of(judge, specs)
-        scores[kind] = judge.score(spec, amplitude=spec.pop("amplitude"))
-        del spec["rates_mps"]
+    for kind, tried in fits.items():
+        fit, spec = max(tried, key=lambda each: each[0].score)
+        scores[kind] = judge.score(spec, amplitude=fit.value)
         found[kind] = {
             **scores[kind].as_dict(),
-            "settings": spec,
-            "training_m": trained,
+            "settings": {key: x for key, x in spec.items() if key not in ("name", "rates_mps")},
+            "amplitude": fit.value,
+            "training_m": {_words(each): one.score for one, each in tried},
             "ratio": scores[kind].ratio_to(scores[BLIND]).as_json(),
         }
     return found
+
+
+def _words(spec: dict[str, Any]) -> str:
+    """Settings along a curve."""
+    return ", ".join(f"{key} {x:g}" for key, x in spec.items() if key not in ("name", "rates_mps"))
 
 
 def headline(text: str) -> dict[str, dict[str, Any]]:
@@ -152,8 +155,7 @@ def rows(label: str, found: dict[str, Any]) -> list[tuple[str, ...]]:
     for kind in (FEEDBACK, RIDER):
         own = found[kind]
         over = "" if own["within_budget"] else ", over budget"
-        words = [f"{key} {x:g}" for key, x in own["settings"].items() if key != "name"]
-        settings = ", ".join([*words, f"amplitude {own['value']:.4g}"])
+        settings = f"{_words(own['settings'])}, amplitude {own['amplitude']:.4g}"
         far = interval(own["stealthy_displacement_m"]) + over
         lines.append((label, blind, f"{kind} (oracle)", settings, far, _ratio(own), bound))
     return lines
