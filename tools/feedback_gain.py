@@ -25,6 +25,7 @@ from typing import Any
 from spoofgym._describe import digest_of
 from spoofgym._files import write_file
 from spoofgym.bench.bracket import Brackets
+from spoofgym.bench.bracketed import bound_of
 from spoofgym.bench.entries import detector_entry
 from spoofgym.bench.evaluate import Evaluator, Score
 from spoofgym.bench.tables import interval, number
@@ -131,7 +132,8 @@ def case_of(label: str, case: dict[str, Any], given: argparse.Namespace) -> dict
         searched = judge.fit(BLIND).found
         assert searched is not None  # as of every blind optimum
         rates = searched["played"]["rates_mps"]
-        case = {**case, "bound": Brackets(judge.suite).zero_alarm(judge.detector).as_json()}
+        bound = Brackets(judge.suite).zero_alarm(judge.detector).as_json()
+        case = {**case, "bound": bound_of(bound)}
     return {**case, **played(judge, rates)}
 
 
