@@ -19,7 +19,13 @@ RATIO = "statistic_ratio"
 
 @dataclass(kw_only=True)
 class ByStatistic(ScriptedSpoofer):
-    """Base of spoofers that see the detector's statistic, and nothing else of the victim."""
+    """Base of spoofers that see the detector's statistic, and nothing else of the victim.
+
+    Parameters
+    ----------
+    heading_deg : float or "target"
+        As in `ScriptedSpoofer`.
+    """
 
     knowledge = "oracle"
 
@@ -41,7 +47,15 @@ class ByStatistic(ScriptedSpoofer):
 
 @dataclass(kw_only=True)
 class AlongCurve(ByStatistic):
-    """Base of those that have a curve of the rate for what they would do unseen."""
+    """Base of those that have a curve of the rate for what they would do unseen.
+
+    Parameters
+    ----------
+    rates_mps : tuple of float
+        (n,) rate at equally spaced knots, as of a `Profile`.
+    heading_deg : float or "target"
+        As in `ScriptedSpoofer`.
+    """
 
     rates_mps: tuple[float, ...] = (0.24, 0.9)
 
@@ -82,6 +96,8 @@ class HeldBack(ByStatistic):
         the second one is above the first.
     back : float
         :math:`\beta`, how fast it goes back at most, in parts of the rate forward; -1 to 0.
+    heading_deg : float or "target"
+        As in `ScriptedSpoofer`.
     """
 
     full_ratio: float = 0.47
