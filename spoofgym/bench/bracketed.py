@@ -52,7 +52,7 @@ def bracket_of(
     found = [_reached(cell) for cell in attacks]
     within = [each for each in found if each["within_budget"] and each["value"] is not None]
     best = max(within, key=lambda each: float(each["value"]), default=None)
-    bound = _bound(limits["zero_alarm"].get(point["detector"]))
+    bound = bound_of(limits["zero_alarm"].get(point["detector"]))
     # where no setting of any spoofer is within the budget, nothing was achieved
     nothing = attacks and all(cell["tuned_within_budget"] is False for cell in attacks)
     achieved = {STEALTHY: {"high": 0.0} if nothing else best, HALF: headline(protection, 0.5)}
@@ -121,7 +121,7 @@ def _optimum(cells: Sequence[Row], searches: Sequence[Row]) -> Row | None:
     return {**best, "by": search.get("by"), "curve": search.get("played", {}).get("curve")}
 
 
-def _bound(found: Row | None) -> Row:
+def bound_of(found: Row | None) -> Row:
     """Zero-alarm bound of the attack within its limits where there is one, else of a free one."""
     if found is None:
         return {"value": None, "kind": "", "attacker": "", "why": "not computed"}

@@ -11,7 +11,7 @@ from .accelerating_ramp import AcceleratingRamp
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .card import Card
 from .dash import Dash
-from .feedback import Feedback
+from .feedback import Feedback, FeedbackProfile
 from .intermittent import Intermittent
 from .learned import OnnxPolicy
 from .none import NoSpoofer
@@ -20,6 +20,7 @@ from .profile import BlindOptimum, Profile
 from .ramp import Ramp
 from .scaled import Scaled, split_amplitude, with_amplitude
 from .step import Step
+from .threshold_rider import ThresholdRider
 from .zoo import card_of, shipped, spec_of_shipped
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "Card",
     "Dash",
     "Feedback",
+    "FeedbackProfile",
     "Intermittent",
     "NoSpoofer",
     "OnnxPolicy",
@@ -43,6 +45,7 @@ __all__ = [
     "Spoofer",
     "SpooferContext",
     "Step",
+    "ThresholdRider",
     "card_of",
     "make_spoofer",
     "resolve",
@@ -53,6 +56,7 @@ SPOOFERS: dict[str, type[Spoofer]] = {
     "accelerating-ramp": AcceleratingRamp,
     "blind-optimum": BlindOptimum,
     "feedback": Feedback,
+    "feedback-profile": FeedbackProfile,
     "dash": Dash,
     "intermittent": Intermittent,
     "none": NoSpoofer,
@@ -60,6 +64,7 @@ SPOOFERS: dict[str, type[Spoofer]] = {
     "profile": Profile,
     "ramp": Ramp,
     "step": Step,
+    "threshold-rider": ThresholdRider,
 }
 """Spoofers by name."""
 

@@ -56,8 +56,8 @@ class Profile(ScriptedSpoofer):
     def __post_init__(self) -> None:
         """Check the settings."""
         super().__post_init__()
-        self.rates_mps = _checked("rates_mps", self.rates_mps)
-        self.cross_rates_mps = _checked("cross_rates_mps", self.cross_rates_mps, none=True)
+        self.rates_mps = checked_rates("rates_mps", self.rates_mps)
+        self.cross_rates_mps = checked_rates("cross_rates_mps", self.cross_rates_mps, none=True)
 
     def bind(self, context: SpooferContext) -> None:
         """Prepare for a batch of receivers."""
@@ -78,10 +78,7 @@ class Profile(ScriptedSpoofer):
             "`rates_mps` and `cross_rates_mps` together": np.hypot(self._along, self._across).max(),
         }
         for name, rate in fastest.items():
-            if rate > limit * (1.0 + 1e-12):
-                raise ValueError(
-                    f"{name} = {rate:g} is more than the attack allows: `{limit_name}` = {limit:g}"
-                )
+            check_fastest(name, rate, limit_name, limit)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
         """Rate along the heading that is wanted at the end of the coming epoch.
@@ -158,6 +155,14 @@ class BlindOptimum(Profile):
         super().bind(context)
 
 
+def check_fastest(name: str, rate: float, limit_name: str, limit: float) -> None:
+    """Raise where the fastest rate of a curve is beyond the attack's limit."""
+    if rate > limit * (1.0 + 1e-12):
+        raise ValueError(
+            f"{name} = {rate:g} is more than the attack allows: `{limit_name}` = {limit:g}"
+        )
+
+
 def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
     """Curve through equally spaced knots at the ends of the epochs.
 
@@ -195,7 +200,9 @@ def _to_the_right(context: SpooferContext, heading_deg: float | str) -> Aim:
         ) from error
 
 
-def _checked(name: str, rates_mps: tuple[float, ...], *, none: bool = False) -> tuple[float, ...]:
+def checked_rates(
+    name: str, rates_mps: tuple[float, ...], *, none: bool = False
+) -> tuple[float, ...]:
     """Rates as a tuple of as many finite numbers as there may be."""
     if isinstance(rates_mps, str) or not hasattr(rates_mps, "__len__"):
         raise ValueError(f"`{name}` must be a sequence of numbers, got {rates_mps!r}")

@@ -20,11 +20,11 @@ SMALLER = [
     (r'detector="', f'{SHORT}, detector="'),
     (r"model\.learn\([\d_]+", "model.learn(320"),
     (r"n_steps=300, batch_size=600", "n_steps=10, batch_size=40"),
+    (r"n_steps=300,\n    batch_size=2400", "n_steps=20,\n    batch_size=640"),
+    (r"warm_pool=256", "warm_pool=16"),
     (r"world = \{", f'world = {{"timeline": {SHORT.removeprefix("timeline=")}, '),
     (r"every=100_000", "fit_runs=80, every=160"),
     (r"(evaluate\(.*)\*\*world\)", r"\1**world, runs=20, fit_runs=80)"),
-    (r"learning_starts=2_000", "learning_starts=100"),
-    (r"buffer_size=200_000", "buffer_size=1_000"),
     (r"range\(350\)", "range(60)"),
     (
         r"STEPS, UPDATES, EPOCHS, CLIP, LAMBDA = 16, 128, 60,",
@@ -102,3 +102,32 @@ def test_whatever_is_made_smaller_stands_on_the_page():
 
 def test_every_link_to_a_file_leads_somewhere():
     assert broken_links(PAGE) == []
+
+
+def test_the_price_of_the_block_follows_the_budget(scope):
+    """Up while more than the budget alarm, down while fewer do, and never below 0."""
+    if "AlarmBudget" not in scope:
+        pytest.skip("stable-baselines3 is not installed")
+    paid = []
+
+    class Envs:
+        def set_rewards(self, terms):
+            paid.append(next(term.penalty_m for term in terms if term.name == "alarm"))
+
+    budget = scope["AlarmBudget"](Envs(), budget=0.05, price_m=4.0, step_m=100.0)
+    budget.init_callback(
+        type("Model", (), {"logger": Logger(), "get_env": lambda self: None, "num_timesteps": 0})()
+    )
+    for costs, ends in (([1.0, 0.0], 10), ([0.0, 0.0], 10), ([0.0, 0.0], 10)):
+        budget.locals = {"infos": [{"cost": x} for x in costs], "dones": np.ones(ends)}
+        budget.on_rollout_start()
+        assert budget.on_step()
+        budget.on_rollout_end()
+    assert paid == pytest.approx([4.0, 9.0, 4.0, 0.0])
+
+
+class Logger:
+    """Of nothing."""
+
+    def record(self, name, value):
+        """Forget it."""

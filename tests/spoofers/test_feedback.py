@@ -5,13 +5,13 @@ import pytest
 
 from spoofgym.envs.spoofer_binding import bound_spoofer
 from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.spoofers import Feedback
+from spoofgym.spoofers import Feedback, FeedbackProfile, Profile
 from spoofgym.testing import check_spoofer
 
 
-def bound(detector="ewma", receivers=3, **settings):
+def bound(detector="ewma", receivers=3, kind=Feedback, **settings):
     setup = TightlyCoupledSetup(detector=detector)
-    spoofer = Feedback(**settings)
+    spoofer = kind(**settings)
     context, observer, _ = bound_spoofer(spoofer, setup, receivers)
     spoofer.bind(context)
     spoofer.reset()
@@ -32,6 +32,37 @@ def test_the_wanted_rate_is_the_rule():
     np.testing.assert_allclose(wanted(spoofer, names, [0.2, 1.0, 1.1]), [0.5, 0.0, -0.1], rtol=1e-5)
 
 
+CURVE = (0.1, 0.3, 0.2)
+
+
+def test_along_a_curve_the_room_is_a_part_of_its_rate():
+    spoofer, names = bound(
+        kind=FeedbackProfile, rates_mps=CURVE, full_ratio=0.5, zero_ratio=1.0, back=0.0
+    )
+    spoofer.memory["step"][:] = 149.0  # the knot in the middle of 300 epochs
+    np.testing.assert_allclose(
+        wanted(spoofer, names, [0.2, 0.75, 2.0]), [0.3, 0.15, 0.0], rtol=1e-5
+    )
+
+
+def test_with_nothing_held_back_it_is_the_profile_up_to_the_alarm():
+    """So that it can't be fitted worse than the curve."""
+    setup = TightlyCoupledSetup(detector="ewma")
+    actions = []
+    for kind in (
+        Profile(rates_mps=CURVE),
+        FeedbackProfile(rates_mps=CURVE, full_ratio=1.0, zero_ratio=1.01),
+    ):
+        context, observer, _ = bound_spoofer(kind, setup, 2)
+        kind.bind(context)
+        kind.reset()
+        seen = np.zeros((2, len(observer.names)), dtype=np.float32)
+        if kind.knowledge == "oracle":
+            seen[:, observer.names.index("statistic_ratio")] = [0.3, 0.999]
+        actions.append([kind.act(seen) for _ in range(40)])
+    np.testing.assert_array_equal(*actions)
+
+
 @pytest.mark.parametrize("detector", ["ewma", "joint-chart", "snapshot-chi2"])
 def test_it_keeps_the_contract_of_spoofers(detector):
     spoofer, names = bound(detector)
@@ -43,7 +74,7 @@ def test_it_keeps_the_contract_of_spoofers(detector):
 def test_a_blind_view_is_refused():
     setup = TightlyCoupledSetup()
     context, *_ = bound_spoofer(Feedback(), setup, 1)
-    with pytest.raises(ValueError, match="feedback needs statistic_ratio among the observations"):
+    with pytest.raises(ValueError, match="Feedback needs statistic_ratio among the observations"):
         Feedback().bind(context._replace(observation_names=("time_left",)))
 
 
@@ -59,3 +90,8 @@ def test_a_blind_view_is_refused():
 def test_a_wrong_setting_says_what_is_valid(settings, message):
     with pytest.raises(ValueError, match=message):
         Feedback(**settings)
+
+
+def test_a_curve_beyond_the_limit_is_refused():
+    with pytest.raises(ValueError, match="`rates_mps` = 7 is more than the attack allows"):
+        bound(kind=FeedbackProfile, rates_mps=(0.1, 7.0))

@@ -1,0 +1,104 @@
+"""The threshold rider learns how the statistic follows its rate, and stays below the margin."""
+
+import numpy as np
+import pytest
+
+from spoofgym.envs.spoofer_binding import bound_spoofer
+from spoofgym.simulators import TightlyCoupledSetup
+from spoofgym.spoofers import ThresholdRider
+from spoofgym.testing import check_spoofer
+
+RESPONSE, RHO, QUIET = 0.9, 0.6, 0.2
+"""Of a statistic that a horizon later is QUIET (1 - RHO) + RHO q + RESPONSE u, u the mean rate."""
+
+
+def bound(receivers=2, **settings):
+    setup = TightlyCoupledSetup(detector="ewma")
+    spoofer = ThresholdRider(**settings)
+    context, observer, _ = bound_spoofer(spoofer, setup, receivers)
+    spoofer.bind(context)
+    spoofer.reset()
+    return spoofer, observer.names
+
+
+def ridden(spoofer, names, noise=0.0, seed=0, epochs=300):
+    """Ratios (epochs, B) of a statistic that follows the rate by a law that it does not know."""
+    many = spoofer.context.receivers
+    h, tau = spoofer.memory["past"].shape[1], spoofer.context.interval_s
+    rng = np.random.default_rng(seed)
+    ratios = np.full((epochs + 1, many), QUIET)
+    displaced = np.zeros((epochs + 1, many))
+    for k in range(epochs):
+        seen = np.zeros((many, len(names)), dtype=np.float32)
+        seen[:, names.index("statistic_ratio")] = ratios[k]
+        spoofer.act(seen)
+        displaced[k + 1] = spoofer.memory["displacement"]
+        past = max(k + 1 - h, 0)
+        moved = (displaced[k + 1] - displaced[past]) / (h * tau)
+        level = (1.0 - RHO) * QUIET + RHO * ratios[past] + RESPONSE * moved
+        ratios[k + 1] = level + noise * rng.standard_normal(many)
+    return ratios
+
+
+def test_it_learns_the_law_of_the_statistic():
+    spoofer, names = bound(rates_mps=(0.0, 0.4) * 6, horizon_s=5.0, margin=100.0)
+    ridden(spoofer, names, noise=0.02)
+    c, rho, response = spoofer.memory["found"].T
+    np.testing.assert_allclose(response, RESPONSE, atol=0.15)
+    np.testing.assert_allclose(rho, RHO, atol=0.15)
+    np.testing.assert_allclose(c, (1.0 - RHO) * QUIET, atol=0.05)
+    np.testing.assert_allclose(np.sqrt(spoofer.memory["variance"]), 0.02, rtol=0.5)
+
+
+def test_the_statistic_stays_below_the_margin_where_the_curve_alone_would_exceed_it():
+    free, names = bound(rates_mps=(0.1, 0.9), margin=100.0, horizon_s=5.0)
+    assert ridden(free, names).max() > 1.5
+    held, names = bound(rates_mps=(0.1, 0.9), margin=0.9, horizon_s=5.0)
+    ratios = ridden(held, names)
+    assert ratios.max() <= 0.9
+    assert ratios[-50:].min() > 0.6  # and it rides there
+
+
+def test_more_margin_goes_farther_and_reserve_less_far():
+    far = []
+    for settings in ({"margin": 0.6}, {"margin": 0.9}, {"margin": 0.9, "deviations": 2.0}):
+        spoofer, names = bound(rates_mps=(0.1, 0.9), horizon_s=5.0, **settings)
+        ridden(spoofer, names, noise=0.03)
+        far.append(spoofer.memory["displacement"].mean())
+    assert far[0] < far[1]
+    assert far[2] < far[1]
+
+
+def test_without_room_it_waits_and_never_goes_back():
+    spoofer, names = bound(rates_mps=(0.3, 0.3))
+    seen = np.zeros((2, len(names)), dtype=np.float32)
+    seen[:, names.index("statistic_ratio")] = [0.0, 5.0]
+    np.testing.assert_array_equal(spoofer.wanted_rate(seen), [0.3, 0.0])
+
+
+def test_it_keeps_the_contract_of_spoofers():
+    spoofer, _ = bound()
+    check_spoofer(spoofer)
+
+
+def test_receivers_that_start_later_learn_for_themselves():
+    spoofer, names = bound(rates_mps=(0.1, 0.5), horizon_s=5.0)
+    ridden(spoofer, names, epochs=40)
+    alone = spoofer.memory["found"][0].copy()
+    spoofer.reset(np.array([False, True]))
+    np.testing.assert_array_equal(spoofer.memory["found"][1], [0.0, 1.0, 0.0])
+    np.testing.assert_array_equal(spoofer.memory["found"][0], alone)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"margin": 0.0}, "`margin` must be finite and > 0"),
+        ({"horizon_s": -1.0}, "`horizon_s` must be finite and > 0"),
+        ({"band": np.nan}, "`band` must be finite and > 0"),
+        ({"deviations": -1.0}, "`deviations` must be finite and >= 0"),
+    ],
+)
+def test_a_wrong_setting_says_what_is_valid(settings, message):
+    with pytest.raises(ValueError, match=message):
+        ThresholdRider(**settings)

@@ -1,0 +1,69 @@
+"""The gain of feedback: paired with the blind optimum, feedback may be switched off."""
+
+import json
+
+import pytest
+
+from spoofgym.bench.evaluate import Evaluator
+from tools import feedback_gain
+from tools.feedback_gain import BLIND, FEEDBACK, OFF, RATIOS, RIDER, cases, headline, played, rows
+
+WORLD = {
+    "timeline": {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0},
+    "receiver": "matched",
+    "detector": {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"},
+}
+CURVE = [0.1, 0.5]
+BOUND = {"value": 5.0}
+
+
+@pytest.fixture(scope="module")
+def found():
+    return played(Evaluator(runs=24, fit_runs=80, entropy=3, **WORLD), CURVE)
+
+
+def test_feedback_is_fitted_no_worse_than_the_curve_that_it_follows(found):
+    training = found[FEEDBACK]["training_m"]
+    assert len(training) == len(RATIOS) + 1
+    assert max(training.values()) >= found[BLIND]["training_m"][""] > 0.0
+    chosen = feedback_gain._words({"name": FEEDBACK, **found[FEEDBACK]["settings"]})
+    assert training[chosen] == max(training.values())
+
+
+def test_switched_off_it_is_the_curve(monkeypatch):
+    monkeypatch.setattr(feedback_gain, "RATIOS", ())
+    off = played(Evaluator(runs=24, fit_runs=80, entropy=3, **WORLD), CURVE)
+    assert off[FEEDBACK]["settings"] == OFF
+    assert off[FEEDBACK]["ratio"] == {"value": 1.0, "low": 1.0, "high": 1.0}
+
+
+def test_a_row_names_what_it_knows_and_whether_it_keeps_the_budget(found):
+    lines = rows("mine", {**found, "room": True, "bound": BOUND})
+    assert [line[2] for line in lines] == [f"{FEEDBACK} (oracle)", f"{RIDER} (oracle)"]
+    assert all(line[-1] == "5.0" for line in lines)
+    broken = {**found, RIDER: {**found[RIDER], "within_budget": False}}
+    assert "over budget" in rows("mine", {**broken, "room": True, "bound": BOUND})[1][4]
+
+
+def test_the_headlines_give_curve_bound_and_room():
+    (label,) = headline("aime(signals")
+    case = headline("aime(signals")[label]
+    assert case["room"]
+    assert len(case["rates_mps"]) > 2
+    assert case["bound"]["value"] > case["blind_m"]["value"]
+    assert not headline("never")["never"]["room"]
+    with pytest.raises(ValueError, match=r"no detector of headlines\.json has 'nobody'"):
+        cases(["nobody"], None)
+
+
+def test_what_has_no_room_is_not_played_and_what_is_kept_neither(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(feedback_gain, "Evaluator", None)
+    given = ["never", "--out", str(tmp_path), "--json"]
+    feedback_gain.main(given)
+    first = capsys.readouterr().out
+    assert json.loads(first)["never"]["room"] is False
+    monkeypatch.setattr(feedback_gain, "case_of", None)
+    feedback_gain.main(given)
+    assert capsys.readouterr().out == first
+    feedback_gain.main(given[:-1])
+    assert "no room" in capsys.readouterr().out

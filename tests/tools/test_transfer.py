@@ -1,0 +1,113 @@
+"""Transfer: what is fitted at home is played as it is, what is refitted keeps the budget there."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from spoofgym.bench.evaluate import Evaluator
+from spoofgym.tasks import task_of
+from tools import transfer
+from tools.transfer import Kept, Worlds, line, table
+
+TIMES = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
+SHARP = {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"}
+CHANGES = {
+    "home": {"timeline": TIMES, "receiver": "matched", "detector": SHARP},
+    "blunt": {"timeline": TIMES, "receiver": "matched", "detector": {"name": "never"}},
+}
+SHORT = replace(
+    task_of("T1"),
+    settings={**task_of("T1").settings, "timeline": TIMES, "receiver": "matched"},
+    detectors=(SHARP,),
+)
+SIZES = {"runs": 24, "fit_runs": 80, "entropy": 3}
+
+
+class Bar:
+    """How far it is."""
+
+    def __init__(self):
+        self.done = 0.0
+
+    def advance(self, amount, now):
+        """One case more."""
+        self.done += amount
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("transfer")
+
+
+@pytest.fixture(scope="module")
+def rows(folder):
+    bar = Bar()
+    found = table(Worlds("T1", CHANGES, **SIZES), [({"name": "ramp"}, None)], Kept(folder), bar)
+    assert bar.done == len(found) == 4
+    return {(row["home"], row["world"]): row for row in found}
+
+
+def test_at_home_both_amplitudes_are_the_native_one(rows):
+    for home in CHANGES:
+        for kind in ("as fitted at home", "refitted"):
+            found = rows[home, home][kind]
+            assert found["of_native"] == {"value": 1.0, "low": 1.0, "high": 1.0}
+            assert found["value"] == rows[home, home]["refitted"]["value"]
+
+
+def test_refitted_a_ramp_is_the_native_one_and_as_fitted_elsewhere_it_is_not(rows):
+    """Its rate is all that there is to train."""
+    row = rows["home", "blunt"]
+    assert row["refitted"]["of_native"]["value"] == 1.0
+    assert row["as fitted at home"]["of_native"]["high"] < 1.0
+    assert row["as fitted at home"]["value"] == rows["home", "home"]["refitted"]["value"]
+
+
+def test_a_budget_that_is_broken_elsewhere_is_marked(rows):
+    row = rows["blunt", "home"]
+    assert not row["as fitted at home"]["within_budget"]
+    words = line(row)
+    assert words[0] == "ramp(tuned) (blind)"
+    assert "over the budget" in words[3]
+    assert "over the budget" not in words[4]
+
+
+def test_what_is_kept_is_not_played_again(folder, rows, monkeypatch):
+    monkeypatch.setattr(Evaluator, "score", None)
+    monkeypatch.setattr(Evaluator, "fit", None)
+    worlds = Worlds("T1", CHANGES, **SIZES, threads=1)
+    again = table(worlds, [({"name": "ramp"}, None)], Kept(folder), Bar())
+    assert again == list(rows.values())
+
+
+def test_one_that_was_trained_in_a_world_has_that_home_alone(folder, rows, monkeypatch, capsys):
+    monkeypatch.setattr(transfer, "HOME", "first")
+    monkeypatch.setattr(transfer, "task_of", lambda key: SHORT)
+    given = ["--out", str(folder), "--runs", "24", "--fit-runs", "80", "--seed", "3", "--json"]
+    world = f"blunt={json.dumps(CHANGES['blunt'])}"
+    transfer.main([*given, "--world", world, "--spoofer", "ramp@first"])
+    found = json.loads(capsys.readouterr().out)
+    assert [(row["home"], row["world"]) for row in found] == [
+        ("first", "first"),
+        ("first", "blunt"),
+    ]
+    assert found[1]["refitted"] == rows["home", "blunt"]["refitted"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("blunt", "must be NAME=JSON"),
+        ("blunt={", "must be NAME=JSON"),
+        ("blunt=[1]", "with an object of settings"),
+    ],
+)
+def test_a_world_that_is_none_says_what_is_wanted(text, message):
+    with pytest.raises(ValueError, match=message):
+        transfer.main(["--spoofer", "ramp", "--world", text])
+
+
+def test_an_unknown_home_lists_the_worlds():
+    with pytest.raises(ValueError, match=r"moon.*home"):
+        transfer.main(["--spoofer", "ramp@moon"])
