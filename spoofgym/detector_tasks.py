@@ -30,6 +30,8 @@ PARTS = (0.5, 1.0, 2.0)
 """Displacements of the learners' pool at the end of the attack, in parts of the alert limit."""
 EVENTS = ("clock_step", "satellite_loss", "front")
 """What looks like spoofing and is none, as `spoofgym.sim.benign_events` has it."""
+MEAN_GROWTH = 2.375
+"""Mean rate of feedback over a window, in parts of its first one, while there is room."""
 RATE_LIMIT_MPS = 5.0
 """Of the tasks' attacks."""
 
@@ -125,14 +127,14 @@ class DetectorTask:
 
 
 def learners_pool(alert_limit_m: float, attack_s: float) -> list[dict[str, Any]]:
-    """Spoofers of the public families that displace by `PARTS` of an alert limit.
+    """Spoofers of the public families that would displace by `PARTS` of an alert limit, each once.
 
-    Feedback is not among them: it reads the statistic of a detector that is there already.
+    Feedback reads the statistic of the learner, and would come so far where it had room throughout.
     """
     found: list[dict[str, Any]] = []
     for part in PARTS:
         mean = part * alert_limit_m / attack_s
-        found += [
+        several = [
             {"name": "ramp", "rate_mps": _rate(mean)},
             {"name": "accelerating-ramp", "acceleration_mps2": _rounded(2.0 * mean / attack_s)},
             {
@@ -142,7 +144,9 @@ def learners_pool(alert_limit_m: float, attack_s: float) -> list[dict[str, Any]]
             },
             {"name": "dash", "rate_mps": _rate(mean / 0.4), "last_s": _rounded(0.4 * attack_s)},
             {"name": "dash", "rate_mps": _rate(mean / 0.15), "last_s": _rounded(0.15 * attack_s)},
+            {"name": "feedback", "rate_mps": _rounded(mean / MEAN_GROWTH)},
         ]
+        found += [spec for spec in several if spec not in found]
     return found
 
 

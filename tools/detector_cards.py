@@ -27,6 +27,7 @@ from spoofgym.bench.detector_cards import (
     stored_cards,
 )
 from spoofgym.bench.detector_score import DetectorScore
+from spoofgym.bench.entries import detector_entry
 from spoofgym.bench.evaluate_detector import DetectorEvaluator
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.suite import Suite
@@ -40,11 +41,15 @@ BEGIN, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
 RUNS, SELECTION_RUNS = 200, 64
 
 
-def played(task: DetectorTask, out: Path, runs: int, selection_runs: int) -> dict[str, Any]:
-    """Play a task, and return its card."""
-    classics = classics_of(task)
+def played(
+    task: DetectorTask, out: Path, runs: int, selection_runs: int, only: list[str] | None
+) -> dict[str, Any]:
+    """Play a task, and return its card; `only` some detectors, by their names."""
+    everyone = classics_of(task)
+    classics = [each for each in everyone if only is None or each["name"] in only]
     suite = Suite(**task.world_kwargs, detectors=classics, spoofers=[], runs=2)
     refused: dict[str, str] = {}
+    unplayed = [detector_entry(each).label for each in everyone if each not in classics]
     if left := missing_runs(suite):
         labels = [each.label for each in suite.detector_entries]
         with progress(left) as bar:
@@ -57,7 +62,7 @@ def played(task: DetectorTask, out: Path, runs: int, selection_runs: int) -> dic
     with progress(evaluator.expected_work(whom)) as bar:
         evaluator.progress = bar
         scores = evaluator.scores(whom)
-    return {**card_of(scores), "left_out": refused}
+    return {**card_of(scores), "left_out": {**refused, **dict.fromkeys(unplayed, "not played")}}
 
 
 def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
@@ -98,10 +103,12 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--out", type=Path, default=Path("results/detectors"))
     parser.add_argument("--runs", type=int, default=RUNS, help="evaluation runs of every family")
     parser.add_argument("--selection-runs", type=int, default=SELECTION_RUNS)
+    parser.add_argument("--only", nargs="+", help="detectors by their names; default: all")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)
     for key in () if given.tables_only else given.tasks or DETECTOR_TASKS:
-        card = played(detector_task_of(key), given.out, given.runs, given.selection_runs)
+        sizes = given.runs, given.selection_runs
+        card = played(detector_task_of(key), given.out, *sizes, given.only)
         kept = {**stored_cards(), key: card}
         kept = {name: kept[name] for name in DETECTOR_TASKS if name in kept}
         write_file(KEPT, (json.dumps(kept, indent=1, allow_nan=False) + "\n").encode())

@@ -207,7 +207,8 @@ class Panel:
         setup = self.setup
         error = induced_error(setup, attacked, clean)[: setup.steps]
         moved = [undetected_displacement(error, each, setup.hold) for each in first.T]
-        return np.round(np.array(moved, dtype=np.float64), 6)
+        found: FloatArray = np.round(np.array(moved), 6)
+        return found
 
 
 class NearAlarm(Panel):
