@@ -18,14 +18,15 @@ envs       what Gymnasium sees: one step path over any victim, terms, wrappers
 duel       the game of a spoofer and a detector, its two forms and the views of one side
 duel_v0    what is public of the duel, for PettingZoo and Gymnasium
 tasks      the tasks of `spoofgym-bench-v1`, and the papers' scenarios
-detector_tasks  those for detectors
+detector_tasks  its tasks for detectors
 bench      campaigns: detectors x spoofers x paired seeds, and their scores
 sb3        the vector environment of stable-baselines3, and a callback that scores
 export     from a model to an ONNX file with its card
 testing    check_detector, check_attack, check_spoofer
-cli        spoofgym list | calibrate | run | tune | bench | perf | report | warmup
+cli        spoofgym list | calibrate | run | tune | bench | protect | perf | report | warmup
 
-`spoofgym.evaluate` scores any spoofer by the rule of the benchmark.
+`spoofgym.evaluate` scores any spoofer by the rule of the benchmark, and
+`spoofgym.evaluate_detector` any detector.
 
 **Frames**
 

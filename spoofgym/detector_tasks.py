@@ -134,7 +134,7 @@ def learners_pool(alert_limit_m: float, attack_s: float) -> list[dict[str, Any]]
     found: list[dict[str, Any]] = []
     for part in PARTS:
         mean = part * alert_limit_m / attack_s
-        several = [
+        several: list[dict[str, Any]] = [
             {"name": "ramp", "rate_mps": _rate(mean)},
             {"name": "accelerating-ramp", "acceleration_mps2": _rounded(2.0 * mean / attack_s)},
             {

@@ -30,7 +30,6 @@ from spoofgym.bench.detector_score import DetectorScore
 from spoofgym.bench.entries import detector_entry
 from spoofgym.bench.evaluate_detector import DetectorEvaluator
 from spoofgym.bench.report import markdown_table
-from spoofgym.bench.suite import Suite
 from spoofgym.cli.output import progress
 from spoofgym.detector_tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
 from tools.pages import put_between
@@ -47,7 +46,10 @@ def played(
     """Play a task, and return its card; `only` some detectors, by their names."""
     everyone = classics_of(task)
     classics = [each for each in everyone if only is None or each["name"] in only]
-    suite = Suite(**task.world_kwargs, detectors=classics, spoofers=[], runs=2)
+    evaluator = DetectorEvaluator(
+        task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1
+    )
+    suite = evaluator.suite_of(classics)
     refused: dict[str, str] = {}
     unplayed = [detector_entry(each).label for each in everyone if each not in classics]
     if left := missing_runs(suite):
@@ -56,9 +58,6 @@ def played(
             refused = calibrate_suite(suite, progress=bar, optional=labels)
     entries = zip(suite.detector_entries, classics, strict=True)
     whom = [spec for entry, spec in entries if entry.label not in refused]
-    evaluator = DetectorEvaluator(
-        task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1
-    )
     with progress(evaluator.expected_work(whom)) as bar:
         evaluator.progress = bar
         scores = evaluator.scores(whom)

@@ -22,7 +22,8 @@ from ..detector_tasks import (
     TURNING_DEGPS,
 )
 from ..detectors import Calibrated, Detector, Never, PooledDetector
-from ..simulators.base import Simulator, domain_keys, episode_seeds
+from ..sim.sensors import keys_of
+from ..simulators.base import Simulator, episode_seeds
 from ..simulators.clean_runs import RunMaxima
 from ..simulators.domain import draw
 from ..simulators.monitors import PassiveDetectors
@@ -79,7 +80,7 @@ def numbers_of(
     for first in range(0, MOST_TRIED, BLOCK):
         numbers = np.arange(first, first + BLOCK)
         seeds = seeds_of_runs(entropy, split, setup.name, numbers.tolist())
-        choice = draw(setup.bounds, domain_keys(episode_seeds(generators_of(seeds))))
+        choice = draw(setup.bounds, keys_of(episode_seeds(generators_of(seeds)))["domain"])
         onset = choice.world * setup.epochs_each + choice.start + setup.onset
         found = np.concatenate([found, numbers[holds[onset]]])
         if len(found) >= runs:
@@ -207,8 +208,7 @@ class Panel:
         setup = self.setup
         error = induced_error(setup, attacked, clean)[: setup.steps]
         moved = [undetected_displacement(error, each, setup.hold) for each in first.T]
-        found: FloatArray = np.round(np.array(moved), 6)
-        return found
+        return np.asarray(np.round(np.array(moved), 6), dtype=np.float64)
 
 
 class NearAlarm(Panel):

@@ -138,8 +138,8 @@ class DetectorEvaluator:
 
     Parameters
     ----------
-    task : str
-        ``"D1"`` to ``"D4"``.
+    task : str or DetectorTask
+        ``"D1"`` to ``"D4"``, or one of your own.
     runs : int
         Evaluation runs of every family, which decide nothing.
     selection_runs : int
@@ -163,7 +163,7 @@ class DetectorEvaluator:
 
     def __init__(
         self,
-        task: str = "D1",
+        task: str | DetectorTask = "D1",
         *,
         runs: int = RUNS,
         selection_runs: int = SELECTION_RUNS,
@@ -173,7 +173,7 @@ class DetectorEvaluator:
         progress: Progress | None = None,
         folder: str | os.PathLike[str] | None = None,
     ) -> None:
-        self.task: DetectorTask = detector_task_of(task)
+        self.task = detector_task_of(task) if isinstance(task, str) else task
         self.runs = whole_number("`runs`", runs, 2)
         few = whole_number("`selection_runs`", selection_runs, 4)
         self.selection = Selection(runs=few, sift_runs=max(few // SIFTED, 1))
@@ -192,7 +192,22 @@ class DetectorEvaluator:
     @cached_property
     def suite(self) -> Suite:
         """The task's world, without anybody in it."""
-        return Suite(**self.world_kwargs, detectors=["never"], spoofers=[])
+        return self.suite_of(["never"])
+
+    def suite_of(self, detectors: Sequence[Any]) -> Suite:
+        """Suite of the task's world with some detectors, which `calibrate_suite` takes.
+
+        Parameters
+        ----------
+        detectors : sequence
+            As of `evaluate_detector`.
+
+        Returns
+        -------
+        Suite
+            Nobody plays in it.
+        """
+        return Suite(**self.world_kwargs, detectors=detectors, spoofers=[])
 
     @property
     def world_kwargs(self) -> dict[str, Any]:
@@ -504,7 +519,7 @@ class DetectorEvaluator:
 
 def evaluate_detector(
     detector: Any,
-    task: str = "D1",
+    task: str | DetectorTask = "D1",
     *,
     runs: int = RUNS,
     selection_runs: int = SELECTION_RUNS,
@@ -526,8 +541,8 @@ def evaluate_detector(
     detector : str, mapping or Detector
         As `make_detector` takes it, at 0.2 false alarms an hour where it asks for nothing; the
         thresholds are those of the task's world everywhere.
-    task : str
-        ``"D1"`` to ``"D4"``.
+    task : str or DetectorTask
+        ``"D1"`` to ``"D4"``, or one of your own.
     runs, selection_runs, families, entropy, threads, progress, folder : optional
         As in `DetectorEvaluator`.
 

@@ -12,10 +12,24 @@ from .calibrate import calibrate
 from .limits import limits
 from .listing import card, list_, tasks
 from .perf import perf
+from .protect import protect
 from .run import render, run
 from .warmup import warmup
 
 # in the order of the help page
 app.command("list")(clear_errors(list_))
-for _command in (card, calibrate, run, render, tune, bench, limits, tasks, report, perf, warmup):
+for _command in (
+    card,
+    calibrate,
+    run,
+    render,
+    tune,
+    bench,
+    protect,
+    limits,
+    tasks,
+    report,
+    perf,
+    warmup,
+):
     app.command()(clear_errors(_command))
