@@ -16,7 +16,7 @@ from spoofgym.bench.detector_runs import (
 )
 from spoofgym.bench.run import WarmStart, displacement_of, play
 from spoofgym.bench.suite import Suite
-from spoofgym.detector_tasks import CANDIDATES, SWITCH_WITHIN_S, TURNING_DEGPS, detector_task_of
+from spoofgym.detector_tasks import CANDIDATES, SWITCH_WITHIN_S, TURNING_DEGPS
 from spoofgym.detectors import Calibrated, Never, PooledDetector, SnapshotChi2, make_detector
 
 from .detector_support import small_task
@@ -67,16 +67,6 @@ def test_at_a_switch_a_satellite_rises_or_sets_within_the_time(setup):
         assert (seen != seen[0]).any()
 
 
-@pytest.mark.parametrize("key", ["D1", "D2", "D3", "D4"])
-def test_every_task_has_such_onsets(key):
-    task = detector_task_of(key)
-    for name in ("turn", "satellite-switch"):
-        settings = {**task.world_kwargs, **task.family(name).overrides}
-        world = Suite(**settings, detectors=["never"], spoofers=[]).world
-        numbers = numbers_of(world, 0, "evaluation", 20, name)
-        assert len({*numbers.tolist()}) == 20
-
-
 def test_where_there_is_none_it_is_said(setup, monkeypatch):
     monkeypatch.setitem(
         __import__("spoofgym.bench.detector_runs", fromlist=["CONDITIONS"]).CONDITIONS,
@@ -90,7 +80,8 @@ def test_where_there_is_none_it_is_said(setup, monkeypatch):
 
 
 def test_detectors_that_share_a_pass_get_what_each_gets_alone(setup):
-    judges = [make_detector(TEST), SnapshotChi2(), make_detector({**TEST, "name": "shewhart"})]
+    tight = Calibrated(SnapshotChi2(), scale=0.3)
+    judges = [make_detector(TEST), tight, make_detector({**TEST, "name": "shewhart"})]
     rngs = rngs_of(setup, range(9))
     together = Panel(setup, judges, rngs, 1)
     moved = together.displacement(RAMP, 9)
@@ -104,7 +95,7 @@ def test_detectors_that_share_a_pass_get_what_each_gets_alone(setup):
         start = WarmStart(setup.altered(detector=judge), rngs(), threads=1)
         own = displacement_of(setup, play(start, RAMP), play(start, "none"))
         np.testing.assert_allclose(own, moved[k], atol=1e-6)
-    assert len({*moved[:, 0]}) > 1  # they do not all say the same
+    assert (moved[1] < moved[0]).any()  # they do not all say the same
 
 
 def test_a_tighter_threshold_never_lets_an_attack_farther(setup):
@@ -122,10 +113,15 @@ def test_an_attack_of_its_own_meets_the_same_runs(setup):
     panel = Panel(setup, [Never(), make_detector(TEST)], rngs_of(setup, range(4)), 1)
     idle = {"name": "profile", "rates_mps": [0.0, 0.0]}
     assert np.abs(panel.displacement(idle, 4)).max() == 0.0
-    for distance in (4.0, 8.0):
-        attack = make_attack({"name": "meaconer", "antenna_m": [0.0, distance, 0.0]})
-        never, _ = panel.displacement(idle, 4, attack)
-        np.testing.assert_allclose(never, distance, rtol=0.4)
+    near, far = (
+        panel.displacement(idle, 4, make_attack({"name": "meaconer", "antenna_m": [0.0, x, 0.0]}))
+        for x in (4.0, 8.0)
+    )
+    # the filter comes nearer to the antenna for as long as the window lasts, in proportion
+    assert (near[0] > 1.0).all()
+    assert (near[0] < 4.0).all()
+    np.testing.assert_allclose(far[0], 2.0 * near[0], rtol=0.05)
+    assert (near[1] <= near[0]).all()
 
 
 def test_near_an_alarm_are_those_whose_statistic_was_largest(setup):
