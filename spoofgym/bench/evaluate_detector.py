@@ -60,6 +60,9 @@ RUNS, SELECTION_RUNS = 400, 96
 """Evaluation runs of every family, and runs that its attacks are chosen on."""
 SIFTED = 4
 """Part of the selection that sifts, as one in so many."""
+FINE = (-0.5, -0.33, -0.16, 0.16, 0.33, 0.5)
+"""Steps around the best of the values that sift: what just passes an alert limit is a narrow range
+of settings, and between two values of the grid a displacement grows by more than half."""
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
 IDLE: Spec = {"name": "profile", "rates_mps": [0.0, 0.0]}
@@ -110,6 +113,7 @@ class FamilySearch(Search):
     """The search for the worst attacks of a family on one detector of a panel."""
 
     by_skies = False
+    neighbours = FINE
 
     def __init__(
         self,

@@ -203,6 +203,8 @@ class Search:
 
     by_skies: ClassVar[bool] = True
     """Whether attacks are looked for that are the worst in the worst skies."""
+    neighbours: ClassVar[tuple[float, ...]] = NEIGHBOURS
+    """Steps of the grid around the best of its values."""
 
     def __init__(
         self,
@@ -228,7 +230,7 @@ class Search:
         aims = aims_of(measures, limits, skies=False)
         self._beyond_ends(sifted, grids, aims, few)
         wanted = {self._best(sifted, aim, few) for aim in aims}
-        near = {(m, v) for m, value in wanted for v in _around(value, grids[m])}
+        near = {(m, v) for m, value in wanted for v in _around(value, grids[m], self.neighbours)}
         everyone = self.start.receivers
         played = {key: self._play(*key, everyone) for key in sorted(near)}
         if self.by_skies:
@@ -286,10 +288,10 @@ class Search:
         return max(sorted(worth), key=lambda key: worth[key])
 
 
-def _around(value: float, grid: list[float]) -> list[float]:
+def _around(value: float, grid: list[float], steps: Sequence[float]) -> list[float]:
     """A value and its neighbours, within the grid's range."""
     ratio = grid[1] / grid[0]
-    near = [value, *(rounded_down(value * ratio**step) for step in NEIGHBOURS)]
+    near = [value, *(rounded_down(value * ratio**step) for step in steps)]
     return [each for each in near if grid[0] <= each <= grid[-1]]
 
 
