@@ -14,6 +14,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from spoofgym._files import write_file
 from spoofgym.bench.calibrations import calibrate_suite, missing_runs
 from spoofgym.bench.comparisons import CONTROLS, name_of
@@ -67,7 +69,7 @@ def played(
 def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
     """What is kept of a task: scores, and paired differences to the best of them."""
     classics = [each for each in scores if name_of(each.detector) not in CONTROLS]
-    best = min(classics, key=lambda each: each.p_hmi.value)
+    best = min(classics, key=lambda each: np.nan_to_num(each.p_hmi.value, nan=2.0))
     first = scores[0]
     return {
         "runs": first.runs,
@@ -89,6 +91,9 @@ def shown() -> str:
         lines += [f"{key}: P(HMI) by family [%], {card['runs']} evaluation runs of each, attacks "]
         lines[-1] += f"chosen on {card['selection_runs']} others."
         lines += ["", *markdown_table(head, rows), ""]
+        if card["left_out"]:
+            named = (f"{name} ({why})" for name, why in card["left_out"].items())
+            lines += [f"Without a score in {key} as yet: {', '.join(named)}.", ""]
     absent = [f"{key}: `{command}`" for key, command in missing().items()]
     if absent:
         lines += [f"Not played yet, and how to: {'; '.join(absent)}.", ""]

@@ -77,13 +77,13 @@ def score_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
     return [
         (key, *_row(score))
         for key, card in cards.items()
-        for score in sorted(card["detectors"], key=lambda each: each["p_hmi"]["value"])
+        for score in sorted(card["detectors"], key=_hazard)
     ]
 
 
 def family_rows(card: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Head and rows of P(HMI) by family [%], the best detector first."""
-    scores = sorted(card["detectors"], key=lambda each: each["p_hmi"]["value"])
+    scores = sorted(card["detectors"], key=_hazard)
     names = [each["family"] for each in scores[0]["families"]]
     rows = [
         (score["detector"], *(_percent(each["p_hmi"]) for each in score["families"]))
@@ -92,9 +92,15 @@ def family_rows(card: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, 
     return ("detector", *names), rows
 
 
+def _hazard(score: dict[str, Any]) -> float:
+    """P(HMI) of a score; above 1 where no run counts, so that it comes last."""
+    value = score["p_hmi"]["value"]
+    return 2.0 if value is None else float(value)
+
+
 def _row(score: dict[str, Any]) -> tuple[str, ...]:
     public = [each["p_hmi"] for each in score["families"] if not each["held_out"]]
-    worst = max(public, key=lambda each: each["value"], default=None)
+    worst = max(public, key=lambda each: each["value"] or 0.0, default=None)
     alarms = score["false_alarms"]
     events = ("clock_step", "satellite_loss", "front")
     return (

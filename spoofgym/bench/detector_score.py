@@ -163,7 +163,7 @@ class DetectorScore:
     def _samples(self, family: str | None) -> tuple[float, FloatArray]:
         """P(HMI | attack), and (S,) the same in bootstrap samples, each with its worst family."""
         chosen = self.families if family is None else (self.family(family),)
-        value = max(each.p_hmi.value for each in chosen)
+        value = float(np.max([each.p_hmi.value for each in chosen]))  # NaN where nothing counts
         return value, np.max([each.resampled() for each in chosen], axis=0)
 
     def _check_paired(self, other: DetectorScore) -> None:

@@ -65,6 +65,8 @@ FINE = (-0.5, -0.33, -0.16, 0.16, 0.33, 0.5)
 of settings, and between two values of the grid a displacement grows by more than half."""
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
+KEPT_PANELS = 24
+"""Panels that are held in memory, the youngest ones."""
 IDLE: Spec = {"name": "profile", "rates_mps": [0.0, 0.0]}
 """A spoofer that commands nothing, and transmits."""
 
@@ -276,7 +278,7 @@ class DetectorEvaluator:
         labels = tuple(each.entry.label for each in group)
         key = digest_of(describe({"of": overrides, "onset": onset})), labels, split, runs
         if key not in self._panels:
-            while len(self._panels) > 3:  # the oldest ones are not asked for again
+            while len(self._panels) >= KEPT_PANELS:  # families in the same world share theirs
                 del self._panels[next(iter(self._panels))]
             setup, judges = self.setup(**overrides), [each.judge for each in group]
             near = onset == "chance-alarm"
