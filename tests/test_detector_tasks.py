@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import gymnasium as gym
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -88,6 +89,22 @@ def test_a_task_is_an_environment_of_the_detectors_side(key):
     side = LearnersSide.of(None, key, "detector", None, None, {})
     assert (side.env_id, side.side, side.pool) == (task.env_id, "detector", task.pool)
     assert side.settings == task.world_kwargs
+
+
+def test_plain_learners_meet_the_public_pool():
+    pytest.importorskip("stable_baselines3")
+    from spoofgym.sb3 import SpoofVecEnv
+
+    short = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
+    few = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
+    env = SpoofVecEnv(8, task="D1", side="detector", timeline=short, domain=few, torch_threads=None)
+    env.reset()
+    labels = env.core.pool.labels
+    assert len(labels) == len(DETECTOR_TASKS["D1"].pool)
+    assert len({*env.core.opponents()}) > 1
+    _, reward, done, _ = env.step(np.zeros((8, *env.action_space.shape), dtype=np.float32))
+    assert reward.shape == done.shape == (8,)
+    env.close()
 
 
 def test_a_pool_of_ones_own_takes_the_place_of_the_public_one():
