@@ -31,6 +31,7 @@ ROOMS = {
     "receiver": "the victim's filters and fixes",
     "sim": "the authentic world: flights, sensors, clocks, satellites, noise",
     "earth": "ellipsoid, gravity, frames, ranges",
+    "detector_tasks": "families of attacks that detectors meet",
     "tasks": "settings of the tasks and of the papers",
 }
 """Every room, and what it is for in a few words."""

@@ -18,13 +18,15 @@ envs       what Gymnasium sees: one step path over any victim, terms, wrappers
 duel       the game of a spoofer and a detector, its two forms and the views of one side
 duel_v0    what is public of the duel, for PettingZoo and Gymnasium
 tasks      the tasks of `spoofgym-bench-v1`, and the papers' scenarios
+detector_tasks  its tasks for detectors
 bench      campaigns: detectors x spoofers x paired seeds, and their scores
 sb3        the vector environment of stable-baselines3, and a callback that scores
 export     from a model to an ONNX file with its card
 testing    check_detector, check_attack, check_spoofer
-cli        spoofgym list | calibrate | run | tune | bench | perf | report | warmup
+cli        spoofgym list | calibrate | run | tune | bench | protect | perf | report | warmup
 
-`spoofgym.evaluate` scores any spoofer by the rule of the benchmark.
+`spoofgym.evaluate` scores any spoofer by the rule of the benchmark, and
+`spoofgym.evaluate_detector` any detector.
 
 **Frames**
 
@@ -67,10 +69,12 @@ from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register
 
+from .detector_tasks import DETECTOR_TASKS as _DETECTOR_TASKS
 from .tasks import TASKS as _TASKS
 
 if TYPE_CHECKING:
     from .bench.evaluate import evaluate as evaluate
+    from .bench.evaluate_detector import evaluate_detector as evaluate_detector
 
 __version__ = "0.1.0"
 
@@ -129,11 +133,23 @@ for _task in _TASKS.values():
         kwargs=_task.env_kwargs,
     )
 
+for _detector_task in _DETECTOR_TASKS.values():
+    register(
+        id=_detector_task.env_id,
+        entry_point="spoofgym.duel_v0:DetectorView",
+        vector_entry_point="spoofgym.duel_v0:DetectorVectorView",
+        kwargs=_detector_task.env_kwargs,
+    )
+
 
 def __getattr__(name: str) -> Any:
-    """`evaluate`, which is imported when it is first asked for: the benchmark takes its time."""
+    """`evaluate` and `evaluate_detector`, imported when first asked for: they take their time."""
     if name == "evaluate":
         from .bench.evaluate import evaluate
 
         return evaluate
+    if name == "evaluate_detector":
+        from .bench.evaluate_detector import evaluate_detector
+
+        return evaluate_detector
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -55,7 +55,18 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_help_of_every_command() -> None:
     text = call("--help").output
-    for command in ("list", "card", "run", "tune", "bench", "limits", "report", "perf", "warmup"):
+    for command in (
+        "list",
+        "card",
+        "run",
+        "tune",
+        "bench",
+        "protect",
+        "limits",
+        "report",
+        "perf",
+        "warmup",
+    ):
         assert command in text
         page = call(command, "--help")
         assert page.exit_code == 0

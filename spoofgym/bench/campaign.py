@@ -246,7 +246,7 @@ def start_of(
     return start, play(start, "none", tick=lambda part: progress.advance(runs * part, now))
 
 
-class _Left:
+class Left:
     """Shows work, but no more of it than was expected, and the rest at the end."""
 
     def __init__(self, progress: Progress, expected: float, now: str) -> None:
@@ -273,7 +273,7 @@ def search(
     optima: Optima | None = None,
 ) -> TuningResult:
     """Search for the setting of one spoofer, and for the curve of a blind optimum before."""
-    left = _Left(progress, search_work(suite), f"{detector.label}: tuning {entry.label}")
+    left = Left(progress, search_work(suite), f"{detector.label}: tuning {entry.label}")
     if not entry.searched:
         result = tune(start, clean, entry, detector.label, suite.tuning, tick=left.tick)
         left.end()
@@ -306,7 +306,7 @@ class _Worst(NamedTuple):
     found: dict[tuple[int, float], list[Aim]]
     members: tuple[Member, ...]
     skies: NDArray[np.int64] | None
-    left: _Left
+    left: Left
 
 
 def _worst(
@@ -321,7 +321,7 @@ def _worst(
     runs = suite.selection.runs
     start, clean = start_of(suite, detector, "selection", runs, threads, progress)
     expected = protection_work(suite) - runs * (1.0 + WARMUP_SHARE)
-    left = _Left(progress, expected, f"{detector.label}: worst attack")
+    left = Left(progress, expected, f"{detector.label}: worst attack")
     context = spoofer_context(start.setup)
     looked = Search(start, clean, members, context, suite.selection, left.tick)
     found = looked.winners(suite.alert_limits_m)

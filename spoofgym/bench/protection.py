@@ -17,7 +17,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,6 +201,11 @@ Played = dict[tuple[int, float], dict[str, FloatArray]]
 class Search:
     """The search for the worst attacks on a detector, on runs of the selection at the onset."""
 
+    by_skies: ClassVar[bool] = True
+    """Whether attacks are looked for that are the worst in the worst skies."""
+    neighbours: ClassVar[tuple[float, ...]] = NEIGHBOURS
+    """Steps of the grid around the best of its values."""
+
     def __init__(
         self,
         start: WarmStart,
@@ -219,22 +224,28 @@ class Search:
     def winners(self, limits: Sequence[float]) -> dict[tuple[int, float], list[Aim]]:
         """Member and value of the worst attacks, each with its aims."""
         few = min(self.settings.sift_runs, self.start.receivers)
-        grids = [grid_of(each, self.context, self.settings.values) for each in self.members]
+        grids = [self._grid(each) for each in self.members]
         sifted = {(m, v): self._play(m, v, few) for m, grid in enumerate(grids) for v in grid}
         measures = list(next(iter(sifted.values())))
         aims = aims_of(measures, limits, skies=False)
         self._beyond_ends(sifted, grids, aims, few)
         wanted = {self._best(sifted, aim, few) for aim in aims}
-        near = {(m, v) for m, value in wanted for v in _around(value, grids[m])}
+        near = {(m, v) for m, value in wanted for v in _around(value, grids[m], self.neighbours)}
         everyone = self.start.receivers
         played = {key: self._play(*key, everyone) for key in sorted(near)}
-        worst = self._best(played, aims[0], everyone)
-        self.skies = worst_skies(played[worst][MEASURES[0]][self.counts], self.sky[self.counts])
+        if self.by_skies:
+            worst = self._best(played, aims[0], everyone)
+            moved = played[worst][MEASURES[0]]
+            self.skies = worst_skies(moved[self.counts], self.sky[self.counts])
         aims = aims_of(measures, limits, skies=self.skies is not None)
         found: dict[tuple[int, float], list[Aim]] = {}
         for aim in aims:
             found.setdefault(self._best(played, aim, everyone), []).append(aim)
         return found
+
+    def _grid(self, member: Member) -> list[float]:
+        """Values of a member's setting."""
+        return grid_of(member, self.context, self.settings.values)
 
     def _beyond_ends(
         self, sifted: Played, grids: list[list[float]], aims: Sequence[Aim], runs: int
@@ -277,10 +288,10 @@ class Search:
         return max(sorted(worth), key=lambda key: worth[key])
 
 
-def _around(value: float, grid: list[float]) -> list[float]:
+def _around(value: float, grid: list[float], steps: Sequence[float]) -> list[float]:
     """A value and its neighbours, within the grid's range."""
     ratio = grid[1] / grid[0]
-    near = [value, *(rounded_down(value * ratio**step) for step in NEIGHBOURS)]
+    near = [value, *(rounded_down(value * ratio**step) for step in steps)]
     return [each for each in near if grid[0] <= each <= grid[-1]]
 
 

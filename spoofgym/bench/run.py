@@ -10,12 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..simulators.base import Simulator
 from ..simulators.engine import Engine
 from ..simulators.setup import Setup
 from .decisions import Attacker
 from .scores import undetected_displacement
 
 FloatArray = NDArray[np.float64]
+Watch = Callable[[int, NDArray[np.intp], Simulator], NDArray[np.bool_]]
+"""Is given an epoch, from 0 on, which runs play it, and their receivers; returns (b,) bool."""
 DROP_EVERY, DROP_PART = 10, 0.25
 """How often, in epochs, settled runs are dropped, and from which part of all on."""
 
@@ -82,6 +85,17 @@ class WarmStart:
         self._engine.reset(rngs)
         self.warmup_alarm = self._engine.warmup_alarm.copy()
 
+    @property
+    def simulator(self) -> Simulator:
+        """The receivers at the onset, which nobody may change."""
+        return self._engine.simulator
+
+    def under(self, setup: Setup) -> WarmStart:
+        """The same receivers, whose runs have other monitors."""
+        part = copy.copy(self)
+        part.setup = setup
+        return part
+
     def first(self, count: int) -> WarmStart:
         """Some of the receivers, with the bits that they have among all."""
         return self.take(np.arange(min(count, self.receivers)))
@@ -113,12 +127,11 @@ def play(
     *,
     drop_alarmed: bool = False,
     tick: Callable[[float], None] | None = None,
-    watch: Callable[[int, Engine], None] | None = None,
+    watch: Watch | None = None,
 ) -> Runs:
     """Let a spoofer attack all runs, from the onset to the end of the hold.
 
-    `watch` is called after every epoch with its number, from 0 on, and the engine; it needs all
-    runs, so that none may be dropped.
+    `watch` looks at every epoch, and says which runs count as alarmed in place of the detector.
     """
     setup = start.setup
     epochs, everyone = setup.steps + setup.hold, start.receivers
@@ -134,11 +147,9 @@ def play(
         verdict = attacker.engine.step(attacker.command(k))
         simulator = attacker.engine.simulator
         position[k, rows], coasting[k, rows] = simulator.position, simulator.coasting
-        alarm[k, rows] = verdict.alarm.any(axis=1)
+        alarm[k, rows] = verdict.alarm.any(axis=1) if watch is None else watch(k, rows, simulator)
         blamed[rows] += verdict.alarm.sum(axis=1)
         peak[rows] = np.maximum(peak[rows], simulator.ratio())
-        if watch is not None:
-            watch(k, attacker.engine)
         if tick is not None:
             tick(1.0 / epochs)
         if drop_alarmed and (k + 1) % DROP_EVERY == 0:

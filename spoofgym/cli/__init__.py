@@ -13,11 +13,25 @@ from .game import game
 from .limits import limits
 from .listing import card, list_, tasks
 from .perf import perf
+from .protect import protect
 from .run import render, run
 from .warmup import warmup
 
 # in the order of the help page
 app.command("list")(clear_errors(list_))
-_commands = (card, calibrate, run, render, tune, bench, game, limits, tasks, report, perf, warmup)
-for _command in _commands:
+for _command in (
+    card,
+    calibrate,
+    run,
+    render,
+    tune,
+    bench,
+    protect,
+    game,
+    limits,
+    tasks,
+    report,
+    perf,
+    warmup,
+):
     app.command()(clear_errors(_command))

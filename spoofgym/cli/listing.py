@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from . import options as opt
-from .output import print_json, print_table
+from .output import print_json, print_lines, print_table
 
 
 def list_(
@@ -53,11 +53,12 @@ def card(
 
 def tasks(as_json: opt.Json = False) -> None:
     """List the tasks of spoofgym-bench-v1, with their brackets and the scores that are known."""
-    from ..bench import task_cards
+    from ..bench import detector_cards, task_cards
+    from ..detector_tasks import DETECTOR_TASKS
     from ..tasks import SUITE, TASKS
 
     if as_json:
-        print_json(task_cards.listed())
+        print_json([*task_cards.listed(), *detector_cards.listed()])
         return
     rows = [
         (key, task.env_id, task.title + (", historical" if task.historical else ""))
@@ -66,3 +67,15 @@ def tasks(as_json: opt.Json = False) -> None:
     print_table(SUITE, ("task", "environment", "what it asks for"), rows)
     print_table("stealthy displacement", task_cards.HEAD, task_cards.score_rows())
     print_table("admission", task_cards.ADMISSION_HEAD, task_cards.admission_rows())
+    head = ("task", "environment of a learner", "world", "families that are held out")
+    defended = [
+        (key, each.env_id, each.title, ", ".join(family.key for family in each.held_out))
+        for key, each in DETECTOR_TASKS.items()
+    ]
+    print_table(f"{SUITE}, for detectors", head, defended)
+    cards = detector_cards.stored_cards()
+    print_table("protection", detector_cards.HEAD, detector_cards.score_rows(cards))
+    print_lines(
+        f"{key} has no reference scores yet: {command}"
+        for key, command in detector_cards.missing().items()
+    )

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Self
 import gymnasium as gym
 
 from .._registry import check_choice
+from ..detector_tasks import DETECTOR_TASKS, detector_task_of
 from ..envs.core import SpoofCore
 from ..envs.factory import make_core
 from ..envs.spoofer_binding import ENV_ID, SETUPS
@@ -48,7 +49,7 @@ class LearnersSide(NamedTuple):
         check_choice("side", side, (SPOOFER, DETECTOR))
         if task is not None and env_id is not None:
             raise ValueError(f"`env_id` and `task` are both given: {env_id!r} and {task!r}")
-        name = task_of(task).env_id if task is not None else env_id or ENV_ID
+        name = _task_id(task, side) if task is not None else env_id or ENV_ID
         setup, view, merged = _registered(name)
         if view == "DetectorView":
             side = DETECTOR
@@ -56,7 +57,8 @@ class LearnersSide(NamedTuple):
         if pool is None and side == SPOOFER:
             pool, weights = own[0] or VIEWS.get(view), own[1] if weights is None else weights
         elif pool is None:
-            pool = VIEWS["DetectorView"]
+            whom = own[0] if view == "DetectorView" else None
+            pool = whom or VIEWS["DetectorView"]
         _check_opponents(name, side, setup, pool, weights, settings.get("detector"))
         if pool is not None:
             merged.pop("detector", None)  # of the id, in whose place the pool or the learner is
@@ -90,6 +92,15 @@ class LearnersSide(NamedTuple):
             met = {"name": "pool", "members": members}
             met |= {} if self.weights is None else {"weights": list(self.weights)}
         return {**self.settings, "detector": met}
+
+
+def _task_id(key: str, side: str) -> str:
+    """Id of a task of either kind; one for detectors has no spoofer's side."""
+    if key not in DETECTOR_TASKS:
+        return task_of(key).env_id
+    if side != DETECTOR:
+        raise ValueError(f"task {key} is for detectors: it needs `side` {DETECTOR!r}, got {side!r}")
+    return detector_task_of(key).env_id
 
 
 def _registered(env_id: str) -> tuple[type[Setup], str, dict[str, Any]]:

@@ -28,8 +28,8 @@ from ..bench.specs import digest_of, make_judge
 from ..bench.suite import WORLD, Suite
 from ..detectors import Calibrated, Detector, Never, PooledDetector
 from ..detectors.calibrated import resolve
+from ..simulators.base import Simulator
 from ..simulators.clean_runs import Progress, Silent, weighs
-from ..simulators.engine import Engine
 from ..simulators.monitors import Monitored, PassiveDetectors
 from ..simulators.setup import Setup
 from ..simulators.splits import SPLITS
@@ -338,9 +338,10 @@ class Game:
         """One attack on all runs, and (D, R) the first alarms, from 1 on; 0 for none."""
         first = np.zeros((detectors, start.receivers), dtype=np.int64)
 
-        def watch(epoch: int, engine: Engine) -> None:
-            alarmed = engine.simulator.monitor(EpochAlarms).memory["alarmed"].T
-            first[alarmed & (first == 0)] = epoch + 1
+        def watch(epoch: int, rows: NDArray[np.intp], simulator: Simulator) -> NDArray[np.bool_]:
+            alarmed = simulator.monitor(EpochAlarms).memory["alarmed"].T
+            first[:, rows] = np.where(alarmed & (first[:, rows] == 0), epoch + 1, first[:, rows])
+            return np.asarray(alarmed.all(axis=0))
 
         def tick(part: float) -> None:
             if now is not None:

@@ -59,6 +59,12 @@ CONSTANTS: dict[str, tuple[int, ...]] = {
 """
 
 
+def keys_of(episodes: Sequence[np.random.SeedSequence]) -> dict[str, NDArray[np.uint64]]:
+    """(b, 2) keys of the noise of each of `SOURCES`, from the seeds of episodes."""
+    drawn = np.array([seed.generate_state(2 * len(SOURCES), np.uint64) for seed in episodes])
+    return {source: drawn[:, 2 * k : 2 * k + 2] for k, source in enumerate(SOURCES)}
+
+
 class SensorBuffers:
     """The memory of a batch of sensors, and what an attack adds to their measurements.
 
@@ -125,10 +131,9 @@ class SensorBuffers:
         sources: Sequence[str] = SOURCES,
     ) -> None:
         """Take the keys of some sources from the seeds of episodes."""
-        drawn = np.array([seed.generate_state(2 * len(SOURCES), np.uint64) for seed in episodes])
+        drawn = keys_of(episodes)
         for source in sources:
-            k = 2 * SOURCES.index(source)
-            self.words.put(source, rows, drawn[:, k : k + 2])
+            self.words.put(source, rows, drawn[source])
 
     def begin(
         self,

@@ -29,6 +29,7 @@ def test_every_environment_is_named():
     ids = [name for name in gym.registry if name.startswith("spoofgym/")]
     named = {f"spoofgym/{name}" for name in re.findall(r"`(?:spoofgym/)?(\w+-v\d+)`", PAGE)}
     named |= {f"spoofgym/BenchT{k}-v1" for k in range(2, 6)}  # "T1 to T6"
+    named |= {f"spoofgym/BenchD{k}-v1" for k in range(2, 4)}
     assert len(ids) > 5
     assert set(ids) == named
 

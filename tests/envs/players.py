@@ -23,14 +23,19 @@ SMALL_IDS = tuple(f"spoofgym/{kind}-v0" for kind in SMALL)
 DUELS = {"AEC duel": "env", "parallel duel": "parallel_env"}
 COUNT = 3
 SHORT = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
+FEW_WORLDS = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
 SETTINGS: dict[str, dict[str, Any]] = {
+    **{
+        f"spoofgym/BenchD{k}-v1": {"timeline": SHORT, "scenario": "trolley", "domain": FEW_WORLDS}
+        for k in range(1, 5)
+    },
     "spoofgym/BenchT4-v1": {
         "timeline": {"warmup_s": 10.0, "live_s": 5.0, "attack_s": 60.0, "time_to_alert_s": 2.0},
         "scenario": "trolley-tactical",
     },
     "spoofgym/BenchT5-v1": {
         "timeline": SHORT,
-        "domain": {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2},
+        "domain": FEW_WORLDS,
     },
     "spoofgym/LooselyCoupled-v0": {
         "timeline": {"warmup_s": 1.0, "live_s": 1.0, "attack_s": 2.4, "time_to_alert_s": 0.5},

@@ -1,0 +1,124 @@
+"""Cards of the tasks for detectors: reference scores of calibrated classics."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from typing import Any
+
+from ..detector_tasks import DETECTOR_TASKS, DetectorTask
+from ..tasks import RANGE_RATE_TESTS, SUITE
+from .tables import interval
+
+FILE = "detector_cards_v1.json"
+"""Stored with this module; made by `tools.detector_cards`."""
+COMMAND = "python -m tools.detector_cards {}"
+HEAD = (
+    "task",
+    "detector",
+    "P(HMI) [%], worst family",
+    "worst family",
+    "worst public family [%]",
+    "exceeded in 50 % [m]",
+    "in 5 % [m]",
+    "false alarms [% of runs]",
+    "clock step, lost satellite, front [%]",
+)
+
+
+def classics_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
+    """Detectors with a reference score: controls, the tests that do best in T3, and others.
+
+    At 0.2 false alarms an hour in the task's world; of solution separation the bank of the task.
+    """
+    bank = next(each for each in task.task.detectors if each["name"] == "solution-separation")
+    plain = {key: value for key, value in bank.items() if key != "false_alarms_per_hour"}
+    named = ("aime", "cumulative-bank", "sequential-chi2", "windowed-chi2", "shewhart")
+    tests = (each for each in RANGE_RATE_TESTS if each["name"] in named)
+    others = ("snapshot-chi2", "innovation-rate", "raim", "ewma")
+    controls = {"name": "never"}, {"name": "lottery"}
+    return (*controls, plain, *tests, *({"name": name} for name in others))
+
+
+def stored_cards() -> dict[str, dict[str, Any]]:
+    """Cards by the keys of the tasks; those that have not been played are absent."""
+    text = files(__package__).joinpath(FILE).read_text(encoding="utf-8")
+    found: dict[str, dict[str, Any]] = json.loads(text)
+    return found
+
+
+def missing() -> dict[str, str]:
+    """Tasks without a card, and the command that plays each."""
+    there = stored_cards()
+    return {key: COMMAND.format(key) for key in DETECTOR_TASKS if key not in there}
+
+
+def listed() -> list[dict[str, Any]]:
+    """All tasks with their cards, JSON-able."""
+    cards, absent = stored_cards(), missing()
+    return [
+        {
+            "key": key,
+            "suite": SUITE,
+            "env_id": task.env_id,
+            "title": task.title,
+            "alert_limit_m": task.alert_limit_m,
+            "public": [each.key for each in task.public],
+            "held_out": [each.key for each in task.held_out],
+            "card": cards.get(key),
+            "play": absent.get(key),
+        }
+        for key, task in DETECTOR_TASKS.items()
+    ]
+
+
+def score_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Rows of the table of scores, in the order of `HEAD`, the best detector of a task first."""
+    return [
+        (key, *_row(score))
+        for key, card in cards.items()
+        for score in sorted(card["detectors"], key=_hazard)
+    ]
+
+
+def family_rows(card: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and rows of P(HMI) by family [%], the best detector first."""
+    scores = sorted(card["detectors"], key=_hazard)
+    names = [each["family"] for each in scores[0]["families"]]
+    rows = [
+        (score["detector"], *(_percent(each["p_hmi"]) for each in score["families"]))
+        for score in scores
+    ]
+    return ("detector", *names), rows
+
+
+def _hazard(score: dict[str, Any]) -> float:
+    """P(HMI) of a score; above 1 where no run counts, so that it comes last."""
+    value = score["p_hmi"]["value"]
+    return 2.0 if value is None else float(value)
+
+
+def _row(score: dict[str, Any]) -> tuple[str, ...]:
+    public = [each["p_hmi"] for each in score["families"] if not each["held_out"]]
+    worst = max(public, key=lambda each: each["value"] or 0.0, default=None)
+    alarms = score["false_alarms"]
+    events = ("clock_step", "satellite_loss", "front")
+    return (
+        score["detector"],
+        _percent(score["p_hmi"], bounds=True),
+        score["worst_family"],
+        "-" if worst is None else _percent(worst),
+        interval(score["exceeded_m"]["0.5"]),
+        interval(score["exceeded_m"]["0.05"]),
+        _percent(alarms["clean, judged window"], bounds=True),
+        ", ".join(_percent(alarms[event]) for event in events),
+    )
+
+
+def _percent(estimate: dict[str, float | None], *, bounds: bool = False) -> str:
+    if estimate["value"] is None:
+        return "-"
+    if not bounds:
+        return f"{100.0 * estimate['value']:.0f}"
+    low, high = (100.0 * (estimate[name] or 0.0) for name in ("low", "high"))
+    return f"{100.0 * estimate['value']:.1f} ({low:.1f} to {high:.1f})"

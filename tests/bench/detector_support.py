@@ -1,0 +1,38 @@
+"""A task for detectors that takes seconds: short episodes of T3's flight, an alert limit of 2 m."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from spoofgym.detector_tasks import AttackFamily, DetectorTask, detector_task_of
+
+TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 4.0}
+NOMINAL = {"thresholds": "nominal"}
+
+
+@dataclass(frozen=True)
+class SmallTask(DetectorTask):
+    """Families of a task in a world of its own."""
+
+    @property
+    def alert_limit_m(self) -> float:
+        return 2.0
+
+    @property
+    def world_kwargs(self) -> dict[str, Any]:
+        drawn = {"start_s": [0.0, None], "turned_deg": [0.0, 360.0], "worlds": 8}
+        drawn["constellation_time_s"] = [0.0, 86_400.0]
+        return {
+            "scenario": "trolley",
+            "receiver": "matched",
+            "timeline": dict(TIMELINE),
+            "domain": drawn,
+        }
+
+
+def small_task(of: str = "D1") -> SmallTask:
+    families = detector_task_of(of).families
+    # its own timeline has onsets of all kinds
+    kept = (AttackFamily(**{**vars(each), "timeline": None}) for each in families)
+    return SmallTask("small", "short episodes", "T3", tuple(kept))

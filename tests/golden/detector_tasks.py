@@ -1,0 +1,88 @@
+"""What the tasks for detectors are, and how far stated attacks come in them: kept as they are.
+
+python -m tests.golden.detector_tasks     # writes tests/golden/detector_tasks.json
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spoofgym import detector_tasks
+from spoofgym._describe import describe, digest_of
+from spoofgym._files import write_file
+from spoofgym.attacks import ATTACKS, make_attack
+from spoofgym.bench.detector_runs import Panel, generators, numbers_of
+from spoofgym.bench.evaluate_detector import IDLE, DetectorEvaluator
+from spoofgym.bench.specs import spec_of
+from spoofgym.detector_tasks import DETECTOR_TASKS, AttackFamily, DetectorTask
+from spoofgym.detectors import make_detector
+
+KEPT = Path(__file__).with_name("detector_tasks.json")
+RUNS = 2
+RAMP = {"name": "ramp", "rate_mps": 0.3}
+WHOM = {"name": "snapshot-chi2", "signals": "range_rate", "thresholds": "nominal"}
+CONSTANTS = (
+    "TURNING_DEGPS",
+    "SWITCH_WITHIN_S",
+    "NEAR_ALARM_S",
+    "CANDIDATES",
+    "ANTENNA_PARTS",
+    "EVENTS",
+)
+
+
+def resolved(task: DetectorTask) -> dict[str, Any]:
+    """All settings of a task with their defaults, of every family, and of the learners' pool."""
+    evaluator = DetectorEvaluator(task.key)
+    families = {}
+    for family in task.families:
+        setup = evaluator.setup(**family.overrides)
+        families[family.key] = {
+            **dataclasses.asdict(family),
+            "attack": spec_of("attack", ATTACKS, setup.attack),
+            "timeline": describe(setup.timeline),
+            "members": [[each.letter, each.entry.spec] for each in evaluator.members(family)],
+        }
+    found = {
+        "world": evaluator.suite.world.conditions.settings,
+        "alert_limit_m": task.alert_limit_m,
+        "families": families,
+        "constants": {name: getattr(detector_tasks, name) for name in CONSTANTS},
+        "spec": task.env_kwargs,
+    }
+    kept: dict[str, Any] = json.loads(json.dumps(describe(found)))
+    return kept
+
+
+def reached(task: DetectorTask, family: AttackFamily) -> dict[str, Any]:
+    """Runs of a family that are drawn by its onset, and how far one stated attack comes in them."""
+    setup = DetectorEvaluator(task.key).setup(**family.overrides)
+    onset = None if family.onset == "chance-alarm" else family.onset
+    numbers = numbers_of(setup, 0, "evaluation", RUNS, onset)
+    judges = [make_detector("never"), make_detector(WHOM)]
+    panel = Panel(setup, judges, lambda: generators(setup, 0, "evaluation", numbers), 1)
+    attack = None
+    if family.letters == "m":
+        attack = make_attack({**(family.attack or {}), "antenna_m": [0.0, task.alert_limit_m, 0.0]})
+    moved = panel.displacement(RAMP if attack is None else IDLE, RUNS, attack)
+    return {"numbers": numbers.tolist(), "displacement_m": np.asarray(moved).tolist()}
+
+
+def main() -> None:
+    """Write what is kept."""
+    found = {}
+    for key, task in DETECTOR_TASKS.items():
+        settings = resolved(task)
+        figures = {each.key: reached(task, each) for each in task.held_out}
+        found[key] = {"sha256": digest_of(settings), "settings": settings, "reached": figures}
+        print(key, found[key]["sha256"], figures, flush=True)
+    write_file(KEPT, (json.dumps(found, indent=1) + "\n").encode())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""Play the reference scores of the tasks for detectors, and keep their cards.
+
+    python -m tools.detector_cards D1             # plays what is missing, into results/detectors
+    python -m tools.detector_cards --tables-only  # docs/tasks.md again from the cards
+
+Killed, it goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spoofgym._files import write_file
+from spoofgym.bench.calibrations import calibrate_suite, missing_runs
+from spoofgym.bench.comparisons import CONTROLS, name_of
+from spoofgym.bench.detector_cards import (
+    FILE,
+    HEAD,
+    classics_of,
+    family_rows,
+    missing,
+    score_rows,
+    stored_cards,
+)
+from spoofgym.bench.detector_score import DetectorScore
+from spoofgym.bench.entries import detector_entry
+from spoofgym.bench.evaluate_detector import DetectorEvaluator
+from spoofgym.bench.report import markdown_table
+from spoofgym.cli.output import progress
+from spoofgym.detector_tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
+from tools.pages import put_between
+
+ROOT = Path(__file__).resolve().parents[1]
+KEPT, PAGE = ROOT / "spoofgym" / "bench" / FILE, ROOT / "docs" / "tasks.md"
+BEGIN, END = "<!-- detector-cards:begin -->", "<!-- detector-cards:end -->"
+RUNS, SELECTION_RUNS = 200, 64
+
+
+def played(
+    task: DetectorTask, out: Path, runs: int, selection_runs: int, only: list[str] | None
+) -> dict[str, Any]:
+    """Play a task, and return its card; `only` some detectors, by their names."""
+    everyone = classics_of(task)
+    classics = [each for each in everyone if only is None or each["name"] in only]
+    evaluator = DetectorEvaluator(
+        task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1
+    )
+    suite = evaluator.suite_of(classics)
+    refused: dict[str, str] = {}
+    unplayed = [detector_entry(each).label for each in everyone if each not in classics]
+    if left := missing_runs(suite):
+        labels = [each.label for each in suite.detector_entries]
+        with progress(left) as bar:
+            refused = calibrate_suite(suite, progress=bar, optional=labels)
+    entries = zip(suite.detector_entries, classics, strict=True)
+    whom = [spec for entry, spec in entries if entry.label not in refused]
+    with progress(evaluator.expected_work(whom)) as bar:
+        evaluator.progress = bar
+        scores = evaluator.scores(whom)
+    return {**card_of(scores), "left_out": {**refused, **dict.fromkeys(unplayed, "not played")}}
+
+
+def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
+    """What is kept of a task: scores, and paired differences to the best of them."""
+    classics = [each for each in scores if name_of(each.detector) not in CONTROLS]
+    best = min(classics, key=lambda each: np.nan_to_num(each.p_hmi.value, nan=2.0))
+    first = scores[0]
+    return {
+        "runs": first.runs,
+        "selection_runs": first.selection_runs,
+        "entropy": first.entropy,
+        "best_classic": best.detector,
+        "detectors": [
+            {**each.as_dict(), "less_best": each.difference_to(best).as_json()} for each in scores
+        ],
+    }
+
+
+def shown() -> str:
+    """Tables of the page."""
+    cards = stored_cards()
+    lines = [*markdown_table(HEAD, score_rows(cards)), ""]
+    for key, card in cards.items():
+        head, rows = family_rows(card)
+        lines += [f"{key}: P(HMI) by family [%], {card['runs']} evaluation runs of each, attacks "]
+        lines[-1] += f"chosen on {card['selection_runs']} others."
+        lines += ["", *markdown_table(head, rows), ""]
+        if card["left_out"]:
+            named = (f"{name} ({why})" for name, why in card["left_out"].items())
+            lines += [f"Without a score in {key} as yet: {', '.join(named)}.", ""]
+    absent = [f"{key}: `{command}`" for key, command in missing().items()]
+    if absent:
+        lines += [f"Not played yet, and how to: {'; '.join(absent)}.", ""]
+    return "\n".join(lines)
+
+
+def main(arguments: list[str]) -> None:
+    """Play tasks, keep their cards, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("tasks", nargs="*", help=f"of {', '.join(DETECTOR_TASKS)}; default: all")
+    parser.add_argument("--out", type=Path, default=Path("results/detectors"))
+    parser.add_argument("--runs", type=int, default=RUNS, help="evaluation runs of every family")
+    parser.add_argument("--selection-runs", type=int, default=SELECTION_RUNS)
+    parser.add_argument("--only", nargs="+", help="detectors by their names; default: all")
+    parser.add_argument("--tables-only", action="store_true", help="play nothing")
+    given = parser.parse_args(arguments)
+    for key in () if given.tables_only else given.tasks or DETECTOR_TASKS:
+        sizes = given.runs, given.selection_runs
+        card = played(detector_task_of(key), given.out, *sizes, given.only)
+        kept = {**stored_cards(), key: card}
+        kept = {name: kept[name] for name in DETECTOR_TASKS if name in kept}
+        write_file(KEPT, (json.dumps(kept, indent=1, allow_nan=False) + "\n").encode())
+        for score in card["detectors"]:
+            print(key, score["detector"], score["p_hmi"], score["worst_family"], flush=True)
+    put_between(PAGE, BEGIN, END, shown())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
