@@ -9,6 +9,7 @@ from .app import clear_errors as clear_errors
 from .app import main as main
 from .bench import bench, report, tune
 from .calibrate import calibrate
+from .dataset import dataset
 from .limits import limits
 from .listing import card, list_, tasks
 from .perf import perf
@@ -17,5 +18,18 @@ from .warmup import warmup
 
 # in the order of the help page
 app.command("list")(clear_errors(list_))
-for _command in (card, calibrate, run, render, tune, bench, limits, tasks, report, perf, warmup):
+for _command in (
+    card,
+    calibrate,
+    run,
+    render,
+    tune,
+    bench,
+    limits,
+    dataset,
+    tasks,
+    report,
+    perf,
+    warmup,
+):
     app.command()(clear_errors(_command))

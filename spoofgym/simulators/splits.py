@@ -14,6 +14,9 @@ SPLITS = {
     "holdout": 4,
     "selection": 5,
     "search": 6,
+    "dataset-train": 7,
+    "dataset-validation": 8,
+    "dataset-test": 9,
 }
 """First element of the spawn keys; 3 was once another split's."""
 
