@@ -55,12 +55,23 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_help_of_every_command() -> None:
     text = call("--help").output
-    for command in ("list", "card", "run", "tune", "bench", "limits", "report", "perf", "warmup"):
+    for command in (
+        "list",
+        "card",
+        "run",
+        "tune",
+        "bench",
+        "limits",
+        "dataset",
+        "report",
+        "perf",
+        "warmup",
+    ):
         assert command in text
         page = call(command, "--help")
         assert page.exit_code == 0
         assert "Usage" in page.output
-        if command in ("run", "bench", "limits"):
+        if command in ("run", "bench", "limits", "dataset"):
             assert "--env" in page.output
             assert "--set" in page.output
     assert call("--version").output.strip() == __version__
@@ -89,7 +100,7 @@ def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> Non
     }
     group = typer.main.get_group(app)
     names = [field.name for field in dataclasses.fields(World) if field.name != "context"]
-    for command in ("run", "render", "tune", "bench", "limits"):
+    for command in ("run", "render", "tune", "bench", "limits", "dataset"):
         options = [option.name for option in group.commands[command].params]
         start = options.index("env")
         assert options[start : start + len(names)] == names

@@ -22,6 +22,7 @@ import json
 import os
 import threading
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -34,11 +35,10 @@ from numpy.typing import NDArray
 from .._describe import describe, digest_of, outside_sources
 from .._files import remove_stale_parts, write_file
 from .._registry import check_choice, check_finite, whole_number
-from ..detectors import Detector, DetectorContext, Never, Verdict
-from ..duel.detector_observer import ALL_TERMS, DetectorObserver
-from ..duel.detector_terms import DetectorTerm
+from ..detectors import Detector, Never
+from ..detectors.learned.agent import DetectorAgent
+from ..detectors.learned.observer import make_detector_terms, written_terms
 from ..envs.observer import Observer
-from ..receiver.epoch import Epoch
 from ..simulators.base import Simulator, run_serially
 from ..simulators.clean_runs import Progress, Silent, Stopped, in_order, weighs
 from ..simulators.engine import Engine, available_threads
@@ -48,7 +48,7 @@ from ..simulators.splits import SPLITS, generators_of, seeds_of_runs
 from .run import epochs_of, horizontal, to_local
 from .specs import Spec, make_judge, spec_of_judge
 from .suite import versions
-from .training_attacks import FAMILIES, HELD_OUT, Attackers, TrainingAttacks
+from .training_attacks import FAMILIES, HELD_OUT, Attackers, TrainingAttacks, check_not_held_out
 
 FloatArray = NDArray[np.float64]
 KIND, FORMAT = "spoofgym-dataset", 1
@@ -56,6 +56,19 @@ KIND, FORMAT = "spoofgym-dataset", 1
 MANIFEST = "manifest.json"
 PARTS = {"train": "dataset-train", "validation": "dataset-validation", "test": "dataset-test"}
 """Splits of a data set, and what `simulators.splits` calls them."""
+TERMS: tuple[Any, ...] = (
+    "innovation",
+    "innovation-sd",
+    "in-view",
+    "line-of-sight",
+    "chi-square",
+    {"name": "classic", "detector": {"name": "solution-separation"}},
+    {"name": "classic", "detector": {"name": "aime", "signals": "range_rate"}},
+    {"name": "classic", "detector": {"name": "sequential-chi2", "signals": "range_rate"}},
+    {"name": "classic", "detector": {"name": "cumulative-bank", "signals": "range_rate"}},
+)
+"""What is observed by default.  The time since switch-on is not: attacks of a data set all start at
+the same, which a detector must not rely on."""
 RUNS = {"train": 768, "validation": 256, "test": 256}
 ATTACK_STREAM = 0xA7
 """Last element of the spawn key from which the attack of a run is drawn, apart from its noise."""
@@ -98,31 +111,6 @@ class Episodes(NamedTuple):
     onset_s: FloatArray
 
 
-class Watcher(Detector):
-    """Takes in every epoch by some terms, and never alarms."""
-
-    paper = "groves2013"
-    calibrates = False
-
-    def __init__(self, terms: Sequence[DetectorTerm]) -> None:
-        self.terms = tuple(terms)
-        self.needs = frozenset().union(  # type: ignore[misc]
-            *(getattr(term, "needs", ()) for term in self.terms)
-        )
-
-    def bind(self, context: DetectorContext) -> None:
-        """Prepare what is observed."""
-        super().bind(context)
-        self.observer = DetectorObserver(self.terms, context.channels)
-        self.observer.declare(self.memory)
-
-    def judge(self, epoch: Epoch) -> Verdict:
-        """Look at an epoch.  Returns (B, 1) zeros, ones and no alarm."""
-        self.observer.look(epoch, self.memory)
-        shape = (len(epoch.time), 1)
-        return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))
-
-
 @dataclass(frozen=True)
 class Plan:
     """What a data set is to be made of.
@@ -135,8 +123,8 @@ class Plan:
         Alert limit, which attacks are drawn around [m].
     detector : str, dict or Detector, optional
         Whose statistic the family ``"feedback"`` sees; passive.  None leaves that family out.
-    terms : sequence of DetectorTerm
-        What is observed.
+    terms : sequence
+        What is observed, as `spoofgym.detectors.learned.observer.make_detector_terms` takes it.
     families : sequence of str, optional
         Some of `FAMILIES`; by default all that can be made.
     optima : sequence of sequence of float
@@ -150,7 +138,7 @@ class Plan:
     shard : int
         Runs of a file.
     task : str, optional
-        Task whose world it is, for the manifest.
+        Task whose world it is.
 
     Raises
     ------
@@ -161,7 +149,7 @@ class Plan:
     setup: Setup
     length_m: float
     detector: Any = None
-    terms: Sequence[DetectorTerm] = ALL_TERMS
+    terms: Sequence[Any] = TERMS
     families: Sequence[str] | None = None
     optima: Sequence[Sequence[float]] = ()
     spoofers: Sequence[Spec] = ()
@@ -182,6 +170,7 @@ class Plan:
             raise ValueError(
                 "attacks of a data set decide at every epoch: leave out `decision_interval_s`"
             )
+        check_not_held_out(self.setup.attack, self.task)
         missing = {"feedback": self.detector is None, "blind-optimum": not self.optima}
         for name in self.families or ():
             check_choice("family of attacks", name, FAMILIES)
@@ -196,6 +185,7 @@ class Plan:
                 "the detector that feedback sees must be passive, since the receiver that learns "
                 f"has another one in its place, but {self.detector!r} de-weights"
             )
+        self.attacks  # noqa: B018  # or what is wrong with a spoofer
 
     @cached_property
     def judge(self) -> Detector:
@@ -205,8 +195,8 @@ class Plan:
     @cached_property
     def world(self) -> Setup:
         """With that detector, and what observes."""
-        watching = PassiveDetectors([Watcher(self.terms)])
-        return self.setup.altered(detector=self.judge, monitors=[watching])
+        watcher = DetectorAgent(weighs=False, exclusion_s=None, terms=self.terms)
+        return self.setup.altered(detector=self.judge, monitors=[PassiveDetectors([watcher])])
 
     @cached_property
     def attacks(self) -> TrainingAttacks:
@@ -217,9 +207,10 @@ class Plan:
     @cached_property
     def config(self) -> dict[str, Any]:
         """Everything that the data depend on, JSON-able."""
-        setup, watcher = self.setup, self._watcher
-        names, low, high = watcher.observer.names, watcher.observer.low, watcher.observer.high
-        if np.abs([low, high]).max() > LARGEST:
+        setup = self.setup
+        simulator: Simulator = self.world.simulator(1, run_serially)
+        seen = _watcher(simulator).observer
+        if np.abs([seen.low, seen.high]).max() > LARGEST:
             raise ValueError(f"observations must lie within {LARGEST:g}, to be kept as float16")
         return {
             "task": self.task,
@@ -234,13 +225,17 @@ class Plan:
                 "hold": setup.hold,
                 "all": setup.live + setup.steps + setup.hold,
             },
-            "terms": [describe(term) for term in self.terms],
-            "observation": {"names": list(names), "low": low.tolist(), "high": high.tolist()},
+            "terms": list(written_terms(make_detector_terms(self.terms))),
+            "observation": {
+                "names": list(seen.names),
+                "low": seen.low.tolist(),
+                "high": seen.high.tolist(),
+            },
             "families": list(self.attacks.families),
             "held_out": list(HELD_OUT),
             "optima": describe(self.optima),
             "spoofers": describe(self.spoofers),
-            "files": outside_sources(*self.spoofers, *self.terms, self.judge),
+            "files": outside_sources(*self.spoofers, self.judge),
             "skies": setup.domain.pairs(),
             "runs": dict(self.runs),
             "entropy": self.entropy,
@@ -248,14 +243,6 @@ class Plan:
             "shard": self.shard,
             "versions": versions(),
         }
-
-    @cached_property
-    def _watcher(self) -> Watcher:
-        """What observes one receiver, bound."""
-        simulator: Simulator = self.world.simulator(1, run_serially)
-        found = simulator.monitor(PassiveDetectors).detectors[0]
-        assert isinstance(found, Watcher)  # the only one
-        return found
 
     @cached_property
     def digest(self) -> str:
@@ -457,10 +444,16 @@ def _labelled(
     )
 
 
+def _watcher(simulator: Simulator) -> DetectorAgent:
+    """Who observes."""
+    (found,) = simulator.monitor(PassiveDetectors).detectors
+    assert isinstance(found, DetectorAgent)  # of `Plan.world`
+    return found
+
+
 def _observed(simulator: Simulator) -> NDArray[np.float32]:
     """(B, o) what is observed now."""
-    watcher = simulator.monitor(PassiveDetectors).detectors[0]
-    return watcher.memory["observation"]
+    return _watcher(simulator).memory["observation"]
 
 
 def _check(stopped: threading.Event | None) -> None:
@@ -491,7 +484,7 @@ def _whole(content: bytes, digest: str) -> Episodes | None:
             if str(found["digest"]) != digest:
                 return None
             return Episodes(*(found[name] for name in Episodes._fields))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.zlib.error):
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
 
 

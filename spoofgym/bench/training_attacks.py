@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..attacks import Meaconer
+from ..attacks.options import CounterfeitErrors
 from ..envs.observer import Observer
 from ..envs.options import checked_action
 from ..envs.spoofer_binding import commands_of, spoofer_context
@@ -31,14 +33,17 @@ from .specs import Spec
 FloatArray = NDArray[np.float64]
 HELD_OUT = (
     "quiet",
-    "inherited in the world of T5",
+    "inherited, in the world of T5",
     "subset of channels",
     "meaconer",
     "onset in a turn",
     "onset at a satellite switch",
     "onset after a chance alarm",
 )
-"""Families of the tasks for detectors, which no training data have."""
+"""Families of the tasks for detectors, which no training data have; onsets in a data set are drawn
+as the world draws them."""
+QUIET_TASKS = ("T5",)
+"""Tasks whose own counterfeit is quieter than nature; there the plain one is held out."""
 REACH = (0.125, 5.0)
 """Range of the displacement at the end of a window, in alert limits; log-uniform."""
 AMPLITUDES = (0.25, 2.0)
@@ -75,6 +80,9 @@ class TrainingAttacks:
         optima: Sequence[Sequence[float]] = (),
         spoofers: Sequence[Spec] = (),
     ) -> None:
+        for spec in spoofers:
+            if not build_spoofer(spec).transmits:
+                raise ValueError(f"the spoofer {spec['name']!r} transmits nothing: it is no attack")
         self._context = spoofer_context(setup)
         self._reach_m, self._optima, self._spoofers = reach_m, list(optima), list(spoofers)
         self._makers: dict[str, Callable[[np.random.Generator, float], Spec]] = {
@@ -146,6 +154,23 @@ class TrainingAttacks:
             "zero_ratio": rounded(full + rng.uniform(0.2, 0.6)),
             "back": rounded(rng.uniform(-1.0, 0.0)),
         }
+
+
+def check_not_held_out(attack: Any, task: str | None) -> None:
+    """Raise where all that an attack does belongs to a family that is held out."""
+    errors = getattr(attack, "errors", "inherited")
+    quiet = isinstance(errors, CounterfeitErrors) and errors.blend_s > 0.0
+    found = {
+        "quiet": quiet and task not in QUIET_TASKS,
+        "inherited": not quiet and task in QUIET_TASKS,
+        "subset of channels": getattr(attack, "channels", "all") != "all",
+        "meaconer": isinstance(attack, Meaconer),
+    }
+    if named := [name for name, held in found.items() if held]:
+        raise ValueError(
+            f"the attack belongs to what the tasks for detectors have held out ({named[0]}): a "
+            "detector that has learned from it could not be compared there"
+        )
 
 
 FAMILIES = {

@@ -76,9 +76,12 @@ def dataset(
     """Write labelled episodes to train a detector on; killed, it goes on from there."""
     from ..bench.dataset import write
 
-    chosen: dict[str, Any] = {"entropy": seed, "shard": shard}
+    chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": shard, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
-    plan = _plan(world, task, detector, term, family, spoofer, alert_limit_m, chosen)
+    chosen["spoofers"] = specs_of(spoofer or ())
+    if term:
+        chosen["terms"] = specs_of(term)
+    plan = _plan(world, detector, alert_limit_m, chosen)
     with progress(sum(plan.runs.values())) as bar:
         manifest = write(out, plan, threads=threads, progress=bar, overwrite=overwrite)
     summary = _summary(out, manifest)
@@ -95,36 +98,21 @@ def dataset(
 
 
 def _plan(
-    world: World,
-    task: str | None,
-    detector: str | None,
-    terms: list[str] | None,
-    families: list[str] | None,
-    spoofers: list[str] | None,
-    alert_limit_m: float | None,
-    chosen: dict[str, Any],
+    world: World, detector: str | None, alert_limit_m: float | None, chosen: dict[str, Any]
 ) -> Plan:
-    """The plan of the options."""
+    """The plan of the options; `chosen`: what it takes as it is."""
     from ..bench.dataset import Plan
     from ..bench.task_cards import optima_of
     from ..tasks import task_of
 
+    task = chosen["task"]
     suite, _ = uncalibrated(world, None if task else ["never"], task=task, spoofers=[])
     guard: Any = None if task is None else task_of(task).detector
     if detector is not None:
         (guard,) = specs_of([detector])
     limit = suite.alert_limit_m if alert_limit_m is None else alert_limit_m
-    return Plan(
-        suite.world,
-        limit,
-        detector=guard,
-        families=families,
-        optima=optima_of(task) if task else (),
-        spoofers=specs_of(spoofers or ()),
-        task=task,
-        **({"terms": specs_of(terms)} if terms else {}),
-        **chosen,
-    )
+    optima = optima_of(task) if task else ()
+    return Plan(suite.world, limit, detector=guard, optima=optima, **chosen)
 
 
 def _summary(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
