@@ -146,12 +146,12 @@ def test_no_family_that_tasks_hold_out_is_in_a_data_set(folder: Any) -> None:
     config = load(folder).config
     assert not set(config["held_out"]) & set(config["families"])
     assert config["attack"]["errors"] == "inherited"
-    with pytest.raises(ValueError, match="held out.*quiet"):
+    with pytest.raises(ValueError, match=r"held out.*quiet"):
         plan(world={"attack": "quiet"})
-    with pytest.raises(ValueError, match="held out.*meaconer"):
+    with pytest.raises(ValueError, match=r"held out.*meaconer"):
         plan(world={"attack": "meaconer"})
     some = {"name": "false-position", "channels": ["S01", "S02"]}
-    with pytest.raises(ValueError, match="held out.*subset"):
+    with pytest.raises(ValueError, match=r"held out.*subset"):
         plan(world={"attack": some})
     with pytest.raises(ValueError, match="held out"):
         plan(task="T5")
