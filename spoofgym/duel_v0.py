@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from .duel.agent import PolicyDetector
+from .detectors.learned.agent import PolicyDetector
+from .detectors.learned.card import DetectorCard, OnnxDetector
+from .detectors.learned.policy import DetectorPolicy, FunctionPolicy
 from .duel.calibrate import calibrate
 from .duel.calibration import Calibration
+from .duel.card import write_card
 from .duel.detector_view import DetectorVectorView, DetectorView
-from .duel.onnx_detector import DetectorCard, OnnxDetector, write_card
 from .duel.payoff import NeymanPearson, Weighted
-from .duel.policy import DetectorPolicy, FunctionPolicy
 from .duel.rules import duel_signature
 from .duel.spoofer_view import SpooferVectorView, SpooferView
 

@@ -15,7 +15,8 @@ import json
 import logging
 import tempfile
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -27,19 +28,25 @@ from ._describe import describe
 from ._files import write_file
 from ._registry import check_finite
 from .bench.suite import versions
-from .duel.onnx_detector import OnnxDetector, card_path, write_card
+from .detectors.learned.agent import DetectorAgent, action_names
+from .detectors.learned.card import DetectorCard, OnnxDetector, card_path
+from .detectors.learned.detector import card_of
+from .detectors.learned.observer import DetectorObserver
+from .duel.card import write_card
 from .envs.spoofer_binding import spoofer_context
-from .policies.onnx_model import SUFFIX, file_of
+from .policies.onnx_model import NEXT, SUFFIX, file_of
 from .spoofers.card import Card, Knowledge, fields_of
 from .spoofers.learned import OnnxPolicy
 from .spoofers.model import function_of, inner_env, normalization_of, refuse_state
 
-__all__ = ["onnx", "traced"]
+__all__ = ["detector", "onnx", "traced"]
 
 TOLERANCE = 1e-5
 """Largest difference of an action between the model and its file."""
-TRIED = 1024
-"""Random observations on which they are compared."""
+TRIED, EPOCHS = 1024, 4
+"""Random observations on which they are compared, and epochs in a row of a recurrent one."""
+CHANNELS = 12
+"""Slots of a receiver by default."""
 OF_THE_CALL = (
     "autoreset_mode",
     "infos",
@@ -118,14 +125,9 @@ def onnx(
     if judges and amplitude != 1.0:
         raise ValueError(f"a detector has no commands to scale: `amplitude` = {amplitude:g}")
     actor = _Actor(model, amplitude)
-    modes = {part: part.training for part in actor.modules()}
-    actor.train(False)
-    try:
+    with evaluating(actor):
         _check_sizes(actor, len(low), len(inner.core.action_names))
         content = traced(actor, len(low))
-    finally:
-        for part, training_mode in modes.items():
-            part.training = training_mode
     told = {**_said_by(model), "amplitude": amplitude, **(training or {})}
     if judges:
         return _write_detector(model, inner, path, content, told)
@@ -138,7 +140,117 @@ def onnx(
     return card
 
 
-def traced(module: torch.nn.Module, size: int) -> bytes:
+def detector(
+    module: Any,
+    path: str | Path,
+    *,
+    name: str | None = None,
+    terms: Any = None,
+    state: Mapping[str, int] | None = None,
+    statistic: str = "receiver",
+    weighs: bool = False,
+    exclusion_s: float | None = None,
+    quiet_epochs: int = 0,
+    channels: int = CHANNELS,
+    interval_s: float = 0.5,
+    threshold: float | None = None,
+    training: Mapping[str, Any] | None = None,
+) -> DetectorCard:
+    """Write a learned detector and its card, from a torch module with or without a state.
+
+    Parameters
+    ----------
+    module : torch.nn.Module
+        Of (B, o) observations, and (B, s) of each state in its order.  It returns (B, a) actions,
+        which are cut to [-1, 1], and with states a tuple of actions and the next states.  The
+        statistic is (a + 1) / 2, of the receiver or of every slot; with `weighs` the weights of the
+        slots follow.
+    path : str or Path
+        ``.../NAME.onnx``; the card becomes ``.../NAME.json``.
+    name : str, optional
+        Of the detector; by default that of the file.
+    terms : sequence, optional
+        What it observes, in this order, as `make_detector_terms` takes it; by default what an agent
+        of the duel does.
+    state : mapping, optional
+        Size of each state by name, such as ``{"hidden": 32}``; 0 at the start of an episode.
+    statistic : {"receiver", "channel"}
+        One statistic, or one for every slot.
+    weighs : bool
+        Whether it weighs satellites in the filter; by default it is passive.
+    exclusion_s : float, optional
+        Allowance of exclusion in an episode [s]; none by default.
+    quiet_epochs : int
+        Epochs after it is switched on in which it is not asked.
+    channels : int
+        Slots of the receiver.
+    interval_s : float
+        Time between epochs that it was trained on [s].
+    threshold : float, optional
+        Of the statistic, in (0, 1]; by default none, and worlds look theirs up by a rate of false
+        alarms, which ``spoofgym calibrate --detector NAME.onnx`` finds.
+    training : mapping, optional
+        How it was made, JSON-able.
+
+    Returns
+    -------
+    DetectorCard
+        As it was written.
+
+    Raises
+    ------
+    TypeError
+        When `module` is no torch module.
+    ValueError
+        When it does not take or return what it should, or the file does not act as the module
+        does; nothing is written then.
+    """
+    path, states = Path(path), dict(state or {})
+    if path.suffix != SUFFIX:
+        raise ValueError(f"`path` must end in {SUFFIX}, got {path}")
+    if not isinstance(module, torch.nn.Module):
+        raise TypeError(f"`module` must be a torch module, got {type(module).__name__}")
+    agent = DetectorAgent(statistic, weighs, exclusion_s, terms=terms)
+    observer = DetectorObserver(agent.observed, channels)
+    size = len(observer.names)
+    judge = _Judge(module)
+    with evaluating(judge):
+        _check_states(judge, size, len(action_names(statistic, weighs, channels)), states)
+        content = traced(judge, size, states)
+        with tempfile.TemporaryDirectory() as folder:
+            trial = Path(folder) / path.name
+            trial.write_bytes(content)
+            card = card_of(
+                agent,
+                channels,
+                trial,
+                name=path.stem if name is None else name,
+                interval_s=interval_s,
+                quiet_epochs=quiet_epochs,
+                state=states,
+                threshold=threshold,
+                training={"versions": _own_versions(), **(training or {})},
+            )
+            card.save(card_path(trial))
+            _compare_sequences(judge, OnnxDetector(trial), observer)
+    write_file(path, content)
+    card.save(card_path(path))
+    return card
+
+
+@contextmanager
+def evaluating(module: torch.nn.Module) -> Iterator[None]:
+    """Put a module into its mode of evaluation, and its parts into their own modes again."""
+    modes = {part: part.training for part in module.modules()}
+    module.train(False)
+    try:
+        yield
+    finally:
+        for part, training_mode in modes.items():
+            part.training = training_mode
+
+
+def traced(module: torch.nn.Module, size: int, state: Mapping[str, int] | None = None) -> bytes:
     """ONNX file of a module of (B, o) observations, of any batch; its weights are its own.
 
     Parameters
@@ -147,13 +259,17 @@ def traced(module: torch.nn.Module, size: int) -> bytes:
         In the mode in which it is to be traced.
     size : int
         o.
+    state : mapping, optional
+        Size of each state by name, which the module takes and returns after the rest.
 
     Returns
     -------
     bytes
         Without external data, and without a word of this machine.
     """
-    example = torch.zeros(2, size)
+    states = dict(state or {})
+    batch = {0: torch.export.Dim("batch")}
+    example = (torch.zeros(2, size), *(torch.zeros(2, length) for length in states.values()))
     log = logging.getLogger("torch.onnx")
     level = log.level
     log.setLevel(logging.ERROR)  # it misses torchvision
@@ -162,13 +278,13 @@ def traced(module: torch.nn.Module, size: int) -> bytes:
             warnings.simplefilter("ignore")  # torch about torch
             program = torch.onnx.export(
                 module,
-                (example,),
+                example,
                 dynamo=True,
                 verbose=False,
                 optimize=False,  # which would fold weights away; onnxruntime optimises by itself
-                input_names=["observation"],
-                output_names=["action"],
-                dynamic_shapes={"observation": {0: torch.export.Dim("batch")}},
+                input_names=["observation", *states],
+                output_names=["action", *(f"{NEXT}{name}" for name in states)],
+                dynamic_shapes=(batch, tuple(batch for _ in states)) if states else (batch,),
             )
     except (torch.onnx.errors.OnnxExporterError, RuntimeError) as error:
         first = str(error).strip().partition("\n")[0]
@@ -206,6 +322,20 @@ class _Actor(torch.nn.Module):
             seen = torch.clamp(apart / self.get_buffer("scale"), -self.clip, self.clip).float()
         action = torch.clamp(self.mean(seen), -1.0, 1.0)
         return torch.clamp(action * self.amplitude, -1.0, 1.0)
+
+
+class _Judge(torch.nn.Module):
+    """A module whose actions are cut, with its states side by side."""
+
+    def __init__(self, module: torch.nn.Module) -> None:
+        super().__init__()
+        self.module = module
+
+    def forward(self, observation: torch.Tensor, *states: torch.Tensor) -> Any:
+        if not states:
+            return torch.clamp(self.module(observation), -1.0, 1.0)
+        action, *after = self.module(observation, *states)
+        return (torch.clamp(action, -1.0, 1.0), *after)
 
 
 class _ActorCritic(torch.nn.Module):
@@ -246,6 +376,53 @@ def _check_sizes(actor: torch.nn.Module, observed: int, commanded: int) -> None:
             f"the model must return actions of shape (B, {commanded}), got {tuple(found.shape)} "
             "for 2 observations"
         )
+
+
+def _check_states(judge: _Judge, observed: int, decided: int, states: Mapping[str, int]) -> None:
+    """Raise unless a module takes observations and states, and returns actions and states."""
+    given = [torch.zeros(2, size) for size in (observed, *states.values())]
+    form = ", ".join(f"(B, {size})" for size in (observed, *states.values()))
+    wanted = ", ".join(f"(B, {size})" for size in (decided, *states.values()))
+    try:
+        with torch.no_grad():
+            found = judge(*given)
+    except (RuntimeError, TypeError, ValueError) as error:
+        first = str(error).strip().partition("\n")[0]
+        raise ValueError(
+            f"the module can't be run with {form}, to return {wanted}: {first}"
+        ) from error
+    parts = list(found) if states else [found]
+    shapes = [tuple(getattr(part, "shape", ())) for part in parts]
+    if shapes != [(2, size) for size in (decided, *states.values())]:
+        raise ValueError(
+            f"the module must return {wanted}, of action and states, got "
+            f"{', '.join(map(str, shapes))} for a batch of 2"
+        )
+
+
+def _compare_sequences(judge: _Judge, policy: OnnxDetector, observer: DetectorObserver) -> None:
+    """Raise unless a file acts as its module over some epochs in a row."""
+    rng = np.random.default_rng(0)
+    states = [np.zeros((TRIED, each.size), np.float32) for each in policy.card.state]
+    for k in range(EPOCHS):
+        drawn = rng.uniform(observer.low, observer.high, (TRIED, len(observer.low)))
+        seen = ((0.1 if k % 2 else 1.0) * drawn).astype(np.float32)
+        with torch.no_grad():
+            found = judge(*(torch.from_numpy(array) for array in (seen, *states)))
+        wanted = [part.numpy() for part in (found if states else (found,))]
+        action, states = policy.model.step(seen, states)
+        for what, mine, theirs in zip(
+            ("action", *(each.name for each in policy.card.state)),
+            (action, *states),
+            wanted,
+            strict=True,
+        ):
+            apart = float((np.abs(mine - theirs) / np.maximum(np.abs(theirs), 1.0)).max())
+            if not apart <= TOLERANCE:
+                raise ValueError(
+                    f"the exported file differs from the module by {apart:.2g} in {what}, more "
+                    f"than {TOLERANCE:g}; does it draw random numbers, or depend on the batch?"
+                )
 
 
 def _mean_of(model: Any) -> torch.nn.Module:

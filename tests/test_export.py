@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import spoofgym.export
 from spoofgym.bench.evaluate import Evaluator
-from spoofgym.duel.onnx_detector import OnnxDetector
+from spoofgym.detectors.learned.card import OnnxDetector
 from spoofgym.envs import attach
 from spoofgym.export import onnx
 from spoofgym.sb3 import SpoofVecEnv

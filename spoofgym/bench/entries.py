@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .._registry import check_choice
-from ..detectors import DETECTORS, Calibrated, Detector
+from ..detectors import DETECTORS, Calibrated, Detector, LearnedDetector
 from ..detectors.calibrated import asked_by_default
 from ..spoofers import SPOOFERS, Spoofer, resolve, shipped
 from ..spoofers.scaled import AMPLITUDE, Scaled, split_amplitude, with_amplitude
@@ -91,6 +91,9 @@ def detector_entry(spec: str | Mapping[str, Any] | Detector) -> Entry:
     detector = make_judge(spec)
     full = spec_of_judge(detector)
     inner = detector.detector if isinstance(detector, Calibrated) else detector
+    if isinstance(inner, LearnedDetector):
+        shown = {key: value for key, value in full.items() if key != "sha256"}
+        return Entry(label_of({**shown, "name": inner.label}, asked_by_default()), full)
     default = _default("detector", DETECTORS, type(inner))
     if default is not None:
         default |= asked_by_default()
@@ -103,6 +106,10 @@ def nominal_entry(entry: Entry) -> Entry | None:
     if not isinstance(judge, Calibrated):
         return None
     spec = spec_of_judge(judge.detector)
+    if isinstance(judge.detector, LearnedDetector):
+        if judge.detector.card.threshold is None:
+            return None
+        spec = {**judge.detector.spec, "thresholds": "nominal"}
     plain = detector_entry(spec).label
     return Entry(f"{plain}, as published", spec)
 

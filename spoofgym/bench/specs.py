@@ -8,18 +8,41 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import PurePath
 from typing import Any, TypeVar, cast
 
 from .._describe import describe as describe
 from .._describe import digest_of as digest_of
 from .._registry import build
-from ..detectors import DETECTORS, Detector, calibrated
+from ..detectors import DETECTORS, Detector, LearnedDetector, calibrated
+from ..policies.onnx_model import SUFFIX
 
 T = TypeVar("T")
 Spec = dict[str, Any]
 _WORDS = {"None": None, "True": True, "False": False}
 _COMMAS = r",(?![^\[\]]*\])"
 """Commas between settings, not those within the brackets of a list."""
+
+
+def campaign_digest(config: Mapping[str, Any]) -> str:
+    """Digest of the configuration of a campaign, in which ONNX files are by content, not path."""
+    outside = {_moved(name, digest): digest for name, digest in config["outside"].items()}
+    return digest_of({**_without_folders(dict(config)), "outside": outside})
+
+
+def _moved(name: str, digest: str) -> str:
+    """Name of an outside source: of an ONNX file or its card without the folder."""
+    path = PurePath(name)
+    return f"{path.name}:{digest}" if path.suffix in (SUFFIX, ".json") else name
+
+
+def _without_folders(value: Any) -> Any:
+    """Settings with paths of ONNX files by their last part."""
+    if isinstance(value, Mapping):
+        return {key: _without_folders(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_folders(item) for item in value]
+    return PurePath(value).name if isinstance(value, str) and value.endswith(SUFFIX) else value
 
 
 def parse_spec(text: str) -> Spec:
@@ -124,7 +147,16 @@ def make_judge(spec: Any) -> Detector:
 
 def spec_of_judge(detector: Detector) -> Spec:
     """Name and all settings of a detector, and what it asks of its thresholds."""
-    return calibrated.spec_with_thresholds(detector, partial(spec_of, "detector", DETECTORS))
+    if isinstance(detector, LearnedDetector):  # as it is, not as its card has it
+        return {**_spec_of_detector(detector), "threshold_scale": 1.0}
+    return calibrated.spec_with_thresholds(detector, _spec_of_detector)
+
+
+def _spec_of_detector(detector: Detector) -> Spec:
+    """Name and all settings of a detector; a file also by its digest."""
+    if isinstance(detector, LearnedDetector):
+        return {**detector.spec, "sha256": detector.sha256}
+    return spec_of("detector", DETECTORS, detector)
 
 
 def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:

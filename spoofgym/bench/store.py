@@ -17,7 +17,7 @@ from .._files import remove_stale_parts, write_file
 from .cells import Cell
 from .entries import TUNED
 from .protection import Protection
-from .specs import digest_of, slug
+from .specs import campaign_digest, slug
 from .suite import Suite
 from .tune import TuningResult
 
@@ -64,7 +64,7 @@ class ResultsFolder:
             write_file(config, text.encode(), exclusive=True)
         except FileExistsError:  # to be gone on with, or of one that has begun in this moment
             found = self.config()
-            if digest_of(found) != suite.digest:
+            if campaign_digest(found) != suite.digest:
                 changed = ", ".join(name for name, _, _ in differences(found, suite.config))
                 raise ValueError(
                     f"{self.path} holds the results of another campaign (different: {changed}); "
@@ -128,7 +128,7 @@ class ResultsFolder:
     def put_tuning(self, result: TuningResult) -> None:
         """Write a finished search."""
         config = self._own_config()
-        head = {"entropy": config["entropy"], "campaign": digest_of(config)}
+        head = {"entropy": config["entropy"], "campaign": campaign_digest(config)}
         text = json.dumps({**head, **result.as_dict()}, indent=1, allow_nan=False) + "\n"
         write_file(self._tuning_path(result.detector, result.spoofer), text.encode())
 
@@ -173,7 +173,8 @@ class ResultsFolder:
     def put_limits(self, detector: str | None, found: dict[str, Any]) -> None:
         """Write the zero-alarm bounds of a detector, or the floor of the world for None."""
         config = self._own_config()
-        head = {"detector": detector, "entropy": config["entropy"], "campaign": digest_of(config)}
+        campaign = campaign_digest(config)
+        head = {"detector": detector, "entropy": config["entropy"], "campaign": campaign}
         text = json.dumps({**head, "limits": found}, indent=1, allow_nan=False) + "\n"
         write_file(self._limits_path(detector), text.encode())
 
@@ -198,7 +199,7 @@ class ResultsFolder:
     def _own_config(self) -> dict[str, Any]:
         """Configuration of the campaign that was opened here, as long as the folder is its."""
         config = self.config()
-        if self._campaign not in (None, digest_of(config)):
+        if self._campaign not in (None, campaign_digest(config)):
             raise ValueError(
                 f"{self.path} has been taken by another campaign meanwhile; choose another folder "
                 "with --out"
@@ -208,7 +209,7 @@ class ResultsFolder:
     def _check(self, path: Path, head: Mapping[str, Any], **named: str) -> None:
         """Raise where the head of a part is not what the campaign of the folder asks for."""
         config = self.config()
-        asked = {**named, "entropy": config["entropy"], "campaign": digest_of(config)}
+        asked = {**named, "entropy": config["entropy"], "campaign": campaign_digest(config)}
         if "runs" in head:
             asked["runs"] = config["runs"]
             for kind, label in named.items():

@@ -53,7 +53,7 @@ from .entries import (
 from .searches import Selection
 from .searches import Tuning as Tuning
 from .shipped import fitting
-from .specs import describe, digest_of, make_judge, settings_of, spec_of
+from .specs import campaign_digest, describe, make_judge, settings_of, spec_of
 from .victims import VICTIMS
 
 FORMAT = 5
@@ -386,8 +386,8 @@ class Suite:
 
     @cached_property
     def digest(self) -> str:
-        """Digest of `config`."""
-        return digest_of(self.config)
+        """Digest of `config`; ONNX files count by their content, wherever they are."""
+        return campaign_digest(self.config)
 
 
 def versions() -> dict[str, str]:

@@ -80,7 +80,7 @@ def calibrate(
 
     suite = world_of(world)
     setup, rate = suite.world, false_alarms_per_hour
-    judges, named = _judges(detector, suite, rate, rescaled)
+    judges, named = _judges(detector, suite, rescaled)
     others = {text: _other(suite, text) for text in transfer or ()}
     asked: dict[str, Any] = {"runs": runs, "false_alarms_per_hour": rate, "rescaled": rescaled}
     left = calibration.expected_runs(setup, judges, **asked, overwrite=overwrite)
@@ -133,7 +133,7 @@ def calibrate(
 
 
 def _judges(
-    texts: Sequence[str] | None, suite: Suite, rate: float, rescaled: bool
+    texts: Sequence[str] | None, suite: Suite, rescaled: bool
 ) -> tuple[list[Detector], set[int]]:
     """Detectors, and which of them were named; they may not ask for thresholds.
 
@@ -141,8 +141,7 @@ def _judges(
     """
     from ..bench.specs import make_judge
     from ..bench.victims import VICTIMS
-    from ..detectors.calibrated import ASKED, identity_of
-    from ..duel.opponents import make_opponent
+    from ..detectors.calibrated import ASKED, identity_of, is_file
     from ..simulators.calibration import inner_detectors, suitable_detectors
 
     specs: list[Any] = list(VICTIMS[suite.env].detectors) if not texts else specs_of(texts)
@@ -158,11 +157,8 @@ def _judges(
         if spec["name"] == "all":
             fit = suitable_detectors(suite.world)
             offered += [each for each in fit if each.drifts or not rescaled]
-        elif str(spec["name"]).endswith(".onnx"):
-            wanted = {**spec, "false_alarms_per_hour": rate}
-            named.append(make_opponent(wanted, suite.world.live))
         else:
-            named.append(make_judge(spec))
+            named.append(spec if is_file(spec) else make_judge(spec))
     judges = inner_detectors([*named, *offered])
     if not judges:
         raise ValueError("there is no detector to calibrate: one that never alarms has no rate")

@@ -21,6 +21,7 @@ from .glr import GlrRamp, GlrStep
 from .innovation_rate import InnovationRate, OracleRamp, OracleStep
 from .joint_chart import JointChart
 from .lag_cusum import LagCusum
+from .learned.detector import LearnedDetector
 from .lottery import Lottery
 from .never import Never
 from .pool import PooledDetector
@@ -50,6 +51,7 @@ __all__ = [
     "InnovationRate",
     "JointChart",
     "LagCusum",
+    "LearnedDetector",
     "Lottery",
     "Never",
     "OperatingPoint",
@@ -102,7 +104,10 @@ DETECTORS: dict[str, type[Detector]] = {
 
 
 def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
-    """Detector by name, by name and settings, or a copy of an object.
+    """Detector by name, by name and settings, by file, or a copy of an object.
+
+    A name may be the path of an ``.onnx`` file with its card (`LearnedDetector`), whose nominal
+    threshold is that of the card, or ``"threshold"`` in (0, 1].
 
     Besides the settings of its class a detector can be asked for its thresholds:
     ``"false_alarms_per_hour"`` is a rate by which a world looks up the factor on them
@@ -113,8 +118,8 @@ def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
     Parameters
     ----------
     spec : str, mapping or Detector
-        A name in `DETECTORS`; ``{"name": ..., "setting": value, ...}``; or a detector, which
-        is copied.
+        A name in `DETECTORS`, or of a file; ``{"name": ..., "setting": value, ...}``; or a
+        detector, which is copied.
 
     Returns
     -------
@@ -124,7 +129,8 @@ def make_detector(spec: str | Mapping[str, Any] | Detector) -> Detector:
     Raises
     ------
     ValueError
-        When the name or a setting is unknown; the valid ones are listed.
+        When the name or a setting is unknown, the valid ones are listed; or a file does not fit
+        its card.
     TypeError
         When `spec` is something else.
 

@@ -109,6 +109,8 @@ class Detector(ABC):
         the filter believes; the innovations of such a test can be rescaled (`Calibrated`).
     calibrates : bool
         Whether thresholds scale its alarms at all; not that of a detector that never alarms.
+    label : str or None
+        What it is called in tables; None for its registered name, or that of its class.
     silent_epochs : int
         Epochs after a reset in which it can't alarm, since a window is not full; set by `bind`.
     memory_epochs : int
@@ -125,6 +127,7 @@ class Detector(ABC):
     oracle: ClassVar[bool] = False
     drifts: ClassVar[bool] = False
     calibrates: ClassVar[bool] = True
+    label: ClassVar[str | None] = None
     silent_epochs: int = 0
     memory_epochs: int = 0
     memory: Memory

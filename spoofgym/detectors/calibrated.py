@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from .._jit import njit
 from .._registry import check_choice, is_number
+from ..policies.onnx_model import SUFFIX
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
 from .calibration import (
@@ -239,10 +240,8 @@ class Calibrated(Detector):
 
     def _missing(self, conditions: Conditions, identity: dict[str, Any]) -> str:
         name, rate = identity["name"], f"{self.false_alarms_per_hour:g}"
-        file = getattr(self.detector, "file", None)
         shown = {"name": name, **self._asked_settings()}
-        spec = file or (str(name) if len(shown) == 1 else json.dumps(shown))
-        quoted = shlex.quote(str(spec))
+        quoted = shlex.quote(str(shown["name"]) if len(shown) == 1 else json.dumps(shown))
         variant = " --rescaled" if self.rescaled else ""
         line = (
             f"`spoofgym calibrate {conditions.options} --detector {quoted} "
@@ -255,15 +254,17 @@ class Calibrated(Detector):
         seen = ""
         if near is not None and near[1]:
             seen = f" The nearest one, {near[0]}, differs in {'; '.join(near[1][:4])}."
-        nominal = {**({"name": str(file)} if file else shown), "thresholds": "nominal"}
+        nominal = {**shown, "thresholds": "nominal"}
         return (
-            f"there is no calibration of {name} in {conditions.label} to set its thresholds for "
-            f"{rate} false alarms an hour by. Make one with {line}, or take its nominal "
-            f"thresholds: {json.dumps(nominal)}.{seen}"
+            f"there is no calibration of {shown['name']} in {conditions.label} to set its "
+            f"thresholds for {rate} false alarms an hour by. Make one with {line}, or take its "
+            f"nominal thresholds: {json.dumps(nominal)}.{seen}"
         )
 
     def _asked_settings(self) -> dict[str, Any]:
         """Settings of the detector that are not its defaults, JSON-able."""
+        if hasattr(self.detector, "spec"):
+            return dict(self.detector.spec)
         own = inspect.signature(type(self.detector)).parameters
         given = {key: getattr(self.detector, key, each.default) for key, each in own.items()}
         if hasattr(self.detector, "identity"):
@@ -404,19 +405,35 @@ def with_thresholds(detector: Detector, asked: Asked) -> Detector:
 def made_by(make: Callable[[Any], Detector], spec: Any, default: float | None = None) -> Detector:
     """Detector of a spec that may ask for thresholds, made by `make` from the rest of it.
 
-    `default` is the rate where nothing is asked.  An object plays as it is.  A pool hands on to its
-    members, by names or dicts, what they do not ask for themselves.
+    One that is named by an ONNX file is read.  `default` is the rate where nothing is asked.  An
+    object plays as it is.  A pool hands on to its members, by names or dicts, what they do not ask
+    for themselves.
     """
     if isinstance(spec, str):
         spec = {"name": spec}
     if not isinstance(spec, Mapping):
         return make(spec)
     plain, asked = split_spec(spec)
-    if asked == Asked() and default is not None:
+    if asked == Asked() and default is not None and not has_threshold(plain):
         asked = Asked(false_alarms_per_hour=default)
+    if is_file(plain):
+        from .learned.detector import of_file
+
+        return of_file(plain, asked)
     if plain.get("name") == "pool":
         return make({**plain, "members": _members_asked(plain, asked)})
     return with_thresholds(make(plain), asked)
+
+
+def is_file(spec: Any) -> bool:
+    """Whether a detector is named by an ONNX file."""
+    name = spec.get("name") if isinstance(spec, Mapping) else spec
+    return isinstance(name, str) and name.endswith(SUFFIX)
+
+
+def has_threshold(spec: Any) -> bool:
+    """Whether a detector in a file is given a threshold in place of a rate of false alarms."""
+    return is_file(spec) and isinstance(spec, Mapping) and spec.get("threshold") is not None
 
 
 def _members_asked(pool: Mapping[str, Any], asked: Asked) -> Any:
@@ -427,7 +444,9 @@ def _members_asked(pool: Mapping[str, Any], asked: Asked) -> Any:
     words = {key: value for key, value in asked._asdict().items() if value is not None}
     named = [{"name": each} if isinstance(each, str) else each for each in members]
     return [
-        {**each, **words} if isinstance(each, Mapping) and not {*ASKED} & {*each} else each
+        {**each, **words}
+        if isinstance(each, Mapping) and not ({*ASKED} & {*each} or has_threshold(each))
+        else each
         for each in named
     ]
 

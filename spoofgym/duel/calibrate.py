@@ -12,11 +12,11 @@ import numpy as np
 from .._describe import describe, digest_of
 from .._registry import is_number, whole_number
 from ..detectors.calibration import fewest_runs
+from ..detectors.learned.agent import DetectorAgent, PolicyDetector
+from ..detectors.learned.policy import DetectorPolicy, as_policy
 from ..simulators.clean_runs import Player
 from ..simulators.setup import Setup
-from .agent import DetectorAgent, PolicyDetector
 from .calibration import Calibration, quantile_of
-from .policy import DetectorPolicy, as_policy
 from .rules import make_duel
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._registry import is_number
+from ..detectors.learned.agent import EXCLUSION_S, DetectorAgent, check_delay
 from ..detectors.pool import NATURE, uniforms
 from ..detectors.verdicts import checked
 from ..envs import _kernels
@@ -19,7 +20,6 @@ from ..envs.step_result import StepResult
 from ..envs.terms.registry import ActionSpec
 from ..simulators.base import Simulator
 from ..simulators.tightly_coupled import TightlyCoupledSetup
-from .agent import EXCLUSION_S, DetectorAgent, check_delay
 from .calibration import Calibration
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
 

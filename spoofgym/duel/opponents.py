@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..detectors import Calibrated, Detector, calibrated, detector_in_world
-from ..detectors.calibrated import ASKED, Asked, split_spec, with_thresholds
+from ..detectors import Calibrated, Detector, detector_in_world
+from ..detectors.learned.agent import PolicyDetector
+from ..detectors.learned.detector import LearnedDetector
 from ..detectors.pool import PooledDetector, checked_weights, drawn
 from ..envs.observer import Observer
 from ..envs.options import checked_action
@@ -19,9 +19,7 @@ from ..envs.terms.action import CommandMap
 from ..envs.terms.base import Snapshot
 from ..simulators.base import Simulator
 from ..simulators.setup import Setup
-from ..spoofers import SUFFIX, Spoofer, make_spoofer
-from .agent import PolicyDetector
-from .onnx_detector import OnnxDetector
+from ..spoofers import Spoofer, make_spoofer
 
 FloatArray = NDArray[np.float64]
 DetectorSpec = str | Mapping[str, Any] | Detector
@@ -49,57 +47,15 @@ def label_of(spec: Any) -> str:
 def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:
     """Detector of a pool, at the default rate of false alarms where it asks for nothing.
 
-    A name may be an ONNX file, whose nominal threshold is that of its card.  `quiet_epochs`: of the
-    monitored warm-up, in which a policy is not asked.
+    `quiet_epochs`: of the monitored warm-up, in which a policy is not asked that does not say when
+    it is to be.
     """
-    settings: dict[str, Any] = dict(spec) if isinstance(spec, Mapping) else {"name": spec}
-    if not str(settings.get("name")).endswith(SUFFIX):
-        made = detector_in_world(dict(spec) if isinstance(spec, Mapping) else spec)
-        return _quiet_for(made, quiet_epochs)
-    if "threshold" in settings:
-        settings.setdefault("thresholds", "nominal")
-    plain, asked = split_spec(settings)
-    rate = calibrated.DEFAULT_RATE
-    if asked == Asked() and rate is not None:
-        asked = Asked(false_alarms_per_hour=rate)
-    nominal = asked in (Asked(), Asked(thresholds="nominal"))
-    return with_thresholds(_policy_detector(plain, nominal, quiet_epochs), asked)
-
-
-def _quiet_for(detector: Detector, epochs: int) -> Detector:
-    """A detector whose policy, if it has one, is not asked in its first epochs."""
-    if isinstance(detector, PolicyDetector):
-        return dataclasses.replace(detector, quiet_epochs=epochs)
-    if isinstance(detector, Calibrated) and isinstance(detector.detector, PolicyDetector):
-        return dataclasses.replace(detector, detector=_quiet_for(detector.detector, epochs))
-    return detector
-
-
-def _policy_detector(settings: dict[str, Any], nominal: bool, quiet_epochs: int) -> PolicyDetector:
-    """Detector of an ONNX file; its threshold is 1 unless it is `nominal`, that of its card."""
-    name = settings.pop("name")
-    policy = OnnxDetector(name)
-    card = policy.card
-    threshold = settings.pop("threshold", card.threshold) if nominal else 1.0
-    if settings:
-        raise ValueError(
-            f"the detector policy {name} has no setting {', '.join(map(repr, settings))}; valid: "
-            f"{', '.join(('threshold', *ASKED))}"
-        )
-    if threshold is None:
-        raise ValueError(
-            f"{name} has no threshold on its card: calibrate it by spoofgym.duel_v0.calibrate, "
-            "and give it as `threshold`, or ask for `false_alarms_per_hour`"
-        )
-    return PolicyDetector(
-        statistic=card.statistic,
-        weighs=card.weighs,
-        exclusion_s=card.exclusion_s,
-        policy=policy,
-        threshold=threshold,
-        decision_delay=card.decision_delay,
-        quiet_epochs=quiet_epochs,
-    )
+    made = detector_in_world(dict(spec) if isinstance(spec, Mapping) else spec)
+    inner: Any = made.detector if isinstance(made, Calibrated) else made
+    policy = inner.judge_by if isinstance(inner, LearnedDetector) else inner
+    if isinstance(policy, PolicyDetector) and policy.quiet_epochs is None:
+        policy.quiet_epochs = quiet_epochs
+    return made
 
 
 def pooled_detector(

@@ -42,6 +42,17 @@ class Space(Record):
         return self
 
 
+class State(Record):
+    """What a recurrent network hands on to its next decision, 0 at the start of an episode.
+
+    - `name`: of its input in the ONNX file; the output is ``next_NAME``;
+    - `size`: elements of a receiver.
+    """
+
+    name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")
+    size: int = Field(ge=1, le=4096)
+
+
 class PolicyFile(Record):
     """The ONNX file of a policy.
 

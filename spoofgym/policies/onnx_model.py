@@ -1,22 +1,23 @@
 """A network in an ONNX file, run by onnxruntime: self-contained, standard, of any batch.
 
 The file is parsed before it is run, nothing is unpickled, and nothing outside of it is read.  The
-same observation gives the same action, bit for bit, in any batch.  ``onnx`` takes a third
-of a second to import, hence inside of functions.
+same observation gives the same action, bit for bit, in any batch.  A recurrent network has an input
+and an output for each of its declared states; it keeps none itself.  ``onnx`` takes a third of a
+second to import, hence inside of functions.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .card import PolicyFile, Space
+from .card import PolicyFile, Space, State
 from .contract import FloatArray, NotFinite, checked_action
 
 if TYPE_CHECKING:
@@ -36,12 +37,16 @@ CHANCE = (
 """Operators that a policy must not have: the same observation gives the same action."""
 CONTROL_FLOW = frozenset({"If", "Loop", "Scan", "SequenceMap"})
 """Operators with graphs of their own, of which none is needed by a policy."""
-LARGEST_BYTES, MOST_OPERATORS = 32 << 20, 5_000
-"""Of a file; a policy is asked hundreds of times an episode."""
+LARGEST_BYTES, MOST_OPERATORS, MOST_PARTS = 32 << 20, 5_000, 100_000
+"""Of a file; a policy is asked hundreds of times an episode.  Parts are operators, their settings,
+tensors and types, in subgraphs, too."""
 TRIED, PARTS = 16, (1, 2, 3)
 """Observations that a network is tried on when it is loaded, and sizes of smaller batches."""
 WIDEST = 10.0
 """Largest element of these observations."""
+NEXT = "next_"
+"""Before the name of a state: the output that is the state of the next decision."""
+Float32Array = NDArray[np.float32]
 _consistent: set[str] = set()
 """Digests of the files that have passed, in this process."""
 
@@ -74,7 +79,9 @@ def _check_parts(model: ModelProto, where: str) -> None:
     from onnx import FunctionProto, NodeProto, TensorProto
 
     branching: set[str] = set()
-    for part in _messages(model):
+    for count, part in enumerate(_messages(model)):
+        if count >= MOST_PARTS:
+            raise ValueError(f"{where} has over {MOST_PARTS:,} parts; a policy may have as many")
         if isinstance(part, TensorProto):
             if part.data_location == TensorProto.EXTERNAL or part.external_data:
                 raise ValueError(
@@ -126,30 +133,48 @@ def _opset_of(model: ModelProto) -> int:
     )
 
 
-def check_signature(model: ModelProto, observation: int, action: int, where: str) -> None:
-    """Check input and output."""
+def check_signature(
+    model: ModelProto, observation: int, action: int, where: str, state: Sequence[State] = ()
+) -> tuple[str, str]:
+    """Check inputs and outputs.  Returns the names of those of observation and action."""
     constant = {tensor.name for tensor in model.graph.initializer}
     inputs = [value for value in model.graph.input if value.name not in constant]
-    for word, values, size in (
-        ("input", inputs, observation),
-        ("output", list(model.graph.output), action),
+    found = []
+    for word, values, size, before in (
+        ("input", inputs, observation, ""),
+        ("output", list(model.graph.output), action, NEXT),
     ):
-        wanted = f"the card has one {word} of float32 (batch, {size})"
-        if len(values) != 1:
-            names = ", ".join(value.name for value in values) or "none"
-            raise ValueError(f"{where} has {len(values)} {word}s ({names}); {wanted}")
-        found = _form(values[0])
-        batch, *rest = found[1] or [0]
-        if found[0] != "float32" or rest != [size] or len(found[1]) != 2:
-            shape = ", ".join(map(str, found[1]))
-            raise ValueError(
-                f"{where} has the {word} {values[0].name} of {found[0]} ({shape}); {wanted}"
-            )
-        if isinstance(batch, int):
-            raise ValueError(
-                f"{where} has the {word} {values[0].name} with a fixed batch of {batch}; {wanted}, "
-                "of any size: export it with a dynamic first dimension"
-            )
+        states = {f"{before}{each.name}": each.size for each in state}
+        named = {value.name: value for value in values}
+        further = "".join(
+            f", and {name} of float32 (batch, {length})" for name, length in states.items()
+        )
+        wanted = f"the card has one {word} of float32 (batch, {size}){further}"
+        own = [name for name in named if name not in states]
+        missing = [name for name in states if name not in named]
+        if missing:
+            raise ValueError(f"{where} has no {word} {', '.join(missing)} of a state; {wanted}")
+        if len(own) != 1:
+            names = ", ".join(named) or "none"
+            hint = "; what it hands on is declared as `state`" if len(own) > 1 else ""
+            raise ValueError(f"{where} has {len(named)} {word}s ({names}); {wanted}{hint}")
+        for name, length in ((own[0], size), *states.items()):
+            _check_value(named[name], length, f"{where} has the {word} {name}", wanted)
+        found.append(own[0])
+    return found[0], found[1]
+
+
+def _check_value(value: ValueInfoProto, size: int, what: str, wanted: str) -> None:
+    """Raise unless an input or output is a float32 of any batch and a size."""
+    kind, dims = _form(value)
+    batch, *rest = dims or [0]
+    if kind != "float32" or rest != [size] or len(dims) != 2:
+        raise ValueError(f"{what} of {kind} ({', '.join(map(str, dims))}); {wanted}")
+    if isinstance(batch, int):
+        raise ValueError(
+            f"{what} with a fixed batch of {batch}; {wanted}, of any size: export it with a "
+            "dynamic first dimension"
+        )
 
 
 def _form(value: ValueInfoProto) -> tuple[str, list[int | str]]:
@@ -170,7 +195,8 @@ class OnnxModel:
     """The network of one file; it pickles and copies, without the session of onnxruntime.
 
     `file`: what the card has of it; `observation`, `action`: the spaces of the card; `sha256`: a
-    digest that the file must have, besides that of the card.  A ValueError says what does not fit.
+    digest that the file must have, besides that of the card; `state`: what a recurrent network
+    hands on.  A ValueError says what does not fit.
     """
 
     def __init__(
@@ -180,6 +206,7 @@ class OnnxModel:
         observation: Space,
         action: Space,
         sha256: str | None = None,
+        state: Sequence[State] = (),
     ) -> None:
         self.path = os.fspath(path)
         size = path.stat().st_size
@@ -200,8 +227,10 @@ class OnnxModel:
         model = read_model(self.content, self.path)
         if _opset_of(model) != file.opset:
             raise ValueError(f"{path} is of opset {_opset_of(model)}, and {file.opset} on its card")
-        self.size = len(action.names)
-        check_signature(model, len(observation.names), self.size, self.path)
+        self.size, self.state = len(action.names), tuple(state)
+        self._given, self._returned = check_signature(
+            model, len(observation.names), self.size, self.path, self.state
+        )
         if self.sha256 not in _consistent:
             self._check_answers(observation)
             _consistent.add(self.sha256)
@@ -209,35 +238,73 @@ class OnnxModel:
     def _check_answers(self, space: Space) -> None:
         """Raise unless the same observation has the same finite answer, again and in any batch."""
         low, high = (np.clip(side, -WIDEST, WIDEST) for side in (space.low, space.high))
-        drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
-        seen = drawn.astype(np.float32)
+        rng = np.random.default_rng(0)
+        seen = rng.uniform(low, high, (TRIED, len(low))).astype(np.float32)
+        # half of the states are as at the start of an episode
+        states = [np.zeros((TRIED, each.size), np.float32) for each in self.state]
+        for each in states:
+            each[::2] = rng.uniform(-1.0, 1.0, each[::2].shape)
+        slices = [slice(k, k + n) for n in PARTS for k in range(0, TRIED - n + 1, n)]
         try:
-            whole, again = self.act(seen), self.act(seen)
-            parts = [self.act(seen[k : k + n]) for n in PARTS for k in range(0, TRIED - n + 1, n)]
+            whole, again = self._tried(seen, states), self._tried(seen, states)
+            parts = [self._tried(seen[k], [each[k] for each in states]) for k in slices]
+            self._tried(seen, self.step(seen, states)[1])
         except NotFinite as error:
             raise ValueError(
                 f"{self.path}, tried within the bounds on its card: {error}"
             ) from error
         if again.tobytes() != whole.tobytes():
             raise ValueError(f"{self.path} answers the same observation otherwise when asked again")
-        rows = [whole[k : k + n] for n in PARTS for k in range(0, TRIED - n + 1, n)]
+        rows = [whole[k] for k in slices]
         if any(mine.tobytes() != other.tobytes() for mine, other in zip(parts, rows, strict=True)):
             raise ValueError(
                 f"{self.path} answers the same observation otherwise in another batch: nothing may "
                 "mix the rows of a batch, as a normalization over it does"
             )
 
-    def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Action of every receiver.  `observation` (B, o); returns (B, a) in [-1, 1]."""
+    def _tried(self, seen: Float32Array, states: Sequence[Float32Array]) -> FloatArray:
+        """Actions and next states side by side."""
+        action, after = self.step(seen, states)
+        return np.hstack([action, *after])
+
+    def act(self, observation: Float32Array) -> FloatArray:
+        """Action of every receiver, of a network without states.
+
+        `observation` (B, o); returns (B, a) in [-1, 1].
+        """
+        return self.step(observation, ())[0]
+
+    def step(
+        self, observation: Float32Array, states: Sequence[Float32Array]
+    ) -> tuple[FloatArray, list[Float32Array]]:
+        """Action of every receiver, and the states of the next decision.
+
+        `observation` (B, o); `states`: (B, s) of each; returns (B, a) in [-1, 1], and as many.
+        """
         if self._session is None or self._process != os.getpid():  # or in a forked child
             self._session, self._process = make_session(self.content), os.getpid()
-        given = np.ascontiguousarray(observation, dtype=np.float32)
-        name = self._session.get_inputs()[0].name
+        given = {self._given: np.ascontiguousarray(observation, dtype=np.float32)}
+        for state, array in zip(self.state, states, strict=True):
+            given[state.name] = np.ascontiguousarray(array, dtype=np.float32)
+        wanted = [self._returned, *(f"{NEXT}{each.name}" for each in self.state)]
         try:
-            action = self._session.run(None, {name: given})[0]
+            action, *after = self._session.run(wanted, given)
         except _failures() as error:
             raise ValueError(f"{self.path} can't be run: {error}") from error
-        return checked_action(action, len(given), self.size, self.path)
+        rows = len(observation)
+        for state, array in zip(self.state, after, strict=True):
+            self._check_state(state, array, rows)
+        return checked_action(action, rows, self.size, self.path), after
+
+    def _check_state(self, state: State, array: Float32Array, rows: int) -> None:
+        """Raise unless a state is finite and of the right shape."""
+        what = f"{self.path} returned the state {NEXT}{state.name}"
+        if array.shape != (rows, state.size):
+            raise ValueError(f"{what} of shape {array.shape}, not {(rows, state.size)}")
+        finite = np.isfinite(array).all(axis=1)
+        if not finite.all():
+            row = int(np.argmin(finite))
+            raise NotFinite(f"{what} with a value that is not finite for receiver {row}")
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the session, which neither pickles nor copies."""

@@ -529,4 +529,4 @@ def detector_name(detector: Detector) -> str:
     """Registered name of a detector, else that of its class, for titles."""
     detector = detector.detector if isinstance(detector, Calibrated) else detector
     found = (name for name, kind in DETECTORS.items() if kind is type(detector))
-    return next(found, type(detector).__name__)
+    return detector.label or next(found, type(detector).__name__)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .._memory import Memory
 from .._registry import whole_number
 from ..detectors import DETECTORS, Calibrated, Detector, PooledDetector, make_detector
-from ..detectors.calibrated import STANDARD_RATE, check_drifts, identity_of
+from ..detectors.calibrated import STANDARD_RATE, check_drifts, identity_of, is_file
 from ..detectors.calibration import (
     STANDARD_RATES,
     WITNESSES,
@@ -34,6 +34,7 @@ from ..detectors.calibration import (
     stored,
     user_folder,
 )
+from ..detectors.learned.detector import unscaled
 from .clean_runs import CleanRuns, Player, Progress, measuring, weighs
 from .monitors import Monitor
 from .setup import Setup
@@ -159,7 +160,7 @@ def inner_detectors(specs: DetectorSpec | Iterable[DetectorSpec]) -> list[Detect
         specs = [specs]
     found: dict[str, Detector] = {}
     for spec in specs:
-        made = make_detector(spec)
+        made = unscaled(spec) if is_file(spec) else make_detector(spec)
         for each in made.judges if isinstance(made, PooledDetector) else (made,):
             inner = each.detector if isinstance(each, Calibrated) else each
             if inner.calibrates:

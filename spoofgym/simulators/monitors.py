@@ -66,9 +66,9 @@ class Monitor(ABC):
 class PassiveDetectors(Monitor):
     """Detectors that judge the same epochs as the one in the loop; their weights are not used.
 
-    `names`: name of each in ``info``: that of its class in `DETECTORS`, numbered where it is not
-    alone; `memory`: ``alarmed`` (B, w) bool, whether each has alarmed since it was last set to
-    False; ``ratio`` (B, w) largest statistic over threshold at the last epoch.
+    `names`: name of each in ``info``: its `label`, or that of its class in `DETECTORS`, numbered
+    where it is not alone; `memory`: ``alarmed`` (B, w) bool, whether each has alarmed since it was
+    last set to False; ``ratio`` (B, w) largest statistic over threshold at the last epoch.
     """
 
     def __init__(self, detectors: Sequence[Detector]) -> None:
@@ -117,6 +117,7 @@ def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
     """Names of detectors, with underscores."""
     known = {kind: name for name, kind in DETECTORS.items()}
     detectors = [d.detector if isinstance(d, Calibrated) else d for d in detectors]
-    words = [known.get(type(d), type(d).__name__).replace("-", "_").lower() for d in detectors]
+    named = [d.label or known.get(type(d), type(d).__name__) for d in detectors]
+    words = [name.replace("-", "_").lower() for name in named]
     before = ((word, words[:k].count(word)) for k, word in enumerate(words))
     return tuple(f"{word}_{count + 1}" if count else word for word, count in before)

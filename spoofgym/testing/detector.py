@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 
 from ..detectors import Detector, Verdict, make_detector
 from ..detectors.base import check_needs
+from ..detectors.calibrated import is_file
+from ..detectors.learned.card import DetectorCard
+from ..detectors.learned.detector import unscaled
 from ..detectors.verdicts import UndeclaredFieldError, checked, undeclared
 from ..receiver.epoch import TracedEpoch
 from .contract import read_only_given, require, require_fresh, same_bits
-from .epochs import Script, engine_script, trying_script
+from .epochs import CHANNELS, Script, engine_script, trying_script
 from .position_epochs import COORDINATES, position_script
 from .trial import Record, Trial, check_memory, run_trial
 
@@ -43,7 +46,8 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     Parameters
     ----------
     detector : Detector, str or mapping
-        What `make_detector` takes.  The object itself is left as it is.
+        What `make_detector` takes; an ``.onnx`` file needs no threshold on its card.  The object
+        itself is left as it is.
 
     Raises
     ------
@@ -55,22 +59,33 @@ def check_detector(detector: Detector | Mapping[str, Any] | str) -> None:
     >>> from spoofgym.testing import check_detector
     >>> check_detector({"name": "ewma", "smoothing": 0.2})
     """
-    unbound = make_detector(detector)
+    unbound = unscaled(detector) if is_file(detector) else make_detector(detector)
     _check_declarations(unbound)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        for script in scripts_of(unbound.measures):
+        for script in scripts_of(unbound.measures, getattr(unbound, "card", None)):
             trial = _DetectorTrial(unbound, script)
             _check_bound_again(trial)
             _check_verdicts(trial)
             run_trial(trial)
 
 
-def scripts_of(measures: str) -> list[Script]:
-    """Epochs of what a detector measures."""
+def scripts_of(measures: str, card: DetectorCard | None = None) -> list[Script]:
+    """Epochs of what a detector measures; for one in a file with as many slots as it was made for.
+
+    A run is left out that has another number of them.
+    """
     scripts = []
-    if measures != "position":
+    if measures != "position" and card is None:
         scripts += [engine_script(), trying_script()]
+    elif measures != "position" and card is not None:
+        run = engine_script()
+        made_for = card.channels or run.context.channels
+        interval_s = card.interval_s or run.context.epoch_interval_s
+        fit = [run] if made_for == run.context.channels else []
+        for each in (*fit, trying_script(max(made_for, CHANNELS))):
+            context = each.context._replace(epoch_interval_s=interval_s)
+            scripts.append(each._replace(context=context))
     if measures != "satellites":
         scripts += [position_script(m) for m in COORDINATES]
     return scripts

@@ -98,9 +98,9 @@ OUTLIER = 18
 ATTACKED_FROM = 35
 
 
-@lru_cache(maxsize=1)
-def trying_script() -> Script:
-    """Made-up epochs with all that is awkward.
+@lru_cache(maxsize=2)
+def trying_script(channels: int = CHANNELS) -> Script:
+    """Made-up epochs with all that is awkward; slots after the first `CHANNELS` stay empty, too.
 
     Satellites appear and disappear, one slot stays empty, at two epochs nothing is in view;
     intervals differ; once all innovations are zero, once there is an outlier of a thousand standard
@@ -108,21 +108,21 @@ def trying_script() -> Script:
     that they are said to have.
     """
     rng = np.random.default_rng(2)
-    noise = np.repeat([6.25, 0.01], CHANNELS)
+    noise = np.repeat([6.25, 0.01], channels)
     time = np.zeros(RECEIVERS)
     epochs = []
     for k in range(COUNT):
         interval = INTERVALS[k % len(INTERVALS)]
         time = time + interval
-        epochs.append(_made_up(k, time, interval, _visible(k), noise, rng))
-    ids = (*(f"G{j:02d}" for j in range(1, CHANNELS)), "")
-    context = DetectorContext(RECEIVERS, CHANNELS, 0.5, noise, ids)
+        epochs.append(_made_up(k, time, interval, _visible(k, channels), noise, rng))
+    ids = (*(f"G{j:02d}" for j in range(1, CHANNELS)), *[""] * (channels - _EMPTY))
+    context = DetectorContext(RECEIVERS, channels, 0.5, noise, ids)
     return Script("made-up epochs", context, tuple(epochs))
 
 
-def _visible(k: int) -> NDArray[np.bool_]:
-    visible = np.ones((RECEIVERS, CHANNELS), dtype=np.bool_)
-    visible[:, _EMPTY] = False
+def _visible(k: int, channels: int) -> NDArray[np.bool_]:
+    visible = np.ones((RECEIVERS, channels), dtype=np.bool_)
+    visible[:, _EMPTY:] = False
     visible[:, 2] = k >= 8  # rises
     visible[:, 4] = k < 30  # sets
     visible[1:3, 3] = k % 7 != 0  # flickers

@@ -6,7 +6,7 @@ import pytest
 from spoofgym import duel_v0
 from spoofgym.detectors import DetectorContext
 from spoofgym.detectors.calibration import fewest_runs
-from spoofgym.duel.agent import PolicyDetector, policy_context
+from spoofgym.detectors.learned.agent import PolicyDetector, policy_context
 from spoofgym.duel.calibration import quantile_of
 from spoofgym.duel.payoff import FixedThreshold, RunningThreshold
 from spoofgym.duel.rules import make_duel

@@ -57,7 +57,7 @@ def test_the_policy_is_the_same_in_any_batch_and_in_copies(file):
 
 
 def _context(receivers, fields):
-    from spoofgym.duel.policy import PolicyContext
+    from spoofgym.detectors.learned.policy import PolicyContext
 
     return PolicyContext(receivers=receivers, **fields)
 
@@ -70,7 +70,7 @@ def test_a_file_stands_in_a_pool(file, tmp_path):
     assert set(view.opponents) <= {str(file), "ewma"}
     other = duel_v0.SpooferView({"name": str(file), "threshold": 0.25}, timeline=SHORT)
     (member,) = other.core.setup.detector.judges
-    assert (member.threshold, member.exclusion_s) == (0.25, 30.0)
+    assert (member.scale, member.detector.card.exclusion_s) == (0.25, 30.0)
     store = tmp_path / "store"
     first = duel_v0.calibrate(duel_v0.OnnxDetector(file), **SETTINGS, store=store)
     assert first.detector == duel_v0.OnnxDetector(file).card.file.sha256[:16]
@@ -80,7 +80,8 @@ def test_a_file_stands_in_a_pool(file, tmp_path):
 def test_a_file_is_calibrated_by_the_mechanism_of_all_detectors(file, tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "own"))
     asked = {"name": str(file), "false_alarms_per_hour": 20.0}
-    with pytest.raises(ValueError, match=r"no calibration of policy .*--detector .*guard\.onnx"):
+    told = r"no calibration of .*guard\.onnx .*--detector .*guard\.onnx --false-alarms-per-hour 20`"
+    with pytest.raises(ValueError, match=told):
         duel_v0.SpooferView(asked, timeline=SHORT)
     setup = TightlyCoupledSetup(detector="never", timeline=SHORT)
     judge = make_opponent(asked, setup.live)
@@ -89,7 +90,7 @@ def test_a_file_is_calibrated_by_the_mechanism_of_all_detectors(file, tmp_path, 
     view = duel_v0.SpooferView(asked, timeline=SHORT)
     (member,) = view.core.setup.detector.judges
     assert member.scale == found.point(20.0).scale
-    assert (member.detector.threshold, member.detector.quiet_epochs) == (1.0, setup.live)
+    assert member.detector.quiet_epochs == setup.live
     own = duel_v0.calibrate(
         duel_v0.OnnxDetector(file),
         timeline=SHORT,
@@ -115,7 +116,7 @@ def test_what_does_not_fit_is_refused_by_name(file):
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"threshold": None}, "has no threshold on its card: calibrate it"),
+        ({"threshold": None}, "has no threshold on its card: ask for"),
         ({"threshold": 1.5}, "`threshold`: Input should be less than or equal to 1, got 1.5"),
         (
             {"file": {"name": "x.onnx", "sha256": "0" * 64, "bytes": 1, "opset": 18}},

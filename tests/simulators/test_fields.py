@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Never, make_detector
-from spoofgym.duel.agent import DetectorAgent
+from spoofgym.detectors.learned.agent import DetectorAgent
 from spoofgym.receiver.epoch import OPTIONAL
 from spoofgym.simulators import Engine
 from spoofgym.simulators.divergence import Divergence

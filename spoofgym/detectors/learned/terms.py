@@ -1,38 +1,55 @@
-"""Terms of what a detector agent observes, each with names and bounds.
+"""Terms of what a learned detector observes, each with names and bounds.
 
-A term holds an `Epoch`, which has no field of truth, and what the agent remembers of earlier ones.
-Every value is divided by a stated scale, and clipped to finite bounds.
+A term holds an `Epoch`, which has no field of truth, and what the detector remembers of earlier
+ones.  Every value is divided by a stated scale, and clipped to finite bounds.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, cast
+from typing import ClassVar, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._memory import Memory
-from ..earth.frames import dcm_e_from_n, ecef_to_geodetic
-from ..receiver.epoch import Epoch
-from ..receiver.nis import normalized_innovation_squared
+from ..._memory import Memory
+from ...earth.frames import dcm_e_from_n, ecef_to_geodetic
+from ...receiver.epoch import Epoch
+from ...receiver.nis import normalized_innovation_squared
+from ..base import DetectorContext
 
 FloatArray = NDArray[np.float64]
 Written = NDArray[np.float32]
 
 
-class DetectorTerm(Protocol):
-    """One part of the observation; `needs`, where it has them, are those of a `Detector`."""
+class DetectorTerm(ABC):
+    """One part of what a learned detector observes; a frozen dataclass.
 
+    Attributes
+    ----------
+    needs : frozenset of str
+        Optional fields of `Epoch` that it reads, as of a `Detector`.
+    """
+
+    needs: ClassVar[frozenset[str]] = frozenset()
+
+    @abstractmethod
     def names(self, channels: int) -> tuple[str, ...]:
         """Name of every element, for as many slots."""
 
+    @abstractmethod
     def bounds(self) -> tuple[float, float]:
         """Least and largest value, finite."""
 
-    def declare(self, memory: Memory, channels: int) -> None:
-        """Declare what is remembered."""
+    def bound(self, context: DetectorContext) -> Self:
+        """Term for a batch of receivers: itself, unless it keeps a `memory` of its own."""
+        return self
 
+    def declare(self, memory: Memory, channels: int) -> None:  # noqa: B027  (few need it)
+        """Declare what is remembered; nothing by default."""
+
+    @abstractmethod
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         """Write the values of an epoch, (B, k); clipping follows."""
 
@@ -51,7 +68,7 @@ def innovation_sd(epoch: Epoch) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Innovation:
+class Innovation(DetectorTerm):
     """Innovations over their standard deviations; 0 where a slot is invisible."""
 
     def names(self, channels: int) -> tuple[str, ...]:
@@ -62,16 +79,13 @@ class Innovation:
         """-10 and 10."""
         return -10.0, 10.0
 
-    def declare(self, memory: Memory, channels: int) -> None:
-        """Nothing is remembered."""
-
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         """Write z over its standard deviation."""
         np.divide(epoch.innovation, innovation_sd(epoch), out=out, casting="unsafe")
 
 
 @dataclass(frozen=True)
-class AverageInnovation:
+class AverageInnovation(DetectorTerm):
     r"""Exponentially weighted average of the same, over its standard deviation if it were white.
 
     .. math:: \Lambda_k = \lambda z_k / \sigma_k + (1 - \lambda) \Lambda_{k-1}, \qquad
@@ -119,7 +133,7 @@ class AverageInnovation:
 
 
 @dataclass(frozen=True)
-class InnovationSd:
+class InnovationSd(DetectorTerm):
     """Standard deviations of the innovations.
 
     Parameters
@@ -139,9 +153,6 @@ class InnovationSd:
         """0 and 10."""
         return 0.0, 10.0
 
-    def declare(self, memory: Memory, channels: int) -> None:
-        """Nothing is remembered."""
-
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         """Write them; 0 where a slot is invisible."""
         n, sd = epoch.visible.shape[1], innovation_sd(epoch)
@@ -150,7 +161,7 @@ class InnovationSd:
 
 
 @dataclass(frozen=True)
-class ChiSquare:
+class ChiSquare(DetectorTerm):
     """Normalized innovations squared, of both kinds together, over the degrees of freedom."""
 
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
@@ -163,9 +174,6 @@ class ChiSquare:
         """0 and 10."""
         return 0.0, 10.0
 
-    def declare(self, memory: Memory, channels: int) -> None:
-        """Nothing is remembered."""
-
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         """Write the ratio; 1 is what the filter expects."""
         m = epoch.innovation.shape[1]
@@ -177,7 +185,7 @@ class ChiSquare:
 
 
 @dataclass(frozen=True)
-class InView:
+class InView(DetectorTerm):
     """Whether a slot has a visible satellite."""
 
     def names(self, channels: int) -> tuple[str, ...]:
@@ -188,16 +196,13 @@ class InView:
         """0 and 1."""
         return 0.0, 1.0
 
-    def declare(self, memory: Memory, channels: int) -> None:
-        """Nothing is remembered."""
-
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         """Write 1 or 0."""
         out[:] = epoch.visible
 
 
 @dataclass(frozen=True)
-class PredictedMotion:
+class PredictedMotion(DetectorTerm):
     """Velocity that the filter predicts, in local axes, and what the inertial sensors measure.
 
     Parameters
@@ -226,9 +231,6 @@ class PredictedMotion:
         """-10 and 10."""
         return -10.0, 10.0
 
-    def declare(self, memory: Memory, channels: int) -> None:
-        """Nothing is remembered."""
-
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         """Write velocity, mean specific force and mean angular rate of the interval."""
         latitude, longitude, _ = ecef_to_geodetic(epoch.predicted_position)
@@ -241,7 +243,7 @@ class PredictedMotion:
 
 
 @dataclass(frozen=True)
-class Elapsed:
+class Elapsed(DetectorTerm):
     """Time since the detector was switched on, in the last part of the warm-up.
 
     Parameters
@@ -271,16 +273,16 @@ class Elapsed:
 
 
 @dataclass(frozen=True)
-class ExclusionLeft:
+class ExclusionLeft(DetectorTerm):
     """Part of the allowance of exclusion that is left.
 
     Parameters
     ----------
     exclusion_s : float or None
-        The allowance; without a limit all is left.
+        The allowance, that of the detector; without a limit all is left.
     """
 
-    exclusion_s: float | None
+    exclusion_s: float | None = None
 
     def names(self, channels: int) -> tuple[str, ...]:
         """``exclusion_left``."""
@@ -290,12 +292,40 @@ class ExclusionLeft:
         """0 and 1."""
         return 0.0, 1.0
 
-    def declare(self, memory: Memory, channels: int) -> None:
-        """What has been used up [s]."""
-        memory.declare("excluded_s", np.zeros(memory.receivers))
-
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
         """Write the part."""
         out[:, 0] = 1.0
         if self.exclusion_s:
             out[:, 0] -= memory["excluded_s"] / self.exclusion_s
+
+
+@dataclass(frozen=True)
+class LineOfSight(DetectorTerm):
+    """Unit vectors from the predicted position to the satellites, in local axes.
+
+    0 where a slot is invisible.
+    """
+
+    needs: ClassVar[frozenset[str]] = frozenset({"satellite_position"})
+
+    def names(self, channels: int) -> tuple[str, ...]:
+        """``sight_north_*``, ``sight_east_*`` and ``sight_down_*``."""
+        axes = ("north", "east", "down")
+        return tuple(name for axis in axes for name in slots(f"sight_{axis}", channels))
+
+    def bounds(self) -> tuple[float, float]:
+        """-1 and 1."""
+        return -1.0, 1.0
+
+    def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
+        """Write the vectors."""
+        place = cast(FloatArray, epoch.satellite_position)
+        away = np.where(epoch.visible[:, :, None], place - epoch.predicted_position[:, None], 0.0)
+        length = np.sqrt((away * away).sum(axis=2, keepdims=True))
+        sight_e = away / np.maximum(length, 1.0)
+        latitude, longitude, _ = ecef_to_geodetic(epoch.predicted_position)
+        C_en = dcm_e_from_n(latitude, longitude)
+        sight_n = (sight_e[:, :, :, None] * C_en[:, None, :, :]).sum(axis=2)
+        n = epoch.visible.shape[1]
+        for axis in range(3):
+            out[:, axis * n : (axis + 1) * n] = sight_n[:, :, axis]

@@ -1,4 +1,4 @@
-"""A detector that decides by actions: an agent from outside, or a policy that is asked.
+"""A detector that decides by actions: an agent of the duel, or a policy that is asked.
 
 An action has one element for the statistic (or one for every slot), and one for the weight of every
 satellite, all in [-1, 1]; both are mapped to [0, 1] by :math:`(a + 1) / 2`.  An alarm is raised
@@ -7,19 +7,22 @@ where the statistic exceeds the threshold.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import check_choice, is_number
-from ..detectors import Detector, DetectorContext, Verdict
-from ..detectors.pool import JointMemory
-from ..receiver.epoch import Epoch
-from .detector_observer import ALL_TERMS, DetectorObserver
-from .detector_terms import ExclusionLeft, slots
+from ..._describe import OMITTED
+from ..._memory import Memory
+from ..._registry import check_choice, is_number, whole_number
+from ...receiver.epoch import Epoch
+from ..base import Detector, DetectorContext, Verdict
+from ..pool import JointMemory
+from .observer import ALL_TERMS, DetectorObserver, make_detector_terms, written_terms
 from .policy import DetectorPolicy, PolicyContext
+from .terms import DetectorTerm, ExclusionLeft, slots
 
 FloatArray = NDArray[np.float64]
 STATISTICS = ("receiver", "channel")
@@ -56,17 +59,17 @@ class DetectorAgent(Detector):
     - `weighs`: whether the agent weighs satellites; if not, it only watches;
     - `exclusion_s`: allowance of exclusion in an episode: an epoch costs its interval times what
       the weights of the visible satellites lack, on average, of 1. An epoch that would exceed it is
-      used with all weights 1. None for no limit.
+      used with all weights 1. None for no limit;
+    - `terms`: what it observes, as `make_detector_terms` takes it; None for `ALL_TERMS`, and what
+      is left of the allowance.
     """
 
     statistic: str = "receiver"
     weighs: bool = True
     exclusion_s: float | None = EXCLUSION_S
+    terms: Sequence[Any] | None = field(default=None, metadata=OMITTED, kw_only=True)
 
     paper: ClassVar[str] = "groves2013"
-    needs: ClassVar[frozenset[str]] = frozenset().union(
-        *(getattr(term, "needs", ()) for term in ALL_TERMS)
-    )
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -74,16 +77,39 @@ class DetectorAgent(Detector):
         if not isinstance(self.weighs, bool | np.bool_):
             raise ValueError(f"`weighs` must be True or False, got {self.weighs!r}")
         check_exclusion(self.exclusion_s)
-        self.scope = self.statistic  # type: ignore[misc]  # the object's choice, not the class's
+        if self.terms is not None:
+            self.terms = make_detector_terms(self.terms)
+        # these are the object's choice, not the class's
+        self.scope = self.statistic  # type: ignore[misc]
+        self.needs = frozenset().union(*(term.needs for term in self.observed))  # type: ignore[misc]
+        for term in self.observed:
+            if isinstance(term, ExclusionLeft) and term.exclusion_s != self.exclusion_s:
+                raise ValueError(
+                    f"`exclusion_s` of the term exclusion-left must be that of the detector, "
+                    f"{self.exclusion_s}, got {term.exclusion_s}"
+                )
+
+    @property
+    def observed(self) -> tuple[DetectorTerm, ...]:
+        """Terms of the observation."""
+        if self.terms is not None:
+            return tuple(self.terms)
+        return (*ALL_TERMS, ExclusionLeft(self.exclusion_s))
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare what is observed."""
         super().bind(context)
         n = context.channels
-        self.observer = DetectorObserver((*ALL_TERMS, ExclusionLeft(self.exclusion_s)), n)
+        self.observer = DetectorObserver(self.observed, n)
         self.action_names = action_names(self.statistic, self.weighs, n)
         self._columns = n if self.statistic == "channel" else 1
+        self.memory = JointMemory(context.receivers, self._bound_parts(context))
+        self.memory.declare("excluded_s", np.zeros(context.receivers))
         self.observer.declare(self.memory)
+
+    def _bound_parts(self, context: DetectorContext) -> list[Memory]:
+        """Bind what is within, and return what it remembers."""
+        return self.observer.bind(context)
 
     def look(self, epoch: Epoch) -> None:
         """Take in one epoch."""
@@ -150,14 +176,16 @@ class PolicyDetector(DetectorAgent):
         What the statistic is compared with, in (0, 1]; of a calibration of this policy.
     decision_delay : {0, 1}
         Whether an epoch is judged by a decision on itself, or by one on the epoch before.
-    quiet_epochs : int
-        Epochs of the warm-up, in which it is not asked.
+    quiet_epochs : int, optional
+        Epochs after it is switched on in which it is not asked: statistic 0 and all weights 1, as
+        an agent of the duel is in the monitored warm-up.  By default the policy is asked at once;
+        only a pool of the duel then takes its own warm-up.
     """
 
     policy: DetectorPolicy | None = None
     threshold: float = 1.0
     decision_delay: int = 0
-    quiet_epochs: int = 0
+    quiet_epochs: int | None = None
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -167,6 +195,8 @@ class PolicyDetector(DetectorAgent):
         check_delay(self.decision_delay)
         if not (is_number(self.threshold) and 0.0 < self.threshold <= 1.0):
             raise ValueError(f"`threshold` must be a number in (0, 1], got {self.threshold!r}")
+        if self.quiet_epochs is not None:
+            self.quiet_epochs = whole_number("`quiet_epochs`", self.quiet_epochs)
 
     @property
     def file(self) -> str | None:
@@ -174,7 +204,7 @@ class PolicyDetector(DetectorAgent):
         return getattr(self.policy, "file", None)
 
     def identity(self) -> dict[str, Any]:
-        """What its calibration belongs to: all but threshold and warm-up, which it is told."""
+        """What its calibration belongs to: all but the threshold."""
         digest = self._policy().digest()
         if digest is None:
             raise ValueError(
@@ -183,18 +213,26 @@ class PolicyDetector(DetectorAgent):
             )
         own = ("statistic", "weighs", "exclusion_s", "decision_delay")
         settings = {name: getattr(self, name) for name in own}
-        return {"name": "policy", "policy": digest, **settings}
+        if self.terms is not None:
+            settings["terms"] = written_terms(self.terms)
+        return {"name": "policy", "policy": digest, "quiet_epochs": self.quiet, **settings}
+
+    @property
+    def quiet(self) -> int:
+        """Epochs after it is switched on in which it is not asked."""
+        return self.quiet_epochs or 0
 
     def bind(self, context: DetectorContext) -> None:
         """Prepare the policy."""
         super().bind(context)
-        policy = self._policy()
-        policy.bind(policy_context(self, context))
-        declared = self.memory
-        self.memory = JointMemory(context.receivers, [policy.memory])
-        for name, initial in declared.declared.items():
-            self.memory.declare(name, initial)
+        self.silent_epochs = self.quiet
         self.memory.declare("judged", np.zeros(context.receivers, dtype=np.int64))
+
+    def _bound_parts(self, context: DetectorContext) -> list[Memory]:
+        """Bind the terms and the policy."""
+        parts, policy = super()._bound_parts(context), self._policy()
+        policy.bind(policy_context(self, context))
+        return [*parts, policy.memory]
 
     def _policy(self) -> DetectorPolicy:
         if self.policy is None:
@@ -210,7 +248,7 @@ class PolicyDetector(DetectorAgent):
         else:
             self.look(epoch)
             action = policy.decide(self.memory["observation"])
-        quiet = self.memory["judged"] < self.quiet_epochs
+        quiet = self.memory["judged"] < self.quiet
         self.memory["judged"] = self.memory["judged"] + 1
         if quiet.any():
             policy.reset(quiet)

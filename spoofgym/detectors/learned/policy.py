@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._describe import describe, digest_of, outside_sources
-from ..policies.contract import FloatArray, Policy, checked_action
+from ..._describe import describe, digest_of, outside_sources
+from ...policies.contract import FloatArray, Policy, checked_action
 
 
 class PolicyContext(NamedTuple):

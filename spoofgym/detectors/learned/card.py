@@ -1,28 +1,24 @@
-"""A learned detector: a policy of the duel in an ONNX file, and its card.
-
-It observes what a `DetectorView` observes, and judges no `Epoch`, so that it belongs to the duel
-and not to the detectors.
-"""
+"""The card of a learned detector, and the policy in its ONNX file."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from ..policies.card import PolicyCard, PolicyFile, Space, unlike_spaces
-from ..policies.contract import FloatArray
-from ..policies.onnx_model import SUFFIX, OnnxModel, check_signature, file_of, read_model
-from .calibration import Calibration
+from ...policies.card import PolicyCard, PolicyFile, Space, State, unlike_spaces
+from ...policies.contract import FloatArray
+from ...policies.onnx_model import SUFFIX, OnnxModel
+from .observer import make_detector_terms
 from .policy import DetectorPolicy, PolicyContext
 
 
 class DetectorCard(PolicyCard):
-    """The card of a detector policy, on disk a JSON file with its ONNX file.
+    """The card of a learned detector, on disk a JSON file with its ONNX file.
 
     Attributes
     ----------
@@ -41,7 +37,19 @@ class DetectorCard(PolicyCard):
     exclusion_s : float or None
         Allowance of exclusion in an episode.
     decision_delay : {0, 1}
-        Of the game that it was made in.
+        Whether it judges an epoch by a decision on itself, or by one on the epoch before.
+    terms : tuple of dict or None
+        What it observes, as `make_detector_terms` takes it; None for those of the duel.
+    state : tuple of State
+        What a recurrent network hands on from one epoch to the next; empty for a plain one.
+    quiet_epochs : int or None
+        Epochs after it is switched on in which it is not asked, as in the monitored warm-up of the
+        duel that it was made in; 0 for one that is asked from the start on.  None on older cards:
+        the warm-up of a duel in its pools, 0 elsewhere.
+    channels : int or None
+        Slots of the receiver that it was made for; None on older cards.
+    interval_s : float or None
+        Time between epochs that it was made for [s]; None on older cards, for any.
     threshold : float or None
         Calibrated; None where that has not been done.
     calibration : dict
@@ -66,10 +74,24 @@ class DetectorCard(PolicyCard):
     weighs: bool
     exclusion_s: float | None = Field(default=None, ge=0.0)
     decision_delay: Literal[0, 1]
+    terms: tuple[dict[str, Any], ...] | None = Field(default=None, min_length=1)
+    state: tuple[State, ...] = ()
+    quiet_epochs: int | None = Field(default=None, ge=0)
+    channels: int | None = Field(default=None, ge=1)
+    interval_s: float | None = Field(default=None, gt=0.0)
     threshold: float | None = Field(default=None, gt=0.0, le=1.0)
     calibration: dict[str, Any] = Field(default_factory=dict)
     training: dict[str, Any] = Field(default_factory=dict)
     file: PolicyFile
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        names = [each.name for each in self.state]
+        if len(set(names)) < len(names):
+            raise ValueError(f"names of `state` must differ, got {', '.join(names)}")
+        if self.terms is not None:
+            make_detector_terms(self.terms)
+        return self
 
 
 def card_path(file: str | os.PathLike[str]) -> Path:
@@ -80,59 +102,6 @@ def card_path(file: str | os.PathLike[str]) -> Path:
     return path.with_suffix(".json")
 
 
-def write_card(
-    file: str | os.PathLike[str],
-    view: Any,
-    *,
-    name: str,
-    calibration: Calibration | None = None,
-    training: dict[str, Any] | None = None,
-) -> DetectorCard:
-    """Write the card of a detector policy that was made in a view.
-
-    Parameters
-    ----------
-    file : path-like
-        The ONNX file, of one float32 input (batch, o) and one float32 output (batch, a).
-    view : DetectorView or DetectorVectorView
-        Where it was made; knows names, bounds and delay.
-    name : str
-        Of the detector.
-    calibration : Calibration, optional
-        Of this policy.
-    training : dict, optional
-        How it was made, JSON-able.
-
-    Returns
-    -------
-    DetectorCard
-        As it was written.
-    """
-    path, content = card_path(file), Path(file).read_bytes()
-    duel = view.unwrapped.core.duel
-    agent, size = duel.agent, len(duel.agent.action_names)
-    check_signature(read_model(content, str(file)), len(agent.observer.names), size, str(file))
-    card = DetectorCard(
-        name=name,
-        observation=Space(
-            names=agent.observer.names,
-            low=tuple(agent.observer.low.tolist()),
-            high=tuple(agent.observer.high.tolist()),
-        ),
-        action=Space(names=agent.action_names, low=(-1.0,) * size, high=(1.0,) * size),
-        statistic=agent.statistic,
-        weighs=agent.weighs,
-        exclusion_s=agent.exclusion_s,
-        decision_delay=duel.decision_delay,
-        threshold=None if calibration is None else calibration.threshold,
-        calibration={} if calibration is None else {**vars(calibration)},
-        training=training or {},
-        file=file_of(Path(file).name, content),
-    )
-    card.save(path)
-    return card
-
-
 class OnnxDetector(DetectorPolicy):
     """Decides as a network in an ONNX file does; the card of the same name is in the same folder.
 
@@ -140,6 +109,8 @@ class OnnxDetector(DetectorPolicy):
     ----------
     file : str or path-like
         Path of the ONNX file.
+    sha256 : str, optional
+        Digest that the file must have; by default the card's.
 
     Attributes
     ----------
@@ -152,27 +123,39 @@ class OnnxDetector(DetectorPolicy):
         When file or card are missing, damaged, or don't fit each other.
     """
 
-    def __init__(self, file: str | os.PathLike[str]) -> None:
+    def __init__(self, file: str | os.PathLike[str], sha256: str | None = None) -> None:
         self.file = os.fspath(file)
         path = card_path(file)
         if not Path(file).is_file():
             raise ValueError(f"there is no ONNX file {self.file}")
         self.card = card = DetectorCard.load(path)
-        self.model = OnnxModel(Path(file), card.file, card.observation, card.action)
+        self.model = OnnxModel(
+            Path(file), card.file, card.observation, card.action, sha256, card.state
+        )
 
     def bind(self, context: PolicyContext) -> None:
         """Prepare for a batch of receivers."""
         super().bind(context)
         found = unlike_spaces(self.card.observation, self.card.action, context)
+        interval_s = self.card.interval_s
+        if interval_s is not None and interval_s != context.interval_s:
+            found.append(f"interval_s: {interval_s:g} on the card, {context.interval_s:g} here")
         if found:
             raise ValueError(
-                f"the detector {self.card.name!r} ({self.file}) does not fit this duel: "
+                f"the detector {self.card.name!r} ({self.file}) does not fit here: "
                 f"{'; '.join(found)}"
             )
+        for state in self.card.state:
+            zeros = np.zeros((context.receivers, state.size), dtype=np.float32)
+            self.memory.declare(state.name, zeros)
 
     def decide(self, observation: NDArray[np.float32]) -> FloatArray:
         """Decide on one epoch.  `observation` (B, o); returns (B, a) in [-1, 1]."""
-        return self.model.act(observation)
+        names = [each.name for each in self.card.state]
+        action, after = self.model.step(observation, [self.memory[name] for name in names])
+        for name, array in zip(names, after, strict=True):
+            self.memory[name] = array
+        return action
 
     def digest(self) -> str:
         """Digest of the file."""
