@@ -95,7 +95,7 @@ def calibrate(
             overwrite=overwrite,
             strict=False,
         )
-    made, rows, lines, sound = _rows(found, rate)
+    made, rows, lines, sound = _rows(found, judges, rate)
     if check:
         holdouts.check(setup, found, judges, threads=threads)
         lines.append(f"replayed: {len(found)} calibrations hold, to {TOLERANCE:g} of every maximum")
@@ -189,7 +189,7 @@ def _other(suite: Suite, text: str) -> Any:
 
 
 def _rows(
-    found: Sequence[Calibration], rate: float
+    found: Sequence[Calibration], judges: Sequence[Detector], rate: float
 ) -> tuple[list[dict[str, Any]], list[tuple[str, ...]], list[str], list[int]]:
     """Operating points, a row for each, notes, and which detectors have one."""
     from ..detectors.calibrated import NOISY_WARMUP, noisy_warmup
@@ -198,8 +198,8 @@ def _rows(
     rows: list[tuple[str, ...]] = []
     lines: list[str] = []
     sound: list[int] = []
-    for k, each in enumerate(found):
-        name = str(each.detector["name"])
+    for k, (each, judge) in enumerate(zip(found, judges, strict=True)):
+        name = judge.label or str(each.detector["name"])
         points.append({"detector": name, "file": str(each.path), "runs": each.runs, "scale": None})
         try:
             point = each.point(rate)

@@ -174,11 +174,11 @@ def _asking(world: World, specs: list[dict[str, Any]] | None, asked: Spec) -> li
     """Detectors that are asked for some thresholds, but for those that ask for others."""
     from .._registry import check_choice
     from ..bench.victims import VICTIMS
-    from ..detectors.calibrated import ASKED
+    from ..detectors.calibrated import asks
 
     check_choice("environment of the benchmark", world.env, VICTIMS)
     named = list(VICTIMS[world.env].detectors) if specs is None else specs
-    free = [not {*ASKED} & {*spec} or spec.get("thresholds") == "rescaled" for spec in named]
+    free = [not asks(spec) or spec.get("thresholds") == "rescaled" for spec in named]
     return [{**asked, **spec} if any_ else spec for spec, any_ in zip(named, free, strict=True)]
 
 

@@ -436,6 +436,11 @@ def has_threshold(spec: Any) -> bool:
     return is_file(spec) and isinstance(spec, Mapping) and spec.get("threshold") is not None
 
 
+def asks(spec: Mapping[str, Any]) -> bool:
+    """Whether a detector's spec says which thresholds it is to have."""
+    return bool({*ASKED} & {*spec}) or has_threshold(spec)
+
+
 def _members_asked(pool: Mapping[str, Any], asked: Asked) -> Any:
     """Members of a pool, each with what is asked of all."""
     members = pool.get("members", PooledDetector.members)
@@ -444,9 +449,7 @@ def _members_asked(pool: Mapping[str, Any], asked: Asked) -> Any:
     words = {key: value for key, value in asked._asdict().items() if value is not None}
     named = [{"name": each} if isinstance(each, str) else each for each in members]
     return [
-        {**each, **words}
-        if isinstance(each, Mapping) and not ({*ASKED} & {*each} or has_threshold(each))
-        else each
+        {**each, **words} if isinstance(each, Mapping) and not asks(each) else each
         for each in named
     ]
 

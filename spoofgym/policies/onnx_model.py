@@ -37,7 +37,7 @@ CHANCE = (
 """Operators that a policy must not have: the same observation gives the same action."""
 CONTROL_FLOW = frozenset({"If", "Loop", "Scan", "SequenceMap"})
 """Operators with graphs of their own, of which none is needed by a policy."""
-LARGEST_BYTES, MOST_OPERATORS, MOST_PARTS = 32 << 20, 5_000, 100_000
+LARGEST_BYTES, MOST_OPERATORS, MOST_PARTS = 32 << 20, 5_000, 50_000
 """Of a file; a policy is asked hundreds of times an episode.  Parts are operators, their settings,
 tensors and types, in subgraphs, too."""
 TRIED, PARTS = 16, (1, 2, 3)
@@ -79,9 +79,7 @@ def _check_parts(model: ModelProto, where: str) -> None:
     from onnx import FunctionProto, NodeProto, TensorProto
 
     branching: set[str] = set()
-    for count, part in enumerate(_messages(model)):
-        if count >= MOST_PARTS:
-            raise ValueError(f"{where} has over {MOST_PARTS:,} parts; a policy may have as many")
+    for part in _messages(model, where):
         if isinstance(part, TensorProto):
             if part.data_location == TensorProto.EXTERNAL or part.external_data:
                 raise ValueError(
@@ -108,15 +106,22 @@ def _check_parts(model: ModelProto, where: str) -> None:
         )
 
 
-def _messages(message: Any) -> Iterator[Any]:
-    """All parts of a protocol buffer, itself first."""
-    open_ = [message]
+def _messages(message: Any, where: str) -> Iterator[Any]:
+    """All parts of a protocol buffer, itself first; a ValueError where there are too many."""
+    open_, count = [message], 1
     while open_:
         part = open_.pop()
         yield part
         for descriptor, value in part.ListFields():
             if descriptor.message_type is not None:
-                open_.extend([value] if hasattr(value, "ListFields") else value)
+                parts = [value] if hasattr(value, "ListFields") else value
+                count += len(parts)
+                if count > MOST_PARTS:
+                    raise ValueError(
+                        f"{where} has over {MOST_PARTS:,} parts (operators, their settings, "
+                        "tensors, types); a policy may have no more"
+                    )
+                open_.extend(parts)
 
 
 def file_of(name: str, content: bytes) -> PolicyFile:
@@ -156,7 +161,12 @@ def check_signature(
             raise ValueError(f"{where} has no {word} {', '.join(missing)} of a state; {wanted}")
         if len(own) != 1:
             names = ", ".join(named) or "none"
-            hint = "; what it hands on is declared as `state`" if len(own) > 1 else ""
+            hint = (
+                "; what a recurrent network hands on is declared as `state` on a detector's card, "
+                "and a spoofer has none"
+                if len(own) > 1
+                else ""
+            )
             raise ValueError(f"{where} has {len(named)} {word}s ({names}); {wanted}{hint}")
         for name, length in ((own[0], size), *states.items()):
             _check_value(named[name], length, f"{where} has the {word} {name}", wanted)

@@ -1,0 +1,222 @@
+"""Recurrent networks with declared states: the same in any batch, reset by rows, or refused."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import time
+
+import numpy as np
+import onnx
+import pytest
+from onnx import helper, numpy_helper
+
+from spoofgym.detectors import LearnedDetector
+from spoofgym.detectors.learned.card import OnnxDetector
+from spoofgym.policies.onnx_model import MOST_OPERATORS, MOST_PARTS, read_model
+from spoofgym.testing import check_detector
+from spoofgym.testing.epochs import engine_script
+
+from .files import HIDDEN, card, edit_card, value, write_guard
+
+TWO = {"hidden": 4, "slow": 2}
+
+
+def bound(path, receivers=None):
+    detector = LearnedDetector(str(path))
+    script = engine_script()
+    context = script.context
+    detector.bind(context if receivers is None else context._replace(receivers=receivers))
+    return detector, script
+
+
+@pytest.mark.parametrize("statistic", ["receiver", "channel"])
+@pytest.mark.parametrize("weighs", [False, True])
+def test_a_recurrent_detector_keeps_the_contract(tmp_path, statistic, weighs):
+    path = write_guard(tmp_path, state=TWO, statistic=statistic, weighs=weighs)
+    check_detector(str(path))
+
+
+def test_states_are_handed_on_from_epoch_to_epoch(tmp_path):
+    """The statistic is that of the network run by hand, with its state in our own hands."""
+    import onnxruntime
+
+    path = write_guard(tmp_path, state=TWO)
+    detector, script = bound(path)
+    session = onnxruntime.InferenceSession(path.read_bytes())
+    states = {name: np.zeros((5, size), np.float32) for name, size in TWO.items()}
+    statistics = []
+    for epoch in script.epochs:
+        statistic = detector.judge(epoch).statistic
+        seen = detector.memory["observation"]
+        action, *after = session.run(
+            ["action", "next_hidden", "next_slow"], {"observation": seen, **states}
+        )
+        states = dict(zip(TWO, after, strict=True))
+        np.testing.assert_allclose(statistic, 0.5 * (action + 1.0), atol=1e-6)
+        statistics.append(statistic)
+    alone = OnnxDetector(path).model
+    forgetful, _ = alone.step(seen, [np.zeros((5, size), np.float32) for size in TWO.values()])
+    assert np.abs(0.5 * (forgetful + 1.0) - statistics[-1]).max() > 1e-3
+
+
+def test_a_reset_of_some_receivers_and_copies_go_on(tmp_path):
+    detector, script = bound(write_guard(tmp_path))
+    for epoch in script.epochs[:10]:
+        detector.judge(epoch)
+    whole = pickle.loads(pickle.dumps(copy.deepcopy(detector)))
+    mask = np.arange(5) < 2
+    detector.reset(mask)
+    mine = detector.judge(script.epochs[10]).statistic
+    theirs = whole.judge(script.epochs[10]).statistic
+    np.testing.assert_array_equal(mine[~mask], theirs[~mask])
+    assert (mine[mask] != theirs[mask]).all()
+
+
+def without(what, name):
+    def edit(model):
+        values = getattr(model.graph, what)
+        kept = [each for each in values if each.name != name]
+        del values[:]
+        values.extend(kept)
+
+    return edit
+
+
+def resized(name, size, batch="batch"):
+    def edit(model):
+        for values in (model.graph.input, model.graph.output):
+            for each in values:
+                if each.name == name:
+                    each.CopyFrom(value(name, size, batch))
+
+    return edit
+
+
+SIGNATURES = {
+    "no state output": (
+        without("output", "next_hidden"),
+        HIDDEN,
+        r"has no output next_hidden of a state; the card has one output of float32 \(batch, 1\), "
+        r"and next_hidden of float32 \(batch, 4\)",
+    ),
+    "undeclared": (
+        None,
+        None,
+        r"has 2 inputs \(observation, hidden\); the card has one input of .*declared as `state`",
+    ),
+    "another name": (None, {"memory": 4}, r"has no input memory of a state; the card has one inp"),
+    "another size": (
+        None,
+        {"hidden": 5},
+        r"has the input hidden of float32 \(batch, 4\); .* and hidden of float32 \(batch, 5\)",
+    ),
+    "another output size": (
+        resized("next_hidden", 3),
+        HIDDEN,
+        r"has the output next_hidden of float32 \(batch, 3\)",
+    ),
+    "fixed batch": (
+        resized("hidden", 4, 1),
+        HIDDEN,
+        r"input hidden with a fixed batch of 1; ",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SIGNATURES)
+def test_a_state_that_does_not_fit_is_refused(case, tmp_path):
+    edit, state, message = SIGNATURES[case]
+    path = write_guard(tmp_path)
+    written = None if state is None else [{"name": n, "size": s} for n, s in state.items()]
+    if edit is not None:
+        model = onnx.load(path)
+        edit(model)
+        path.write_bytes(model.SerializeToString())
+        relabel(path)
+    edit_card(path, state=written or [])
+    started = time.perf_counter()
+    with pytest.raises(ValueError, match=message):
+        LearnedDetector(str(path))
+    assert time.perf_counter() - started < 1.0
+
+
+def relabel(path):
+    """Let the card have the digest of the file."""
+    from spoofgym.policies.onnx_model import file_of
+
+    edit_card(path, file=file_of(path.name, path.read_bytes()).model_dump())
+
+
+@pytest.mark.parametrize(
+    ("state", "message"),
+    [
+        ([{"name": "hidden", "size": 0}], r"`state\.0\.size`: .*greater than or equal to 1"),
+        ([{"name": "next hidden", "size": 4}], r"`state\.0\.name`: "),
+        ([{"name": "hidden", "size": 4}] * 2, "names of `state` must differ, got hidden, hidden"),
+    ],
+)
+def test_damaged_states_of_a_card(state, message, tmp_path):
+    path = write_guard(tmp_path)
+    edit_card(path, state=state)
+    with pytest.raises(ValueError, match=message):
+        LearnedDetector(str(path))
+
+
+def growing(model):
+    """A state that is infinite after two epochs."""
+    (tensor,) = (each for each in model.graph.initializer if each.name == "keep")
+    tensor.CopyFrom(numpy_helper.from_array(np.float32([1e38]), "keep"))
+
+
+def mixing(model):
+    """The next state depends on the other receivers."""
+    (node,) = (each for each in model.graph.node if each.output[0] == "next_hidden")
+    node.output[0] = "apart"
+    mean = helper.make_node("ReduceMean", ["apart", "axes"], ["level"], keepdims=1)
+    model.graph.initializer.append(numpy_helper.from_array(np.int64([0]), "axes"))
+    at = list(model.graph.node).index(node)
+    model.graph.node.insert(at + 1, mean)
+    model.graph.node.insert(at + 2, helper.make_node("Add", ["apart", "level"], ["next_hidden"]))
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (growing, "returned the state next_hidden with a value that is not finite for receiver"),
+        (mixing, "answers the same observation otherwise in another batch"),
+    ],
+)
+def test_a_state_is_tried_when_the_file_is_loaded(edit, message, tmp_path):
+    path = write_guard(tmp_path, edit=edit)
+    with pytest.raises(ValueError, match=message):
+        LearnedDetector(str(path))
+
+
+def test_control_flow_and_oversized_graphs_are_refused_within_a_second():
+    inner = helper.make_graph(
+        [helper.make_node("Identity", ["x"], [f"y{k}"]) for k in range(2 * MOST_PARTS)],
+        "branch",
+        [],
+        [value("y0", 1)],
+    )
+    branch = helper.make_node("If", ["c"], ["z"], then_branch=inner, else_branch=inner)
+    loop = helper.make_node("Loop", ["", "c"], ["z"], body=helper.make_graph([], "body", [], []))
+    many = [helper.make_node("Identity", ["x"], [f"y{k}"]) for k in range(MOST_OPERATORS + 1)]
+    for nodes, message in (
+        ([branch], f"over {MOST_PARTS:,} parts"),
+        ([loop], "control flow Loop"),
+        (many, f"{MOST_OPERATORS + 1:,} operators; a policy may have {MOST_OPERATORS:,}"),
+    ):
+        graph = helper.make_graph(nodes, "policy", [value("x", 1)], [value("y0", 1)])
+        content = helper.make_model(graph).SerializeToString()
+        started = time.perf_counter()
+        with pytest.raises(ValueError, match=message):
+            read_model(content, "guard.onnx")
+        assert time.perf_counter() - started < 1.0
+
+
+def test_a_card_says_what_the_file_hands_on(tmp_path):
+    found = card(write_guard(tmp_path, state=TWO))
+    assert [(each.name, each.size) for each in found.state] == list(TWO.items())
+    assert found.interval_s == 0.5
