@@ -31,7 +31,13 @@ SIGHTS = ("sight_north", "sight_east", "sight_down")
 VISIBLE = "visible"
 HORIZONS_S = (0.0, 5.0, 20.0, 60.0, 180.0)
 """Time constants of the averages; 0 for none."""
+FARTHEST = 10.0
+"""Standard deviations, of clean observations, beyond which an element is not taken to lie."""
+LEAST_SCALE = 0.05
+"""Of what hardly differs, such as what the filter believes of itself."""
 SMALL = 1e-6
+BLOCK = 40
+"""Epochs that are averaged by one product of matrices."""
 
 
 class DetectorNetwork(nn.Module):
@@ -45,7 +51,7 @@ class DetectorNetwork(nn.Module):
     interval_s : float
         Time between epochs.
     width : int
-        Units of the encoder, of what is pooled, and of the recurrent unit.
+        Units of the recurrent unit; the encoder has half of them.
     projections : int
         Vectors p.
     """
@@ -84,11 +90,11 @@ class DetectorNetwork(nn.Module):
         self.hidden_size, self.average_size = width, len(pace) * self.vectors
         encoded = len(own) + (3 if self.sighted else 0)
         self.encoder = nn.Sequential(
-            nn.Linear(encoded, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
+            nn.Linear(encoded, width // 2), nn.ReLU(), nn.Linear(width // 2, width // 2), nn.ReLU()
         )
         self.project = nn.Linear(len(own), projections, bias=False)
         self.lengths = 2 * len(pace) * projections if self.sighted else 0
-        seen = 2 * width + len(whole) + self.lengths
+        seen = 2 * (width // 2) + len(whole) + self.lengths
         self.mix = nn.Linear(seen, width)
         self.recurrent = nn.GRU(width, width, batch_first=True)
         self.head = nn.Linear(2 * width, 1)
@@ -106,29 +112,49 @@ class DetectorNetwork(nn.Module):
         shown = seen[:, self.shown] > 0.5
         for k in range(len(self.words)):
             values = seen[:, self.slots[:, k]][shown]
-            self.slot_mean[k], self.slot_scale[k] = values.mean(), values.std() + 1e-3
+            self.slot_mean[k] = values.mean()
+            self.slot_scale[k] = values.std().clamp(min=LEAST_SCALE)
         self.whole_mean.copy_(seen[:, self.whole].mean(dim=0))
-        self.whole_scale.copy_(seen[:, self.whole].std(dim=0) + 1e-3)
+        self.whole_scale.copy_(seen[:, self.whole].std(dim=0).clamp(min=LEAST_SCALE))
 
     def encode(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """What an epoch shows by itself: (..., k) codes, and (..., v) vectors."""
         shown = observation[..., self.shown][..., None]
-        x = (observation[..., self.slots] - self.slot_mean) / self.slot_scale * shown
+        x = (observation[..., self.slots] - self.slot_mean) / self.slot_scale
+        x = x.clamp(-FARTHEST, FARTHEST) * shown
         whole = (observation[..., self.whole] - self.whole_mean) / self.whole_scale
-        count = shown.sum(dim=-2).clamp(min=1.0)
+        whole = whole.clamp(-FARTHEST, FARTHEST)
+        count = total(shown).clamp(min=1.0)
         parts, vectors = [whole], x.new_zeros((*x.shape[:-2], 0))
         encoded = x
         if self.sighted:
             sights = observation[..., self.sights]
             encoded = torch.cat([x, sights], dim=-1)
-            weight = self.project(x)
-            weight = (
-                weight - (weight * shown).sum(dim=-2, keepdim=True) / count[..., None]
-            ) * shown
-            vectors = (sights[..., :, None] * weight[..., None, :]).sum(dim=-3) / count[..., None]
-            vectors = vectors.flatten(start_dim=-2)
+            weight = self.project(x) * shown
+            weight = (weight - (total(weight) / count)[..., None, :]) * shown
+            along = [total(sights[..., k, None] * weight) / count for k in range(3)]
+            vectors = torch.cat(along, dim=-1)
         code = self.encoder(encoded) * shown
-        return torch.cat([*parts, code.sum(dim=-2) / count, code.amax(dim=-2)], dim=-1), vectors
+        return torch.cat([*parts, total(code) / count, code.amax(dim=-2)], dim=-1), vectors
+
+    def averages(self, vectors: torch.Tensor) -> torch.Tensor:
+        """Exponential averages of (B, L, v), from 0 on: (B, L, s, v); a block of epochs at once."""
+        left = 1.0 - self.pace  # (s, 1)
+        age = torch.arange(BLOCK, device=vectors.device)
+        late = (age[:, None] - age).clamp(min=0)
+        taken = torch.where(
+            age[:, None] >= age, self.pace[..., None] * left[..., None] ** late, 0.0
+        )
+        fading = left ** (age + 1)  # (s, k)
+        before = vectors.new_zeros((len(vectors), len(left), vectors.shape[-1]))
+        found = []
+        for block in vectors.split(BLOCK, dim=1):
+            k = block.shape[1]
+            new = torch.einsum("stu,buv->btsv", taken[:, :k, :k], block)
+            new = new + fading.T[:k, :, None] * before[:, None]
+            found.append(new)
+            before = new[:, -1]
+        return torch.cat(found, dim=1)
 
     def measure(self, average: torch.Tensor) -> torch.Tensor:
         """Horizontal and vertical lengths of averages (..., s, v), in their size if white."""
@@ -146,13 +172,8 @@ class DetectorNetwork(nn.Module):
     def log_odds(self, observation: torch.Tensor) -> torch.Tensor:
         """Of whole episodes, (B, L, o), from switch-on on; returns (B, L)."""
         code, vectors = self.encode(observation)
-        average = vectors.new_zeros((len(vectors), len(self.pace), self.vectors))
-        averages = []
-        for t in range(vectors.shape[1] if self.sighted else 0):
-            average = average + self.pace * (vectors[:, t, None] - average)
-            averages.append(average)
-        if averages:
-            code = torch.cat([code, self.measure(torch.stack(averages, dim=1))], dim=-1)
+        if self.sighted:
+            code = torch.cat([code, self.measure(self.averages(vectors))], dim=-1)
         mixed = torch.relu(self.mix(code))
         return self.judge(mixed, self.recurrent(mixed)[0])
 
@@ -185,6 +206,17 @@ class DetectorNetwork(nn.Module):
         reset, update = (torch.sigmoid(given[k] + kept[k]) for k in (0, 1))
         new = torch.tanh(given[2] + reset * kept[2])
         return (1.0 - update) * new + update * hidden
+
+
+def total(values: torch.Tensor) -> torch.Tensor:
+    """Sum over satellites, (..., n, k) to (..., k), in the same order for any batch.
+
+    onnxruntime's own sums are not the same to the last bit, and so would be refused.
+    """
+    first, *rest = values.unbind(dim=-2)
+    for each in rest:
+        first = first + each
+    return first
 
 
 def statistic_of(log_odds: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -135,7 +136,7 @@ def test_the_best_is_kept_where_training_diverges(
         return loss(self, some) * (float("nan") if self.done == 1 else 1.0)
 
     monkeypatch.setattr(Trainer, "_loss", broken)
-    console = Console(record=True, quiet=False, width=200, file=(tmp_path / "log").open("w"))
+    console = Console(record=True, quiet=False, width=200, file=StringIO())
     file = train(arguments(data, tmp_path / "guard"), console)
     assert "pass 2 diverged" in console.export_text()
     card = json.loads(file.with_suffix(".json").read_text())
