@@ -30,7 +30,7 @@ from ._registry import check_finite
 from .bench.suite import versions
 from .detectors.learned.agent import DetectorAgent, action_names
 from .detectors.learned.card import DetectorCard, OnnxDetector, card_path
-from .detectors.learned.detector import card_of
+from .detectors.learned.detector import detector_card
 from .detectors.learned.observer import DetectorObserver
 from .duel.card import write_card
 from .envs.spoofer_binding import spoofer_context
@@ -125,7 +125,7 @@ def onnx(
     if judges and amplitude != 1.0:
         raise ValueError(f"a detector has no commands to scale: `amplitude` = {amplitude:g}")
     actor = _Actor(model, amplitude)
-    with evaluating(actor):
+    with _evaluating(actor):
         _check_sizes(actor, len(low), len(inner.core.action_names))
         content = traced(actor, len(low))
     told = {**_said_by(model), "amplitude": amplitude, **(training or {})}
@@ -214,13 +214,13 @@ def detector(
     observer = DetectorObserver(agent.observed, channels)
     size = len(observer.names)
     judge = _Judge(module)
-    with evaluating(judge):
+    with _evaluating(judge):
         _check_states(judge, size, len(action_names(statistic, weighs, channels)), states)
         content = traced(judge, size, states)
         with tempfile.TemporaryDirectory() as folder:
             trial = Path(folder) / path.name
             trial.write_bytes(content)
-            card = card_of(
+            card = detector_card(
                 agent,
                 channels,
                 trial,
@@ -239,7 +239,7 @@ def detector(
 
 
 @contextmanager
-def evaluating(module: torch.nn.Module) -> Iterator[None]:
+def _evaluating(module: torch.nn.Module) -> Iterator[None]:
     """Put a module into its mode of evaluation, and its parts into their own modes again."""
     modes = {part: part.training for part in module.modules()}
     module.train(False)

@@ -18,12 +18,14 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import spoofgym.export
 from spoofgym.bench.evaluate import Evaluator
+from spoofgym.detectors import make_detector
 from spoofgym.detectors.learned.card import OnnxDetector
 from spoofgym.envs import attach
 from spoofgym.export import onnx
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers import OnnxPolicy
 from spoofgym.spoofers.model import function_of
+from spoofgym.testing import check_detector
 
 TIMELINE = {"warmup_s": 6.0, "live_s": 2.0, "attack_s": 10.0, "time_to_alert_s": 1.0}
 NOMINAL = {"name": "snapshot-chi2", "thresholds": "nominal"}
@@ -212,3 +214,114 @@ def test_a_file_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="the exported file differs from the model by"):
         onnx(net, envs, tmp_path / "x.onnx")
     assert list(tmp_path.iterdir()) == []
+
+
+class Recurrent(torch.nn.Module):
+    """A gated unit, and a statistic that is linear in its state."""
+
+    def __init__(self, observed, hidden=6, decided=1):
+        super().__init__()
+        self.cell = torch.nn.GRUCell(observed, hidden)
+        self.head = torch.nn.Linear(hidden, decided)
+        self.noise = torch.nn.Dropout(0.5)
+
+    def forward(self, observation, hidden):
+        after = self.cell(observation, hidden)
+        return 3.0 * self.head(self.noise(after)), after
+
+
+TERMS = ["innovation", "in-view", {"name": "classic", "detector": "snapshot-chi2"}]
+OBSERVED = 24 + 12 + 1
+
+
+def test_a_recurrent_module_becomes_a_detector_with_its_state(tmp_path):
+    torch.manual_seed(0)
+    module, path = Recurrent(OBSERVED).train(), tmp_path / "guard.onnx"
+    card = spoofgym.export.detector(
+        module,
+        path,
+        name="my guard",
+        terms=TERMS,
+        state={"hidden": 6},
+        training={"steps": 3},
+    )
+    assert module.training
+    assert module.noise.training
+    assert (card.name, card.statistic, card.weighs, card.quiet_epochs) == (
+        "my guard",
+        "receiver",
+        False,
+        0,
+    )
+    assert card.threshold is None
+    assert (card.training["steps"], "torch" in card.training["versions"]) == (3, True)
+    assert [(each.name, each.size) for each in card.state] == [("hidden", 6)]
+    assert [term["name"] for term in card.terms] == ["innovation", "in-view", "classic"]
+    read = OnnxDetector(path)
+    assert read.card == card
+    rng, module = np.random.default_rng(2), module.eval()
+    mine, hidden = np.zeros((7, 6), np.float32), torch.zeros(7, 6)
+    for _ in range(20):
+        seen = rng.normal(size=(7, OBSERVED)).astype(np.float32)
+        action, (mine,) = read.model.step(seen, [mine])
+        with torch.no_grad():
+            wanted, hidden = module(torch.from_numpy(seen), hidden)
+        np.testing.assert_allclose(action, wanted.clamp(-1.0, 1.0).numpy(), atol=1e-5)
+    assert 0.0 < np.abs(action).max() <= 1.0
+    found = make_detector({"name": str(path), "threshold": 0.8})
+    assert (found.scale, found.detector.label) == (0.8, "my guard")
+
+
+def test_a_module_without_a_state_may_weigh_slots(tmp_path):
+    module = torch.nn.Linear(24, 24)
+    options = {"statistic": "channel", "weighs": True, "exclusion_s": 30.0, "threshold": 0.7}
+    card = spoofgym.export.detector(
+        module, tmp_path / "guard.onnx", terms=["innovation"], **options
+    )
+    assert (card.exclusion_s, card.threshold, card.state) == (30.0, 0.7, ())
+    assert card.action.names[12] == "weight_slot00"
+    check_detector(str(tmp_path / "guard.onnx"))
+
+
+class Forgets(Recurrent):
+    """Returns no state."""
+
+    def forward(self, observation, hidden):
+        return super().forward(observation, hidden)[:1]
+
+
+class Dice(Recurrent):
+    """Draws random numbers."""
+
+    def forward(self, observation, hidden):
+        action, after = super().forward(observation, hidden)
+        return action, after + 0.1 * torch.randn_like(after)
+
+
+@pytest.mark.parametrize(
+    ("module", "options", "message"),
+    [
+        (
+            Forgets(OBSERVED),
+            {},
+            r"must return \(B, 1\), \(B, 6\), of action and states, got \(2, 1\)",
+        ),
+        (Recurrent(OBSERVED, decided=2), {}, r"of action and states, got \(2, 2\), \(2, 6\)"),
+        (Recurrent(OBSERVED + 1), {}, r"can't be run with \(B, 37\), \(B, 6\), to return \(B, 1\)"),
+        (Recurrent(OBSERVED), {"state": {"hidden": 5}}, r"can't be run with \(B, 37\), \(B, 5\)"),
+        (Recurrent(OBSERVED), {"state": {}}, r"can't be run with \(B, 37\), to return \(B, 1\)"),
+        (Recurrent(OBSERVED), {"terms": ["inovation"]}, "did you mean 'innovation'"),
+        (Recurrent(OBSERVED), {"state": {"next hidden": 6}}, "name"),
+        (Dice(OBSERVED), {}, "draws random numbers by RandomNormalLike"),
+    ],
+    ids=["no state", "size", "observations", "state", "undeclared", "terms", "name", "chance"],
+)
+def test_a_module_that_is_no_detector_is_refused_and_nothing_is_written(
+    module, options, message, tmp_path
+):
+    options = {"terms": TERMS, "state": {"hidden": 6}, **options}
+    with pytest.raises(ValueError, match=message):
+        spoofgym.export.detector(module, tmp_path / "guard.onnx", **options)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(TypeError, match="`module` must be a torch module, got function"):
+        spoofgym.export.detector(lambda seen: seen, tmp_path / "guard.onnx", **options)

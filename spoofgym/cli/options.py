@@ -24,7 +24,10 @@ SPEC_HELP = (
 Json = Annotated[bool, Option("--json", help="Print JSON, and nothing else.")]
 Detector = Annotated[
     str | None,
-    Option(help=f"Detector. Default: ewma, or one that suits the victim. {SPEC_HELP}"),
+    Option(
+        help="Detector; an .onnx file, too. Default: ewma, or one that suits the victim. "
+        f"{SPEC_HELP}"
+    ),
 ]
 Spoofer = Annotated[str, Option(help=f"Spoofer; a shipped name or an .onnx file, too. {SPEC_HELP}")]
 Run = Annotated[

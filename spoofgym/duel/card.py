@@ -6,7 +6,7 @@ import os
 from typing import Any
 
 from ..detectors.learned.card import DetectorCard, card_path
-from ..detectors.learned.detector import card_of
+from ..detectors.learned.detector import detector_card
 from .calibration import Calibration
 
 
@@ -40,7 +40,7 @@ def write_card(
     """
     duel = view.unwrapped.core.duel
     setup = duel.setup
-    card = card_of(
+    card = detector_card(
         duel.agent,
         setup.world.channels,
         file,

@@ -129,8 +129,8 @@ class Card(PolicyCard):
     """
 
     other_kinds: ClassVar = {
-        "detector-policy": "a detector policy, which is no spoofer: it belongs into the pool of a "
-        "SpooferView"
+        "detector-policy": "a detector policy, which is no spoofer: it is given as `detector`, or "
+        "in the pool of a SpooferView"
     }
 
     format: Literal[1] = 1

@@ -10,15 +10,17 @@ import pytest
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.attacks import ATTACKS, THREATS
 from spoofgym.detectors import DETECTORS
+from spoofgym.detectors.learned.card import DetectorCard
+from spoofgym.detectors.learned.observer import DETECTOR_TERMS
 from spoofgym.spoofers import KNOWLEDGE, SPOOFERS, shipped
 
-from .pages import ROOT, text_of
+from .pages import ROOT, blocks_of, run, text_of
 
 PAGE = text_of("catalogue.md")
 ROWS = {line.split("`")[1]: line for line in PAGE.splitlines() if line.startswith("| `")}
 
 
-@pytest.mark.parametrize("kinds", [DETECTORS, SPOOFERS, ATTACKS, shipped()])
+@pytest.mark.parametrize("kinds", [DETECTORS, DETECTOR_TERMS, SPOOFERS, ATTACKS, shipped()])
 def test_every_registered_name_is_in_a_table(kinds):
     assert set(kinds) <= set(ROWS)
 
@@ -42,3 +44,15 @@ def test_the_source_of_every_detector_is_in_the_bibliography(name):
     keys = re.findall(r"@\w+\{(\S+),", (ROOT / "references.bib").read_text())
     assert DETECTORS[name].paper in keys
     assert f"`{DETECTORS[name].paper}`" in ROWS[name]
+
+
+def test_a_learned_detector_is_written_as_the_page_says(tmp_path, monkeypatch):
+    ((needs, code),) = blocks_of("catalogue.md")
+    pytest.importorskip(needs)
+    monkeypatch.chdir(tmp_path)
+    scope: dict[str, object] = {"__name__": "page"}
+    run(code, "catalogue.md", scope)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["guard.json", "guard.onnx"]
+    card = DetectorCard.load("guard.json")
+    assert card == scope["card"]
+    assert [each.name for each in card.state] == ["hidden"]

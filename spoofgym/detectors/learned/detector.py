@@ -143,7 +143,7 @@ def of_file(plain: Mapping[str, Any], asked: Asked) -> Detector:
     )
 
 
-def card_of(
+def detector_card(
     agent: DetectorAgent,
     channels: int,
     file: str | os.PathLike[str],

@@ -13,7 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.detectors.learned.agent import DetectorAgent, action_names
 from spoofgym.detectors.learned.card import DetectorCard, card_path
-from spoofgym.detectors.learned.detector import card_of
+from spoofgym.detectors.learned.detector import detector_card
 from spoofgym.detectors.learned.observer import DetectorObserver
 
 CHANNELS = 12
@@ -79,7 +79,7 @@ def write_guard(
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}.onnx"
     path.write_bytes(model.SerializeToString())
-    card_of(
+    detector_card(
         agent,
         CHANNELS,
         path,

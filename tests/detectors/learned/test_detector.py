@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
+from onnx import helper, numpy_helper
 
 import spoofgym
 from spoofgym import duel_v0
@@ -17,7 +18,7 @@ from spoofgym.bench.evaluate import Evaluator
 from spoofgym.bench.specs import campaign_digest, make_judge, parse_spec
 from spoofgym.bench.suite import Suite
 from spoofgym.cli.app import app
-from spoofgym.detectors import Calibrated, LearnedDetector, calibrated, make_detector
+from spoofgym.detectors import LearnedDetector, calibrated, make_detector
 from spoofgym.detectors.calibrated import identity_of
 from spoofgym.detectors.calibration import FOLDER_VARIABLE
 from spoofgym.envs.wrappers import DetectorWrapper, WatchWrapper
@@ -28,7 +29,7 @@ from spoofgym.simulators.clean_runs import Player
 from spoofgym.simulators.splits import seed_sequences
 from spoofgym.testing import check_detector
 
-from .files import TERMS, edit_card, write_guard
+from .files import TERMS, edit_card, value, write_guard
 
 FAST = {"warmup_s": 6.0, "live_s": 3.0, "attack_s": 8.0, "time_to_alert_s": 1.0}
 ID = "spoofgym/TightlyCoupled-v0"
@@ -268,19 +269,40 @@ def test_spoofers_are_scored_against_it(guard):
         Evaluator(detector={"name": str(guard), "false_alarms_per_hour": 5.0}, timeline=FAST)
 
 
-def test_a_passive_one_is_replayed_as_it_is_played(guard):
-    """Judged by its own `judge` on responses: nearly what the engine gives."""
-    from ...limits.test_response import TOP_MPS, played
+def energy(_):
+    """A network whose statistic grows with the sum of squares of what is observed."""
+    nodes = [
+        helper.make_node("Mul", ["observation", "observation"], ["square"]),
+        helper.make_node("ReduceSum", ["square", "axes"], ["sum"], keepdims=1),
+        helper.make_node("Mul", ["sum", "small"], ["scaled"]),
+        helper.make_node("Sub", ["scaled", "one"], ["action"]),
+    ]
+    tensors = {"axes": np.int64([1]), "small": np.float32([0.05]), "one": np.float32([1.0])}
+    graph = helper.make_graph(
+        nodes,
+        "policy",
+        [value("observation", 24)],
+        [value("action", 1)],
+        [numpy_helper.from_array(array, name) for name, array in tensors.items()],
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=8)
 
-    setup = tight()
-    detector = Calibrated(LearnedDetector(str(guard)), scale=0.9)
+
+def test_a_passive_one_is_replayed_as_it_is_played(tmp_path):
+    """Judged by its own `judge` on responses: what the engine gives, to first order."""
+    from ...limits.test_response import played, ramp_of
+
+    guard = write_guard(tmp_path, terms=["average-innovation"], state=None, edit=energy)
+    setup = TightlyCoupledSetup(detector="never", timeline={**FAST, "attack_s": 30.0})
+    detector, curve = LearnedDetector(str(guard)), ramp_of(setup)
     replay = Replay(setup, [detector], seed_sequences(0, "training", setup.name, 3), threads=2)
-    curve = np.full((2, setup.steps), 0.25) * np.array([[0.0], [TOP_MPS]])
-    found = replay.play(0, curve)
-    ratios, _, _ = played(setup, [detector], 3, curve[1])
-    wanted = ratios[:, 0].max(axis=0)
-    np.testing.assert_allclose(found.peak[1], wanted, rtol=5e-3)
-    assert np.abs(found.peak[0] - wanted).max() > 0.02  # that of no attack is another one
+    found = replay.play(0, np.array([0.0 * curve, curve]))
+    clean, attacked = (
+        played(setup, [detector], 3, each)[0][:, 0].max(axis=0) for each in (0.0 * curve, curve)
+    )
+    assert (attacked > clean).all()
+    np.testing.assert_allclose(found.peak[0], clean, rtol=1e-4)
+    assert (np.abs(found.peak[1] - attacked) < 0.1 * (attacked - clean)).all()
 
 
 def test_limits_say_that_it_has_no_bound(guard, capsys):
