@@ -5,17 +5,18 @@
 
 What happens:
 
-1. A recurrent network (`agents.detector_network`) learns to tell attacked epochs from clean ones,
-   by the logistic loss of every epoch.  Its output then estimates the likelihood ratio, which is
-   the best statistic at any rate of false alarms (Neyman and Pearson).  An attacked epoch weighs as
-   much as it has displaced, up to the alert limit: the first metres can't be seen, and do no harm.
-   Clean and attacked epochs weigh the same in total.
+1. A recurrent network (`agents.detector_network`) learns by two losses (`agents.detector_loss`).
+   The logistic loss of every epoch makes of its output the logarithm of a likelihood ratio, the
+   best statistic of an epoch at any rate of false alarms (Neyman and Pearson).  An attacked epoch
+   weighs as much as it has displaced, up to the alert limit AL: the first metres can't be seen, and
+   do no harm.  But alarms come from the largest of hundreds of epochs, and rare ones decide: so the
+   mean of min(D, AL) / AL, with D the displacement that goes undetected, is a second loss, made
+   smooth, with a threshold from the largest clean maxima of the minibatch.
 2. After every pass through the data the network plays the validation runs by the rule of the
    benchmark: its threshold is the quantile of the clean runs' maxima that `--false-alarms-per-hour`
-   asks for, and its loss is the mean of min(D, AL) / AL, with D the displacement that goes
-   undetected and AL the alert limit.  The network with the least loss is kept, and training stops
-   when none has been better for `--patience` passes.  The area under a ROC curve is printed, but
-   chooses nothing: it is about epochs, and false alarms that nobody could afford.
+   asks for, and its score is that mean.  The best network is kept, and training stops when none has
+   been better for `--patience` passes.  The area under a ROC curve is printed, but chooses nothing:
+   most of it is about rates of false alarms that nobody could afford.
 3. The best one is written as `NAME.onnx`, recurrent, with its card, and plays the test runs, once.
 
 A threshold that can be trusted comes from many more clean runs: `spoofgym calibrate`.  The folder
@@ -39,8 +40,8 @@ import torch
 import tyro
 from rich.console import Console
 from rich.progress import track
-from torch.nn import functional
 
+from agents.detector_loss import logistic, undetected
 from agents.detector_network import DetectorNetwork, parameters_of, statistic_of
 from agents.detector_score import Scored, classics_of, scored, window_s
 from agents.record import TrainingRecord
@@ -81,7 +82,7 @@ class Arguments:
     seed: int = 0
     """Seed of the random number generators."""
     threads: int = 1
-    """Threads of torch."""
+    """Threads of torch; on a busy machine two are slower than one."""
     resume: bool = False
     """Go on from the last pass in the folder."""
 
@@ -146,35 +147,14 @@ class Trainer:
         return float(np.mean(losses))
 
     def _loss(self, some: Episodes) -> torch.Tensor:
-        """Weighted logistic loss of all epochs of some episodes, and what is scored, made smooth."""
+        """Loss of some episodes."""
         odds = self.network.log_odds(torch.from_numpy(some.observation.astype(np.float32)))
-        attack = torch.from_numpy(some.attack)
-        moved = (torch.from_numpy(some.displacement_m) / self.config["length_m"]).clamp(max=1.0)
-        weight = torch.where(attack, moved, (~attack).float())
-        loss = functional.binary_cross_entropy_with_logits(odds, attack.float(), reduction="none")
-        parts = [
-            (loss * weight)[kind].sum() / weight[kind].sum().clamp(min=1.0)
-            for kind in (attack, ~attack)
-        ]
-        clean = torch.from_numpy(some.clean)
-        if clean.all() or not clean.any():
-            return parts[0] + parts[1]
-        return parts[0] + parts[1] + self.given.emphasis * self._undetected(odds, moved, clean)
-
-    def _undetected(
-        self, odds: torch.Tensor, moved: torch.Tensor, clean: torch.Tensor
-    ) -> torch.Tensor:
-        """Mean of min(D, AL) / AL, with probabilities in place of alarms.
-
-        The threshold is the mean of the largest twentieth of the clean maxima.
-        """
-        live, steps, hold = (self.config["epochs"][name] for name in ("live", "steps", "hold"))
-        maxima = odds[clean, live:].amax(dim=1)
-        threshold = maxima.topk(math.ceil(len(maxima) / 20)).values.mean()
-        so_far = odds[~clean, live:].cummax(dim=1).values[:, hold : hold + steps]
-        farthest = moved[~clean, live : live + steps].cummax(dim=1).values
-        gained = torch.diff(farthest, dim=1, prepend=torch.zeros(len(farthest), 1))
-        return (gained * torch.sigmoid(threshold - so_far)).sum(dim=1).mean()
+        moved = torch.from_numpy(some.displacement_m) / self.config["length_m"]
+        moved, clean = moved.clamp(max=1.0), torch.from_numpy(some.clean)
+        loss = logistic(odds, torch.from_numpy(some.attack), moved)
+        if clean.all() or not clean.any():  # a small rest of a pass
+            return loss
+        return loss + self.given.emphasis * undetected(odds, moved, clean, self.config["epochs"])
 
     def score(self, episodes: Episodes) -> Scored:
         """Play some runs."""

@@ -284,10 +284,7 @@ def write(
         Where the folder holds something else.
     """
     path, progress = Path(folder), progress or Silent()
-    path.mkdir(parents=True, exist_ok=True)
-    remove_stale_parts(path)
-    plan.config  # noqa: B018  # raises before anything is removed
-    _make_room(path, plan.digest, overwrite)
+    make_room(path, plan, overwrite=overwrite)
     shards = [
         (part, number, range(start, min(start + plan.shard, runs)))
         for part, runs in plan.runs.items()
@@ -330,8 +327,26 @@ def write(
     return dict(json.loads(text))
 
 
-def _make_room(path: Path, digest: str, overwrite: bool) -> None:
-    """Refuse a folder that holds anything but parts of this data set, or remove what it holds."""
+def make_room(path: Path, plan: Plan, *, overwrite: bool = False) -> None:
+    """Make the folder of a data set; what it holds of another one is refused, or removed.
+
+    Parameters
+    ----------
+    path : Path
+        Folder.
+    plan : Plan
+        Of the data set.
+    overwrite : bool
+        Whether another data set may be removed.
+
+    Raises
+    ------
+    ValueError
+        Where the folder holds something else.
+    """
+    digest = plan.digest  # or what is wrong with the plan, before anything is removed
+    path.mkdir(parents=True, exist_ok=True)
+    remove_stale_parts(path)
     own = [file for part in PARTS for file in path.glob(f"{part}-[0-9][0-9][0-9][0-9].npz")]
     strange = {item for item in path.iterdir() if not item.name.endswith(".part")}
     strange -= {*own, path / MANIFEST}

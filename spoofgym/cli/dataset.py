@@ -10,7 +10,7 @@ import typer
 from . import options as opt
 from .options import World, with_world
 from .output import print_json, print_table, progress
-from .suites import specs_of, uncalibrated
+from .suites import specs_of, world_of
 
 if TYPE_CHECKING:
     from ..bench.dataset import Plan
@@ -74,7 +74,7 @@ def dataset(
     threads: opt.Threads = None,
 ) -> None:
     """Write labelled episodes to train a detector on; killed, it goes on from there."""
-    from ..bench.dataset import write
+    from ..bench.dataset import make_room, write
 
     chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": shard, "task": task}
     chosen["runs"] = {"train": train, "validation": validation, "test": test}
@@ -82,8 +82,9 @@ def dataset(
     if term:
         chosen["terms"] = specs_of(term)
     plan = _plan(world, detector, alert_limit_m, chosen)
+    make_room(out, plan, overwrite=overwrite)
     with progress(sum(plan.runs.values())) as bar:
-        manifest = write(out, plan, threads=threads, progress=bar, overwrite=overwrite)
+        manifest = write(out, plan, threads=threads, progress=bar)
     summary = _summary(out, manifest)
     if as_json:
         print_json(summary)
@@ -106,7 +107,7 @@ def _plan(
     from ..tasks import task_of
 
     task = chosen["task"]
-    suite, _ = uncalibrated(world, None if task else ["never"], task=task, spoofers=[])
+    suite = world_of(world, task)
     guard: Any = None if task is None else task_of(task).detector
     if detector is not None:
         (guard,) = specs_of([detector])

@@ -18,6 +18,7 @@ for name in ("onnxscript", "tyro"):
 
 from rich.console import Console
 
+from agents.detector_loss import undetected
 from agents.detector_score import area, classics_of, scored
 from agents.record import read_record
 from spoofgym.bench.dataset import Episodes, Plan, load, write
@@ -218,6 +219,24 @@ def test_a_score_is_the_displacement_before_an_alarm_at_a_quantile_of_clean_maxi
     attacked[:, 0] = 30.0
     nobody = scored(*made_up(clean, attacked, moved), rate)
     assert (nobody.threshold, nobody.counted, nobody.loss) == (8.0, 0, 1.0)
+
+
+def test_the_smooth_loss_is_the_score_where_odds_are_sharp() -> None:
+    clean, attacked = np.zeros((9, 6)), np.zeros((9, 6))
+    clean[0, 3] = 1.0  # one in twenty of nine: the largest is the threshold
+    attacked[:5, 3] = 2.0  # an alarm at the third epoch of the attack, with one of hold
+    moved = np.tile([0.0, 1.0, 2.0, 3.0, 4.0, 4.0], (9, 1))
+    statistic, found, config = made_up(clean, attacked, moved)
+    odds = torch.tensor(1000.0 * statistic, requires_grad=True)
+    parts = torch.from_numpy(found.displacement_m / 3.0).clamp(max=1.0)
+    loss = undetected(odds, parts, torch.from_numpy(found.clean), config["epochs"])
+    # one metre of three in five runs, all of it in four
+    assert loss.item() == pytest.approx((5 / 3 + 4) / 9)
+    soft = undetected(odds / 1000.0, parts, torch.from_numpy(found.clean), config["epochs"])
+    soft.backward()
+    assert odds.grad is not None
+    assert (odds.grad[~torch.from_numpy(found.clean), 1:] <= 0.0).all()  # alarms do good
+    assert (odds.grad[torch.from_numpy(found.clean)] >= 0.0).all()
 
 
 def test_the_area_is_a_share_of_pairs() -> None:
