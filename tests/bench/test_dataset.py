@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from spoofgym.bench import dataset as module
-from spoofgym.bench.dataset import MANIFEST, PARTS, Plan, load, play, write
+from spoofgym.bench.dataset import PARTS, Plan, load, play, write
+from spoofgym.bench.dataset_files import MANIFEST
 from spoofgym.bench.suite import Suite
 from spoofgym.bench.task_cards import optima_of
+from spoofgym.bench.training_attacks import FAMILIES
 from spoofgym.simulators.splits import SPLITS, seeds_of_runs
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import TASKS
@@ -130,7 +132,7 @@ def test_attacks_of_all_families_are_drawn_and_some_are_hard_to_see() -> None:
     rng = np.random.default_rng(1)
     drawn = [given.attacks.draw(rng) for _ in range(400)]
     named = {given.attacks.families[k]: spec for k, spec in drawn}
-    assert set(named) == {*module.FAMILIES, "step"}
+    assert set(named) == {*FAMILIES, "step"}
     for _, spec in drawn:
         make_spoofer(spec)
     window = SHORT.attack_s

@@ -13,6 +13,7 @@ torch = pytest.importorskip("torch")
 for name in ("onnxscript", "tyro"):
     pytest.importorskip(name)
 
+# ruff: noqa: E402 - the packages of the laboratory may be missing
 import tyro
 from rich.console import Console
 from typer.testing import CliRunner
@@ -33,7 +34,8 @@ COMMANDS = [
 TIMES = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 RATE = "--false-alarms-per-hour 60"
 SMALL = {
-    "dataset": "--train 4 --validation 4 --test 4 --detector solution-separation:thresholds=nominal",
+    "dataset": "--train 4 --validation 4 --test 4 "
+    "--detector solution-separation:thresholds=nominal",
     "calibrate": f"--runs 8 {RATE}",
     "run": f"--no-picture {RATE} "
     + " ".join(f"--{name.replace('_', '-')} {value}" for name, value in TIMES.items()),
