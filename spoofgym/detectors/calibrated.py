@@ -222,7 +222,8 @@ class Calibrated(Detector):
         self.scale, self.point = point.scale, point  # type: ignore[misc]
         self.rescale = calibration.rescale if self.rescaled else None
         if point.warmup_alarms > NOISY_WARMUP:
-            warnings.warn(noisy_warmup(identity_of(self.detector)["name"], point), stacklevel=2)
+            name = self.detector.label or identity_of(self.detector)["name"]
+            warnings.warn(noisy_warmup(name, point), stacklevel=2)
 
     def _found(self, conditions: Conditions, identity: dict[str, Any]) -> list[Calibration]:
         if self.calibration is None:

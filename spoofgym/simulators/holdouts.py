@@ -203,7 +203,7 @@ def _counted(
     alarms = int(found.alarmed.sum())
     rate = hourly_rate(alarms / runs, window_s)
     promised = run_probability(point.false_alarms_per_hour, window_s)
-    name = str(identity_of(detector.detector)["name"])
+    name = detector.detector.label or str(identity_of(detector.detector)["name"])
     worlds = [found.world == each for each in np.unique(found.world)]
     each = tuple((int(there.sum()), int(found.alarmed[there].sum())) for there in worlds)
     early = int(found.early.sum())

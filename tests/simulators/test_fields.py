@@ -106,9 +106,9 @@ def test_passive_detectors_of_an_environment_get_what_they_need():
 
 
 def test_an_agent_of_the_duel_gets_what_its_terms_read():
-    assert DetectorAgent.needs == {"innovation_cov", "imu_delta"}
+    assert DetectorAgent().needs == {"innovation_cov", "imu_delta"}
     victim = warm(tight(DetectorAgent()), 2)
-    assert given(victim.epoch) == DetectorAgent.needs
+    assert given(victim.epoch) == victim.detector.needs
     assert victim.detector.memory["observation"].any()
 
 
