@@ -62,7 +62,9 @@ def test_help_of_every_command() -> None:
         "tune",
         "bench",
         "protect",
+        "game",
         "limits",
+        "dataset",
         "report",
         "perf",
         "warmup",
@@ -71,7 +73,7 @@ def test_help_of_every_command() -> None:
         page = call(command, "--help")
         assert page.exit_code == 0
         assert "Usage" in page.output
-        if command in ("run", "bench", "limits"):
+        if command in ("run", "bench", "limits", "dataset"):
             assert "--env" in page.output
             assert "--set" in page.output
     assert call("--version").output.strip() == __version__
@@ -100,7 +102,7 @@ def test_the_options_of_the_world_are_those_of_every_command_that_plays() -> Non
     }
     group = typer.main.get_group(app)
     names = [field.name for field in dataclasses.fields(World) if field.name != "context"]
-    for command in ("run", "render", "tune", "bench", "limits"):
+    for command in ("run", "render", "tune", "bench", "limits", "dataset"):
         options = [option.name for option in group.commands[command].params]
         start = options.index("env")
         assert options[start : start + len(names)] == names

@@ -6,6 +6,7 @@ import math
 import pytest
 
 from spoofgym.detectors.calibration import FOLDER_VARIABLE
+from spoofgym.tasks import TASKS
 
 from .test_cli import SHORT, call, refused
 
@@ -130,3 +131,13 @@ def test_the_line_of_the_error_is_a_line_that_helps():
 )
 def test_wrong_input(arguments, message):
     assert message in refused("calibrate", *SHORT, *RATE, *arguments)
+
+
+def test_the_world_may_be_that_of_a_task(monkeypatch):
+    short = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
+    monkeypatch.setitem(TASKS["T3"].settings, "timeline", short)
+    line = ["calibrate", "--task", "T3", "--detector", "snapshot-chi2", *RATE]
+    made = call(*line, "--runs", "10", "--json")
+    assert made.exit_code == 0, made.output
+    assert json.loads(made.stdout)["world"]["scenario"]["errors"] == "trolley"
+    assert "--imu can't be given with --task" in refused(*line, "--imu", "tactical")

@@ -130,10 +130,21 @@ def card_of(task: Task, suite: Suite, folder: ResultsFolder) -> dict[str, Any]:
             }
             for row in summary["protection"]
         },
+        "optima_mps": optima_of(summary),
     }
     if not task.historical:
         card["admission"] = admission(task, summary, folder, card)
     return describe(card)
+
+
+def optima_of(summary: dict[str, Any]) -> dict[str, list[float]]:
+    """Rates of the blind optima at their knots, by the detectors that they were found against."""
+    rates = {
+        cell["detector"]: cell["spoofer_settings"]["rates_mps"]
+        for cell in summary["cells"]
+        if name_of(cell) == "blind-optimum"
+    }
+    return {label: each for label, each in rates.items() if len(set(each)) > 1}  # no mere ramps
 
 
 def name_of(cell: dict[str, Any]) -> str:

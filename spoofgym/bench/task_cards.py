@@ -43,6 +43,11 @@ def stored_cards() -> dict[str, dict[str, Any]]:
     return found
 
 
+def optima_of(key: str) -> list[list[float]]:
+    """Rates [m/s] of the blind optima found in the world of a task, as far as its card has them."""
+    return list(stored_cards().get(key, {}).get("optima_mps", {}).values())
+
+
 def listed() -> list[dict[str, Any]]:
     """All tasks with their cards, JSON-able."""
     cards = stored_cards()

@@ -9,6 +9,7 @@ from .app import clear_errors as clear_errors
 from .app import main as main
 from .bench import bench, report, tune
 from .calibrate import calibrate
+from .dataset import dataset
 from .game import game
 from .limits import limits
 from .listing import card, list_, tasks
@@ -29,6 +30,7 @@ for _command in (
     protect,
     game,
     limits,
+    dataset,
     tasks,
     report,
     perf,

@@ -69,6 +69,7 @@ def calibrate(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Play again what has been calibrated.")
     ] = False,
+    task: Annotated[str | None, typer.Option(help="World of a task, T1 to T6.")] = None,
     as_json: opt.Json = False,
     world: World,
     seed: opt.Seed = 0,
@@ -78,7 +79,7 @@ def calibrate(
     from ..detectors.calibration import TOLERANCE
     from ..simulators import calibration, holdouts
 
-    suite = world_of(world)
+    suite = world_of(world, task)
     setup, rate = suite.world, false_alarms_per_hour
     judges, named = _judges(detector, suite, rescaled)
     others = {text: _other(suite, text) for text in transfer or ()}

@@ -158,9 +158,15 @@ def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) ->
     return Suite(**standard_kwargs(), detectors=specs, **settings)
 
 
-def world_of(world: World) -> Suite:
-    """A suite for its world alone: nothing is looked up, and nobody plays."""
-    return uncalibrated(world, ["never"], spoofers=[])[0]
+def world_of(world: World, task: str | None = None) -> Suite:
+    """A suite for its world, or that of a task, alone: nothing is looked up, and nobody plays."""
+    from ..bench.suite import Suite
+    from ..tasks import task_of
+
+    if task is None:
+        return uncalibrated(world, ["never"], spoofers=[])[0]
+    refuse_decided(world, "--task", World.__dataclass_fields__)
+    return Suite(**{**task_of(task).suite_kwargs, "detectors": ["never"]}, spoofers=[])
 
 
 def at_rate(false_alarms_per_hour: float | None) -> Spec | None:

@@ -15,6 +15,9 @@ SPLITS = {
     "selection": 5,
     "search": 6,
     "game": 7,
+    "dataset-train": 8,
+    "dataset-validation": 9,
+    "dataset-test": 10,
 }
 """First element of the spawn keys; 3 was once another split's."""
 

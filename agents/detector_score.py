@@ -1,0 +1,126 @@
+"""How a statistic of every epoch does on a data set, by the rule of the benchmark."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from spoofgym.bench.dataset import Dataset, Episodes
+from spoofgym.bench.scores import counted, undetected_displacement
+from spoofgym.detectors.calibration import check_runs, rank_of, run_probability
+
+FloatArray = NDArray[np.float64]
+CLASSIC = "classic_"
+"""How observations that are classic detectors' statistics begin."""
+
+
+class Scored(NamedTuple):
+    """Score of a statistic.
+
+    Attributes
+    ----------
+    loss : float
+        Mean of min(D, AL) / AL over the runs that count, with D the undetected displacement of
+        the attacked run and AL the alert limit.
+    mean_m : float
+        Mean of D itself.
+    threshold : float
+        That a clean run exceeds with the probability that a rate of false alarms asks for.
+    counted : int
+        Runs that count: silent before the attack, with a silent twin.
+    area : float
+        Under the ROC curve of single epochs.
+    """
+
+    loss: float
+    mean_m: float
+    threshold: float
+    counted: int
+    area: float
+
+
+def window_s(config: Mapping[str, Any]) -> float:
+    """Judged time of an episode [s]."""
+    epochs = config["epochs"]
+    return float((epochs["steps"] + epochs["hold"]) * config["interval_s"])
+
+
+def scored(
+    statistic: FloatArray,
+    episodes: Episodes,
+    config: Mapping[str, Any],
+    false_alarms_per_hour: float,
+) -> Scored:
+    """Score a statistic at the threshold that these runs' own clean episodes give.
+
+    Parameters
+    ----------
+    statistic : ndarray
+        (E, L) of every epoch.
+    episodes : Episodes
+        Of a data set, clean and attacked in turn.
+    config : mapping
+        Settings of the data set.
+    false_alarms_per_hour : float
+        Rate of false alarms.
+
+    Returns
+    -------
+    Scored
+        By these runs.
+
+    Raises
+    ------
+    ValueError
+        Where the clean episodes are too few for the rate.
+    """
+    epochs, clean = config["epochs"], episodes.clean
+    live, steps, hold = (epochs[name] for name in ("live", "steps", "hold"))
+    check_runs(false_alarms_per_hour, int(clean.sum()), window_s(config), tail=False)
+    maxima = np.sort(statistic[clean, live:].max(axis=1))
+    p = run_probability(false_alarms_per_hour, window_s(config))
+    threshold = float(maxima[-rank_of(p, len(maxima))])
+    alarm = statistic > threshold
+    # the two episodes of a run are neighbours, the clean one first
+    counts = counted(alarm[~clean, :live].any(axis=1), alarm[clean, live:].any(axis=1))
+    raised = alarm[~clean, live:]
+    first = np.where(raised.any(axis=1), raised.argmax(axis=1) + 1, 0)
+    error = episodes.displacement_m[~clean, live : live + steps].T
+    undetected = undetected_displacement(error, first, hold)[counts]
+    if not counts.any():
+        return Scored(1.0, math.nan, threshold, 0, area(statistic, episodes.attack))
+    return Scored(
+        float(np.minimum(undetected / config["length_m"], 1.0).mean()),
+        float(undetected.mean()),
+        threshold,
+        int(counts.sum()),
+        area(statistic, episodes.attack),
+    )
+
+
+def area(statistic: FloatArray, attack: NDArray[np.bool_]) -> float:
+    """Probability that an attacked epoch has a larger statistic than a clean one."""
+    ranks, hits = rankdata(statistic).ravel(), attack.ravel()
+    positive, negative = int(hits.sum()), int((~hits).sum())
+    return float((ranks[hits].sum() - 0.5 * positive * (positive + 1)) / (positive * negative))
+
+
+def classics_of(
+    data: Dataset, episodes: Episodes, false_alarms_per_hour: float
+) -> dict[str, Scored]:
+    """Scores of the classic detectors whose statistics are among the observations, by name."""
+    return {
+        name.removeprefix(CLASSIC): scored(
+            episodes.observation[:, :, k].astype(np.float64),
+            episodes,
+            data.config,
+            false_alarms_per_hour,
+        )
+        for k, name in enumerate(data.names)
+        if name.startswith(CLASSIC) and "_slot" not in name
+    }

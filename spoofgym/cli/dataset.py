@@ -1,0 +1,137 @@
+"""Data sets to train a detector on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from . import options as opt
+from .options import World, with_world
+from .output import print_json, print_table, progress
+from .suites import specs_of, world_of
+
+if TYPE_CHECKING:
+    from ..bench.dataset import Plan
+
+HEAD = ("split", "runs", "episodes", "clean", "attacks by family", "shards", "MB")
+
+
+@with_world
+def dataset(
+    out: Annotated[Path, typer.Argument(help="Folder of the data set.")],
+    *,
+    task: Annotated[
+        str | None, typer.Option(help="World of a task, T1 to T6, and its detector.")
+    ] = None,
+    detector: Annotated[
+        str | None,
+        typer.Option(
+            help="Passive detector whose statistic attacks by feedback see; the task's by default, "
+            f"without one there are no such attacks. {opt.SPEC_HELP}"
+        ),
+    ] = None,
+    term: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Observation term of a learned detector, may be repeated; by default all. "
+            f"{opt.SPEC_HELP}"
+        ),
+    ] = None,
+    family: Annotated[
+        list[str] | None,
+        typer.Option(help="Family of attacks, may be repeated; by default all that can be made."),
+    ] = None,
+    spoofer: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Further spoofer, such as an .onnx file, may be repeated; its amplitude is drawn. "
+            f"{opt.SPEC_HELP}"
+        ),
+    ] = None,
+    train: Annotated[
+        int,
+        typer.Option(min=1, max=opt.LARGEST_RUNS, help="Runs to train on, each attacked and not."),
+    ] = 768,
+    validation: Annotated[
+        int, typer.Option(min=1, max=opt.LARGEST_RUNS, help="Runs to choose on.")
+    ] = 256,
+    test: Annotated[
+        int, typer.Option(min=1, max=opt.LARGEST_RUNS, help="Runs to look at in the end.")
+    ] = 256,
+    shard: Annotated[int, typer.Option(min=1, max=4096, help="Runs of a file.")] = 64,
+    alert_limit_m: Annotated[
+        float | None,
+        typer.Option(help="Alert limit, around which attacks are drawn; 40 m, or the task's."),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace another data set in the folder.")
+    ] = False,
+    as_json: opt.Json = False,
+    world: World,
+    seed: opt.Seed = 0,
+    threads: opt.Threads = None,
+) -> None:
+    """Write labelled episodes to train a detector on; killed, it goes on from there."""
+    from ..bench.dataset import make_room, write
+
+    chosen: dict[str, Any] = {"families": family, "entropy": seed, "shard": shard, "task": task}
+    chosen["runs"] = {"train": train, "validation": validation, "test": test}
+    chosen["spoofers"] = specs_of(spoofer or ())
+    if term:
+        chosen["terms"] = specs_of(term)
+    plan = _plan(world, detector, alert_limit_m, chosen)
+    make_room(out, plan, overwrite=overwrite)
+    with progress(sum(plan.runs.values())) as bar:
+        manifest = write(out, plan, threads=threads, progress=bar)
+    summary = _summary(out, manifest)
+    if as_json:
+        print_json(summary)
+        return
+    rows = []
+    for part, found in summary["splits"].items():
+        attacks = ", ".join(f"{name} {count}" for name, count in found["families"].items())
+        counts = (found[name] for name in ("runs", "episodes", "clean"))
+        size = f"{found['bytes'] / 1e6:.1f}"
+        rows.append((part, *map(str, counts), attacks, str(found["shards"]), size))
+    print_table(f"{out}: {plan.setup.name}, digest {manifest['digest']}", HEAD, rows)
+
+
+def _plan(
+    world: World, detector: str | None, alert_limit_m: float | None, chosen: dict[str, Any]
+) -> Plan:
+    """The plan of the options; `chosen`: what it takes as it is."""
+    from ..bench.dataset import Plan
+    from ..bench.task_cards import optima_of
+    from ..tasks import task_of
+
+    task = chosen["task"]
+    suite = world_of(world, task)
+    guard: Any = None if task is None else task_of(task).detector
+    if detector is not None:
+        (guard,) = specs_of([detector])
+    limit = suite.alert_limit_m if alert_limit_m is None else alert_limit_m
+    optima = optima_of(task) if task else ()
+    return Plan(suite.world, limit, detector=guard, optima=optima, **chosen)
+
+
+def _summary(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
+    """What was written, JSON-able."""
+    config, splits = manifest["config"], {}
+    for part, shards in manifest["shards"].items():
+        attacks = [sum(each) for each in zip(*(x["families"] for x in shards), strict=True)]
+        splits[part] = {
+            "runs": config["runs"][part],
+            **{name: sum(x[name] for x in shards) for name in ("episodes", "clean", "bytes")},
+            "families": dict(zip(config["families"], attacks, strict=True)),
+            "shards": len(shards),
+        }
+    return {
+        "folder": str(out),
+        "digest": manifest["digest"],
+        "task": config["task"],
+        "observations": len(config["observation"]["names"]),
+        "epochs": config["epochs"],
+        "splits": splits,
+    }

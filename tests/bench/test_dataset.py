@@ -1,0 +1,252 @@
+"""Data sets: what is in them, that they are whole, and that they come to the same after a kill."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spoofgym.bench import dataset as module
+from spoofgym.bench.dataset import PARTS, Plan, load, play, write
+from spoofgym.bench.dataset_files import MANIFEST
+from spoofgym.bench.suite import Suite
+from spoofgym.bench.task_cards import optima_of
+from spoofgym.bench.training_attacks import FAMILIES
+from spoofgym.simulators.splits import SPLITS, seeds_of_runs
+from spoofgym.spoofers import make_spoofer
+from spoofgym.tasks import TASKS
+
+from .support import SHORT, small_suite, write_policy
+
+SIZES = {"train": 5, "validation": 2, "test": 2}
+TERMS = ["innovation", "in-view", {"name": "classic", "detector": {"name": "snapshot-chi2"}}]
+
+
+def plan(**changes: Any) -> Plan:
+    setup = Suite(timeline=SHORT, spoofers=[], **changes.pop("world", {})).world
+    given = {"runs": SIZES, "shard": 2, "terms": TERMS, "length_m": 20.0, **changes}
+    return Plan(setup, **given)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    path = tmp_path_factory.mktemp("data") / "set"
+    write(path, plan(), threads=1)
+    return path
+
+
+def content(path: Any) -> dict[str, str]:
+    return {
+        file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(path.iterdir())
+    }
+
+
+def test_an_episode_has_its_observations_label_and_displacement(folder: Any) -> None:
+    data = load(folder)
+    epochs = data.config["epochs"]
+    assert epochs["all"] == 20 + 40 + 10
+    for part, runs in SIZES.items():
+        found = data.episodes(part)
+        assert found.observation.shape == (2 * runs, epochs["all"], len(data.names))
+        assert found.run.tolist() == np.repeat(np.arange(runs), 2).tolist()
+        assert found.clean.tolist() == [True, False] * runs
+        assert not found.attack[found.clean].any()
+        assert not found.attack[:, : epochs["live"]].any()
+        assert found.attack[~found.clean, epochs["live"] :].all()
+        assert (found.displacement_m[~found.attack] == 0.0).all()
+        assert (found.displacement_m[~found.clean].max(axis=1) > 0.0).all()
+        assert (found.family[found.clean] == -1).all()
+        named = [json.loads(text)["name"] for text in found.setting[~found.clean]]
+        assert named == [data.config["families"][k] for k in found.family[~found.clean]]
+
+
+def test_twins_are_alike_until_the_attack_and_no_longer(folder: Any) -> None:
+    found, live = load(folder).episodes("train"), 20
+    clean, attacked = found.observation[::2], found.observation[1::2]
+    assert (clean[:, :live] == attacked[:, :live]).all()
+    assert (clean[:, live:] != attacked[:, live:]).any(axis=(1, 2)).all()
+
+
+def test_runs_of_all_splits_have_noise_of_their_own(folder: Any) -> None:
+    data = load(folder)
+    first = [data.episodes(part).observation[0] for part in PARTS]
+    assert not any((first[k] == first[k - 1]).all() for k in range(3))
+    used = {SPLITS[PARTS[part]] for part in PARTS}
+    assert len(used) == 3
+    assert not used & {number for name, number in SPLITS.items() if name not in PARTS.values()}
+    keys = {
+        seed.spawn_key
+        for split in SPLITS
+        for seed in seeds_of_runs(data.config["entropy"], split, "zhong2025", range(9))
+    }
+    assert len(keys) == len(SPLITS) * 9
+
+
+def test_a_run_is_the_same_in_any_shard_and_number_of_threads(folder: Any, tmp_path: Any) -> None:
+    found = load(folder).episodes("train")
+    alone = play(plan(), "train", [3])
+    for mine, theirs in zip(alone, found, strict=True):
+        assert (mine == theirs[6:8]).all()
+    write(tmp_path / "again", plan(), threads=2)
+    assert content(tmp_path / "again") == content(folder)
+
+
+def test_a_killed_process_comes_to_the_same_bytes(
+    folder: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played = module.play
+    calls: list[Any] = []
+
+    def until_killed(*given: Any) -> Any:
+        calls.append(given[1:3])
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return played(*given)
+
+    monkeypatch.setattr(module, "play", until_killed)
+    with pytest.raises(KeyboardInterrupt):
+        write(tmp_path, plan(), threads=1)
+    kept = content(tmp_path)
+    assert kept
+    assert MANIFEST not in kept
+    with pytest.raises(ValueError, match="not finished"):
+        load(tmp_path)
+    cut = next(tmp_path.glob("train-*.npz"))
+    cut.write_bytes(cut.read_bytes()[:-100])  # torn
+    write(tmp_path, plan(), threads=1)
+    assert content(tmp_path) == content(folder)
+    assert len(calls) == 3 + 5 - len(kept) + 1
+
+
+def test_attacks_of_all_families_are_drawn_and_some_are_hard_to_see() -> None:
+    optima = optima_of("T3")
+    assert optima
+    given = plan(
+        detector={"name": "snapshot-chi2", "thresholds": "nominal"},
+        optima=optima,
+        spoofers=[{"name": "step"}],
+    )
+    rng = np.random.default_rng(1)
+    drawn = [given.attacks.draw(rng) for _ in range(400)]
+    named = {given.attacks.families[k]: spec for k, spec in drawn}
+    assert set(named) == {*FAMILIES, "step"}
+    for _, spec in drawn:
+        make_spoofer(spec)
+    window = SHORT.attack_s
+    goal = np.array([spec["rate_mps"] * window for _, spec in drawn if spec["name"] == "ramp"])
+    assert goal.min() < 20.0 / 4
+    assert goal.max() > 20.0
+    assert len({spec["heading_deg"] for _, spec in drawn if "heading_deg" in spec}) > 300
+    counts = np.bincount([k for k, _ in drawn])
+    assert counts.min() > 30
+
+
+def test_no_family_that_tasks_hold_out_is_in_a_data_set(folder: Any) -> None:
+    config = load(folder).config
+    assert not set(config["held_out"]) & set(config["families"])
+    assert config["attack"]["errors"] == "inherited"
+    with pytest.raises(ValueError, match=r"held out.*quiet"):
+        plan(world={"attack": "quiet"})
+    with pytest.raises(ValueError, match=r"held out.*meaconer"):
+        plan(world={"attack": "meaconer"})
+    some = {"name": "false-position", "channels": ["S01", "S02"]}
+    with pytest.raises(ValueError, match=r"held out.*subset"):
+        plan(world={"attack": some})
+    with pytest.raises(ValueError, match="held out"):
+        plan(task="T5")
+    assert plan(world={"attack": "quiet"}, task="T5").task == "T5"
+
+
+def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path: Any) -> None:
+    write_policy(tmp_path / "mine.onnx", small_suite(), "blind", (0.0, 0.02))
+    given = plan(
+        detector={"name": "snapshot-chi2", "thresholds": "nominal"},
+        families=["feedback"],
+        spoofers=[{"name": str(tmp_path / "mine.onnx")}],
+        runs={"train": 6},
+    )
+    found = play(given, "train", range(6))
+    assert set(found.family[~found.clean].tolist()) == {0, 1}
+    assert (found.displacement_m[~found.clean].max(axis=1) > 0.0).all()
+
+
+def test_optima_are_those_of_the_card() -> None:
+    assert all(len(rates) == 24 for rates in optima_of("T3"))
+    assert optima_of("T1") == []
+    assert optima_of("no task") == []
+    assert set(TASKS) >= {"T3"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"runs": {"train": 0}}, "`runs\\['train'\\]` must be"),
+        ({"runs": {"trial": 4}}, "unknown split of a data set 'trial'"),
+        ({"families": ["ramps"]}, "unknown family of attacks 'ramps'"),
+        ({"families": ["feedback"]}, "needs a detector"),
+        ({"families": ["blind-optimum"]}, "needs curves"),
+        ({"length_m": 0.0}, "`length_m` must be"),
+        ({"shard": 0}, "`shard` must be"),
+        ({"spoofers": [{"name": "none"}]}, "transmits nothing"),
+        ({"detector": {"name": "ewma", "thresholds": "nominal"}}, "must be passive"),
+        ({"world": {"decision_interval_s": 5.0}}, "decision_interval_s"),
+    ],
+)
+def test_bad_plans_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        plan(**changes)
+
+
+def test_another_format_a_damaged_shard_and_a_strange_manifest_are_refused(tmp_path: Any) -> None:
+    small = plan(runs={"train": 2, "test": 1})
+    write(tmp_path, small, threads=1)
+    manifest = json.loads((tmp_path / MANIFEST).read_text())
+
+    def changed(**fields: Any) -> None:
+        (tmp_path / MANIFEST).write_text(json.dumps({**manifest, **fields}))
+
+    with pytest.raises(ValueError, match="unknown split of this data set 'validation'"):
+        load(tmp_path).episodes("validation")
+    for fields, message in (
+        ({"format": 2}, "has the format 2"),
+        ({"kind": "something"}, "no manifest of a data set"),
+        ({"config": {**manifest["config"], "entropy": 7}}, "do not have its digest"),
+    ):
+        changed(**fields)
+        with pytest.raises(ValueError, match=message):
+            load(tmp_path)
+    (tmp_path / MANIFEST).write_text("{")
+    with pytest.raises(ValueError, match="damaged"):
+        load(tmp_path)
+    changed()
+    shard = tmp_path / "train-0000.npz"
+    whole = shard.read_bytes()
+    shard.write_bytes(whole[:-1] + b"x")
+    with pytest.raises(ValueError, match="SHA-256"):
+        load(tmp_path).episodes("train")
+    shard.write_bytes((tmp_path / "test-0000.npz").read_bytes())
+    swapped = hashlib.sha256(shard.read_bytes()).hexdigest()
+    lines = {**manifest["shards"], "train": [{**manifest["shards"]["train"][0], "sha256": swapped}]}
+    changed(shards=lines)
+    with pytest.raises(ValueError, match="does not fit the manifest"):
+        load(tmp_path).episodes("train")
+    shard.unlink()
+    with pytest.raises(ValueError, match="is missing"):
+        load(tmp_path).episodes("train")
+
+
+def test_a_folder_of_something_else_is_left_alone(folder: Any, tmp_path: Any) -> None:
+    (tmp_path / "mine.txt").write_text("keep")
+    with pytest.raises(ValueError, match=r"no data set \(mine.txt\)"):
+        write(tmp_path, plan(), threads=1)
+    (tmp_path / "mine.txt").unlink()
+    other = plan(entropy=1, runs={"train": 1})
+    write(tmp_path, other, threads=1)
+    with pytest.raises(ValueError, match="holds another data set"):
+        write(tmp_path, plan(), threads=1)
+    assert load(tmp_path).manifest["digest"] == other.digest
+    write(tmp_path, plan(), threads=1, overwrite=True)
+    assert content(tmp_path) == content(folder)

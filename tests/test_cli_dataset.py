@@ -1,0 +1,76 @@
+"""spoofgym dataset."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from spoofgym.bench.dataset import load
+from spoofgym.tasks import TASKS
+
+from .test_cli import SHORT, call, refused
+
+SMALL = ["--train", "3", "--validation", "2", "--test", "2", "--term", "innovation"]
+SMALL += ["--term", "in-view", "--threads", "1"]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_a_data_set_is_written_summed_up_and_gone_on_with():
+    line = ["dataset", "data", *SHORT, *SMALL, "--seed", "3", "--shard", "2"]
+    made = call(*line, "--json")
+    assert made.exit_code == 0, made.output
+    found = json.loads(made.stdout)
+    assert found["splits"]["train"] | {"bytes": 0, "families": 0} == {
+        "runs": 3,
+        "episodes": 6,
+        "clean": 3,
+        "bytes": 0,
+        "families": 0,
+        "shards": 2,
+    }
+    assert sum(found["splits"]["train"]["families"].values()) == 3
+    data = load("data")
+    assert (data.manifest["digest"], data.config["entropy"]) == (found["digest"], 3)
+    before = {file.name: file.read_bytes() for file in Path("data").iterdir()}
+    again = call(*line)
+    assert again.exit_code == 0, again.output
+    assert found["digest"] in again.stdout
+    assert {file.name: file.read_bytes() for file in Path("data").iterdir()} == before
+    other = ["dataset", "data", *SHORT, *SMALL]
+    assert "holds another data set" in refused(*other)
+    assert call(*other, "--overwrite").exit_code == 0
+
+
+def test_the_world_of_a_task_has_its_detector_and_its_optima(monkeypatch):
+    short = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
+    monkeypatch.setitem(TASKS["T3"].settings, "timeline", short)
+    line = ["dataset", "data", "--task", "T3", *SMALL]
+    nominal = ["--detector", "snapshot-chi2:thresholds=nominal"]
+    made = call(*line, *nominal, "--json")
+    assert made.exit_code == 0, made.output
+    config = load("data").config
+    assert config["task"] == "T3"
+    assert config["length_m"] == TASKS["T3"].alert_limit_m
+    assert {"feedback", "blind-optimum"} <= {*config["families"]}
+    assert config["detector"]["name"] == "snapshot-chi2"
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--family", "meaconer"], "unknown family of attacks 'meaconer'"),
+        (["--attack", "quiet"], "held out"),
+        (["--term", "velocity"], "unknown detector term 'velocity'"),
+        (["--task", "T3", "--imu", "tactical"], "--imu can't be given with --task"),
+        (["--spoofer", "none"], "transmits nothing"),
+        (["--family", "feedback"], "needs a detector"),
+    ],
+)
+def test_wrong_input_gets_one_clear_line(more, message):
+    short = [] if "--task" in more else SHORT
+    assert message in refused("dataset", "data", *short, *SMALL, *more)
+    assert not Path("data").exists()

@@ -1,0 +1,250 @@
+"""Training of a detector, end to end, with settings that take seconds."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+# ruff: noqa: E402 - the packages of the laboratory may be missing
+torch = pytest.importorskip("torch")
+for name in ("onnxscript", "tyro"):
+    pytest.importorskip(name)
+
+from rich.console import Console
+
+from agents.detector_loss import undetected
+from agents.detector_score import area, classics_of, scored
+from agents.record import read_record
+from spoofgym.bench.dataset import Episodes, Plan, load, write
+from spoofgym.bench.run import WarmStart, displacement_of, play
+from spoofgym.bench.suite import Suite
+from spoofgym.detectors import make_detector
+from spoofgym.simulators.splits import generators_of, seeds_of_runs
+from train import detector as module
+from train.detector import CHECKPOINT, RECORD, Arguments, Trainer, train
+
+TIMES = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 30.0, "time_to_alert_s": 2.0}
+OFTEN = 30.0
+"""False alarms an hour that few clean runs can tell."""
+
+
+def setup() -> Any:
+    return Suite(timeline=TIMES, spoofers=[]).world
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "set"
+    terms = (
+        "innovation",
+        "in-view",
+        "line-of-sight",
+        {"name": "classic", "detector": {"name": "snapshot-chi2"}},
+    )
+    runs = {"train": 12, "validation": 8, "test": 8}
+    write(path, Plan(setup(), length_m=10.0, terms=terms, runs=runs), threads=1)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def torch_threads() -> Any:
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+def arguments(data: Path, out: Path, **changes: Any) -> Arguments:
+    small = {"passes": 3, "batch_size": 8, "width": 8, "projections": 2}
+    return Arguments(data=data, out=out, false_alarms_per_hour=OFTEN, **{**small, **changes})
+
+
+def quiet() -> Console:
+    return Console(quiet=True)
+
+
+def test_what_was_trained_is_a_detector_like_any_other(data: Path, tmp_path: Path) -> None:
+    file = train(arguments(data, tmp_path / "guard"), quiet())
+    points = read_record(tmp_path / "guard" / RECORD)
+    assert [point["step"] for point in points] == [1, 2, 3]
+    assert points[-1]["train_loss"] < points[0]["train_loss"]
+    card = json.loads(file.with_suffix(".json").read_text())
+    assert card["training"]["data"] == load(data).manifest["digest"]
+    assert "quiet" in card["training"]["held_out"]
+    judge = make_detector({"name": str(file), "threshold": 0.5})
+    world = setup().altered(detector=judge)
+    seeds = seeds_of_runs(0, "training", world.name, range(4))
+    start = WarmStart(world, generators_of(seeds), threads=1)
+    runs = {name: play(start, {"name": name}) for name in ("none", "ramp")}
+    assert (displacement_of(world, runs["ramp"], runs["none"]) >= 0.0).all()
+    assert (runs["ramp"].peak > runs["none"].peak).any()
+
+
+def test_in_the_loop_it_says_what_it_said_of_the_data(data: Path, tmp_path: Path) -> None:
+    """Float16 apart: the same runs again, judged epoch by epoch by the file."""
+    file = train(arguments(data, tmp_path / "guard", passes=1), quiet())
+    set_, given = load(data), arguments(data, tmp_path / "again", passes=1)
+    trainer = Trainer(given, set_)
+    trainer.restore(tmp_path / "guard" / CHECKPOINT)
+    found = set_.episodes("validation")
+    with torch.no_grad():
+        seen = torch.from_numpy(found.observation[::2].astype(np.float32))
+        wanted = module.statistic_of(trainer.network.log_odds(seen).numpy())
+    world = setup().altered(detector=make_detector({"name": str(file), "threshold": 0.999}))
+    simulator = world.simulator(8, lambda work, n: work(0, n))
+    simulator.begin(generators_of(seeds_of_runs(0, "dataset-validation", world.name, range(8))))
+    simulator.quiet_epochs(world.quiet)
+    for k in range(world.live + world.steps):
+        verdict = simulator.step(attacked=False)
+        now = 0.999 * verdict.statistic[:, 0] / verdict.threshold[:, 0]
+        np.testing.assert_allclose(now, wanted[:, k], atol=0.02)
+
+
+def test_a_killed_training_comes_to_the_same_result(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = train(arguments(data, tmp_path / "whole" / "guard"), quiet())
+    learn = Trainer.learn
+
+    def until_killed(self: Trainer, episodes: Episodes) -> float:
+        if self.done == 2:
+            raise KeyboardInterrupt
+        return learn(self, episodes)
+
+    monkeypatch.setattr(Trainer, "learn", until_killed)
+    given = arguments(data, tmp_path / "killed" / "guard")
+    with pytest.raises(KeyboardInterrupt):
+        train(given, quiet())
+    monkeypatch.setattr(Trainer, "learn", learn)
+    again = train(replace(given, resume=True), quiet())
+    assert again.read_bytes() == whole.read_bytes()
+    lines = [read_record(path.parent / RECORD) for path in (whole, again)]
+    for mine, theirs in zip(*lines, strict=True):
+        assert {**mine, "wall_s": 0} == {**theirs, "wall_s": 0}
+
+
+def test_the_best_is_kept_where_training_diverges(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loss = Trainer._loss
+
+    def broken(self: Trainer, some: Episodes) -> Any:
+        return loss(self, some) * (float("nan") if self.done == 1 else 1.0)
+
+    monkeypatch.setattr(Trainer, "_loss", broken)
+    console = Console(record=True, quiet=False, width=200, file=StringIO())
+    file = train(arguments(data, tmp_path / "guard"), console)
+    assert "pass 2 diverged" in console.export_text()
+    card = json.loads(file.with_suffix(".json").read_text())
+    assert card["training"]["best_pass"] == 1
+    monkeypatch.setattr(Trainer, "_loss", lambda self, some: loss(self, some) * float("nan"))
+    with pytest.raises(ValueError, match="nothing to keep"):
+        train(arguments(data, tmp_path / "none"), quiet())
+
+
+def test_a_folder_of_another_training_is_refused(data: Path, tmp_path: Path) -> None:
+    given = arguments(data, tmp_path / "guard", passes=1)
+    train(given, quiet())
+    with pytest.raises(ValueError, match="give --resume"):
+        train(given, quiet())
+    with pytest.raises(ValueError, match=r"another training \(different: width\)"):
+        train(replace(given, width=9, resume=True), quiet())
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "mine.txt").write_text("keep")
+    with pytest.raises(ValueError, match="not empty"):
+        train(replace(given, out=tmp_path / "other"), quiet())
+    with pytest.raises(ValueError, match="clean runs are too few"):
+        train(replace(given, out=tmp_path / "few", false_alarms_per_hour=0.2), quiet())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"passes": 0}, "`passes` must be at least 1"),
+        ({"learning_rate": 0.0}, "`learning_rate` must be finite and > 0"),
+        ({"out": Path("a b")}, "the last part of `out`"),
+    ],
+)
+def test_bad_arguments_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Arguments(**{"data": Path("data"), "out": Path("guard"), **changes})
+
+
+def made_up(clean: Any, attacked: Any, moved: Any) -> tuple[Any, Episodes, dict[str, Any]]:
+    """Episodes of one epoch of warm-up, four of attack and one of hold."""
+    runs = len(clean)
+    statistic = np.zeros((2 * runs, 6))
+    statistic[::2], statistic[1::2] = clean, attacked
+    displacement = np.zeros((2 * runs, 6), dtype=np.float32)
+    displacement[1::2] = moved
+    attack = np.zeros((2 * runs, 6), dtype=np.bool_)
+    attack[1::2, 1:] = True
+    nothing = np.zeros(2 * runs)
+    found = Episodes(
+        nothing,
+        attack,
+        displacement,
+        np.tile([True, False], runs),
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+        nothing,
+    )
+    epochs = {"live": 1, "steps": 4, "hold": 1}
+    return statistic, found, {"epochs": epochs, "interval_s": 36.0, "length_m": 3.0}
+
+
+def test_a_score_is_the_displacement_before_an_alarm_at_a_quantile_of_clean_maxima() -> None:
+    clean = np.zeros((9, 6))
+    clean[:, 3] = np.arange(1.0, 10.0)  # maxima 1 to 9
+    attacked = np.zeros((9, 6))
+    attacked[:, 4] = 20.0  # an alarm at the fourth epoch after the onset
+    attacked[8, 4] = 0.0  # but for the last run
+    moved = np.tile([0.0, 1.0, 2.0, 3.0, 4.0, 4.0], (9, 1))
+    # a run in five may alarm: one of nine does, and the next would with 2 of 10
+    rate = -np.log(0.8) * 20.0
+    found = scored(*made_up(clean, attacked, moved), rate)
+    assert found.threshold == 8.0
+    assert found.counted == 8  # one twin is above it
+    # alarms come an epoch of hold after what counts: 2 m
+    assert found.mean_m == pytest.approx(2.0)
+    assert found.loss == pytest.approx(2.0 / 3.0)
+    clean[:, 0] = 30.0  # in the warm-up, where it decides nothing but which runs count
+    attacked[:, 0] = 30.0
+    nobody = scored(*made_up(clean, attacked, moved), rate)
+    assert (nobody.threshold, nobody.counted, nobody.loss) == (8.0, 0, 1.0)
+
+
+def test_the_smooth_loss_is_the_score_where_odds_are_sharp() -> None:
+    clean, attacked = np.zeros((9, 6)), np.zeros((9, 6))
+    clean[0, 3] = 1.0  # one in twenty of nine: the largest is the threshold
+    attacked[:5, 3] = 2.0  # an alarm at the third epoch of the attack, with one of hold
+    moved = np.tile([0.0, 1.0, 2.0, 3.0, 4.0, 4.0], (9, 1))
+    statistic, found, config = made_up(clean, attacked, moved)
+    odds = torch.tensor(1000.0 * statistic, requires_grad=True)
+    parts = torch.from_numpy(found.displacement_m / 3.0).clamp(max=1.0)
+    loss = undetected(odds, parts, torch.from_numpy(found.clean), config["epochs"])
+    # one metre of three in five runs, all of it in four
+    assert loss.item() == pytest.approx((5 / 3 + 4) / 9)
+    soft = undetected(odds / 1000.0, parts, torch.from_numpy(found.clean), config["epochs"])
+    soft.backward()
+    assert odds.grad is not None
+    assert (odds.grad[~torch.from_numpy(found.clean), 1:] <= 0.0).all()  # alarms do good
+    assert (odds.grad[torch.from_numpy(found.clean)] >= 0.0).all()
+
+
+def test_the_area_is_a_share_of_pairs() -> None:
+    statistic = np.array([[0.0, 1.0], [2.0, 1.0]])
+    attack = np.array([[False, False], [True, True]])
+    assert area(statistic, attack) == pytest.approx(3.5 / 4.0)
+
+
+def test_classics_among_the_observations_are_scored_too(data: Path) -> None:
+    found = load(data)
+    assert list(classics_of(found, found.episodes("test"), OFTEN)) == ["snapshot_chi2"]

@@ -1,0 +1,300 @@
+"""Train a detector on a data set of labelled episodes, and export it.
+
+    spoofgym dataset runs/data --task T3
+    python -m train.detector --data runs/data --out runs/guard
+
+What happens:
+
+1. A recurrent network (`agents.detector_network`) learns by two losses (`agents.detector_loss`).
+   The logistic loss of every epoch makes of its output the logarithm of a likelihood ratio, the
+   best statistic of an epoch at any rate of false alarms (Neyman and Pearson).  An attacked epoch
+   weighs as much as it has displaced, up to the alert limit AL: the first metres can't be seen, and
+   do no harm.  But alarms come from the largest of hundreds of epochs, and rare ones decide: so the
+   mean of min(D, AL) / AL, with D the displacement that goes undetected, is a second loss, made
+   smooth, with a threshold from the largest clean maxima of the minibatch.
+2. After every pass through the data the network plays the validation runs by the rule of the
+   benchmark: its threshold is the quantile of the clean runs' maxima that `--false-alarms-per-hour`
+   asks for, and its score is that mean.  The best network is kept, and training stops when none has
+   been better for `--patience` passes.  The area under a ROC curve is printed, but chooses nothing:
+   most of it is about rates of false alarms that nobody could afford.
+3. The best one is written as `NAME.onnx`, recurrent, with its card, and plays the test runs, once.
+
+A threshold that can be trusted comes from many more clean runs: `spoofgym calibrate`.  The folder
+holds `config.json`, `record.jsonl` (one line a pass), `checkpoint.pt`, the detector and its card.
+After a kill the same command with `--resume` goes on from the last pass, to the same result.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import time
+from dataclasses import asdict, dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from rich.console import Console
+from rich.progress import track
+
+from agents.detector_loss import logistic, undetected
+from agents.detector_network import DetectorNetwork, parameters_of, statistic_of
+from agents.detector_score import Scored, classics_of, scored, window_s
+from agents.record import TrainingRecord
+from spoofgym import export
+from spoofgym._files import remove_stale_parts, write_file
+from spoofgym.bench.dataset import Dataset, Episodes, load
+from spoofgym.detectors.calibration import check_runs
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Settings of a training; all but `resume` and `threads` belong to its identity."""
+
+    data: Path
+    """Folder of the data set, of `spoofgym dataset`."""
+    out: Path
+    """Folder of the training; its last part is the name of the detector."""
+    passes: int = 10
+    """Largest number of passes through the data."""
+    patience: int = 4
+    """Passes without a better validation after which it stops."""
+    batch_size: int = 64
+    """Episodes of a minibatch."""
+    learning_rate: float = 5e-3
+    """At first; it falls as a cosine, to 0 at the last pass."""
+    weight_decay: float = 1e-4
+    """Of AdamW."""
+    clip_norm: float = 1.0
+    """Largest norm of a gradient."""
+    width: int = 32
+    """Units of the recurrent unit; the encoder of a satellite has half of them."""
+    projections: int = 8
+    """Vectors onto which innovations are projected."""
+    emphasis: float = 3.0
+    """Weight of what is scored, beside the logistic loss."""
+    false_alarms_per_hour: float = 0.2
+    """Rate of false alarms at which it is validated."""
+    seed: int = 0
+    """Seed of the random number generators."""
+    threads: int = 1
+    """Threads of torch; on a busy machine two are slower than one."""
+    resume: bool = False
+    """Go on from the last pass in the folder."""
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        for name in ("passes", "patience", "batch_size", "width", "projections", "threads"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}")
+        for name in ("learning_rate", "clip_norm", "false_alarms_per_hour"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"`{name}` must be finite and > 0, got {value}")
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", self.out.name):
+            raise ValueError(f"the last part of `out` names the detector, got {str(self.out)!r}")
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What a resumed training shares with the interrupted one; JSON-able."""
+        free = ("resume", "threads", "out", "data")
+        return {name: value for name, value in asdict(self).items() if name not in free}
+
+
+class Trainer:
+    """One training: network, optimizer, and the best so far."""
+
+    def __init__(self, given: Arguments, data: Dataset) -> None:
+        self.given, self.data, self.config = given, data, data.config
+        torch.set_num_threads(given.threads)
+        torch.manual_seed(given.seed)
+        self.network = DetectorNetwork(
+            data.names, self.config["interval_s"], given.width, given.projections
+        )
+        self.optimizer = torch.optim.AdamW(
+            self.network.parameters(), lr=given.learning_rate, weight_decay=given.weight_decay
+        )
+        self.schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self.optimizer, given.passes)
+        self.done, self.best, self.best_pass = 0, math.inf, 0
+        self.kept: dict[str, torch.Tensor] = {}
+
+    def normalize(self, episodes: Episodes) -> None:
+        """Centre and scale, of clean training runs."""
+        clean = episodes.observation[episodes.clean]
+        self.network.normalize_by(clean[:, ::7].reshape(-1, clean.shape[-1]).astype(np.float32))
+
+    def learn(self, episodes: Episodes) -> float:
+        """One pass through the training episodes.  Returns the mean loss."""
+        rng = np.random.default_rng([self.given.seed, self.done])
+        order = rng.permutation(len(episodes.clean))
+        size, losses = self.given.batch_size, []
+        for start in track(range(0, len(order), size), f"pass {self.done + 1}", transient=True):
+            rows = np.sort(order[start : start + size])
+            loss = self._loss(Episodes(*(part[rows] for part in episodes)))
+            self.optimizer.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.given.clip_norm)
+            self.optimizer.step()
+            losses.append(float(loss.detach()))
+            if not math.isfinite(losses[-1]):
+                break
+        self.schedule.step()
+        self.done += 1
+        return float(np.mean(losses))
+
+    def _loss(self, some: Episodes) -> torch.Tensor:
+        """Loss of some episodes."""
+        odds = self.network.log_odds(torch.from_numpy(some.observation.astype(np.float32)))
+        moved = torch.from_numpy(some.displacement_m) / self.config["length_m"]
+        moved, clean = moved.clamp(max=1.0), torch.from_numpy(some.clean)
+        loss = logistic(odds, torch.from_numpy(some.attack), moved)
+        if clean.all() or not clean.any():  # a small rest of a pass
+            return loss
+        return loss + self.given.emphasis * undetected(odds, moved, clean, self.config["epochs"])
+
+    def score(self, episodes: Episodes) -> Scored:
+        """Play some runs."""
+        with torch.no_grad():
+            odds = [
+                self.network.log_odds(torch.from_numpy(part.astype(np.float32))).numpy()
+                for part in np.array_split(
+                    episodes.observation, math.ceil(len(episodes.clean) / 64)
+                )
+            ]
+        statistic = np.nan_to_num(statistic_of(np.concatenate(odds)), nan=1.0)
+        return scored(statistic, episodes, self.config, self.given.false_alarms_per_hour)
+
+    def keep(self, loss: float) -> None:
+        """Keep the network if it is the best so far."""
+        if loss < self.best:
+            self.best, self.best_pass = loss, self.done
+            self.kept = {key: x.clone() for key, x in self.network.state_dict().items()}
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint."""
+        buffer = BytesIO()
+        parts = {name: getattr(self, name).state_dict() for name in PARTS}
+        torch.save({**parts, **{name: getattr(self, name) for name in COUNTS}}, buffer)
+        write_file(path, buffer.getvalue())
+
+    def restore(self, path: Path) -> None:
+        """Go on from a checkpoint; nothing but tensors and numbers is read."""
+        found = torch.load(path, weights_only=True)
+        for name in PARTS:
+            getattr(self, name).load_state_dict(found[name])
+        for name in COUNTS:
+            setattr(self, name, found[name])
+
+
+PARTS, COUNTS = ("network", "optimizer", "schedule"), ("done", "best", "best_pass", "kept")
+
+
+def train(given: Arguments, console: Console) -> Path:
+    """Train, or go on, and export the best.  Returns the ONNX file."""
+    data = load(given.data)
+    config = {**given.identity, "name": given.out.name, "data": data.manifest["digest"]}
+    _open(given.out, config, given.resume)
+    trainer, started = Trainer(given, data), time.monotonic()
+    checkpoint = given.out / CHECKPOINT
+    if given.resume and checkpoint.is_file():
+        trainer.restore(checkpoint)
+    validation, episodes = data.episodes("validation"), data.episodes("train")
+    clean = int(validation.clean.sum())
+    check_runs(given.false_alarms_per_hour, clean, window_s(data.config), tail=False)
+    if trainer.done == 0:
+        trainer.normalize(episodes)
+    console.print(
+        f"{len(episodes.clean)} episodes, {parameters_of(trainer.network)} weights; validation on "
+        f"{clean} runs, at {given.false_alarms_per_hour:g} false alarms an hour"
+    )
+    with TrainingRecord(given.out / RECORD, last_step=trainer.done) as record:
+        while trainer.done < given.passes and trainer.done - trainer.best_pass < given.patience:
+            loss = trainer.learn(episodes)
+            if not math.isfinite(loss):
+                console.print(
+                    f"[red]pass {trainer.done} diverged (loss {loss}): the best before it is kept; "
+                    f"a smaller --learning-rate than {given.learning_rate:g} may help"
+                )
+                break
+            found = trainer.score(validation)
+            trainer.keep(found.loss)
+            values = {name: x for name, x in found._asdict().items() if math.isfinite(x)}
+            record.append(trainer.done, time.monotonic() - started, train_loss=loss, **values)
+            trainer.save(checkpoint)
+            console.print(
+                f"pass {trainer.done}: loss {loss:.4f}; undetected {found.mean_m:.2f} m, "
+                f"scored {found.loss:.4f}{' (best)' if trainer.best_pass == trainer.done else ''}, "
+                f"area {found.area:.4f}"
+            )
+    return _export(trainer, console)
+
+
+def _export(trainer: Trainer, console: Console) -> Path:
+    """Write the best network and its card, and play the test runs."""
+    if not trainer.kept:
+        raise ValueError("training diverged in its first pass: there is nothing to keep")
+    given, config = trainer.given, trainer.config
+    trainer.network.load_state_dict(trainer.kept)
+    episodes = trainer.data.episodes("test")
+    test, rate = trainer.score(episodes), given.false_alarms_per_hour
+    classics = classics_of(trainer.data, episodes, rate)
+    path = given.out / f"{given.out.name}.onnx"
+    training = {
+        "algorithm": "supervised, weighted logistic loss of every epoch",
+        "data": trainer.data.manifest["digest"],
+        "task": config["task"],
+        "families": config["families"],
+        "held_out": config["held_out"],
+        "passes": trainer.done,
+        "best_pass": trainer.best_pass,
+        "validation": trainer.best,
+        "test": test.loss,
+        "test_of_classics": {name: each.loss for name, each in classics.items()},
+        **given.identity,
+    }
+    export.detector(
+        trainer.network.eval(),
+        path,
+        name=given.out.name,
+        terms=config["terms"],
+        state=trainer.network.state,
+        interval_s=config["interval_s"],
+        channels=len(trainer.network.shown),
+        training=training,
+    )
+    console.print(f"best: pass {trainer.best_pass}; the test runs, each by its own threshold:")
+    for name, each in {given.out.name: test, **classics}.items():
+        console.print(f"  {name}: {each.mean_m:.2f} m undetected, scored {each.loss:.4f}")
+    console.print(str(path), soft_wrap=True)
+    return path
+
+
+CONFIG, RECORD, CHECKPOINT = "config.json", "record.jsonl", "checkpoint.pt"
+
+
+def _open(folder: Path, config: dict[str, Any], resume: bool) -> None:
+    """Begin a training in a folder, or check that it is the one that is gone on with."""
+    file = folder / CONFIG
+    remove_stale_parts(folder)
+    if file.is_file():
+        found = json.loads(file.read_text())
+        if not resume:
+            raise ValueError(f"{folder} holds a training: give --resume, or another --out")
+        if unlike := [name for name in config if found.get(name) != config[name]]:
+            raise ValueError(f"{folder} holds another training (different: {', '.join(unlike)})")
+    elif folder.is_dir() and any(folder.iterdir()):
+        raise ValueError(f"{folder} is not empty and holds no training; choose another --out")
+    write_file(file, json.dumps(config, indent=1).encode())
+
+
+def main(given: Arguments) -> None:
+    """Train by the command line."""
+    train(given, Console())
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))
