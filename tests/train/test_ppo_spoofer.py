@@ -224,7 +224,7 @@ def test_full_scale_and_price_are_of_the_environment():
         (("--seeds", 1, 1), "`seeds` must be different numbers, 0 or more, got (1, 1)"),
         (("--settings", "{"), "`settings` is not JSON"),
         (("--settings", "[1]"), "`settings` must be a JSON object"),
-        (("--settings", '{"windwo": 5}'), "windwo"),
+        (("--settings", '{"widow_s": 5}'), "widow_s"),
         (("--detector", "nobody"), "unknown detector 'nobody'"),
         (("--rivals", "nobody"), "nobody"),
     ],
