@@ -154,10 +154,9 @@ class DetectorEvaluator:
         found: dict[str, list[FamilyScore]] = {each.entry.label: [] for each in defences}
         for family in self.families:
             protections = self._family(family, defences)
+            limit = self.task.alert_limit_m
             for label, protection in protections.items():
-                score = FamilyScore(
-                    family.key, family.held_out, self.task.alert_limit_m, protection
-                )
+                score = FamilyScore(family.key, family.held_out, limit, protection)
                 found[label].append(score)
         alarms = self._false_alarms(defences)
         return [
@@ -193,16 +192,14 @@ class DetectorEvaluator:
         left = Left(self.progress, work, f"{self.task.key}, {family.key}: {names}")
         left.tick(0.0)
         members, limit = self.worlds.members(family), self.task.alert_limit_m
-        antenna = tuple(part * limit for part in ANTENNA_PARTS)
+        antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
         panel = self.worlds.panel(family, group, "selection", self.selection.runs)
         context = spoofer_context(panel.setup)
         looked = Played(panel, members, left.tick)
-        chosen = [
-            FamilySearch(looked, k, context, self.selection, (antenna[0], antenna[1])).winners(
-                [limit]
-            )
-            for k in range(len(group))
-        ]
+        searches = (
+            FamilySearch(looked, k, context, self.selection, antenna) for k in range(len(group))
+        )
+        chosen = [search.winners([limit]) for search in searches]
         panel = self.worlds.panel(family, group, "evaluation", self.runs)
         scored = Played(panel, members, left.tick)
         found = {}
