@@ -15,13 +15,14 @@ from ..envs.spoofer_binding import spoofer_context
 from ..simulators.clean_runs import Progress as Progress
 from ..simulators.clean_runs import Silent
 from ..simulators.engine import processors
+from .attack_search import Search, measured, winner_of
 from .attack_suite import Member
 from .bracket import Brackets
 from .cells import Cell, make_cell
 from .entries import Entry
 from .knowledge import knowledge_of
 from .optima import AIMS, Optima, curves_to_fit
-from .protection import Aim, Protection, Search, Winner, measured
+from .protection import Aim, Protection
 from .run import Runs, WarmStart, play
 from .scores import counted
 from .store import ResultsFolder
@@ -394,17 +395,7 @@ def _protection(
         attacked = play(
             start, spec, drop_alarmed=True, tick=lambda part: worst.left.tick(suite.runs * part)
         )
-        winners.append(
-            Winner(
-                letter=member.letter,
-                spoofer=member.entry.label,
-                setting=str(member.entry.tuned),
-                value=value,
-                spec=spec,
-                aims=tuple(aims),
-                displacement=measured(start.setup, attacked, twin),
-            )
-        )
+        winners.append(winner_of(member, value, aims, measured(start.setup, attacked, twin)))
     head = {
         "detector": detector.label,
         "attack_suite": suite.config["attack_suite"],

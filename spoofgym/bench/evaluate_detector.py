@@ -7,39 +7,21 @@ folder, one file for a detector and a family, so that a killed process goes on f
 
 from __future__ import annotations
 
-import dataclasses
 import os
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._describe import describe, digest_of, outside_sources
-from .._files import write_file
 from .._registry import whole_number
-from ..attacks import make_attack
-from ..detector_tasks import (
-    ANTENNA_PARTS,
-    CANDIDATES,
-    EVENTS,
-    AttackFamily,
-    DetectorTask,
-    detector_task_of,
-)
-from ..detectors import Calibrated, Detector, PooledDetector
-from ..detectors.calibrated import resolve
+from ..detector_tasks import ANTENNA_PARTS, EVENTS, AttackFamily, DetectorTask, detector_task_of
 from ..envs.spoofer_binding import spoofer_context
-from ..simulators.clean_runs import Progress, Silent, weighs
-from ..simulators.setup import Setup
-from ..spoofers import SpooferContext
-from .attack_suite import Member, fitting_members
+from ..simulators.clean_runs import Progress, Silent
+from .attack_search import expected_plays, winner_of
 from .campaign import Left
-from .comparisons import CONTROLS
-from .detector_runs import NearAlarm, Panel, generators, in_any_world, numbers_of
+from .detector_parts import Parts
 from .detector_score import (
     CLEAN,
     WINDOW,
@@ -48,95 +30,16 @@ from .detector_score import (
     false_alarms_of,
     false_alarms_text,
 )
-from .entries import TUNED, Entry, check_labels, detector_entry, fitted, refuse_oracles
-from .entries import spoofer_entry as entry_of_spoofer
-from .protection import MEASURES, Protection, Search, Winner, expected_plays
-from .searches import Selection, log_spaced
-from .specs import Spec, make_judge, slug
-from .suite import Suite, versions
+from .detector_search import ROUNDS, FamilySearch, Played
+from .detector_worlds import Defence, Worlds, sharing
+from .protection import MEASURES, Protection
+from .searches import Selection
+from .suite import Suite
 
-FloatArray = NDArray[np.float64]
 RUNS, SELECTION_RUNS = 400, 96
 """Evaluation runs of every family, and runs that its attacks are chosen on."""
 SIFTED = 4
 """Part of the selection that sifts, as one in so many."""
-FINE = (-0.5, -0.33, -0.16, 0.16, 0.33, 0.5)
-"""Steps around the best of the values that sift: what just passes an alert limit is a narrow range
-of settings, and between two values of the grid a displacement grows by more than half."""
-SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
-"""Profiles of the letter c."""
-KEPT_PANELS = 24
-"""Panels that are held in memory, the youngest ones."""
-IDLE: Spec = {"name": "profile", "rates_mps": [0.0, 0.0]}
-"""A spoofer that commands nothing, and transmits."""
-
-
-@dataclass(frozen=True)
-class AntennaEntry(Entry):
-    """A meaconer whose antenna's distance is looked for; its settings are those of the attack."""
-
-    def with_value(self, value: float) -> Spec:
-        """Meaconer with its antenna so far to the east [m]."""
-        return {**self.spec, str(self.tuned): [0.0, value, 0.0]}
-
-
-class Defence(NamedTuple):
-    """A detector with its thresholds, and whether it shares passes of the engine."""
-
-    entry: Entry
-    judge: Detector
-    passive: bool
-
-
-class Played:
-    """Displacements of a panel's detectors by member, value and number of runs, each played once.
-
-    What one detector's search has played is there for the others.
-    """
-
-    def __init__(self, panel: Panel, members: Sequence[Member], tick: Callable[[float], None]):
-        self.panel, self.members, self.tick = panel, members, tick
-        self._found: dict[tuple[int, float, int], FloatArray] = {}
-
-    def __call__(self, member: int, value: float, runs: int) -> FloatArray:
-        """(D, R') [m]."""
-        key = member, value, runs
-        if key not in self._found:
-            entry = self.members[member].entry
-            spec, attack = entry.with_value(value), None
-            if isinstance(entry, AntennaEntry):
-                spec, attack = IDLE, make_attack(spec)
-            self._found[key] = self.panel.displacement(spec, runs, attack)
-            self.tick(runs)
-        return self._found[key]
-
-
-class FamilySearch(Search):
-    """The search for the worst attacks of a family on one detector of a panel."""
-
-    by_skies = False
-    neighbours = FINE
-
-    def __init__(
-        self,
-        played: Played,
-        number: int,
-        context: SpooferContext,
-        settings: Selection,
-        antenna_m: tuple[float, float],
-    ) -> None:
-        panel = played.panel
-        super().__init__(panel.start, panel.clean, played.members, context, settings)
-        self.counts, self.sky = panel.counts[:, number], panel.sky
-        self._played, self._number, self._antenna_m = played, number, antenna_m
-
-    def _grid(self, member: Member) -> list[float]:
-        if isinstance(member.entry, AntennaEntry):
-            return log_spaced(*self._antenna_m, self.settings.values)
-        return super()._grid(member)
-
-    def _play(self, member: int, value: float, runs: int) -> dict[str, FloatArray]:
-        return {MEASURES[0]: self._played(member, value, runs)[self._number]}
 
 
 class DetectorEvaluator:
@@ -187,18 +90,11 @@ class DetectorEvaluator:
         if not keys:
             raise ValueError("`families` must name at least one family of attacks, got none")
         self.families = tuple(self.task.family(key) for key in dict.fromkeys(keys))
-        self.entropy, self.threads = whole_number("`entropy`", entropy), threads
+        self.entropy = whole_number("`entropy`", entropy)
         self.progress = progress or Silent()
-        self.folder = None if folder is None else Path(folder)
-        self._suites: dict[str, Suite] = {}
-        self._panels: dict[Any, Panel] = {}
-
-    # --- worlds --------------------------------------------------------------------------------
-
-    @cached_property
-    def suite(self) -> Suite:
-        """The task's world, without anybody in it."""
-        return self.suite_of(["never"])
+        self.worlds = Worlds(self.task, self.entropy, threads)
+        where = None if folder is None else Path(folder)
+        self._parts = Parts(where, self.task, self.runs, self.selection, self.entropy)
 
     def suite_of(self, detectors: Sequence[Any]) -> Suite:
         """Suite of the task's world with some detectors, which `calibrate_suite` takes.
@@ -213,115 +109,7 @@ class DetectorEvaluator:
         Suite
             Nobody plays in it.
         """
-        return Suite(**self.world_kwargs, detectors=detectors, spoofers=[])
-
-    @property
-    def world_kwargs(self) -> dict[str, Any]:
-        """Settings of the world; a copy."""
-        return self.task.world_kwargs
-
-    def setup(self, **overrides: Any) -> Setup:
-        """World of a family, or with an event, without a defence."""
-        key = digest_of(describe(overrides))
-        if key not in self._suites:
-            settings = {**self.world_kwargs, **overrides}
-            self._suites[key] = Suite(**settings, detectors=["never"], spoofers=[])
-        return self._suites[key].world
-
-    # --- detectors -----------------------------------------------------------------------------
-
-    def defences(self, detectors: Iterable[Any]) -> list[Defence]:
-        """Detectors with their thresholds of the task's world.
-
-        Parameters
-        ----------
-        detectors : iterable
-            As of `evaluate_detector`.
-
-        Returns
-        -------
-        list of Defence
-            In their order.
-        """
-        specs = list(detectors)
-        if not specs:
-            raise ValueError("no detector is given")
-        entries = tuple(map(detector_entry, specs))
-        check_labels(entries)
-        refuse_oracles(entries)
-        world, found = self.suite.world, []
-        for entry, spec in zip(entries, specs, strict=True):
-            judge = make_judge(spec)
-            resolve(judge, world)
-            settled = in_any_world(judge)
-            alone = entry.spec["name"] in CONTROLS or weighs(world, settled)
-            found.append(Defence(entry, settled, not alone))
-        return found
-
-    def _together(
-        self, defences: Sequence[Defence], family: AttackFamily | None
-    ) -> list[list[Defence]]:
-        """Groups of detectors that share their passes."""
-        alone = family is not None and ("e" in family.letters or family.onset == "chance-alarm")
-        shared = [each for each in defences if each.passive and not alone]
-        others = [[each] for each in defences if each not in shared]
-        return [*([shared] if shared else []), *others]
-
-    # --- runs ----------------------------------------------------------------------------------
-
-    def _panel(
-        self, family: AttackFamily | None, group: Sequence[Defence], split: str, runs: int
-    ) -> Panel:
-        """Runs of a split at their onsets, for detectors that share them."""
-        overrides = {} if family is None else family.overrides
-        onset = None if family is None else family.onset
-        labels = tuple(each.entry.label for each in group)
-        key = digest_of(describe({"of": overrides, "onset": onset})), labels, split, runs
-        if key not in self._panels:
-            while len(self._panels) >= KEPT_PANELS:  # families in the same world share theirs
-                del self._panels[next(iter(self._panels))]
-            setup, judges = self.setup(**overrides), [each.judge for each in group]
-            near = onset == "chance-alarm"
-            asked = (CANDIDATES if near else 1) * runs
-            numbers = numbers_of(setup, self.entropy, split, asked, None if near else onset)
-
-            def rngs() -> list[np.random.Generator]:
-                return generators(setup, self.entropy, split, numbers)
-
-            threads = self.threads
-            self._panels[key] = (
-                NearAlarm(setup, judges[0], rngs, threads)
-                if near
-                else Panel(setup, judges, rngs, threads)
-            )
-        return self._panels[key]
-
-    def members(self, family: AttackFamily) -> tuple[Member, ...]:
-        """Attacks of a family.
-
-        Parameters
-        ----------
-        family : AttackFamily
-            Of the task.
-
-        Returns
-        -------
-        tuple of Member
-            Each has one setting that is looked for.
-        """
-        found: list[Member] = []
-        if family.letters == "m":
-            spec = {**(family.attack or {}), "antenna_m": TUNED}
-            return (Member("m", AntennaEntry("meaconer", spec), False),)
-        setup = self.setup(**family.overrides)
-        for member in fitting_members(setup, spoofer_context(setup)):
-            if member.letter in family.letters:
-                found.append(member)
-        if "c" in family.letters:
-            found += [Member("c", entry_of_spoofer(fitted(name)), False) for name in SHIPPED]
-        return tuple(found)
-
-    # --- scores --------------------------------------------------------------------------------
+        return self.worlds.suite_of(detectors)
 
     def expected_work(self, detectors: Iterable[Any]) -> float:
         """Work that is left for some detectors, roughly.
@@ -336,17 +124,17 @@ class DetectorEvaluator:
         float
             As `progress` is given it.
         """
-        defences = self.defences(detectors)
-        left = (self._open(family, defences) for family in self.families)
+        defences = self.worlds.defences(detectors)
+        left = (self._parts.open(family, defences) for family in self.families)
         work = sum(
             self._work(family, group)
             for family, open_ in zip(self.families, left, strict=True)
-            for group in self._together(open_, family)
+            for group in sharing(open_, family)
         )
-        return work + len(self._open(None, defences)) * self.runs
+        return work + len(self._parts.open(None, defences)) * self.runs
 
     def _work(self, family: AttackFamily, group: Sequence[Defence]) -> float:
-        plays = expected_plays(len(self.members(family)), self.selection, self.runs)
+        plays = expected_plays(len(self.worlds.members(family)), self.selection, self.runs, ROUNDS)
         return plays * (1.0 + 0.25 * (len(group) - 1))
 
     def scores(self, detectors: Iterable[Any]) -> list[DetectorScore]:
@@ -362,14 +150,13 @@ class DetectorEvaluator:
         list of DetectorScore
             In their order; paired with one another.
         """
-        defences = self.defences(detectors)
+        defences = self.worlds.defences(detectors)
         found: dict[str, list[FamilyScore]] = {each.entry.label: [] for each in defences}
         for family in self.families:
             protections = self._family(family, defences)
+            limit = self.task.alert_limit_m
             for label, protection in protections.items():
-                score = FamilyScore(
-                    family.key, family.held_out, self.task.alert_limit_m, protection
-                )
+                score = FamilyScore(family.key, family.held_out, limit, protection)
                 found[label].append(score)
         alarms = self._false_alarms(defences)
         return [
@@ -382,7 +169,7 @@ class DetectorEvaluator:
                 entropy=self.entropy,
                 families=tuple(families),
                 false_alarms=alarms[label],
-                window_s=self.suite.world.window_s,
+                window_s=self.worlds.suite.world.window_s,
             )
             for label, families in found.items()
         ]
@@ -391,10 +178,10 @@ class DetectorEvaluator:
         """The worst attacks of a family on every detector."""
         found = {}
         for each in defences:
-            text = self._kept(family, each)
+            text = self._parts.kept(family, each)
             if text is not None:
                 found[each.entry.label] = Protection.from_text(text)
-        for group in self._together(self._open(family, defences), family):
+        for group in sharing(self._parts.open(family, defences), family):
             found |= self._searched(family, group)
         return found
 
@@ -404,36 +191,26 @@ class DetectorEvaluator:
         work = self._work(family, group)
         left = Left(self.progress, work, f"{self.task.key}, {family.key}: {names}")
         left.tick(0.0)
-        members, limit = self.members(family), self.task.alert_limit_m
-        antenna = tuple(part * limit for part in ANTENNA_PARTS)
-        panel = self._panel(family, group, "selection", self.selection.runs)
+        members, limit = self.worlds.members(family), self.task.alert_limit_m
+        antenna = ANTENNA_PARTS[0] * limit, ANTENNA_PARTS[1] * limit
+        panel = self.worlds.panel(family, group, "selection", self.selection.runs)
         context = spoofer_context(panel.setup)
         looked = Played(panel, members, left.tick)
-        chosen = [
-            FamilySearch(looked, k, context, self.selection, (antenna[0], antenna[1])).winners(
-                [limit]
-            )
-            for k in range(len(group))
-        ]
-        panel = self._panel(family, group, "evaluation", self.runs)
+        searches = (
+            FamilySearch(looked, k, context, self.selection, antenna) for k in range(len(group))
+        )
+        chosen = [search.winners([limit]) for search in searches]
+        panel = self.worlds.panel(family, group, "evaluation", self.runs)
         scored = Played(panel, members, left.tick)
         found = {}
         for k, (each, aims) in enumerate(zip(group, chosen, strict=True)):
             winners = tuple(
-                Winner(
-                    letter=members[m].letter,
-                    spoofer=members[m].entry.label,
-                    setting=str(members[m].entry.tuned),
-                    value=value,
-                    spec=members[m].entry.with_value(value),
-                    aims=tuple(sought),
-                    displacement={MEASURES[0]: scored(m, value, self.runs)[k]},
-                )
+                winner_of(members[m], value, sought, {MEASURES[0]: scored(m, value, self.runs)[k]})
                 for (m, value), sought in aims.items()
             )
-            head = self._head(family, each)
+            head = self._parts.head(family, each)
             protection = Protection(head, winners, panel.counts[:, k], panel.sky, None)
-            self._keep(family, each, protection.to_text())
+            self._parts.keep(family, each, protection.to_text())
             found[each.entry.label] = protection
         left.end()
         return found
@@ -442,85 +219,24 @@ class DetectorEvaluator:
         """Alarms of every detector in runs without an attack, with an event and without."""
         found = {}
         for each in defences:
-            text = self._kept(None, each)
+            text = self._parts.kept(None, each)
             if text is not None:
                 found[each.entry.label] = false_alarms_of(text)
-        for group in self._together(self._open(None, defences), None):
-            clean = self._panel(None, group, "evaluation", self.runs)
+        for group in sharing(self._parts.open(None, defences), None):
+            clean = self.worlds.panel(None, group, "evaluation", self.runs)
             alarms = {
                 WINDOW: clean.twin_alarm > 0,
                 CLEAN: clean.warmup_alarm | (clean.twin_alarm > 0),
             }
             for event in EVENTS:
-                panel = self._with_event(event, group)
+                panel = self.worlds.with_event(event, group, self.runs)
                 alarms[event] = panel.warmup_alarm | (panel.twin_alarm > 0)
             for k, each in enumerate(group):
                 own = {name: alarmed[:, k] for name, alarmed in alarms.items()}
-                self._keep(None, each, false_alarms_text(self._head(None, each), own))
+                self._parts.keep(None, each, false_alarms_text(self._parts.head(None, each), own))
                 found[each.entry.label] = own
                 self.progress.advance(self.runs, f"{self.task.key}: false alarms")
         return found
-
-    def _with_event(self, event: str, group: Sequence[Defence]) -> Panel:
-        """The clean evaluation runs, all of them with an event; the noise is the same."""
-        domain = {**self.world_kwargs["domain"], "events": {event: 1.0}}
-        setup, numbers = self.setup(domain=domain), np.arange(self.runs)
-        judges = [each.judge for each in group]
-        return Panel(
-            setup,
-            judges,
-            lambda: generators(setup, self.entropy, "evaluation", numbers),
-            self.threads,
-        )
-
-    # --- what is kept --------------------------------------------------------------------------
-
-    @cached_property
-    def _versions(self) -> dict[str, str]:
-        return versions()
-
-    def _head(self, family: AttackFamily | None, defence: Defence) -> dict[str, Any]:
-        """What a part depends on, JSON-able."""
-        judge = defence.judge
-        parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
-        scales = [each.scale for each in parts if isinstance(each, Calibrated)]
-        return {
-            "detector": defence.entry.label,
-            "task": self.task.key,
-            "family": None if family is None else dataclasses.asdict(family),
-            "world": describe(self.world_kwargs),
-            "alert_limit_m": self.task.alert_limit_m,
-            "detector_settings": defence.entry.spec,
-            "scales": scales,
-            "outside": outside_sources(judge),
-            "runs": self.runs,
-            "selection": dataclasses.asdict(self.selection),
-            "entropy": self.entropy,
-            "versions": self._versions,
-        }
-
-    def _path(self, family: AttackFamily | None, defence: Defence) -> Path | None:
-        """File of a part, named by all that it depends on; None where nothing is kept."""
-        head = self._head(family, defence)
-        if self.folder is None or None in head["outside"].values():
-            return None
-        name = "false-alarms" if family is None else family.key
-        file = f"{slug(defence.entry.label)}--{name}--{digest_of(head)}.json"
-        return self.folder / self.task.key / file
-
-    def _kept(self, family: AttackFamily | None, defence: Defence) -> str | None:
-        path = self._path(family, defence)
-        return path.read_text(encoding="utf-8") if path is not None and path.is_file() else None
-
-    def _keep(self, family: AttackFamily | None, defence: Defence, text: str) -> None:
-        path = self._path(family, defence)
-        if path is not None:
-            write_file(path, text.encode())
-
-    def _open(self, family: AttackFamily | None, defences: Sequence[Defence]) -> list[Defence]:
-        """Detectors whose part is not finished."""
-        paths = ((each, self._path(family, each)) for each in defences)
-        return [each for each, path in paths if path is None or not path.is_file()]
 
 
 def evaluate_detector(

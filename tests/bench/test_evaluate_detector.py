@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import spoofgym
-from spoofgym.bench import evaluate_detector as module
+from spoofgym.bench import detector_worlds as module
 from spoofgym.bench.detector_score import CLEAN, WINDOW
 from spoofgym.bench.evaluate_detector import DetectorEvaluator
 from spoofgym.bench.protection import MEASURES

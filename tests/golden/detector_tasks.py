@@ -17,7 +17,8 @@ from spoofgym._describe import describe, digest_of
 from spoofgym._files import write_file
 from spoofgym.attacks import ATTACKS, make_attack
 from spoofgym.bench.detector_runs import Panel, generators, numbers_of
-from spoofgym.bench.evaluate_detector import IDLE, DetectorEvaluator
+from spoofgym.bench.detector_search import IDLE
+from spoofgym.bench.evaluate_detector import DetectorEvaluator
 from spoofgym.bench.specs import spec_of
 from spoofgym.detector_tasks import DETECTOR_TASKS, AttackFamily, DetectorTask
 from spoofgym.detectors import make_detector
@@ -41,15 +42,17 @@ def resolved(task: DetectorTask) -> dict[str, Any]:
     evaluator = DetectorEvaluator(task.key)
     families = {}
     for family in task.families:
-        setup = evaluator.setup(**family.overrides)
+        setup = evaluator.worlds.setup(**family.overrides)
         families[family.key] = {
             **dataclasses.asdict(family),
             "attack": spec_of("attack", ATTACKS, setup.attack),
             "timeline": describe(setup.timeline),
-            "members": [[each.letter, each.entry.spec] for each in evaluator.members(family)],
+            "members": [
+                [each.letter, each.entry.spec] for each in evaluator.worlds.members(family)
+            ],
         }
     found = {
-        "world": evaluator.suite.world.conditions.settings,
+        "world": evaluator.worlds.suite.world.conditions.settings,
         "alert_limit_m": task.alert_limit_m,
         "families": families,
         "constants": {name: getattr(detector_tasks, name) for name in CONSTANTS},
