@@ -70,11 +70,11 @@ def test_what_has_no_room_is_not_played_and_what_is_kept_neither(tmp_path, monke
 
 
 def test_a_mistake_and_an_interrupt_are_one_line(tmp_path, monkeypatch):
-    with pytest.raises(SystemExit, match="^error: no detector .* 'nobody'"):
+    with pytest.raises(SystemExit, match=r"^error: no detector .* 'nobody'"):
         feedback_gain.main(["nobody"])
     file = tmp_path / "file"
     file.write_text("")
-    with pytest.raises(SystemExit, match="^error: .*file"):
+    with pytest.raises(SystemExit, match=r"^error: .*file"):
         feedback_gain.main(["never", "--out", str(file / "inside")])
 
     def interrupted(*given):
