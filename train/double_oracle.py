@@ -164,15 +164,16 @@ class DoubleOracle:
             "limit_m": args.limit_m or None,
             "runs": args.runs,
             "entropy": args.entropy,
-            "folder": args.out / "entries",
             "threads": args.threads,
             "progress": Shown(console),
         }
-        self.game = Game(args.task, **settings)
+        self.game = Game(args.task, **settings)  # without a folder it writes nothing
+        self.classics, self.left_out = self._classics()
+        open_folder(args.out, args.config)
+        self.game = Game(args.task, folder=args.out / "entries", **settings)
         self.fresh = self.game.on("evaluation")
         self.spoofers: list[Member] = []
         self.detectors: list[Member] = []
-        self.classics, self.left_out = self._classics()
 
     def play(self) -> dict[str, Any]:
         """Play all iterations that are missing; the results, JSON-able."""
@@ -433,9 +434,7 @@ def matrix_table(found: dict[str, Any]) -> list[str]:
 
 def run(args: Arguments, console: Console) -> dict[str, Any]:
     """Play a game, and write its results and its page."""
-    game = DoubleOracle(args, console)
-    open_folder(args.out, args.config)
-    results = game.play()
+    results = DoubleOracle(args, console).play()
     text = json.dumps(results, indent=1, allow_nan=False) + "\n"
     write_file(args.out / RESULTS, text.encode())
     write_file(args.out / PAGE, page_of(results).encode())
