@@ -1,8 +1,11 @@
-"""Folder of a training: with which settings it was begun, and that it goes on with the same."""
+"""Commands that go on in their folder: with the same settings, and with errors of one line."""
 
 from __future__ import annotations
 
 import json
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -32,11 +35,14 @@ def open_folder(folder: Path, arguments: dict[str, Any]) -> None:
     Raises
     ------
     ValueError
-        When the folder holds a training with other settings or versions, or is damaged.
+        When the folder holds a run with other settings or versions, is damaged, or is not empty
+        and holds no run.
     """
     path, here = folder / CONFIG, {"arguments": arguments, "versions": used_versions()}
     remove_stale_parts(folder)
     if not path.is_file():
+        if folder.is_dir() and any(folder.iterdir()):
+            raise ValueError(f"{folder} is not empty and holds no {CONFIG}; choose another --out")
         write_file(path, (json.dumps(here, indent=1) + "\n").encode())
         return
     try:
@@ -48,4 +54,16 @@ def open_folder(folder: Path, arguments: dict[str, Any]) -> None:
         lines = "; ".join(line.replace(" on the card", " there") for line in found)
         raise ValueError(
             f"{folder} holds a run with other settings, which can't be gone on with: {lines}"
+            "; choose another --out"
         )
+
+
+@contextmanager
+def error_lines() -> Iterator[None]:
+    """End the program with one line where the user has made a mistake, or pressed Ctrl-C."""
+    try:
+        yield
+    except (ValueError, TypeError, OSError, subprocess.SubprocessError) as error:
+        raise SystemExit(f"error: {' '.join(str(error).split())}") from error
+    except KeyboardInterrupt:
+        raise SystemExit("interrupted; the same command goes on") from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from rich.table import Table
 
@@ -14,22 +14,45 @@ from spoofgym.bench.tables import interval
 from spoofgym.spoofers.card import Card
 
 
+class Known(Protocol):
+    """What says what it observes."""
+
+    @property
+    def knowledge(self) -> str:
+        """As in `Score`."""
+
+
+Who = TypeVar("Who", bound=Known)
+
+
+def comparable(rivals: Mapping[str, Who], knowledge: str) -> dict[str, Who]:
+    """Rivals that a spoofer of some knowledge is compared with: oracles only where it is one."""
+    oracle = knowledge.startswith("oracle")
+    return {
+        name: who
+        for name, who in rivals.items()
+        if oracle or not who.knowledge.startswith("oracle")
+    }
+
+
 def table_of(results: Mapping[str, Any]) -> Table:
     """Scores of all seeds, with what the network got before it learned, and of the rivals."""
     scores = [row["score"] for row in results["seeds"] if row["score"]]
     reached = [score["stealthy_displacement_m"]["value"] for score in scores]
     middle = f"; median of {len(reached)} seeds {median(reached):.2f} m" if reached else ""
     table = Table(title=f"against {results['detector']}, evaluation runs{middle}")
-    table.add_column("spoofer")
+    for head in ("spoofer", "observes"):
+        table.add_column(head)
     for head in ("stealthy displacement [m]", "alarms [%]", "untrained [m]", "minutes"):
         table.add_column(head, justify="right")
     for name, score in results["rivals"].items():
-        table.add_row(name, *_cells(score))
+        table.add_row(name, score["knowledge"], *_cells(score))
     for row in results["seeds"]:
         cells = _cells(row["score"]) if row["score"] else ("none within the budget", "")
-        untrained = row["untrained"]["stealthy_displacement_m"]["value"]
-        further = f"{untrained:.2f}", f"{row['wall_s'] / 60.0:.1f}"
-        table.add_row(f"PPO, seed {row['seed']}", *cells, *further)
+        untrained = row["untrained"]
+        before = untrained["stealthy_displacement_m"]["value"]
+        further = f"{before:.2f}", f"{row['wall_s'] / 60.0:.1f}"
+        table.add_row(f"PPO, seed {row['seed']}", untrained["knowledge"], *cells, *further)
     return table
 
 

@@ -22,6 +22,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from agents.folder import error_lines
 from spoofgym._describe import digest_of
 from spoofgym._files import write_file
 from spoofgym.bench.bracket import Brackets
@@ -167,7 +168,7 @@ def _ratio(own: dict[str, Any]) -> str:
     return "{value:.2f} ({low:.2f} to {high:.2f})".format(**own["ratio"])
 
 
-def main(arguments: list[str]) -> None:
+def run(arguments: list[str]) -> None:
     """Play what is missing, and print it."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("detectors", nargs="*", help="parts of their names; by default all")
@@ -196,6 +197,12 @@ def main(arguments: list[str]) -> None:
     else:
         lines = [row for label, each in found.items() for row in rows(label, each)]
         print_table(f"feedback, seed {given.seed}, {given.runs} runs", HEAD, lines)
+
+
+def main(arguments: list[str]) -> None:
+    """Command line."""
+    with error_lines():
+        run(arguments)
 
 
 if __name__ == "__main__":

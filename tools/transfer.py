@@ -27,6 +27,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from agents.folder import error_lines
 from spoofgym._describe import digest_of
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
@@ -180,7 +181,7 @@ def _spoofer(text: str, worlds: Mapping[str, Any]) -> tuple[Row, str | None]:
     return parse_spec(name), home
 
 
-def main(arguments: list[str]) -> None:
+def run(arguments: list[str]) -> None:
     """Play what is missing, and print it."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--task", choices=TASKS, default="T3")
@@ -210,6 +211,12 @@ def main(arguments: list[str]) -> None:
         print_json(rows)
     else:
         print_table(f"transfer in the world of {given.task}", HEAD, [line(row) for row in rows])
+
+
+def main(arguments: list[str]) -> None:
+    """Command line."""
+    with error_lines():
+        run(arguments)
 
 
 if __name__ == "__main__":

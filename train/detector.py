@@ -21,12 +21,11 @@ What happens:
 
 A threshold that can be trusted comes from many more clean runs: `spoofgym calibrate`.  The folder
 holds `config.json`, `record.jsonl` (one line a pass), `checkpoint.pt`, the detector and its card.
-After a kill the same command with `--resume` goes on from the last pass, to the same result.
+After a kill the same command goes on from the last pass, to the same result.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import time
@@ -44,16 +43,17 @@ from rich.progress import track
 from agents.detector_loss import logistic, undetected
 from agents.detector_network import DetectorNetwork, parameters_of, statistic_of
 from agents.detector_score import Scored, classics_of, scored, window_s
+from agents.folder import error_lines, open_folder
 from agents.record import TrainingRecord
 from spoofgym import export
-from spoofgym._files import remove_stale_parts, write_file
+from spoofgym._files import write_file
 from spoofgym.bench.dataset import Dataset, Episodes, load
 from spoofgym.detectors.calibration import check_runs
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Settings of a training; all but `resume` and `threads` belong to its identity."""
+    """Settings of a training; all but `threads` belong to its identity."""
 
     data: Path
     """Folder of the data set, of `spoofgym dataset`."""
@@ -83,8 +83,6 @@ class Arguments:
     """Seed of the random number generators."""
     threads: int = 1
     """Threads of torch; on a busy machine two are slower than one."""
-    resume: bool = False
-    """Go on from the last pass in the folder."""
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -101,7 +99,7 @@ class Arguments:
     @property
     def identity(self) -> dict[str, Any]:
         """What a resumed training shares with the interrupted one; JSON-able."""
-        free = ("resume", "threads", "out", "data")
+        free = ("threads", "out", "data")
         return {name: value for name, value in asdict(self).items() if name not in free}
 
 
@@ -197,14 +195,14 @@ def train(given: Arguments, console: Console) -> Path:
     """Train, or go on, and export the best.  Returns the ONNX file."""
     data = load(given.data)
     config = {**given.identity, "name": given.out.name, "data": data.manifest["digest"]}
-    _open(given.out, config, given.resume)
-    trainer, started = Trainer(given, data), time.monotonic()
-    checkpoint = given.out / CHECKPOINT
-    if given.resume and checkpoint.is_file():
-        trainer.restore(checkpoint)
     validation, episodes = data.episodes("validation"), data.episodes("train")
     clean = int(validation.clean.sum())
     check_runs(given.false_alarms_per_hour, clean, window_s(data.config), tail=False)
+    trainer, started = Trainer(given, data), time.monotonic()
+    open_folder(given.out, config)
+    checkpoint = given.out / CHECKPOINT
+    if checkpoint.is_file():
+        trainer.restore(checkpoint)
     if trainer.done == 0:
         trainer.normalize(episodes)
     console.print(
@@ -273,28 +271,14 @@ def _export(trainer: Trainer, console: Console) -> Path:
     return path
 
 
-CONFIG, RECORD, CHECKPOINT = "config.json", "record.jsonl", "checkpoint.pt"
+RECORD, CHECKPOINT = "record.jsonl", "checkpoint.pt"
 
 
-def _open(folder: Path, config: dict[str, Any], resume: bool) -> None:
-    """Begin a training in a folder, or check that it is the one that is gone on with."""
-    file = folder / CONFIG
-    remove_stale_parts(folder)
-    if file.is_file():
-        found = json.loads(file.read_text())
-        if not resume:
-            raise ValueError(f"{folder} holds a training: give --resume, or another --out")
-        if unlike := [name for name in config if found.get(name) != config[name]]:
-            raise ValueError(f"{folder} holds another training (different: {', '.join(unlike)})")
-    elif folder.is_dir() and any(folder.iterdir()):
-        raise ValueError(f"{folder} is not empty and holds no training; choose another --out")
-    write_file(file, json.dumps(config, indent=1).encode())
-
-
-def main(given: Arguments) -> None:
-    """Train by the command line."""
-    train(given, Console())
+def main() -> None:
+    """Command line."""
+    with error_lines():
+        train(tyro.cli(Arguments, description=__doc__), Console())
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Arguments, description=__doc__))
+    main()

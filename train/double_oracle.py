@@ -37,7 +37,8 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from spoofgym._files import remove_stale_parts, write_file
+from agents.folder import error_lines, open_folder
+from spoofgym._files import write_file
 from spoofgym._registry import check_choice, whole_number
 from spoofgym.bench.blind_optimum import BlindSearch
 from spoofgym.bench.specs import make_judge, parse_spec
@@ -57,7 +58,7 @@ from spoofgym.duel.population import Game
 from spoofgym.simulators.calibration import calibrate, suitable_detectors
 from spoofgym.tasks import RANGE_RATE_TESTS, task_of
 
-CONFIG, RESULTS, PAGE = "config.json", "results.json", "game.md"
+RESULTS, PAGE = "results.json", "game.md"
 RESPONSES = ("none", "learned")
 AMPLITUDES = (0.5, 0.7, 1.0)
 """Factors on the commands of a learned policy that are tried."""
@@ -163,11 +164,13 @@ class DoubleOracle:
             "limit_m": args.limit_m or None,
             "runs": args.runs,
             "entropy": args.entropy,
-            "folder": args.out / "entries",
             "threads": args.threads,
             "progress": Shown(console),
         }
-        self.game = Game(args.task, **settings)
+        self.game = Game(args.task, **settings)  # without a folder it writes nothing
+        self.classics, self.left_out = self._classics()
+        open_folder(args.out, args.config)
+        self.game = Game(args.task, folder=args.out / "entries", **settings)
         self.fresh = self.game.on("evaluation")
         self.spoofers: list[Member] = []
         self.detectors: list[Member] = []
@@ -210,7 +213,7 @@ class DoubleOracle:
 
     def _start(self) -> dict[str, Any]:
         """Members at the start: calibrated detectors, and every family's best against all."""
-        detectors, left_out = self._classics()
+        detectors = self.classics
         even = mixture("even mix", detectors, np.ones(len(detectors)))
         found = self._spoofer(even, 0, [])
         spoofers = [
@@ -220,7 +223,7 @@ class DoubleOracle:
         return {
             "spoofers": [each.as_json() for each in spoofers],
             "detectors": [each.as_json() for each in detectors],
-            "left_out": [*left_out, *found.notes],
+            "left_out": [*self.left_out, *found.notes],
         }
 
     def _classics(self) -> tuple[list[Member], list[str]]:
@@ -243,6 +246,8 @@ class DoubleOracle:
                 left_out.append(f"{member.label}: {error}")
                 continue
             members.append(member)
+        if not members:
+            raise ValueError(f"no detector can play: {'; '.join(left_out)}")
         return members, left_out
 
     def _iterate(self, k: int) -> dict[str, Any]:
@@ -341,7 +346,7 @@ class DoubleOracle:
         file = self.args.out / f"detector-{turn}.onnx"
         pool = self.args.out / f"spoofers-{turn}.json"
         write_file(pool, json.dumps(mix.pool()).encode())
-        if not file.is_file():
+        if not (file.is_file() and file.with_suffix(".json").is_file()):
             words = shlex.split(self.args.detector_command)
             subprocess.run([word.format(out=file, pool=pool) for word in words], check=True)
         rate = self.args.false_alarms_per_hour
@@ -427,25 +432,20 @@ def matrix_table(found: dict[str, Any]) -> list[str]:
     return lines
 
 
-def open_folder(args: Arguments) -> None:
-    """Make the folder of a game, or find that of the same game."""
-    args.out.mkdir(parents=True, exist_ok=True)
-    remove_stale_parts(args.out)
-    file, config = args.out / CONFIG, json.loads(json.dumps(args.config))
-    if file.is_file() and json.loads(file.read_text(encoding="utf-8")) != config:
-        raise SystemExit(f"{args.out} holds a game with other settings: give another --out")
-    write_file(file, (json.dumps(config, indent=1) + "\n").encode())
-
-
-def main(args: Arguments, console: Console | None = None) -> dict[str, Any]:
+def run(args: Arguments, console: Console) -> dict[str, Any]:
     """Play a game, and write its results and its page."""
-    open_folder(args)
-    results = DoubleOracle(args, console or Console()).play()
+    results = DoubleOracle(args, console).play()
     text = json.dumps(results, indent=1, allow_nan=False) + "\n"
     write_file(args.out / RESULTS, text.encode())
     write_file(args.out / PAGE, page_of(results).encode())
     return results
 
 
+def main() -> None:
+    """Command line."""
+    with error_lines():
+        run(tyro.cli(Arguments, description=__doc__), Console())
+
+
 if __name__ == "__main__":
-    main(tyro.cli(Arguments, description=__doc__))
+    main()

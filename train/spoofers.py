@@ -25,6 +25,7 @@ import torch
 import tyro
 from rich.console import Console
 
+from agents.folder import error_lines
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
 from spoofgym.bench.tables import interval
@@ -122,8 +123,9 @@ def collected(settings: Settings) -> dict[str, Any]:
 def page(table: dict[str, Any]) -> str:
     """Table of all cells, a line for each detector; what needs the victim's statistics is last."""
     heads = (
-        *("world", "detector", *RIVALS, "PPO untrained", "PPO blind", "PPO blind+reported"),
-        *("feedback (oracle)", "PPO (oracle)"),
+        *("world", "detector", *(_head(table, name) for name in RIVALS)),
+        *("PPO untrained (blind)", "PPO (blind)", "PPO (blind+reported)"),
+        *(_head(table, FEEDBACK), "PPO (oracle)"),
     )
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for world in WORLDS:
@@ -139,6 +141,13 @@ def page(table: dict[str, Any]) -> str:
             )
             lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _head(table: dict[str, Any], name: str) -> str:
+    """A rival, and what it observes where it has played."""
+    scores = (cell["rivals"].get(name) for cell in table.values())
+    known = next((score["knowledge"] for score in scores if score), None)
+    return name if known is None else f"{name} ({known})"
 
 
 def _score(score: dict[str, Any] | None) -> str:
@@ -161,14 +170,10 @@ def _seeds(results: dict[str, Any] | None, key: str = "score") -> str:
 def main() -> None:
     """Command line."""
     console = Console()
-    try:
+    with error_lines():
         settings = tyro.cli(Settings, description=__doc__)
         torch.set_num_threads(1)
         table = play(settings, console)
-    except (ValueError, TypeError) as error:
-        raise SystemExit(f"error: {error}") from error
-    except KeyboardInterrupt:
-        raise SystemExit("interrupted; the same command goes on") from None
     console.print(page(table), f"written: {settings.out / TABLE}", soft_wrap=True)
 
 

@@ -67,3 +67,19 @@ def test_what_has_no_room_is_not_played_and_what_is_kept_neither(tmp_path, monke
     assert capsys.readouterr().out == first
     feedback_gain.main(given[:-1])
     assert "no room" in capsys.readouterr().out
+
+
+def test_a_mistake_and_an_interrupt_are_one_line(tmp_path, monkeypatch):
+    with pytest.raises(SystemExit, match=r"^error: no detector .* 'nobody'"):
+        feedback_gain.main(["nobody"])
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(SystemExit, match=r"^error: .*file"):
+        feedback_gain.main(["never", "--out", str(file / "inside")])
+
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(feedback_gain, "case_of", interrupted)
+    with pytest.raises(SystemExit, match="interrupted; the same command goes on"):
+        feedback_gain.main(["never", "--out", str(tmp_path)])

@@ -104,10 +104,10 @@ def test_one_that_was_trained_in_a_world_has_that_home_alone(folder, rows, monke
     ],
 )
 def test_a_world_that_is_none_says_what_is_wanted(text, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(SystemExit, match=f"^error: .*{message}"):
         transfer.main(["--spoofer", "ramp", "--world", text])
 
 
 def test_an_unknown_home_lists_the_worlds():
-    with pytest.raises(ValueError, match=r"moon.*home"):
+    with pytest.raises(SystemExit, match=r"^error: .*moon.*home"):
         transfer.main(["--spoofer", "ramp@moon"])

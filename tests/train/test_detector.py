@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 
 # ruff: noqa: E402 - the packages of the laboratory may be missing
 torch = pytest.importorskip("torch")
-for name in ("onnxscript", "tyro"):
+for name in ("onnxscript", "stable_baselines3", "tyro"):
     pytest.importorskip(name)
 
 from rich.console import Console
@@ -121,7 +122,7 @@ def test_a_killed_training_comes_to_the_same_result(
     with pytest.raises(KeyboardInterrupt):
         train(given, quiet())
     monkeypatch.setattr(Trainer, "learn", learn)
-    again = train(replace(given, resume=True), quiet())
+    again = train(given, quiet())
     assert again.read_bytes() == whole.read_bytes()
     lines = [read_record(path.parent / RECORD) for path in (whole, again)]
     for mine, theirs in zip(*lines, strict=True):
@@ -150,16 +151,35 @@ def test_the_best_is_kept_where_training_diverges(
 def test_a_folder_of_another_training_is_refused(data: Path, tmp_path: Path) -> None:
     given = arguments(data, tmp_path / "guard", passes=1)
     train(given, quiet())
-    with pytest.raises(ValueError, match="give --resume"):
-        train(given, quiet())
-    with pytest.raises(ValueError, match=r"another training \(different: width\)"):
-        train(replace(given, width=9, resume=True), quiet())
+    with pytest.raises(ValueError, match=r"other settings.*width: 8 there, 9 here"):
+        train(replace(given, width=9), quiet())
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").write_text("keep")
     with pytest.raises(ValueError, match="not empty"):
         train(replace(given, out=tmp_path / "other"), quiet())
     with pytest.raises(ValueError, match="clean runs are too few"):
         train(replace(given, out=tmp_path / "few", false_alarms_per_hour=0.2), quiet())
+    assert not (tmp_path / "few").exists()  # so that the name is still free
+
+
+def test_a_mistake_and_an_interrupt_are_one_line(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ["detector", "--data", str(tmp_path / "no"), "--out", str(tmp_path / "guard")]
+    monkeypatch.setattr(sys, "argv", command)
+    with pytest.raises(SystemExit, match=r"^error: .*no") as found:
+        module.main()
+    assert "\n" not in str(found.value.code)
+    assert not (tmp_path / "guard").exists()
+
+    def interrupted(self: Trainer, episodes: Episodes) -> float:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Trainer, "learn", interrupted)
+    often = ["--false-alarms-per-hour", str(OFTEN)]
+    monkeypatch.setattr(sys, "argv", [*command[:2], str(data), *command[3:], *often])
+    with pytest.raises(SystemExit, match="interrupted; the same command goes on"):
+        module.main()
 
 
 @pytest.mark.parametrize(

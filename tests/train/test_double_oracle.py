@@ -15,13 +15,14 @@ for name in ("stable_baselines3", "onnxscript", "tyro"):
 from rich.console import Console
 
 import spoofgym.tasks
+from agents.folder import open_folder
 from spoofgym import duel_v0
 from spoofgym.detectors import make_detector
 from spoofgym.detectors.calibration import FOLDER_VARIABLE
 from spoofgym.simulators import calibrate
 from spoofgym.tasks import Task
 from train import double_oracle
-from train.double_oracle import RESULTS, Arguments, DoubleOracle, main
+from train.double_oracle import RESULTS, Arguments, DoubleOracle, main, run
 
 from ..spoofers.policies import network
 
@@ -53,7 +54,7 @@ def quiet():
 
 
 def play(out, **changes):
-    return main(Arguments(out=out, **{**QUICK, **changes}), quiet())
+    return run(Arguments(out=out, **{**QUICK, **changes}), quiet())
 
 
 @pytest.fixture
@@ -90,9 +91,27 @@ def test_a_killed_game_goes_on_to_the_same_result(tmp_path, whole, monkeypatch):
 
 
 def test_another_game_does_not_go_on_in_the_same_folder(tmp_path):
-    (tmp_path / "config.json").write_text('{"task": "T4"}')
-    with pytest.raises(SystemExit, match="other settings"):
+    open_folder(tmp_path, {**Arguments(out=tmp_path, **QUICK).config, "runs": 7})
+    with pytest.raises(ValueError, match=r"other settings.*runs: 7 there, 6 here"):
         play(tmp_path)
+
+
+def test_a_misspelt_detector_does_not_occupy_the_folder(tmp_path, monkeypatch):
+    out = tmp_path / "game"
+    words = ["--task", "T3", "--detectors", "cusumm"]
+    monkeypatch.setattr(sys, "argv", ["double_oracle", "--out", str(out), *words])
+    with pytest.raises(SystemExit, match=r"^error: .*cusumm") as found:
+        main()
+    assert "\n" not in found.value.code
+    assert not out.exists()
+    monkeypatch.setattr(DoubleOracle, "_classics", lambda self: ([], []))
+
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(DoubleOracle, "play", interrupted)
+    with pytest.raises(SystemExit, match="interrupted; the same command goes on"):
+        main()
 
 
 @pytest.mark.slow
@@ -114,13 +133,25 @@ def test_a_learned_detector_is_calibrated_and_enters(tmp_path, monkeypatch):
         "import json, pathlib, shutil, sys\n"
         "assert json.load(open(sys.argv[3]))['weights']\n"
         "guard, out = map(pathlib.Path, sys.argv[1:3])\n"
-        "for end in ('.json', '.onnx'):\n"
+        "for end in ('.onnx', '.json'):\n"
         "    shutil.copy(guard.with_suffix(end), out.with_suffix(end))\n"
     )
     monkeypatch.setattr(double_oracle, "calibrate", partial(calibrate, runs=60))
     command = f"{sys.executable} {script} {guard} {{out}} {{pool}}"
     learned = {"detector_response": "learned", "detector_command": command}
+    torn = tmp_path / "game" / "detector-0.onnx"  # as a kill leaves it, before the card
+    made = []
+    kept = DoubleOracle._learned
+
+    def killed(self, mix, turn):
+        if not made:
+            torn.write_bytes(b"torn")
+        made.append(turn)
+        return kept(self, mix, turn)
+
+    monkeypatch.setattr(DoubleOracle, "_learned", killed)
     found = play(tmp_path / "game", search_runs=0, false_alarms_per_hour=60.0, **learned)
+    assert torn.read_bytes() == guard.read_bytes()
     labels = [[m["label"] for m in each["matrix"]["detectors"]] for each in found["iterations"]]
     assert labels[1] == [*labels[0], "learned 0"]
     assert "learned 1" in found["iterations"][1]["best_detector"]["best"]

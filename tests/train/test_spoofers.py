@@ -72,6 +72,7 @@ def test_a_part_is_trained_and_stays_when_another_part_follows(small, monkeypatc
     text = (small.out / PAGE).read_text()
     assert text == page(after)
     assert "| feedback (oracle) | PPO (oracle) |" in text
+    assert "| ramp (blind) |" in text
     (row,) = [line for line in text.splitlines() if line.startswith("| T3 | snapshot-chi2 |")]
     assert row.split(" | ")[-3].strip() == "-"  # blind+reported has not been trained
 
