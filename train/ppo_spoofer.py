@@ -51,9 +51,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
-from agents.folder import open_folder, used_versions
+from agents.folder import error_lines, open_folder, used_versions
 from agents.record import TrainingRecord, read_record
-from agents.seeds import copy_policy, table_of
+from agents.seeds import comparable, copy_policy, table_of
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
 from spoofgym.bench.evaluate import FITTED, Evaluator, Score, entry_of
@@ -316,7 +316,10 @@ class Training:
         }
         if watch.best_step >= 0:
             score = self.judge.score(str(self.policy), amplitude=None)
-            ratios = {name: score.ratio_to(rival).as_json() for name, rival in rivals.items()}
+            ratios = {
+                name: score.ratio_to(rival).as_json()
+                for name, rival in comparable(rivals, score.knowledge).items()
+            }
             row |= {"score": score.as_dict(), "ratios": ratios}
         return row
 
@@ -366,7 +369,8 @@ def train(args: Arguments, console: Console) -> dict[str, Any]:
         told = {"command": args.command(), "arguments": args.identity}
         copy_policy(best.policy, args.out / f"{args.out.name}.onnx", told)
     curves = {f"seed {t.seed}": read_record(t.folder / RECORD) for t in trainings}
-    levels = {name: score.stealthy_displacement_m.value for name, score in rivals.items()}
+    alike = comparable(rivals, args.knowledge)
+    levels = {name: score.stealthy_displacement_m.value for name, score in alike.items()}
     draw_curves(curves, args.out / PICTURE, levels)
     return {
         "command": args.command(),
@@ -380,15 +384,11 @@ def train(args: Arguments, console: Console) -> dict[str, Any]:
 
 def main() -> None:
     """Command line."""
-    try:
+    with error_lines():
         args = tyro.cli(Arguments, description=__doc__)
         console = Console(quiet=args.json)
         torch.set_num_threads(1)  # more of them fight with those of the engine
         results = train(args, console)
-    except (ValueError, TypeError) as error:
-        raise SystemExit(f"error: {error}") from error
-    except KeyboardInterrupt:
-        raise SystemExit("interrupted; the same command goes on") from None
     text = json.dumps(results, indent=1, allow_nan=False)
     write_file(args.out / RESULTS, f"{text}\n".encode())
     if args.json:

@@ -18,6 +18,7 @@ for name in ("stable_baselines3", "onnxscript", "tyro", "matplotlib"):
 
 from rich.console import Console
 
+from agents.folder import open_folder
 from agents.record import read_record
 from spoofgym.bench.evaluate import Evaluator
 from spoofgym.envs import attach
@@ -162,7 +163,8 @@ def test_a_killed_run_goes_on_to_the_same_result(trained, tmp_path, monkeypatch)
 def test_a_damaged_checkpoint_is_refused(trained, tmp_path):
     args, _ = trained
     again = replace(args, out=tmp_path / "tiny", seeds=(0,))
-    (again.out / "seed-0").mkdir(parents=True)
+    open_folder(again.out, again.identity)
+    (again.out / "seed-0").mkdir()
     (again.out / "seed-0" / CHECKPOINT).write_bytes(b"no archive")
     with pytest.raises(ValueError, match="is damaged, or of another model"):
         train(again, quiet())
