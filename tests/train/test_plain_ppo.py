@@ -1,0 +1,53 @@
+"""Plain PPO with few steps."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+# ruff: noqa: E402 - the packages of the laboratory may be missing
+torch = pytest.importorskip("torch")
+for name in ("stable_baselines3", "tyro"):
+    pytest.importorskip(name)
+
+from rich.console import Console
+
+from train import plain_ppo
+from train.plain_ppo import Settings, play, table_of
+
+
+@pytest.fixture
+def settings(tmp_path, monkeypatch):
+    """Few runs of a short rollout."""
+    monkeypatch.setitem(plain_ppo.PLAIN, "n_steps", 20)
+    monkeypatch.setitem(plain_ppo.PLAIN, "batch_size", 40)
+    quick = {"steps": 40, "scores": 1, "fit_runs": 80, "runs": 10, "num_envs": 2}
+    return Settings(out=tmp_path, task="T1", kinds=("plain",), seeds=(3,), **quick)
+
+
+def test_a_seed_is_trained_once_and_compared_on_the_same_runs(settings, monkeypatch):
+    before = torch.get_num_threads()
+    results = play(settings, Console(quiet=True))
+    torch.set_num_threads(before)
+    (row,) = results["kinds"]["plain"]
+    assert [step for step, _ in row["curve"]] == [0, 40]
+    score = row["score"]["stealthy_displacement_m"]["value"]
+    ramp = results["ramps"]["ramp"]["stealthy_displacement_m"]["value"]
+    assert row["ratios"]["ramp"]["value"] == pytest.approx(score / ramp, abs=1e-5)
+    assert row["untrained"]["counted"] == row["score"]["counted"]
+    assert "| T1 | plain | 1 |" in table_of(results)
+
+    def never(*_):
+        raise AssertionError("it is finished")
+
+    monkeypatch.setattr(plain_ppo, "train", never)
+    assert play(settings, Console(quiet=True)) == results
+    assert json.loads((settings.out / "plain-3.json").read_text()) == row
+
+
+def test_bad_input_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="unknown kind 'fancy'; valid: defaults, plain"):
+        Settings(out=tmp_path, kinds=("fancy",))
+    with pytest.raises(ValueError, match="`steps` must be at least 1, got 0"):
+        Settings(out=tmp_path, steps=0)

@@ -1,0 +1,165 @@
+"""What anyone's PPO learns: stable-baselines3 on `SpoofVecEnv`, five arguments or none at all.
+
+    python -m train.plain_ppo --task T3 --out runs/plain-T3
+
+`plain` has the five arguments of `PLAIN`, `defaults` those of the library alone.  Both are scored
+while they learn, and at the end on evaluation runs, beside the tuned ramps of the same runs and
+beside the same network before it learned; every amplitude is fitted to the alarm budget on training
+runs.  Each seed is kept as soon as it is finished, so that the same command goes on after a kill.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import torch
+import tyro
+from rich.console import Console
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
+
+from agents.folder import open_folder
+from spoofgym._files import write_file
+from spoofgym._registry import check_choice
+from spoofgym.bench.evaluate import Evaluator, Score
+from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
+
+NUM_ENVS = {"plain": 64, "defaults": 8}
+PLAIN: dict[str, Any] = {
+    "n_steps": 300,
+    "batch_size": 2400,
+    "gamma": 1.0,
+    "policy_kwargs": {"log_std_init": -1.5},
+}
+"""With `VecNormalize` around the environment these are the five."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is trained."""
+
+    out: Path
+    """Folder of the results."""
+    task: str = "T3"
+    """Task, T1 to T6."""
+    kinds: tuple[str, ...] = ("plain", "defaults")
+    """Five arguments, or none."""
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    """One training each."""
+    steps: int = 1_000_000
+    """Steps of all receivers together."""
+    scores: int = 4
+    """How often it is scored while it learns."""
+    fit_runs: int = 128
+    """Training runs, on which amplitudes are fitted."""
+    runs: int = 400
+    """Evaluation runs."""
+    num_envs: int | None = None
+    """Receivers side by side; 64, and 8 for the defaults, unless given."""
+
+    def __post_init__(self) -> None:
+        """Check names and numbers."""
+        for kind in self.kinds:
+            check_choice("kind", kind, NUM_ENVS)
+        for name in ("steps", "scores", "fit_runs", "runs"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}")
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What all seeds of a folder share, JSON-able."""
+        own = ("task", "steps", "scores", "fit_runs", "runs", "num_envs")
+        return {name: getattr(self, name) for name in own}
+
+
+def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[Score, Any]:
+    """One training: its score on evaluation runs, and what it was on training runs meanwhile."""
+    num_envs = settings.num_envs or NUM_ENVS[kind]
+    envs: Any = SpoofVecEnv(num_envs, task=settings.task, knowledge="blind", seed=1000 * seed)
+    if kind == "plain":
+        envs = VecNormalize(envs, gamma=1.0)
+    given = PLAIN if kind == "plain" else {}
+    model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **given)
+    untrained = judge.score(model, label="untrained")
+    watch = ScoreCallback(judge=judge, every=settings.steps // settings.scores, verbose=0)
+    began = time.perf_counter()
+    model.learn(settings.steps, callback=watch)
+    wall_s = time.perf_counter() - began
+    score = judge.score(model, label=kind)
+    envs.close()
+    curve = [[step, round(found.score, 3)] for step, found in watch.history]
+    return score, {"untrained": untrained.as_dict(), "curve": curve, "wall_s": round(wall_s, 1)}
+
+
+def play(settings: Settings, console: Console) -> dict[str, Any]:
+    """Train what is missing; the results, JSON-able."""
+    judge = Evaluator(settings.task, runs=settings.runs, fit_runs=settings.fit_runs)
+    open_folder(settings.out, settings.identity)
+    ramps = {name: judge.score(name) for name in ("ramp", "accelerating-ramp")}
+    rows: dict[str, list[Any]] = {}
+    for kind in settings.kinds:
+        for seed in settings.seeds:
+            path = settings.out / f"{kind}-{seed}.json"
+            if not path.is_file():
+                with console.status(f"{kind}, seed {seed}"):
+                    score, more = train(settings, kind, seed, judge)
+                ratios = {name: score.ratio_to(ramp).as_json() for name, ramp in ramps.items()}
+                row = {"seed": seed, "score": score.as_dict(), "ratios": ratios, **more}
+                write_file(path, (json.dumps(row, indent=1) + "\n").encode())
+                console.print(f"{kind}, seed {seed}: {score}", soft_wrap=True)
+            rows.setdefault(kind, []).append(json.loads(path.read_text(encoding="utf-8")))
+    rivals = {name: ramp.as_dict() for name, ramp in ramps.items()}
+    return {"task": settings.task, "steps": settings.steps, "ramps": rivals, "kinds": rows}
+
+
+def table_of(results: dict[str, Any]) -> str:
+    """A line of Markdown for each kind: the median over its seeds, and the range."""
+    ramp = results["ramps"]["ramp"]["stealthy_displacement_m"]["value"]
+    lines = [
+        "| task | arguments | seeds | stealthy displacement [m] | over the ramp | untrained [m] |",
+        "|---|---|---|---|---|---|",
+    ]
+    for kind, rows in results["kinds"].items():
+        reached = _values(row["score"] for row in rows)
+        before = _values(row["untrained"] for row in rows)
+        ratio = sorted((row["ratios"]["ramp"] for row in rows), key=lambda r: r["value"])
+        middle = ratio[(len(ratio) - 1) // 2]
+        lines.append(
+            f"| {results['task']} | {kind} | {len(rows)} | {_range(reached)} | "
+            f"{middle['value']:.2f} ({middle['low']:.2f} to {middle['high']:.2f}) of {ramp:.1f} m "
+            f"| {_range(before)} |"
+        )
+    return "\n".join(lines)
+
+
+def _values(scores: Any) -> list[float]:
+    return [score["stealthy_displacement_m"]["value"] for score in scores]
+
+
+def _range(values: list[float]) -> str:
+    return f"{median(values):.1f} [{min(values):.1f}, {max(values):.1f}]"
+
+
+def main() -> None:
+    """Command line."""
+    console = Console()
+    try:
+        settings = tyro.cli(Settings, description=__doc__)
+        torch.set_num_threads(1)
+        results = play(settings, console)
+    except (ValueError, TypeError) as error:
+        raise SystemExit(f"error: {error}") from error
+    except KeyboardInterrupt:
+        raise SystemExit("interrupted; the same command goes on") from None
+    text = json.dumps(results, indent=1) + "\n"
+    write_file(settings.out / "results.json", text.encode())
+    console.print(table_of(results), soft_wrap=True)
+
+
+if __name__ == "__main__":
+    main()
