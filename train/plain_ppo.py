@@ -23,7 +23,7 @@ from rich.console import Console
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.folder import open_folder
+from agents.folder import error_lines, open_folder
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
 from spoofgym.bench.evaluate import Evaluator, Score
@@ -148,14 +148,10 @@ def _range(values: list[float]) -> str:
 def main() -> None:
     """Command line."""
     console = Console()
-    try:
+    with error_lines():
         settings = tyro.cli(Settings, description=__doc__)
         torch.set_num_threads(1)
         results = play(settings, console)
-    except (ValueError, TypeError) as error:
-        raise SystemExit(f"error: {error}") from error
-    except KeyboardInterrupt:
-        raise SystemExit("interrupted; the same command goes on") from None
     text = json.dumps(results, indent=1) + "\n"
     write_file(settings.out / "results.json", text.encode())
     console.print(table_of(results), soft_wrap=True)
