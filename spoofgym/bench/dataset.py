@@ -163,7 +163,10 @@ def make_room(path: Path, plan: Plan, *, overwrite: bool = False) -> None:
             f"{path} holds what is no data set ({', '.join(sorted(x.name for x in strange)[:5])}); "
             "choose another folder"
         )
-    other = [file for file in own if digest_in(file.read_bytes()) not in (digest, None)]
+    digests = {file: digest_in(file.read_bytes()) for file in own}
+    # a damaged shard is written again, in a folder that is a data set by something else in it
+    known = (path / MANIFEST).is_file() or digest in digests.values()
+    other = [file for file, its in digests.items() if its not in (digest, None if known else "")]
     if (path / MANIFEST).is_file() and read_manifest(path).get("digest") != digest:
         other.append(path / MANIFEST)
     if other and not overwrite:

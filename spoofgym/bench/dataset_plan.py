@@ -13,6 +13,7 @@ import numpy as np
 from .._describe import describe, digest_of, outside_sources
 from .._registry import check_choice, check_finite, whole_number
 from ..detectors import Detector, Never
+from ..detectors.calibrated import factors_of
 from ..detectors.learned.agent import DetectorAgent
 from ..detectors.learned.observer import make_detector_terms, written_terms
 from ..simulators.base import Simulator, run_serially
@@ -149,6 +150,7 @@ class Plan:
             "world": setup.conditions.settings,
             "attack": describe(setup.attack),
             "detector": None if self.detector is None else spec_of_judge(self.judge),
+            "threshold": factors_of(self.world.detector),
             "length_m": float(self.length_m),
             "interval_s": setup.interval_s,
             "epochs": {

@@ -218,7 +218,7 @@ class NearAlarm(Panel):
     """
 
     def __init__(self, setup: Setup, judge: Detector, rngs: Rngs, threads: int | None) -> None:
-        self.judges, self.rngs, self.threads = [judge], rngs, threads
+        self.judges, self.threads = [judge], threads
         last = min(round(NEAR_ALARM_S / setup.interval_s), setup.live)
         own = self._defended(setup)
         watched = own.altered(monitors=[LateMaxima(setup.live, last)])
@@ -226,6 +226,8 @@ class NearAlarm(Panel):
         ratio, _ = everyone.simulator.monitor(LateMaxima).taken()
         order = np.argsort(-ratio[:, 0], kind="stable")
         chosen = np.sort(order[: math.ceil(len(order) / CANDIDATES)])
+        kept = set(chosen.tolist())
+        self.rngs = lambda: [drawn for k, drawn in enumerate(rngs()) if k in kept]
         self.setup, self.ratio = own, ratio[chosen, 0]
         start = everyone.under(own).take(chosen)
         self._begin(start, np.zeros((len(chosen), 1), dtype=np.bool_))

@@ -140,9 +140,10 @@ class DetectorScore:
         return clopper_pearson(int(alarmed.sum()), len(alarmed))
 
     def difference_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
-        """P(HMI | attack) less that of another detector, paired by runs, with a 95 % interval.
+        """P(HMI | attack) less that of another detector, paired by skies, with a 95 % interval.
 
-        By the worst family of each, or by one family.  Raises a ValueError where they have not met
+        Both have the same runs, but in ``chance-alarm``, where each has its own.  By the worst
+        family of each, or by one family.  Raises a ValueError where they have not met
         the same attacks on the same runs.
         """
         mine, theirs = self._samples(family), other._samples(family)

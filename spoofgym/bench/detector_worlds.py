@@ -110,8 +110,9 @@ class Worlds:
         """Runs of a split at their onsets, for detectors that share them."""
         overrides = {} if family is None else family.overrides
         onset = None if family is None else family.onset
-        labels = tuple(each.entry.label for each in group)
-        key = digest_of(describe({"of": overrides, "onset": onset})), labels, split, runs
+        # two files may have one label; a panel keeps its judges, and so their ids
+        judged = tuple(id(each.judge) for each in group)
+        key = digest_of(describe({"of": overrides, "onset": onset})), judged, split, runs
         if key not in self._panels:
             while len(self._panels) >= KEPT_PANELS:  # families in the same world share theirs
                 del self._panels[next(iter(self._panels))]

@@ -476,3 +476,11 @@ def spec_with_thresholds(detector: Detector, spec_of: Callable[[Any], Any]) -> d
     if detector.calibration is not None:
         asked["calibration"] = detector.calibration
     return {**spec_of(detector.detector), **asked}
+
+
+def factors_of(detector: Detector) -> list[tuple[float | None, tuple[float, ...] | None]]:
+    """Factors on thresholds and innovations that a detector, or each of a pool, has been given."""
+    from .pool import PooledDetector
+
+    parts = detector.judges if isinstance(detector, PooledDetector) else (detector,)
+    return [(each.scale, each.rescale) for each in parts if isinstance(each, Calibrated)]

@@ -254,6 +254,10 @@ def _detector(given: Any) -> Member:
     except TypeError:
         if not isinstance(given, Detector):
             raise
+        if given.oracle:
+            raise ValueError(
+                f"{type(given).__name__} is given what no receiver can know: no member of a game"
+            ) from None
         return Member(type(given).__name__, DETECTOR, None, thing=given)
     refuse_oracles((entry,))
     return Member(entry.label, DETECTOR, entry.spec)

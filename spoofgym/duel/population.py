@@ -26,8 +26,8 @@ from ..bench.run import Runs, WarmStart, induced_error, play
 from ..bench.scores import counted, undetected_displacement
 from ..bench.specs import digest_of, make_judge
 from ..bench.suite import WORLD, Suite
-from ..detectors import Calibrated, Detector, Never, PooledDetector
-from ..detectors.calibrated import resolve
+from ..detectors import Detector, Never
+from ..detectors.calibrated import factors_of, resolve
 from ..simulators.base import Simulator
 from ..simulators.clean_runs import Progress, Silent, weighs
 from ..simulators.monitors import Monitored, PassiveDetectors
@@ -388,8 +388,7 @@ class Game:
         if self.folder is None or spoofer.spec is None or detector.spec is None:
             return None
         judge = self._judge(detector)[0]
-        parts = judge.judges if isinstance(judge, PooledDetector) else (judge,)
-        factors = [[each.scale, each.rescale] for each in parts if isinstance(each, Calibrated)]
+        factors = factors_of(judge)
         outside = outside_sources(judge, spoofer.spec, detector.spec)
         if None in outside.values():
             return None

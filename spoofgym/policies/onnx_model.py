@@ -28,6 +28,7 @@ DOMAINS = ("", "ai.onnx", "ai.onnx.ml")
 """Domains of the standard operators; the first two are the same."""
 CHANCE = (
     "Bernoulli",
+    "Dropout",
     "Multinomial",
     "RandomNormal",
     "RandomNormalLike",
@@ -40,15 +41,20 @@ CONTROL_FLOW = frozenset({"If", "Loop", "Scan", "SequenceMap"})
 LARGEST_BYTES, MOST_OPERATORS, MOST_PARTS = 32 << 20, 5_000, 50_000
 """Of a file; a policy is asked hundreds of times an episode.  Parts are operators, their settings,
 tensors and types, in subgraphs, too."""
+MOST_ELEMENTS, MOST_PRODUCTS = 4 << 20, 1 << 28
+"""Of any tensor between two operators, and multiplications of all products of matrices, for the
+observations that a network is tried on."""
 TRIED, PARTS = 16, (1, 2, 3)
 """Observations that a network is tried on when it is loaded, and sizes of smaller batches."""
+TILED, ROLLED = 8, 128
+"""How many times as many are one larger batch, and decisions in a row of a network with states."""
 WIDEST = 10.0
 """Largest element of these observations."""
 NEXT = "next_"
 """Before the name of a state: the output that is the state of the next decision."""
 Float32Array = NDArray[np.float32]
-_consistent: set[str] = set()
-"""Digests of the files that have passed, in this process."""
+_consistent: set[tuple[str, tuple[float, ...], tuple[float, ...]]] = set()
+"""Digests of the files that have passed, in this process, with the bounds of their observations."""
 
 
 def read_model(content: bytes, where: str) -> ModelProto:
@@ -71,7 +77,43 @@ def read_model(content: bytes, where: str) -> ModelProto:
         onnx.checker.check_model(model)
     except (onnx.checker.ValidationError, ValueError) as error:
         raise ValueError(f"{where} is no valid ONNX model: {error}") from error
+    _check_work(model, where)
     return model
+
+
+def _check_work(model: ModelProto, where: str) -> None:
+    """Look at the sizes of all tensors, as far as they follow from the graph, before it is run."""
+    import onnx
+
+    try:
+        inferred = onnx.shape_inference.infer_shapes(model, data_prop=True).graph
+    except (onnx.shape_inference.InferenceError, ValueError) as error:
+        raise ValueError(f"{where} is no valid ONNX model: {error}") from error
+    shapes: dict[str, list[int]] = {
+        tensor.name: list(tensor.dims) for tensor in inferred.initializer
+    }
+    for value in (*inferred.input, *inferred.value_info, *inferred.output):
+        dims = value.type.tensor_type.shape.dim
+        shapes[value.name] = [dim.dim_value if dim.HasField("dim_value") else TRIED for dim in dims]
+    largest = max(map(_size, shapes.values()), default=0)
+    products = sum(
+        _size(shapes.get(node.output[0], [])) * shapes[node.input[0]][-1]
+        for node in inferred.node
+        if node.op_type in ("Gemm", "MatMul") and shapes.get(node.input[0])
+    )
+    for word, found, most in (
+        ("a tensor of {:,} elements", largest, MOST_ELEMENTS),
+        ("{:,} multiplications in products of matrices", products, MOST_PRODUCTS),
+    ):
+        if found > most:
+            raise ValueError(
+                f"{where} has {word.format(found)} for {TRIED} observations; a policy may have "
+                f"{most:,}"
+            )
+
+
+def _size(shape: Sequence[int]) -> int:
+    return int(np.prod(shape, dtype=object)) if shape else 1
 
 
 def _check_parts(model: ModelProto, where: str) -> None:
@@ -241,9 +283,10 @@ class OnnxModel:
         self._given, self._returned = check_signature(
             model, len(observation.names), self.size, self.path, self.state
         )
-        if self.sha256 not in _consistent:
+        key = (self.sha256, observation.low, observation.high)
+        if key not in _consistent:
             self._check_answers(observation)
-            _consistent.add(self.sha256)
+            _consistent.add(key)
 
     def _check_answers(self, space: Space) -> None:
         """Raise unless the same observation has the same finite answer, again and in any batch."""
@@ -258,15 +301,20 @@ class OnnxModel:
         try:
             whole, again = self._tried(seen, states), self._tried(seen, states)
             parts = [self._tried(seen[k], [each[k] for each in states]) for k in slices]
-            self._tried(seen, self.step(seen, states)[1])
+            large = self._tried(
+                np.tile(seen, (TILED, 1)), [np.tile(each, (TILED, 1)) for each in states]
+            )
+            apart = self._rolled(seen, states, 1) if self.state else whole
+            rolled = self._rolled(seen, states, TRIED) if self.state else whole
         except NotFinite as error:
             raise ValueError(
                 f"{self.path}, tried within the bounds on its card: {error}"
             ) from error
         if again.tobytes() != whole.tobytes():
             raise ValueError(f"{self.path} answers the same observation otherwise when asked again")
-        rows = [whole[k] for k in slices]
-        if any(mine.tobytes() != other.tobytes() for mine, other in zip(parts, rows, strict=True)):
+        pairs = [(part, whole[k]) for part, k in zip(parts, slices, strict=True)]
+        pairs += [(large, np.tile(whole, (TILED, 1))), (apart, rolled[: len(apart)])]
+        if any(mine.tobytes() != other.tobytes() for mine, other in pairs):
             raise ValueError(
                 f"{self.path} answers the same observation otherwise in another batch: nothing may "
                 "mix the rows of a batch, as a normalization over it does"
@@ -276,6 +324,13 @@ class OnnxModel:
         """Actions and next states side by side."""
         action, after = self.step(seen, states)
         return np.hstack([action, *after])
+
+    def _rolled(self, seen: Float32Array, states: Sequence[Float32Array], rows: int) -> FloatArray:
+        """Actions and states of some rows after many decisions, each on another observation."""
+        now = [each[:rows] for each in states]
+        for k in range(ROLLED):
+            action, now = self.step(np.roll(seen, k, axis=0)[:rows], now)
+        return np.hstack([action, *now])
 
     def act(self, observation: Float32Array) -> FloatArray:
         """Action of every receiver, of a network without states.

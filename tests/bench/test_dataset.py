@@ -250,3 +250,12 @@ def test_a_folder_of_something_else_is_left_alone(folder: Any, tmp_path: Any) ->
     assert load(tmp_path).manifest["digest"] == other.digest
     write(tmp_path, plan(), threads=1, overwrite=True)
     assert content(tmp_path) == content(folder)
+
+
+def test_a_file_of_somebody_else_is_not_overwritten(tmp_path: Any) -> None:
+    """It only has the name of a shard."""
+    mine = tmp_path / "train-0000.npz"
+    mine.write_text("mine")
+    with pytest.raises(ValueError, match=r"holds another data set \(train-0000.npz\)"):
+        write(tmp_path, plan(), threads=1)
+    assert mine.read_text() == "mine"

@@ -143,6 +143,14 @@ def test_near_an_alarm_are_those_whose_statistic_was_largest(setup):
     twin = play(start, "none")
     np.testing.assert_array_equal(found.sky, (twin.onset // setup.epochs_each)[chosen])
     np.testing.assert_array_equal(found.counts[:, 0], (twin.first_alarm == 0)[chosen])
+    # an attack of its own meets the same runs: replayed where the target is, it moves nothing
+    assert len(found.rngs()) == runs
+    there = make_attack({"name": "meaconer", "antenna_m": [0.0, 0.0, 0.0]})
+    still = Panel(setup, [judge], rngs_of(setup, chosen), 1)
+    idle = {"name": "profile", "rates_mps": [0.0, 0.0]}
+    np.testing.assert_allclose(
+        found.displacement(idle, runs, there), still.displacement(idle, runs, there), atol=1e-6
+    )
 
 
 def test_thresholds_go_along_into_any_world():

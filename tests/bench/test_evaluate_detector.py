@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from onnx import numpy_helper
 
 import spoofgym
 from spoofgym.bench import detector_worlds as module
@@ -15,6 +16,7 @@ from spoofgym.bench.evaluate_detector import DetectorEvaluator
 from spoofgym.bench.protection import MEASURES
 from spoofgym.detector_tasks import EVENTS, DetectorTask
 
+from ..detectors.learned.files import write_guard
 from .detector_support import NOMINAL, small_task
 
 LOTTERY = {"name": "lottery", "mean_wait_s": 500.0}
@@ -153,6 +155,26 @@ def test_the_other_families_are_played_too(key):
     )
     assert score.worst.family == key
     assert 0.0 <= score.p_hmi.value <= 1.0
+
+
+def test_detectors_of_one_name_do_not_share_runs(tmp_path):
+    """As two files of one name in two folders have it."""
+    evaluator = DetectorEvaluator(
+        small_task(), runs=12, selection_runs=6, families=["ramps"], threads=1
+    )
+    files = []
+    for name, bias in (("deaf", -1e6), ("nervous", 1e6)):  # of the statistic
+
+        def shift(model, bias=bias):
+            (tensor,) = (each for each in model.graph.initializer if each.name == "action_in_b")
+            tensor.CopyFrom(numpy_helper.from_array(np.float32([bias]), "action_in_b"))
+
+        files.append(write_guard(tmp_path / name, threshold=0.5, edit=shift))
+    (first,), (second,) = (evaluator.scores([{"name": str(file), **NOMINAL}]) for file in files)
+    assert first.detector == second.detector
+    assert first.p_hmi.value == 1.0
+    assert not first.false_alarms[CLEAN].any()
+    assert second.false_alarms[CLEAN].all()
 
 
 def test_bad_input_is_refused():

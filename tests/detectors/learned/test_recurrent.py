@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import pickle
 import time
 
@@ -13,7 +14,7 @@ from onnx import helper, numpy_helper
 
 from spoofgym.detectors import LearnedDetector
 from spoofgym.detectors.learned.card import OnnxDetector
-from spoofgym.policies.onnx_model import MOST_OPERATORS, MOST_PARTS, read_model
+from spoofgym.policies.onnx_model import MOST_OPERATORS, MOST_PARTS, OnnxModel, read_model
 from spoofgym.testing import check_detector
 from spoofgym.testing.epochs import engine_script
 
@@ -180,9 +181,51 @@ def mixing(model):
     model.graph.node.insert(at + 2, helper.make_node("Add", ["apart", "level"], ["next_hidden"]))
 
 
+def late(model):
+    """The state grows by a third at each epoch, and is infinite after some hundred."""
+    (tensor,) = (each for each in model.graph.initializer if each.name == "keep")
+    tensor.CopyFrom(numpy_helper.from_array(np.float32([3.0]), "keep"))
+
+
+def mixing_late(model):
+    """The next state depends on the other receivers, once it has grown for some epochs."""
+    mixing(model)
+    for node in model.graph.node:
+        if node.output[0] == "hidden_new":
+            node.op_type = "Sigmoid"  # which only grows
+    (mean,) = (each for each in model.graph.node if each.op_type == "ReduceMean")
+    mean.output[0] = "all_levels"
+    bounds = {"keep": 1.0, "shift": -4.0, "least": 0.0, "most": 0.1}
+    kept = [each for each in model.graph.initializer if each.name != "keep"]
+    del model.graph.initializer[:]
+    model.graph.initializer.extend(kept)
+    model.graph.initializer.extend(
+        numpy_helper.from_array(np.float32(number), name) for name, number in bounds.items()
+    )
+    at = list(model.graph.node).index(mean)
+    model.graph.node.insert(at + 1, helper.make_node("Add", ["all_levels", "shift"], ["shifted"]))
+    cut = helper.make_node("Clip", ["shifted", "least", "most"], ["level"])
+    model.graph.node.insert(at + 2, cut)
+
+
+def dropout(model):
+    """Leaves out one observation in two thousand, by chance."""
+    model.graph.initializer.append(numpy_helper.from_array(np.float32(5e-4), "ratio"))
+    model.graph.initializer.append(numpy_helper.from_array(np.bool_(True), "training"))
+    for node in model.graph.node:
+        for k, name in enumerate(node.input):
+            if name == "observation":
+                node.input[k] = "kept"
+    model.graph.node.insert(
+        0, helper.make_node("Dropout", ["observation", "ratio", "training"], ["kept"])
+    )
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
+        (late, "returned the state next_hidden with a value that is not finite for receiver"),
+        (mixing_late, "answers the same observation otherwise in another batch"),
         (growing, "returned the state next_hidden with a value that is not finite for receiver"),
         (mixing, "answers the same observation otherwise in another batch"),
     ],
@@ -191,6 +234,11 @@ def test_a_state_is_tried_when_the_file_is_loaded(edit, message, tmp_path):
     path = write_guard(tmp_path, edit=edit)
     with pytest.raises(ValueError, match=message):
         LearnedDetector(str(path))
+
+
+def test_chance_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="draws random numbers by Dropout"):
+        write_guard(tmp_path, edit=dropout)
 
 
 def test_control_flow_and_oversized_graphs_are_refused_within_a_second():
@@ -214,6 +262,58 @@ def test_control_flow_and_oversized_graphs_are_refused_within_a_second():
         with pytest.raises(ValueError, match=message):
             read_model(content, "guard.onnx")
         assert time.perf_counter() - started < 1.0
+
+
+def test_a_small_file_with_much_work_is_refused_within_a_second():
+    """Constants of 4000 by 4000 and their products fit into some hundred bytes."""
+    shape = numpy_helper.from_array(np.int64([4000, 4000]), "shape")
+    nodes = [
+        helper.make_node("ConstantOfShape", ["shape"], ["a"]),
+        helper.make_node("MatMul", ["a", "a"], ["b"]),
+        helper.make_node("ReduceMax", ["b"], ["most"], keepdims=0),
+        helper.make_node("Add", ["x", "most"], ["y"]),
+    ]
+    graph = helper.make_graph(nodes, "policy", [value("x", 1)], [value("y", 1)], [shape])
+    opset = [helper.make_opsetid("", 18)]
+    content = helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString()
+    started = time.perf_counter()
+    with pytest.raises(ValueError, match="a tensor of 16,000,000 elements"):
+        read_model(content, "guard.onnx")
+    assert time.perf_counter() - started < 1.0
+    weight = numpy_helper.from_array(np.zeros((2000, 2000), np.float32), "w")
+    steps = [helper.make_node("MatMul", [f"h{k}", "w"], [f"h{k + 1}"]) for k in range(5)]
+    graph = helper.make_graph(steps, "policy", [value("h0", 2000)], [value("h5", 2000)], [weight])
+    content = helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString()
+    with pytest.raises(ValueError, match="320,000,000 multiplications in products of matrices"):
+        read_model(content, "guard.onnx")
+
+
+def test_other_bounds_are_tried_again(tmp_path):
+    """What passes within narrow bounds on a card need not within wide ones."""
+
+    def roots(model):
+        for node in model.graph.node:
+            for k, name in enumerate(node.input):
+                if name == "observation":
+                    node.input[k] = "root"
+        model.graph.initializer.append(numpy_helper.from_array(np.float32([0.5]), "half"))
+        model.graph.node.insert(0, helper.make_node("Add", ["observation", "half"], ["above"]))
+        model.graph.node.insert(1, helper.make_node("Sqrt", ["above"], ["root"]))
+
+    path = write_guard(tmp_path, edit=roots)
+    content = json.loads(path.with_suffix(".json").read_text())
+    narrow = {**content["observation"]}
+    narrow["low"] = [0.0] * len(narrow["low"])
+
+    def load():
+        its = card(path)
+        OnnxModel(path, its.file, its.observation, its.action, state=its.state)
+
+    edit_card(path, observation=narrow)
+    load()
+    edit_card(path, observation=content["observation"])
+    with pytest.raises(ValueError, match="tried within the bounds on its card"):
+        load()
 
 
 def test_a_card_says_what_the_file_hands_on(tmp_path):
