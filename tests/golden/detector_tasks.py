@@ -64,7 +64,7 @@ def resolved(task: DetectorTask) -> dict[str, Any]:
 
 def reached(task: DetectorTask, family: AttackFamily) -> dict[str, Any]:
     """Runs of a family that are drawn by its onset, and how far one stated attack comes in them."""
-    setup = DetectorEvaluator(task.key).setup(**family.overrides)
+    setup = DetectorEvaluator(task.key).worlds.setup(**family.overrides)
     onset = None if family.onset == "chance-alarm" else family.onset
     numbers = numbers_of(setup, 0, "evaluation", RUNS, onset)
     judges = [make_detector("never"), make_detector(WHOM)]
