@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..attacks import ATTACKS
-from ..detectors import DETECTORS
+from ..detectors import DETECTORS, LearnedDetector
+from ..detectors.zoo import shipped as shipped_detectors
 from ..sim.scenario import SCENARIOS
 from ..spoofers import SPOOFERS
 from ..spoofers.zoo import card_of, shipped
@@ -88,6 +89,17 @@ def _envs() -> list[dict[str, Any]]:
     return rows
 
 
+def _shipped_detectors() -> list[dict[str, Any]]:
+    """Learned detectors that have names; what is a setting of others, is on their cards."""
+    keys = ("paper", "scope", "measures", "oracle")
+    rows = []
+    for name in shipped_detectors():
+        made = LearnedDetector(name)
+        known = {key: getattr(made, key) for key in keys}
+        rows.append({"name": name, "summary": summary_of(made), "settings": {}, **known})
+    return rows
+
+
 def _shipped() -> list[dict[str, Any]]:
     rows = []
     for name in shipped():
@@ -109,7 +121,10 @@ KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
     "envs": _envs,
     "scenarios": _scenarios,
     "attacks": lambda: _classes(ATTACKS),
-    "detectors": lambda: _classes(DETECTORS, "paper", "scope", "measures", "oracle"),
+    "detectors": lambda: [
+        *_classes(DETECTORS, "paper", "scope", "measures", "oracle"),
+        *_shipped_detectors(),
+    ],
     "spoofers": lambda: _classes(SPOOFERS, "knowledge", "tunable"),
     "shipped": _shipped,
 }

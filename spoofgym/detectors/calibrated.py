@@ -46,6 +46,7 @@ from .calibration import (
     stored,
 )
 from .pool import PooledDetector
+from .zoo import shipped
 
 FloatArray = NDArray[np.float64]
 THRESHOLDS = ("nominal", "calibrated", "rescaled")
@@ -427,9 +428,9 @@ def made_by(make: Callable[[Any], Detector], spec: Any, default: float | None = 
 
 
 def is_file(spec: Any) -> bool:
-    """Whether a detector is named by an ONNX file."""
+    """Whether a detector is named by an ONNX file, or is a shipped one that has such a file."""
     name = spec.get("name") if isinstance(spec, Mapping) else spec
-    return isinstance(name, str) and name.endswith(SUFFIX)
+    return isinstance(name, str) and (name.endswith(SUFFIX) or name in shipped())
 
 
 def has_threshold(spec: Any) -> bool:

@@ -9,7 +9,7 @@ import pytest
 
 import spoofgym  # noqa: F401  (registers the ids)
 from spoofgym.attacks import ATTACKS, THREATS
-from spoofgym.detectors import DETECTORS
+from spoofgym.detectors import DETECTORS, zoo
 from spoofgym.detectors.learned.card import DetectorCard
 from spoofgym.detectors.learned.observer import DETECTOR_TERMS
 from spoofgym.spoofers import KNOWLEDGE, SPOOFERS, shipped
@@ -20,7 +20,9 @@ PAGE = text_of("catalogue.md")
 ROWS = {line.split("`")[1]: line for line in PAGE.splitlines() if line.startswith("| `")}
 
 
-@pytest.mark.parametrize("kinds", [DETECTORS, DETECTOR_TERMS, SPOOFERS, ATTACKS, shipped()])
+@pytest.mark.parametrize(
+    "kinds", [DETECTORS, DETECTOR_TERMS, SPOOFERS, ATTACKS, shipped(), zoo.shipped()]
+)
 def test_every_registered_name_is_in_a_table(kinds):
     assert set(kinds) <= set(ROWS)
 

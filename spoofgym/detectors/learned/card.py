@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from ...policies.card import PolicyCard, PolicyFile, Space, State, unlike_spaces
 from ...policies.contract import FloatArray
 from ...policies.onnx_model import SUFFIX, OnnxModel
+from ..zoo import path_of
 from .observer import make_detector_terms
 from .policy import DetectorPolicy, PolicyContext
 
@@ -108,7 +109,7 @@ class OnnxDetector(DetectorPolicy):
     Parameters
     ----------
     file : str or path-like
-        Path of the ONNX file.
+        Path of the ONNX file, or the name of a shipped detector.
     sha256 : str, optional
         Digest that the file must have; by default the card's.
 
@@ -125,13 +126,12 @@ class OnnxDetector(DetectorPolicy):
 
     def __init__(self, file: str | os.PathLike[str], sha256: str | None = None) -> None:
         self.file = os.fspath(file)
-        path = card_path(file)
-        if not Path(file).is_file():
+        path = path_of(file)
+        card_file = card_path(path)
+        if not path.is_file():
             raise ValueError(f"there is no ONNX file {self.file}")
-        self.card = card = DetectorCard.load(path)
-        self.model = OnnxModel(
-            Path(file), card.file, card.observation, card.action, sha256, card.state
-        )
+        self.card = card = DetectorCard.load(card_file)
+        self.model = OnnxModel(path, card.file, card.observation, card.action, sha256, card.state)
 
     def bind(self, context: PolicyContext) -> None:
         """Prepare for a batch of receivers."""

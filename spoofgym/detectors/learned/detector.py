@@ -29,7 +29,8 @@ class LearnedDetector(Detector):
     Parameters
     ----------
     file : str or path-like
-        Path of the ONNX file; the card of the same name is in the same folder.
+        Path of the ONNX file, whose card has the same name and lies in the same folder; or the name
+        of a shipped detector.
     sha256 : str, optional
         Digest that the file must have; by default the card's.
     quiet_epochs : int, optional

@@ -1,0 +1,54 @@
+"""Shipped detectors that have learned, by their names."""
+
+from __future__ import annotations
+
+import pytest
+
+from spoofgym.bench.listing import KINDS
+from spoofgym.bench.suite import Suite
+from spoofgym.detectors import Calibrated, make_detector
+from spoofgym.detectors.calibrated import identity_of, resolve
+from spoofgym.detectors.calibration import SHIPPED_FOLDER
+from spoofgym.detectors.learned.detector import LearnedDetector
+from spoofgym.detectors.zoo import ZOO_FOLDER, path_of, shipped
+from spoofgym.tasks import task_of
+
+LARGEST_BYTES = 200_000
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_a_name_stands_for_its_file(name: str) -> None:
+    pytest.importorskip("onnxruntime")
+    made = make_detector({"name": name, "threshold": 0.9})
+    assert isinstance(made, Calibrated)
+    named, read = made.detector, LearnedDetector(str(path_of(name)))
+    assert isinstance(named, LearnedDetector)
+    assert named.label == name
+    assert identity_of(named) == identity_of(read)
+    assert named.spec == {"name": name}
+    assert path_of(name).stat().st_size < LARGEST_BYTES
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_it_has_a_threshold_in_the_world_that_it_was_made_for(name: str) -> None:
+    pytest.importorskip("onnxruntime")
+    made = make_detector({"name": name, "false_alarms_per_hour": 0.2})
+    assert isinstance(made, Calibrated)
+    trained_in = made.detector.card.training["task"]  # type: ignore[attr-defined]
+    world = Suite(**task_of(trained_in).world_kwargs, detectors=["never"], spoofers=[]).world
+    resolve(made, world)
+    assert 0.0 < (made.scale or 0.0) < 1.0
+    (found,) = made._found(world.conditions, identity_of(made.detector))
+    assert found.path is not None
+    assert found.path.is_relative_to(SHIPPED_FOLDER)
+
+
+def test_they_are_listed_and_their_cards_are_there() -> None:
+    assert set(shipped()) <= {row["name"] for row in KINDS["detectors"]()}
+    assert [name for name in shipped() if not (ZOO_FOLDER / f"{name}.json").is_file()] == []
+    assert path_of("runs/mine.onnx").as_posix() == "runs/mine.onnx"
+
+
+def test_another_name_is_refused() -> None:
+    with pytest.raises(ValueError, match="trolley-gaurd"):
+        make_detector("trolley-gaurd")
