@@ -29,7 +29,7 @@ COMMANDS = [
 ]
 SMALL = {
     "train.ppo_spoofer": "--steps 200 --num-envs 4 --batch-size 400 --stages 1 --fit-runs 80 "
-    "--runs 20 --rivals ramp --threads 1",
+    "--runs 20 --threads 1 --rivals",
     "bench": "--seeds 4 --training-seeds 60",
 }
 """What is appended to a command; the last of an option counts."""
