@@ -12,8 +12,9 @@ from spoofgym._jit import FOUNDATION as FOUNDATION_FILES
 
 from . import sources
 
-PLAIN = {"_describe", "_files", "_memory", "_pictures", "_registry", "_threads"}
-"""Modules below all packages; they hold nothing that a kernel could take in."""
+PLAIN = {"_describe", "_files", "_memory", "_pictures", "_registry", "_threads", "policies"}
+"""Modules below all packages, and cards and sessions of ONNX files; they hold nothing that a kernel
+could take in."""
 FOUNDATION = {Path(name).stem for name in FOUNDATION_FILES}
 """Modules below all packages that are in every digest."""
 OF_NUMBA = {"_jit.py", "_compiled.py", "_simd.py"}
