@@ -23,6 +23,7 @@ from spoofgym.bench.store import ResultsFolder
 from spoofgym.cli import app
 from spoofgym.cli.options import ENV, World, with_world
 from spoofgym.detectors import DETECTORS
+from spoofgym.detectors.zoo import shipped as learned
 from spoofgym.spoofers import SPOOFERS, shipped
 
 from .bench.support import small_suite, use_zoo, write_zoo
@@ -125,7 +126,7 @@ def test_it_starts_quickly_and_as_a_module() -> None:
 def test_list_names_all_there_is() -> None:
     found = json.loads(call("list", "--json").stdout)
     assert set(found) == {"envs", "scenarios", "attacks", "detectors", "spoofers", "shipped"}
-    assert {row["name"] for row in found["detectors"]} == set(DETECTORS)
+    assert {row["name"] for row in found["detectors"]} == {*DETECTORS, *learned()}
     assert {row["name"] for row in found["spoofers"]} == set(SPOOFERS)
     assert "spoofgym/TightlyCoupled-v0" in {row["name"] for row in found["envs"]}
     assert [row["name"] for row in found["shipped"]] == list(shipped())
