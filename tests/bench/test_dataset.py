@@ -109,7 +109,7 @@ def test_a_killed_process_comes_to_the_same_bytes(
     monkeypatch.setattr(module, "play", until_killed)
     with pytest.raises(KeyboardInterrupt):
         write(tmp_path, plan(), threads=1)
-    kept = content(tmp_path)
+    kept, before = content(tmp_path), len(calls)  # a shard more may have been begun
     assert kept
     assert MANIFEST not in kept
     with pytest.raises(ValueError, match="not finished"):
@@ -118,7 +118,7 @@ def test_a_killed_process_comes_to_the_same_bytes(
     cut.write_bytes(cut.read_bytes()[:-100])  # torn
     write(tmp_path, plan(), threads=1)
     assert content(tmp_path) == content(folder)
-    assert len(calls) == 3 + 5 - len(kept) + 1
+    assert len(calls) - before == 5 - len(kept) + 1
 
 
 def test_attacks_of_all_families_are_drawn_and_some_are_hard_to_see() -> None:
