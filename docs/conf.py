@@ -25,6 +25,8 @@ docs/catalogue
 docs/command_line
 docs/own_data
 docs/train_your_own
+docs/learned_spoofers
+docs/train_your_own_detector
 docs/rl_libraries
 ```
 ```{toctree}
@@ -34,6 +36,7 @@ docs/terms
 docs/own_observation_term
 docs/learning
 docs/duel
+docs/game
 docs/tasks
 docs/threats
 docs/worlds
