@@ -65,7 +65,7 @@ def load_checkpoint(
 
     Parameters
     ----------
-    path, model, envs : optional
+    path, model, envs : Path, BaseAlgorithm and VecNormalize
         As in `save_checkpoint`; the model has the same networks.
     folder : Path
         Where its files go.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 from pathlib import Path
 
 ZOO_FOLDER = Path(__file__).parent
 """Where they are."""
 
 
+@cache  # asked whenever a detector is made by its name
 def shipped() -> tuple[str, ...]:
     """Names of the shipped detectors.
 
