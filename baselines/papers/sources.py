@@ -21,7 +21,7 @@ import scipy
 
 ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = "spoofgym"
-OUTSIDE = ("__main__.py", "cli", "sb3.py", "testing")
+OUTSIDE = ("__main__.py", "cli", "sb3", "testing")
 """Files and folders of the library that no figure comes from."""
 FRAME = "baselines.papers.frame"
 """Says what a part is, and computes nothing."""

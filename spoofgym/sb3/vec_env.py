@@ -1,41 +1,20 @@
-"""Stable-baselines3's vector environment, straight on the engine.
-
-All receivers are one batch of a core; there is no list of environments underneath, and no
-dictionary is filled for a receiver before its episode ends.
-
->>> from stable_baselines3 import PPO
->>> from spoofgym.sb3 import SpoofVecEnv
->>> envs = SpoofVecEnv(8, detector="ewma", knowledge="blind", alarm_price=1.0)
->>> model = PPO("MlpPolicy", envs, gamma=1.0, n_steps=300, batch_size=2400, device="cpu")
->>> envs.close()
-
-`SpoofVecEnv` takes any environment of the package by ``env_id``, a task by ``task``, and either
-side of the duel by ``side``; `ScoreCallback` scores a policy while it learns.
-
-Install it with the extra ``train``.
-"""
+"""Receivers of the engine as a vector environment of stable-baselines3."""
 
 from __future__ import annotations
 
 import inspect
 import sys
 import time
-import warnings
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env import VecEnv
 
-from ._registry import whole_number
-from .bench.evaluate import FIT_RUNS, Evaluator
-from .bench.tune import TuningResult
-from .duel.learner import LearnersSide
-from .envs.factory import signature_of
-from .envs.options import (
+from ..duel.learner import LearnersSide
+from ..envs.factory import signature_of
+from ..envs.options import (
     HALFWAY,
     InfoSpec,
     action_space,
@@ -48,12 +27,9 @@ from .envs.options import (
     warn_unknown,
     whole_reset,
 )
-from .envs.recorder import EpochRecorder
-from .envs.step_result import PlainResult, StepResult
-from .envs.terms.registry import RewardSpec, make_terms
-from .policies.contract import NotFinite
-from .simulators.clean_runs import Progress
-from .simulators.tightly_coupled import TightlyCoupledSetup
+from ..envs.step_result import PlainResult, StepResult
+from ..envs.terms.registry import RewardSpec, make_terms
+from ..simulators.tightly_coupled import TightlyCoupledSetup
 
 Array = NDArray[Any]
 AT_THE_END = (
@@ -65,10 +41,6 @@ AT_THE_END = (
     "attacked",
 )
 """What is reported at the end of every episode, with that of passive detectors."""
-
-
-STATE = ("best_m", "best_step", "best_amplitude", "diverged", "_next")
-"""What a `ScoreCallback` keeps, beside its history."""
 
 
 class SpoofVecEnv(VecEnv):
@@ -371,230 +343,6 @@ class SpoofVecEnv(VecEnv):
 SpoofVecEnv.__signature__ = signature_of(
     TightlyCoupledSetup, inspect.signature(SpoofVecEnv.__init__)
 )
-
-
-class ScoreCallback(BaseCallback):
-    """Scores a policy while it learns, and keeps the best one.
-
-    The amplitude of the policy is fitted to the alarm budget on training runs, and the score is the
-    stealthy displacement there.  It is logged as ``spoofer/stealthy_m``, with
-    ``spoofer/amplitude``, ``spoofer/alarm_rate`` and ``spoofer/best_m``.  A figure to report is
-    that of `spoofgym.evaluate` afterwards, on runs that decided nothing.
-
-    A policy that returns NaN or infinity ends the training; the best one is kept.
-
-    Parameters
-    ----------
-    task : str, optional
-        As in `spoofgym.evaluate`.
-    every : int
-        Steps of all receivers together from one score to the next; the first one is that of the
-        policy as it begins.
-    path : str or Path, optional
-        Where the best policy is written, ``.../NAME.onnx``, with its card; needs the extra
-        ``train``.
-    fit_runs : int
-        Training runs, on which it is scored.
-    entropy, threads, progress : optional
-        As in `spoofgym.evaluate`.
-    judge : Evaluator, optional
-        Made before, in place of all that decides one: task, runs and world.
-    verbose : int
-        1 for a line at every score.
-    **world
-        As in `spoofgym.evaluate`.
-
-    Attributes
-    ----------
-    history : list of (int, TuningResult)
-        Steps, and what was found then.
-    best_m, best_step, best_amplitude : float, int and float
-        Largest score within the budget [m], when it was, and its amplitude; 0, -1 and 1 before.
-    diverged : str or None
-        Why the training was ended.
-    """
-
-    def __init__(
-        self,
-        task: str | None = None,
-        *,
-        every: int = 50_000,
-        path: str | Path | None = None,
-        fit_runs: int = FIT_RUNS,
-        entropy: int = 0,
-        threads: int | None = None,
-        progress: Progress | None = None,
-        judge: Evaluator | None = None,
-        verbose: int = 1,
-        **world: Any,
-    ) -> None:
-        super().__init__(verbose)
-        if judge is not None and (task is not None or world):
-            raise ValueError("`judge` decides the world: no task and no settings can be given")
-        self.every = whole_number("`every`", every, 1)
-        self.path = None if path is None else Path(path)
-        if self.path is not None and self.path.suffix != ".onnx":
-            raise ValueError(f"`path` must end in .onnx, got {path}")
-        self.judge = judge or Evaluator(
-            task, fit_runs=fit_runs, entropy=entropy, threads=threads, progress=progress, **world
-        )
-        self.history: list[tuple[int, TuningResult]] = []
-        self.best_m, self.best_step, self.best_amplitude = 0.0, -1, 1.0
-        self.diverged: str | None = None
-        self._next = 0
-
-    def _on_rollout_start(self) -> None:
-        """Score the policy, when that is due; it is not updated before the rollout is full."""
-        if self.num_timesteps >= self._next:
-            self._next = self.num_timesteps + self.every
-            self._score()
-
-    def _on_step(self) -> bool:
-        return self.diverged is None
-
-    def _on_training_end(self) -> None:
-        self._score()
-
-    def state(self) -> dict[str, Any]:
-        """What it has found so far, JSON-able, for a checkpoint.
-
-        Returns
-        -------
-        dict
-            For `restore`.
-        """
-        own = {name: getattr(self, name) for name in STATE}
-        return {**own, "history": [[step, found.as_dict()] for step, found in self.history]}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a checkpoint; the file of the best policy is kept by whoever wrote it.
-
-        Parameters
-        ----------
-        state : mapping
-            From `state`.
-        """
-        for name in STATE:
-            setattr(self, name, state[name])
-        self.history = [(step, TuningResult.from_dict(found)) for step, found in state["history"]]
-
-    def give_up(self, why: str) -> None:
-        """End the training as diverged, with a warning; the best policy is kept.
-
-        Parameters
-        ----------
-        why : str
-            What has happened.
-        """
-        kept = (
-            f"the best one, of step {self.best_step:,} with {self.best_m:.2f} m, is kept"
-            if self.best_step >= 0
-            else "none before it was within the budget"
-        )
-        self.diverged = f"training has diverged after {self.num_timesteps:,} steps: {why}; {kept}"
-        warnings.warn(self.diverged, UserWarning, stacklevel=3)
-
-    def _score(self) -> None:
-        """Score the policy as it is, unless that has been done, or it has diverged."""
-        done = bool(self.history) and self.history[-1][0] == self.num_timesteps
-        if done or self.diverged is not None:
-            return
-        try:
-            found = self.judge.fit(self.model)
-        except NotFinite as error:
-            self.give_up(str(error))
-            return
-        self.history.append((self.num_timesteps, found))
-        better = found.within_budget and (self.best_step < 0 or found.score > self.best_m)
-        if better:
-            self.best_m, self.best_step = found.score, self.num_timesteps
-            self.best_amplitude = found.value
-            if self.path is not None:
-                self._keep(found)
-        chosen = found.chosen
-        for key, value in (
-            ("stealthy_m", found.score),
-            ("amplitude", found.value),
-            ("alarm_rate", chosen.alarm_rate),
-            ("best_m", self.best_m),
-        ):
-            self.logger.record(f"spoofer/{key}", value)
-        if self.verbose:
-            over = "" if found.within_budget else ", over the budget"
-            print(
-                f"{self.num_timesteps:>10,d} steps   stealthy {found.score:8.2f} m   alarms "
-                f"{100 * chosen.alarm_rate:5.1f} %   amplitude {found.value:.3g}{over}"
-                f"{'   best' if better else ''}",
-                flush=True,
-            )
-
-    def _keep(self, found: TuningResult) -> None:
-        from .export import onnx  # torch, which the engine does not need
-
-        assert self.path is not None  # else nothing is kept
-        onnx(self.model, path=self.path, amplitude=found.value)
-
-
-class RecordEpochs(VecEnvWrapper):
-    """Writes every epoch of the commands into Parquet files, one an episode of a receiver.
-
-    The twin of `spoofgym.envs.wrappers.RecordEpochs`, for stable-baselines3.
-
-    Parameters
-    ----------
-    venv : VecEnv
-        A `SpoofVecEnv`, in other wrappers or not.
-    folder : str or Path
-        Where the files go.
-
-    Raises
-    ------
-    TypeError
-        When there is no `SpoofVecEnv` inside.
-    """
-
-    def __init__(self, venv: VecEnv, folder: str | Path) -> None:
-        super().__init__(venv)
-        inner: Any = venv
-        while isinstance(inner, VecEnvWrapper):
-            inner = inner.venv
-        if not isinstance(inner, SpoofVecEnv):
-            raise TypeError(f"this wrapper needs a SpoofVecEnv, wrapped or not, got {inner!r}")
-        if inner.side == "detector":
-            raise TypeError(
-                "the epochs of a duel are not recorded: this SpoofVecEnv has the side 'detector'"
-            )
-        self.recorder = EpochRecorder(folder, self.num_envs)
-        inner.core.listeners.append(self.recorder)
-
-    def reset(self) -> Any:
-        """Start episodes; those that are not over are written as they are.
-
-        Returns
-        -------
-        ndarray
-            (B, o) of the environment.
-        """
-        self.recorder.finish(np.arange(self.num_envs), complete=False)
-        return self.venv.reset()
-
-    def step_wait(self) -> tuple[Any, Array, Array, list[dict[str, Any]]]:
-        """Run one step, and write the episodes that it has ended.
-
-        Returns
-        -------
-        observations, rewards, dones, infos
-            Of the environment.
-        """
-        result: tuple[Any, Array, Array, list[dict[str, Any]]] = self.venv.step_wait()
-        if result[2].any():
-            self.recorder.finish(np.flatnonzero(result[2]), complete=True)
-        return result
-
-    def close(self) -> None:
-        """Write episodes that are not over, and close the environment."""
-        self.recorder.finish(np.arange(self.num_envs), complete=False)
-        super().close()
 
 
 def _is_of_the_end(name: str) -> bool:

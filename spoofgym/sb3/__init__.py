@@ -1,0 +1,22 @@
+"""Stable-baselines3's vector environment, straight on the engine.
+
+All receivers are one batch of a core; there is no list of environments underneath, and no
+dictionary is filled for a receiver before its episode ends.
+
+>>> from stable_baselines3 import PPO
+>>> from spoofgym.sb3 import SpoofVecEnv
+>>> envs = SpoofVecEnv(8, detector="ewma", knowledge="blind", alarm_price=1.0)
+>>> model = PPO("MlpPolicy", envs, gamma=1.0, n_steps=300, batch_size=2400, device="cpu")
+>>> envs.close()
+
+`SpoofVecEnv` takes any environment of the package by ``env_id``, a task by ``task``, and either
+side of the duel by ``side``; `ScoreCallback` scores a policy while it learns.
+
+Install it with the extra ``train``.
+"""
+
+from .record_epochs import RecordEpochs
+from .score_callback import ScoreCallback
+from .vec_env import SpoofVecEnv
+
+__all__ = ["RecordEpochs", "ScoreCallback", "SpoofVecEnv"]

@@ -1,0 +1,221 @@
+"""Scores of a policy by the benchmark's rule while stable-baselines3 trains it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.callbacks import BaseCallback
+
+from .._registry import check_finite, whole_number
+from ..bench.evaluate import FIT_RUNS, Evaluator
+from ..bench.tune import TuningResult
+from ..policies.contract import NotFinite
+from ..simulators.clean_runs import Progress
+from .average import WeightAverage
+
+STATE = ("best_m", "best_step", "best_amplitude", "diverged", "_next", "_averaged_at")
+"""What a `ScoreCallback` keeps, beside its history."""
+
+
+class ScoreCallback(BaseCallback):
+    """Scores a policy while it learns, and keeps the best one.
+
+    The amplitude of the policy is fitted to the alarm budget on training runs, and the score is the
+    stealthy displacement there.  It is logged as ``spoofer/stealthy_m``, with
+    ``spoofer/amplitude``, ``spoofer/alarm_rate`` and ``spoofer/best_m``.  A figure to report is
+    that of `spoofgym.evaluate` afterwards, on runs that decided nothing.
+
+    With ``average``, what is scored and kept is an exponential average of the policy's weights over
+    its updates, which jitters less than the policy that learns.  The policy itself goes on with its
+    own weights; `averaged` lends it the average, such as for a last score.
+
+    A policy that returns NaN or infinity ends the training; the best one is kept.
+
+    Parameters
+    ----------
+    task : str, optional
+        As in `spoofgym.evaluate`.
+    every : int
+        Steps of all receivers together from one score to the next; the first one is that of the
+        policy as it begins.
+    path : str or Path, optional
+        Where the best policy is written, ``.../NAME.onnx``, with its card; needs the extra
+        ``train``.
+    fit_runs : int
+        Training runs, on which it is scored.
+    average : float
+        How much of the average stays at every rollout, in [0, 1); 0 for the policy as it is.
+    entropy, threads, progress : optional
+        As in `spoofgym.evaluate`.
+    judge : Evaluator, optional
+        Made before, in place of all that decides one: task, runs and world.
+    verbose : int
+        1 for a line at every score.
+    **world
+        As in `spoofgym.evaluate`.
+
+    Attributes
+    ----------
+    history : list of (int, TuningResult)
+        Steps, and what was found then.
+    best_m, best_step, best_amplitude : float, int and float
+        Largest score within the budget [m], when it was, and its amplitude; 0, -1 and 1 before.
+    diverged : str or None
+        Why the training was ended.
+    """
+
+    def __init__(
+        self,
+        task: str | None = None,
+        *,
+        every: int = 50_000,
+        path: str | Path | None = None,
+        fit_runs: int = FIT_RUNS,
+        average: float = 0.0,
+        entropy: int = 0,
+        threads: int | None = None,
+        progress: Progress | None = None,
+        judge: Evaluator | None = None,
+        verbose: int = 1,
+        **world: Any,
+    ) -> None:
+        super().__init__(verbose)
+        if judge is not None and (task is not None or world):
+            raise ValueError("`judge` decides the world: no task and no settings can be given")
+        self.every = whole_number("`every`", every, 1)
+        self.path = None if path is None else Path(path)
+        if self.path is not None and self.path.suffix != ".onnx":
+            raise ValueError(f"`path` must end in .onnx, got {path}")
+        check_finite("average", average)
+        if not 0.0 <= average < 1.0:
+            raise ValueError(f"`average` must be in [0, 1), got {average}")
+        self._average = WeightAverage(average)
+        self.judge = judge or Evaluator(
+            task, fit_runs=fit_runs, entropy=entropy, threads=threads, progress=progress, **world
+        )
+        self.history: list[tuple[int, TuningResult]] = []
+        self.best_m, self.best_step, self.best_amplitude = 0.0, -1, 1.0
+        self.diverged: str | None = None
+        self._next, self._averaged_at = 0, -1
+
+    def _on_rollout_start(self) -> None:
+        """Score the policy, when that is due; it is not updated before the rollout is full."""
+        self._update_average()
+        if self.num_timesteps >= self._next:
+            self._next = self.num_timesteps + self.every
+            self._score()
+
+    def _on_step(self) -> bool:
+        return self.diverged is None
+
+    def _on_training_end(self) -> None:
+        self._update_average()
+        self._score()
+
+    def _update_average(self) -> None:
+        """Take in the weights, once after every update."""
+        if self._average.keeps and self.num_timesteps != self._averaged_at:
+            self._average.update(self.model)
+            self._averaged_at = self.num_timesteps
+
+    @contextmanager
+    def averaged(self) -> Iterator[None]:
+        """Let the model act by the average of its weights for a while.
+
+        Yields
+        ------
+        None
+            Afterwards it has its own weights again; without ``average`` it keeps them.
+        """
+        if not self._average.weights:  # nothing is averaged, or nothing has been learned
+            yield
+            return
+        with self._average.applied(self.model):
+            yield
+
+    def state(self) -> dict[str, Any]:
+        """What it has found so far, JSON-able, for a checkpoint.
+
+        Returns
+        -------
+        dict
+            For `restore`.
+        """
+        own = {name: getattr(self, name) for name in STATE}
+        history = [[step, found.as_dict()] for step, found in self.history]
+        return {**own, "history": history, "average": self._average.state()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a checkpoint; the file of the best policy is kept by whoever wrote it.
+
+        Parameters
+        ----------
+        state : mapping
+            From `state`.
+        """
+        for name in STATE:
+            setattr(self, name, state[name])
+        self._average.restore(state["average"])
+        self.history = [(step, TuningResult.from_dict(found)) for step, found in state["history"]]
+
+    def give_up(self, why: str) -> None:
+        """End the training as diverged, with a warning; the best policy is kept.
+
+        Parameters
+        ----------
+        why : str
+            What has happened.
+        """
+        kept = (
+            f"the best one, of step {self.best_step:,} with {self.best_m:.2f} m, is kept"
+            if self.best_step >= 0
+            else "none before it was within the budget"
+        )
+        self.diverged = f"training has diverged after {self.num_timesteps:,} steps: {why}; {kept}"
+        warnings.warn(self.diverged, UserWarning, stacklevel=3)
+
+    def _score(self) -> None:
+        """Score the policy as it is, unless that has been done, or it has diverged."""
+        done = bool(self.history) and self.history[-1][0] == self.num_timesteps
+        if done or self.diverged is not None:
+            return
+        try:
+            with self.averaged():
+                found = self.judge.fit(self.model)
+        except NotFinite as error:
+            self.give_up(str(error))
+            return
+        self.history.append((self.num_timesteps, found))
+        better = found.within_budget and (self.best_step < 0 or found.score > self.best_m)
+        if better:
+            self.best_m, self.best_step = found.score, self.num_timesteps
+            self.best_amplitude = found.value
+            if self.path is not None:
+                self._keep(found)
+        chosen = found.chosen
+        for key, value in (
+            ("stealthy_m", found.score),
+            ("amplitude", found.value),
+            ("alarm_rate", chosen.alarm_rate),
+            ("best_m", self.best_m),
+        ):
+            self.logger.record(f"spoofer/{key}", value)
+        if self.verbose:
+            over = "" if found.within_budget else ", over the budget"
+            print(
+                f"{self.num_timesteps:>10,d} steps   stealthy {found.score:8.2f} m   alarms "
+                f"{100 * chosen.alarm_rate:5.1f} %   amplitude {found.value:.3g}{over}"
+                f"{'   best' if better else ''}",
+                flush=True,
+            )
+
+    def _keep(self, found: TuningResult) -> None:
+        from ..export import onnx  # torch, which the engine does not need
+
+        assert self.path is not None  # else nothing is kept
+        with self.averaged():
+            onnx(self.model, path=self.path, amplitude=found.value)
