@@ -25,6 +25,8 @@ What is not a default of PPO or of the environment, and why:
    set of settings suits detectors that allow for metres and for hundreds of metres.
 6. The environment's action is a wanted rate; `full_scale_mps` is what an action of 1 asks for, and
    an attack that a detector allows has to be within it (T4 allows for metres a second).
+7. `average`: what is scored and kept is the average of the weights over some ten updates, since the
+   policy jitters by metres from one update to the next.
 """
 
 from __future__ import annotations
@@ -43,12 +45,12 @@ import numpy as np
 import torch
 import tyro
 from rich.console import Console
-from rich.progress import Progress
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
+from agents.bar import Bar
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
 from agents.folder import error_lines, open_folder, used_versions
@@ -106,7 +108,9 @@ class Arguments:
     """Logarithm of the exploration's standard deviation at first, in parts of the full scale."""
     full_scale_mps: float = 1.0
     """Rate that an action of 1 asks for."""
-    stages: int = 4
+    average: float = 0.9
+    """How much of the averaged weights stays at every update; 0 for the policy as it is."""
+    stages: int = 6
     """How often a policy is scored, and a checkpoint is written."""
     fit_runs: int = 256
     """Training runs, on which amplitudes are fitted and the best policy is chosen."""
@@ -131,6 +135,7 @@ class Arguments:
             *((name, 1, math.inf) for name in ("steps", "num_envs", "batch_size", "n_epochs")),
             *((name, 1, math.inf) for name in ("stages", "fit_runs", "runs")),
             ("gae_lambda", 0.0, 1.0),
+            ("average", 0.0, 0.999),
             ("learning_rate", 0.0, 1.0),
             ("log_std_init", -20.0, 2.0),
             ("full_scale_mps", 1e-3, 1e3),
@@ -231,7 +236,13 @@ class Training:
     def __post_init__(self) -> None:
         """Make a fresh model, and take over what its folder holds."""
         args = self.args
-        self.watch = ScoreCallback(judge=self.judge, every=args.steps, path=self.policy, verbose=0)
+        self.watch = ScoreCallback(
+            judge=self.judge,
+            every=args.steps,
+            path=self.policy,
+            average=args.average,
+            verbose=0,
+        )
         self.envs = VecNormalize(args.make_envs(), gamma=1.0)
         self.model = make_model(args, self.seed, self.envs, self._learning_rate)
         if args.tensorboard:
@@ -327,21 +338,6 @@ class Training:
 def finite(model: PPO) -> bool:
     """Whether all weights are numbers."""
     return all(bool(torch.isfinite(weight).all()) for weight in model.policy.parameters())
-
-
-class Bar(BaseCallback):
-    """Shows how far a training is."""
-
-    def __init__(self, console: Console, name: str, steps: int) -> None:
-        super().__init__()
-        self.progress = Progress(*Progress.get_default_columns(), console=console)
-        self.task = self.progress.add_task(name, total=steps)
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        self.progress.update(self.task, completed=self.num_timesteps)
 
 
 def train(args: Arguments, console: Console) -> dict[str, Any]:
