@@ -16,6 +16,7 @@ pytest.importorskip("stable_baselines3")
 
 import gymnasium as gym
 from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
 from spoofgym.envs import SpoofEnv
@@ -530,9 +531,84 @@ def test_a_callback_goes_on_from_its_state():
         ScoreCallback("T3", judge=first.judge)
 
 
+def weights_of(model):
+    return {name: w.detach().numpy().copy() for name, w in model.policy.named_parameters()}
+
+
+class WeightLog(BaseCallback):
+    """Keeps the weights that every rollout began with."""
+
+    def __init__(self):
+        super().__init__()
+        self.seen = []
+
+    def _on_step(self):
+        return True
+
+    def _on_rollout_start(self):
+        self.seen.append(weights_of(self.model))
+
+
+def test_a_callback_scores_the_average_of_the_weights(tmp_path):
+    pytest.importorskip("onnxscript")
+    callback, log = scored(every=1600, average=0.75, path=tmp_path / "best.onnx"), WeightLog()
+    model = learner(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD))
+    model.learn(480, callback=[callback, log])
+    own = weights_of(model)
+    expected = log.seen[0]
+    for now in (*log.seen[1:], own):
+        expected = {name: 0.75 * expected[name] + 0.25 * now[name] for name in now}
+    with callback.averaged():
+        inside = weights_of(model)
+        refitted = callback.judge.fit(model)
+    for name, weight in expected.items():
+        np.testing.assert_allclose(inside[name], weight, rtol=1e-5, atol=1e-7)
+    assert any(not np.array_equal(inside[name], own[name]) for name in own)
+    assert all(np.array_equal(weight, own[name]) for name, weight in weights_of(model).items())
+    assert callback.history[-1][1] == refitted
+    assert callback.judge.fit(model) != refitted
+    assert callback.best_step == 480
+    kept = callback.judge.score(str(tmp_path / "best.onnx"), amplitude=None)
+    with callback.averaged():
+        live = callback.judge.score(model, amplitude=callback.best_amplitude)
+    np.testing.assert_allclose(kept.displacement_m, live.displacement_m, rtol=1e-3)
+
+
+def test_an_average_goes_on_from_a_state_as_if_it_had_not_stopped():
+    """A stage that ends counts its last weights once, before and after."""
+    judge = scored().judge
+    averages = []
+    for cut in (False, True):
+        callback = ScoreCallback(judge=judge, every=1600, average=0.75, verbose=0)
+        model = learner(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD))
+        model.learn(320, callback=callback)
+        if cut:
+            state = json.loads(json.dumps(callback.state()))
+            callback = ScoreCallback(judge=judge, every=1600, average=0.75, verbose=0)
+            callback.restore(state)
+        model.learn(320, callback=callback, reset_num_timesteps=False)
+        averages.append(callback.state()["average"])
+    assert averages[0] == averages[1]
+
+
+def test_nothing_is_averaged_unless_asked_for():
+    callback = scored(every=1600)
+    model = learner(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD))
+    model.learn(160, callback=callback)
+    assert callback.state()["average"] == {}
+    own = weights_of(model)
+    with callback.averaged():
+        assert all(np.array_equal(weight, own[name]) for name, weight in weights_of(model).items())
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
-    [({"every": 0}, "`every` must be"), ({"path": "best.zip"}, r"`path` must end in \.onnx")],
+    [
+        ({"every": 0}, "`every` must be"),
+        ({"path": "best.zip"}, r"`path` must end in \.onnx"),
+        ({"average": 1.0}, r"`average` must be in \[0, 1\), got 1.0"),
+        ({"average": float("nan")}, "`average` must be a finite number, got nan"),
+    ],
 )
 def test_bad_settings_of_a_callback_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):

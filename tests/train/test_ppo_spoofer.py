@@ -18,6 +18,7 @@ for name in ("stable_baselines3", "onnxscript", "tyro", "matplotlib"):
 
 from rich.console import Console
 
+from agents.bar import Bar
 from agents.folder import open_folder
 from agents.record import read_record
 from spoofgym.bench.evaluate import Evaluator
@@ -184,7 +185,7 @@ def test_a_training_that_diverges_keeps_the_best_and_says_so(trained, tmp_path):
 
     training.model.learn = learn_and_break
     with pytest.warns(UserWarning, match="training has diverged after 200 steps"):
-        training.run(ppo_spoofer.Bar(quiet(), "seed 0", 400))
+        training.run(Bar(quiet(), "seed 0", 400))
     training.envs.close()
     assert training.watch.diverged is not None
     row = training.scored({})
