@@ -16,7 +16,7 @@ from spoofgym.bench.attack_suite import FAMILIES
 from spoofgym.bench.entries import detector_entry
 from spoofgym.cli import app
 from spoofgym.detector_tasks import DETECTOR_TASKS, ONSETS, PUBLIC, detector_task_of
-from spoofgym.detectors import make_detector
+from spoofgym.detectors import make_detector, zoo
 from spoofgym.duel.learner import LearnersSide
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import TASKS
@@ -144,6 +144,20 @@ def test_classics_have_the_tasks_own_bank_and_both_controls(key):
     assert ("longest_s" in bank) == (key == "D2")
     for spec in specs:
         make_detector(spec)
+
+
+@each_task
+def test_a_learned_detector_is_scored_where_it_has_learned_from_nothing_held_out(key):
+    """The guard has learned from counterfeits as in T3, which D3 holds out; D2 is another world."""
+    task = DETECTOR_TASKS[key]
+    names = [spec["name"] for spec in detector_cards.learned_of(task)]
+    assert names == (["trolley-guard"] if key in ("D1", "D4") else [])
+    for name in names:
+        card = json.loads(zoo.path_of(name).with_suffix(".json").read_text())
+        public = {family.key for family in task.public}
+        told = {"ramp": "ramps", "accelerating-ramp": "ramps", "profile": "profiles"}
+        told |= {"dash": "dashes", "blind-optimum": "blind-optima"}
+        assert {told.get(each, each) for each in card["training"]["families"]} <= public
 
 
 def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():

@@ -24,6 +24,7 @@ from spoofgym.bench.detector_cards import (
     HEAD,
     classics_of,
     family_rows,
+    learned_of,
     missing,
     score_rows,
     stored_cards,
@@ -34,6 +35,7 @@ from spoofgym.bench.evaluate_detector import DetectorEvaluator
 from spoofgym.bench.report import markdown_table
 from spoofgym.cli.output import progress
 from spoofgym.detector_tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
+from spoofgym.detectors import zoo
 from tools.pages import put_between
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -46,19 +48,19 @@ def played(
     task: DetectorTask, out: Path, runs: int, selection_runs: int, only: list[str] | None
 ) -> dict[str, Any]:
     """Play a task, and return its card; `only` some detectors, by their names."""
-    everyone = classics_of(task)
-    classics = [each for each in everyone if only is None or each["name"] in only]
+    everyone = (*classics_of(task), *learned_of(task))
+    chosen = [each for each in everyone if only is None or each["name"] in only]
     evaluator = DetectorEvaluator(
         task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1
     )
-    suite = evaluator.suite_of(classics)
+    suite = evaluator.suite_of(chosen)
     refused: dict[str, str] = {}
-    unplayed = [detector_entry(each).label for each in everyone if each not in classics]
+    unplayed = [detector_entry(each).label for each in everyone if each not in chosen]
     if left := missing_runs(suite):
         labels = [each.label for each in suite.detector_entries]
         with progress(left) as bar:
             refused = calibrate_suite(suite, progress=bar, optional=labels)
-    entries = zip(suite.detector_entries, classics, strict=True)
+    entries = zip(suite.detector_entries, chosen, strict=True)
     whom = [spec for entry, spec in entries if entry.label not in refused]
     with progress(evaluator.expected_work(whom)) as bar:
         evaluator.progress = bar
@@ -67,8 +69,9 @@ def played(
 
 
 def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
-    """What is kept of a task: scores, and paired differences to the best of them."""
-    classics = [each for each in scores if name_of(each.detector) not in CONTROLS]
+    """What is kept of a task: scores, and paired differences to the best classic."""
+    others = (*CONTROLS, *zoo.shipped())
+    classics = [each for each in scores if name_of(each.detector) not in others]
     best = min(classics, key=lambda each: np.nan_to_num(each.p_hmi.value, nan=2.0))
     first = scores[0]
     return {

@@ -7,7 +7,8 @@ from importlib.resources import files
 from typing import Any
 
 from ..detector_tasks import DETECTOR_TASKS, DetectorTask
-from ..tasks import RANGE_RATE_TESTS, SUITE
+from ..detectors import zoo
+from ..tasks import RANGE_RATE_TESTS, SUITE, task_of
 from .tables import interval
 
 FILE = "detector_cards_v1.json"
@@ -38,6 +39,19 @@ def classics_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
     others = ("snapshot-chi2", "innovation-rate", "raim", "ewma")
     controls = {"name": "never"}, {"name": "lottery"}
     return (*controls, plain, *tests, *({"name": name} for name in others))
+
+
+def learned_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
+    """Shipped detectors that have learned in this world, and so from no family held out here.
+
+    A world whose counterfeit is another one holds out what they have learned from.
+    """
+    return tuple({"name": name} for name in zoo.shipped() if _learned_in(name, task))
+
+
+def _learned_in(name: str, task: DetectorTask) -> bool:
+    card = json.loads(zoo.path_of(name).with_suffix(".json").read_text(encoding="utf-8"))
+    return task_of(card["training"]["task"]).settings == task.task.settings
 
 
 def stored_cards() -> dict[str, dict[str, Any]]:
