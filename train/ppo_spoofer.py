@@ -92,7 +92,7 @@ class Arguments:
     """What an alarm costs in the reward, in lengths; as in the environment by default."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     """One training each; they seed the network, the exploration and the episodes."""
-    steps: int = 1_500_000
+    steps: int = 3_000_000
     """Steps of all receivers together, for each seed."""
     num_envs: int = 64
     """Receivers side by side."""
@@ -110,7 +110,7 @@ class Arguments:
     """Rate that an action of 1 asks for."""
     average: float = 0.9
     """How much of the averaged weights stays at every update; 0 for the policy as it is."""
-    stages: int = 6
+    stages: int = 10
     """How often a policy is scored, and a checkpoint is written."""
     fit_runs: int = 256
     """Training runs, on which amplitudes are fitted and the best policy is chosen."""
