@@ -75,6 +75,9 @@ class Arguments:
     """Units of the recurrent unit; the encoder of a satellite has half of them."""
     projections: int = 8
     """Vectors onto which innovations are projected."""
+    least_live_s: float = 10.0
+    """Every minibatch begins at a drawn moment, at least so long before the onset: all attacks of a
+    data set start at one epoch, and a network that remembers could count."""
     emphasis: float = 3.0
     """Weight of what is scored, beside the logistic loss."""
     false_alarms_per_hour: float = 0.2
@@ -89,7 +92,7 @@ class Arguments:
         for name in ("passes", "patience", "batch_size", "width", "projections", "threads"):
             if getattr(self, name) < 1:
                 raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}")
-        for name in ("learning_rate", "clip_norm", "false_alarms_per_hour"):
+        for name in ("learning_rate", "clip_norm", "false_alarms_per_hour", "least_live_s"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"`{name}` must be finite and > 0, got {value}")
@@ -132,7 +135,8 @@ class Trainer:
         size, losses = self.given.batch_size, []
         for start in track(range(0, len(order), size), f"pass {self.done + 1}", transient=True):
             rows = np.sort(order[start : start + size])
-            loss = self._loss(Episodes(*(part[rows] for part in episodes)))
+            begin = int(rng.integers(self.latest + 1))
+            loss = self._loss(Episodes(*(part[rows] for part in episodes)), begin)
             self.optimizer.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.given.clip_norm)
@@ -144,15 +148,23 @@ class Trainer:
         self.done += 1
         return float(np.mean(losses))
 
-    def _loss(self, some: Episodes) -> torch.Tensor:
-        """Loss of some episodes."""
-        odds = self.network.log_odds(torch.from_numpy(some.observation.astype(np.float32)))
-        moved = torch.from_numpy(some.displacement_m) / self.config["length_m"]
+    @property
+    def latest(self) -> int:
+        """Latest epoch at which a minibatch may begin."""
+        least = math.ceil(self.given.least_live_s / self.config["interval_s"])
+        return max(int(self.config["epochs"]["live"]) - least, 0)
+
+    def _loss(self, some: Episodes, begin: int) -> torch.Tensor:
+        """Loss of some episodes, from an epoch before the onset on."""
+        seen = torch.from_numpy(some.observation[:, begin:].astype(np.float32))
+        odds = self.network.log_odds(seen)
+        moved = torch.from_numpy(some.displacement_m[:, begin:]) / self.config["length_m"]
         moved, clean = moved.clamp(max=1.0), torch.from_numpy(some.clean)
-        loss = logistic(odds, torch.from_numpy(some.attack), moved)
+        loss = logistic(odds, torch.from_numpy(some.attack[:, begin:]), moved)
         if clean.all() or not clean.any():  # a small rest of a pass
             return loss
-        return loss + self.given.emphasis * undetected(odds, moved, clean, self.config["epochs"])
+        epochs = {**self.config["epochs"], "live": self.config["epochs"]["live"] - begin}
+        return loss + self.given.emphasis * undetected(odds, moved, clean, epochs)
 
     def score(self, episodes: Episodes) -> Scored:
         """Play some runs."""

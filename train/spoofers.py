@@ -60,6 +60,8 @@ class Settings:
     """Seeds of every cell."""
     steps: int = 1_500_000
     """Steps of each training."""
+    stages: int = 5
+    """How often each of them is scored."""
     fit_runs: int = 256
     """Training runs, on which amplitudes are fitted."""
     runs: int = 400
@@ -91,7 +93,7 @@ class Settings:
             "knowledge": knowledge,
             "rivals": (*RIVALS, FEEDBACK) if blind else ("ramp",),
         }
-        own = ("seeds", "steps", "fit_runs", "runs")
+        own = ("seeds", "steps", "stages", "fit_runs", "runs")
         further = json.loads(self.further)
         return Arguments(**{**given, **{name: getattr(self, name) for name in own}, **further})
 

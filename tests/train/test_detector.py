@@ -61,7 +61,7 @@ def torch_threads() -> Any:
 
 
 def arguments(data: Path, out: Path, **changes: Any) -> Arguments:
-    small = {"passes": 3, "batch_size": 8, "width": 8, "projections": 2}
+    small = {"passes": 3, "batch_size": 8, "width": 8, "projections": 2, "least_live_s": 2.0}
     return Arguments(data=data, out=out, false_alarms_per_hour=OFTEN, **{**small, **changes})
 
 
@@ -129,13 +129,56 @@ def test_a_killed_training_comes_to_the_same_result(
         assert {**mine, "wall_s": 0} == {**theirs, "wall_s": 0}
 
 
+def test_minibatches_begin_at_drawn_moments_before_the_onset(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a network that remembers could count the epochs to the onset of all attacks."""
+    begins, lengths, loss = [], [], Trainer._loss
+    trainer = Trainer(arguments(data, tmp_path / "guard"), load(data))
+    log_odds = trainer.network.log_odds
+
+    def logged(self: Trainer, some: Episodes, begin: int) -> Any:
+        begins.append(begin)
+        return loss(self, some, begin)
+
+    def measured(seen: Any) -> Any:
+        lengths.append(seen.shape[1])
+        return log_odds(seen)
+
+    monkeypatch.setattr(Trainer, "_loss", logged)
+    monkeypatch.setattr(trainer.network, "log_odds", measured)
+    episodes = trainer.data.episodes("train")
+    trainer.normalize(episodes)
+    for _ in range(5):
+        trainer.learn(episodes)
+    epochs = trainer.config["epochs"]
+    least = 2.0 / trainer.config["interval_s"]
+    assert len(set(begins)) > 5
+    assert 0 <= min(begins) <= max(begins) <= epochs["live"] - least
+    assert lengths == [epochs["all"] - begin for begin in begins]
+
+
+def test_the_loss_from_a_later_moment_is_that_of_episodes_cut_there(
+    data: Path, tmp_path: Path
+) -> None:
+    trainer = Trainer(arguments(data, tmp_path / "guard"), load(data))
+    episodes = trainer.data.episodes("train")
+    trainer.normalize(episodes)
+    late = trainer._loss(episodes, 7)
+    assert not torch.equal(late, trainer._loss(episodes, 0))
+    cut = [part[:, 7:] if part.ndim > 1 else part for part in episodes]
+    epochs = trainer.config["epochs"]
+    trainer.config = {**trainer.config, "epochs": {**epochs, "live": epochs["live"] - 7}}
+    assert torch.equal(late, trainer._loss(Episodes(*cut), 0))
+
+
 def test_the_best_is_kept_where_training_diverges(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loss = Trainer._loss
 
-    def broken(self: Trainer, some: Episodes) -> Any:
-        return loss(self, some) * (float("nan") if self.done == 1 else 1.0)
+    def broken(self: Trainer, some: Episodes, begin: int) -> Any:
+        return loss(self, some, begin) * (float("nan") if self.done == 1 else 1.0)
 
     monkeypatch.setattr(Trainer, "_loss", broken)
     console = Console(record=True, quiet=False, width=200, file=StringIO())
@@ -143,7 +186,11 @@ def test_the_best_is_kept_where_training_diverges(
     assert "pass 2 diverged" in console.export_text()
     card = json.loads(file.with_suffix(".json").read_text())
     assert card["training"]["best_pass"] == 1
-    monkeypatch.setattr(Trainer, "_loss", lambda self, some: loss(self, some) * float("nan"))
+
+    def never(self: Trainer, some: Episodes, begin: int) -> Any:
+        return loss(self, some, begin) * float("nan")
+
+    monkeypatch.setattr(Trainer, "_loss", never)
     with pytest.raises(ValueError, match="nothing to keep"):
         train(arguments(data, tmp_path / "none"), quiet())
 
