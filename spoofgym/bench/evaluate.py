@@ -48,7 +48,8 @@ class Score:
     - `runs`, `counted`: evaluation runs, and those that are silent before the onset and without an
       attack, over which all else is taken;
     - `stealthy_displacement_m`: mean undetected displacement with its 95 % interval [m];
-    - `alarm_rate`: part of the runs with an alarm, with its 95 % interval;
+    - `alarm_rate`: part of the runs with an alarm, with its 95 % interval; `clean_alarm_rate`, of
+      all runs without an attack;
     - `budget`: largest rate that is allowed; `within_budget`, whether it is kept on the evaluation
       runs, by the rate itself;
     - `fit_within_budget`: the same on the training runs, by the upper 95 % limit of the rate; None
@@ -67,6 +68,7 @@ class Score:
     counted: int
     stealthy_displacement_m: Estimate
     alarm_rate: Estimate
+    clean_alarm_rate: float
     budget: float
     within_budget: bool
     fit_within_budget: bool | None
@@ -105,6 +107,7 @@ class Score:
             **{name: getattr(self, name) for name in plain},
             "stealthy_displacement_m": self.stealthy_displacement_m.as_json(),
             "alarm_rate": self.alarm_rate.as_json(),
+            "clean_alarm_rate": self.clean_alarm_rate,
             "budget": self.budget,
             "within_budget": self.within_budget,
             "fit_within_budget": self.fit_within_budget,
@@ -299,6 +302,7 @@ class Evaluator:
             counted=stealth.runs,
             stealthy_displacement_m=bootstrap_mean(moved[counts], samples),
             alarm_rate=wilson(stealth.alarms, stealth.runs),
+            clean_alarm_rate=float((twin.first_alarm > 0).mean()),
             budget=budget,
             within_budget=stealth.seems_to_keep(budget),
             fit_within_budget=within,

@@ -1,0 +1,71 @@
+"""Ship a learned spoofer with the package, scored on evaluation runs.
+
+    python -m tools.ship_spoofer runs/ppo-T3/ppo-T3.onnx --name solution-separation-ppo --task T3
+
+The policy and its card go to the zoo under a name, with the score on the card.  The amplitude is
+the one in the file: it was fitted on training runs, and nothing is chosen here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from agents.folder import error_lines
+from agents.seeds import copy_policy
+from spoofgym.bench.evaluate import RUNS, Evaluator, Score
+from spoofgym.cli.output import progress
+from spoofgym.spoofers.card import Card
+from spoofgym.spoofers.card import Score as CardScore
+from spoofgym.spoofers.zoo import ZOO_FOLDER
+
+
+def on_card(score: Score, entropy: int) -> CardScore:
+    """A score as a card has it."""
+    moved = score.stealthy_displacement_m
+    return CardScore(
+        detector=score.detector,
+        split="evaluation",
+        entropy=entropy,
+        runs=score.runs,
+        counted=score.counted,
+        undetected_displacement_m=moved.value,
+        low=moved.low,
+        high=moved.high,
+        alarm_rate=score.alarm_rate.value,
+        clean_alarm_rate=score.clean_alarm_rate,
+        budget=score.budget,
+    )
+
+
+def ship(policy: Path, name: str, judge: Evaluator, folder: Path = ZOO_FOLDER) -> Path:
+    """Copy a policy into the zoo, with its score; refused where it is over the budget."""
+    score = judge.score(str(policy), amplitude=None)
+    if not score.within_budget:
+        raise ValueError(f"{policy} is not shipped: {score}")
+    target = folder / f"{name}.onnx"
+    copy_policy(policy, target, {})
+    card = Card.load(target.with_suffix(".json"))
+    scores = (on_card(score, judge.suite.entropy),)
+    card.model_copy(update={"scores": scores}).save(target.with_suffix(".json"))
+    print(score)
+    return target
+
+
+def main(arguments: list[str]) -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("policy", type=Path, help="an .onnx file with its card")
+    parser.add_argument("--name", required=True, help="of the shipped spoofer")
+    parser.add_argument("--task", required=True, help="whose detector it has learned against")
+    parser.add_argument("--runs", type=int, default=RUNS, help="evaluation runs")
+    parser.add_argument("--seed", type=int, default=1, help="of these runs; trainings have 0")
+    given = parser.parse_args(arguments)
+    with error_lines(), progress(3.0 * given.runs) as bar:
+        judge = Evaluator(given.task, runs=given.runs, entropy=given.seed, progress=bar)
+        ship(given.policy, given.name, judge)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
