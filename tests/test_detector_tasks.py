@@ -21,7 +21,7 @@ from spoofgym.duel.learner import LearnersSide
 from spoofgym.spoofers import make_spoofer
 from spoofgym.tasks import TASKS
 from tests.bench.detector_support import small_task
-from tools.detector_cards import BEGIN, END, PAGE, shown
+from tools.detector_cards import BEGIN, END, PAGE, shown, with_others
 from tools.pages import part_between
 
 RUNNER = CliRunner()
@@ -180,6 +180,22 @@ def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
         low, high = (by_name["lottery"]["less_best"][name] for name in ("low", "high"))
         never = by_name["never"]["less_best"]["value"]
         assert low <= never <= high  # chance is told from nothing by nobody
+
+
+def test_a_card_keeps_the_rows_of_the_same_runs_and_no_others():
+    stored = detector_cards.stored_cards()["D1"]
+    best = stored["best_classic"]
+    few = [each for each in stored["detectors"] if each["detector"] in (best, "never")]
+    left = {"ewma": "not played", "raim": "not played"}
+    card = {**stored, "detectors": few, "left_out": left}
+    whole = with_others(card, stored)
+    names = [each["detector"] for each in whole["detectors"]]
+    assert sorted(names) == sorted(each["detector"] for each in stored["detectors"])
+    assert whole["left_out"] == {"raim": "not played"}
+    assert with_others(card, None) == card
+    assert with_others({**card, "selection_runs": 7}, stored)["detectors"] == few
+    other = [{**each, "runs": 3} if each["detector"] == best else each for each in few]
+    assert with_others({**card, "detectors": other}, stored)["detectors"] == other
 
 
 def test_the_page_has_the_tables_of_the_cards():

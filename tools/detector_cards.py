@@ -85,6 +85,25 @@ def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
     }
 
 
+def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str, Any]:
+    """A card with the rows of a stored one that was played on the same runs, and what they lack.
+
+    The stored rows stay where the best classic, which all are compared with, has the same scores.
+    """
+    same = ("runs", "selection_runs", "entropy", "best_classic")
+    if stored is None or any(card[name] != stored[name] for name in same):
+        return card
+    rows, old = ({each["detector"]: each for each in of["detectors"]} for of in (card, stored))
+    best = card["best_classic"]
+    if rows[best] != old[best]:
+        return card
+    kept = [each for name, each in old.items() if name not in rows]
+    found = [*card["detectors"], *kept]
+    names = {each["detector"] for each in found}
+    left = {name: why for name, why in card["left_out"].items() if name not in names}
+    return {**card, "detectors": found, "left_out": left}
+
+
 def shown() -> str:
     """Tables of the page."""
     cards = stored_cards()
@@ -110,12 +129,13 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--out", type=Path, default=Path("results/detectors"))
     parser.add_argument("--runs", type=int, default=RUNS, help="evaluation runs of every family")
     parser.add_argument("--selection-runs", type=int, default=SELECTION_RUNS)
-    parser.add_argument("--only", nargs="+", help="detectors by their names; default: all")
+    parser.add_argument("--only", nargs="+", help="by their names; others keep stored scores")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)
     for key in () if given.tables_only else given.tasks or DETECTOR_TASKS:
         sizes = given.runs, given.selection_runs
         card = played(detector_task_of(key), given.out, *sizes, given.only)
+        card = with_others(card, stored_cards().get(key))
         kept = {**stored_cards(), key: card}
         kept = {name: kept[name] for name in DETECTOR_TASKS if name in kept}
         write_file(KEPT, (json.dumps(kept, indent=1, allow_nan=False) + "\n").encode())
