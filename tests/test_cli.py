@@ -23,6 +23,7 @@ from spoofgym.bench.store import ResultsFolder
 from spoofgym.cli import app
 from spoofgym.cli.options import ENV, World, with_world
 from spoofgym.detectors import DETECTORS
+from spoofgym.detectors.zoo import path_of
 from spoofgym.detectors.zoo import shipped as learned
 from spoofgym.spoofers import SPOOFERS, shipped
 
@@ -217,8 +218,22 @@ def test_list_and_card_show_what_is_shipped(
             assert part in card.output
         assert json.loads(call("card", name, "--json").stdout)["name"] == "push"
     assert "rates_mps" in call("card", "curve").output
-    assert "unknown shipped spoofer 'pull'; valid: curve, push, track" in refused("card", "pull")
+    wrong = " ".join(refused("card", "pull").split())
+    assert "unknown shipped spoofer or detector 'pull'; valid: curve, push, track" in wrong
     assert "there is no card nowhere.json" in refused("card", "nowhere.onnx")
+
+
+def test_a_card_of_a_detector_is_shown_by_name_and_by_file() -> None:
+    file = path_of("trolley-guard")
+    for name in ("trolley-guard", str(file), str(file.with_suffix(".json"))):
+        found = call("card", name)
+        assert found.exit_code == 0, found.output
+        for part in ("detector-policy", "hidden (32)", "12 slots, epochs of 0.5 s", "best_pass"):
+            assert part in found.output
+        assert json.loads(call("card", name, "--json").stdout)["statistic"] == "receiver"
+    damaged = Path("damaged.json")
+    damaged.write_text('{"kind": "detector-policy"}')
+    assert "card damaged.json" in refused("card", "damaged.json")
 
 
 def test_bench_and_run_take_learned_and_optimised_spoofers(

@@ -1,4 +1,4 @@
-"""Cards of spoofers, to be read by people."""
+"""Cards of spoofers and of learned detectors, to be read by people."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+from .._registry import check_choice
+from ..detectors import zoo
+from ..detectors.learned.card import DetectorCard
+from ..policies.card import PolicyFile
 from ..spoofers.card import Card
-from ..spoofers.zoo import card_of
+from ..spoofers.zoo import card_of, shipped
 
 SCORES_HEAD = (
     "detector",
@@ -22,12 +26,25 @@ SHOWN = 60
 """Letters of a long list or text that are shown."""
 
 
-def find_card(name: str) -> Card:
-    """Card by the name of a shipped spoofer, or by a file."""
+def find_card(name: str) -> Card | DetectorCard:
+    """Card by the name of a shipped spoofer or detector, or by a file."""
     path = Path(name)
     if path.suffix in {".json", ".onnx"}:
-        return Card.load(path.with_suffix(".json"))
+        path = path.with_suffix(".json")
+        return DetectorCard.load(path) if _is_of_detector(path) else Card.load(path)
+    check_choice("shipped spoofer or detector", name, [*shipped(), *zoo.shipped()])
+    if name in zoo.shipped():
+        return DetectorCard.load(zoo.path_of(name).with_suffix(".json"))
     return card_of(name)
+
+
+def _is_of_detector(path: Path) -> bool:
+    """Whether a file says that it is the card of a detector; False where it can't be read."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and found.get("kind") == "detector-policy"
 
 
 def score_text(score: dict[str, Any]) -> str:
@@ -56,9 +73,43 @@ def score_rows(card: Card) -> list[tuple[str, ...]]:
     ]
 
 
+def detector_card_rows(card: DetectorCard) -> list[tuple[str, str]]:
+    """What is on the card of a detector, field by field."""
+    each = {"receiver": "one for the receiver", "channel": "one for every slot"}
+    terms = "those of the duel"
+    if card.terms is not None:
+        terms = _cut(", ".join(str(term["name"]) for term in card.terms))
+    memory = ", ".join(f"{state.name} ({state.size})" for state in card.state)
+    threshold = "none on the card: `spoofgym calibrate` finds one in a world"
+    return [
+        ("kind", card.kind),
+        ("observes", _names(card.observation.names)),
+        ("terms", terms),
+        ("statistic", each[card.statistic]),
+        ("weighs satellites", "yes" if card.weighs else "no"),
+        ("remembers", memory or "nothing"),
+        ("made for", f"{card.channels or 'any number of'} slots, epochs of {_interval(card)}"),
+        ("threshold", threshold if card.threshold is None else f"{card.threshold:g}"),
+        *_settings("calibration", card.calibration),
+        *_settings("training", card.training),
+        *_file_rows(card.file),
+    ]
+
+
+def _interval(card: DetectorCard) -> str:
+    return "any length" if card.interval_s is None else f"{card.interval_s:g} s"
+
+
+def _file_rows(file: PolicyFile) -> list[tuple[str, str]]:
+    return [
+        ("file", f"{file.name}, {file.bytes} bytes, opset {file.opset}"),
+        ("sha256", file.sha256),
+    ]
+
+
 def card_rows(card: Card) -> list[tuple[str, str]]:
     """What else is on a card, field by field."""
-    conditions, file = card.conditions, card.file
+    conditions = card.conditions
     limits = f"{conditions.rate_limit_mps:g} m/s"
     if conditions.control != "rate":
         limits = f"{conditions.acceleration_limit_mps2:g} m/s^2 and {limits}"
@@ -80,10 +131,7 @@ def card_rows(card: Card) -> list[tuple[str, str]]:
         *_settings("version", card.versions),
         ("compared with", f"{len(card.rivals)} rivals, whose tuning `--json` shows"),
     ]
-    if file is not None:
-        rows.append(("file", f"{file.name}, {file.bytes} bytes, opset {file.opset}"))
-        rows.append(("sha256", file.sha256))
-    return rows
+    return rows if card.file is None else [*rows, *_file_rows(card.file)]
 
 
 def _names(names: tuple[str, ...]) -> str:

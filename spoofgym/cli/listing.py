@@ -35,16 +35,23 @@ def list_(
 
 def card(
     name: Annotated[
-        str, typer.Argument(help="A shipped spoofer, or a card or an ONNX file that has one.")
+        str,
+        typer.Argument(
+            help="A shipped spoofer or detector, or a card or an ONNX file that has one."
+        ),
     ],
     as_json: opt.Json = False,
 ) -> None:
-    """Show the card of a spoofer: what it fits, what it knows, how it was made, what it reached."""
-    from ..bench.cards import SCORES_HEAD, card_rows, find_card, score_rows
+    """Show the card of a spoofer or of a learned detector: what it fits, and how it was made."""
+    from ..bench.cards import SCORES_HEAD, card_rows, detector_card_rows, find_card, score_rows
+    from ..spoofers.card import Card
 
     found = find_card(name)
     if as_json:
         print_json(found.model_dump(mode="json"))
+        return
+    if not isinstance(found, Card):
+        print_table(found.name, ("", ""), detector_card_rows(found))
         return
     print_table(found.name, ("", ""), card_rows(found))
     if found.scores:
