@@ -68,6 +68,7 @@ def test_the_world_of_a_task_has_its_detector_and_its_optima(monkeypatch):
         (["--task", "T3", "--imu", "tactical"], "--imu can't be given with --task"),
         (["--spoofer", "none"], "transmits nothing"),
         (["--family", "feedback"], "needs a detector"),
+        (["--alert-limit-m", "0"], "`alert_limit_m` must be finite and > 0, got 0"),
     ],
 )
 def test_wrong_input_gets_one_clear_line(more, message):

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._registry import check_finite, check_keywords
+from .._registry import check_finite, check_keywords, whole_number
 from ..simulators.clean_runs import Progress, Silent
 from ..spoofers import Spoofer
 from ..spoofers.model import ModelPolicy, describe_env
 from ..spoofers.scaled import AMPLITUDE, Scaled
 from ..tasks import task_of
+from .budget import BUDGET, fewest_runs
 from .campaign import search, start_of, training_start, with_rates
 from .entries import Entry, build_spoofer, fitted, spoofer_entry
 from .metrics import Estimate, bootstrap_mean, percentiles, resamples_of, wilson
@@ -167,7 +168,8 @@ class Evaluator:
     runs : int
         Evaluation runs, which decide nothing.
     fit_runs : int
-        Training runs, on which an amplitude is fitted.
+        Training runs, on which an amplitude is fitted; at least 59, since fewer can't show that a
+        budget of 5 % is kept.
     entropy : int
         Seed of all of them.
     threads : int, optional
@@ -218,6 +220,7 @@ class Evaluator:
             )
         else:
             chosen = task_of(task).suite_kwargs
+        fit_runs = whole_number("`fit_runs`", fit_runs, fewest_runs(BUDGET))
         tuning = Tuning(runs=fit_runs, sift_runs=max(fit_runs // SIFTED, 1))
         self.task, self.threads, self.progress = task, threads, progress or Silent()
         self.suite = Suite(**chosen, spoofers=["none"], runs=runs, entropy=entropy, tuning=tuning)

@@ -102,6 +102,7 @@ def _plan(
     world: World, detector: str | None, alert_limit_m: float | None, chosen: dict[str, Any]
 ) -> Plan:
     """The plan of the options; `chosen`: what it takes as it is."""
+    from .._registry import check_finite
     from ..bench.dataset import Plan
     from ..bench.task_cards import optima_of
     from ..tasks import task_of
@@ -111,6 +112,8 @@ def _plan(
     guard: Any = None if task is None else task_of(task).detector
     if detector is not None:
         (guard,) = specs_of([detector])
+    if alert_limit_m is not None:
+        check_finite("alert_limit_m", alert_limit_m, "> 0")
     limit = suite.alert_limit_m if alert_limit_m is None else alert_limit_m
     optima = optima_of(task) if task else ()
     return Plan(suite.world, limit, detector=guard, optima=optima, **chosen)

@@ -168,7 +168,7 @@ def test_a_detector_that_is_not_calibrated_here_says_how_that_is_done():
         ({"task": "T3", "scenario": "trolley"}, ValueError, "`scenario` can't be given with it"),
         ({**WORLD, "skenario": "trolley"}, TypeError, "did you mean 'scenario'"),
         ({**WORLD, "runs": 1}, ValueError, "`runs` must be a whole number of at least 2, got 1"),
-        ({**WORLD, "fit_runs": 10}, ValueError, "must be at least .* for a budget of 0.05"),
+        ({**WORLD, "fit_runs": 58}, ValueError, "`fit_runs` must be .* at least 59, got 58"),
     ],
 )
 def test_worlds_are_checked_before_anything_is_played(settings, error, message):
