@@ -101,6 +101,7 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
         attack=own.attack if attack is None else attack,
         detector=own.detector,
         timeline=own.timeline,
+        domain=own.domain,
         target_heading_deg=own.target_heading_deg,
     )
 
