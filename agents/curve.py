@@ -17,6 +17,9 @@ from .record import Point, read_record
 DRAWN = ("stealthy_m", "within_budget")
 """What every point must have, beside its step."""
 
+NEAR = 0.03
+"""Part of the height within which two levels share a text."""
+
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
@@ -53,13 +56,26 @@ def draw_curves(
     if len(reached) > 1 and all(steps == reached[0][0] for steps, _ in reached):
         middle = np.median([moved for _, moved in reached], axis=0)
         axes.plot(reached[0][0], middle, color="black", lw=2.0, label="median")
-    for name, level in (levels or {}).items():
+    for level in (levels or {}).values():
         axes.axhline(level, color=GREY, ls="--", lw=1.0)
-        axes.annotate(name, (0.0, level), xytext=(2, 2), textcoords="offset points", fontsize=8)
     axes.set(xlabel="steps [million]", ylabel="stealthy displacement on training runs [m]")
     axes.set_ylim(bottom=0.0)
+    for names, level in _grouped(levels or {}, NEAR * axes.get_ylim()[1]):
+        axes.annotate(names, (0.0, level), xytext=(2, 2), textcoords="offset points", fontsize=8)
     axes.legend(fontsize="small", ncols=2, framealpha=0.9)
     save_figure(figure, path, dpi=110)
+
+
+def _grouped(levels: Mapping[str, float], near: float) -> list[tuple[str, float]]:
+    """Names of levels that lie so near each other that their texts would overlap, as one text."""
+    found: list[tuple[str, float]] = []
+    for name, level in sorted(levels.items(), key=lambda each: each[1]):
+        if found and level - found[-1][1] < near:
+            names, _ = found.pop()
+            found.append((f"{names}, {name}", level))
+        else:
+            found.append((name, level))
+    return found
 
 
 def _check(name: str, points: list[Point]) -> None:

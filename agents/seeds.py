@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any, Protocol, TypeVar
@@ -11,7 +11,7 @@ from rich.table import Table
 
 from spoofgym._files import write_file
 from spoofgym.bench.tables import interval
-from spoofgym.spoofers.card import Card
+from spoofgym.spoofers.card import Card, Score
 
 
 class Known(Protocol):
@@ -35,10 +35,58 @@ def comparable(rivals: Mapping[str, Who], knowledge: str) -> dict[str, Who]:
     }
 
 
+def value_of(score: Mapping[str, Any] | None) -> float:
+    """Stealthy displacement of a score as JSON [m]; 0 where nothing kept the budget."""
+    return float(score["stealthy_displacement_m"]["value"]) if score else 0.0
+
+
+def keeps_budget(score: Mapping[str, Any]) -> bool:
+    """As `Score.keeps_budget`, of a score as JSON."""
+    return bool(score["within_budget"]) and score["fit_within_budget"] is not False
+
+
+def marked(score: Mapping[str, Any]) -> str:
+    """Displacement with its interval, `*` where it is over the budget."""
+    return interval(score["stealthy_displacement_m"]) + ("" if keeps_budget(score) else "*")
+
+
+def spread(values: Sequence[float]) -> str:
+    """Median of the seeds, and the least and largest of them."""
+    return f"{median(values):.1f} [{min(values):.1f}, {max(values):.1f}]"
+
+
+def middle_of(rows: Iterable[Mapping[str, Any]], rival: str) -> Mapping[str, Any]:
+    """The seed whose ratio to a rival is the median one, the lower of two; 0 if it has no score."""
+
+    def ratio(row: Mapping[str, Any]) -> float:
+        return float(row["ratios"][rival]["value"]) if row["score"] else 0.0
+
+    ordered = sorted(rows, key=ratio)
+    return ordered[(len(ordered) - 1) // 2]
+
+
+KIND_HEAD = (
+    *("task", "arguments", "seeds", "stealthy displacement, median and range [m]"),
+    *("over the best constant ramp, median seed", "untrained [m]"),
+)
+
+
+def kind_cells(
+    task: str, kind: str, rows: Sequence[Mapping[str, Any]], ramp: Mapping[str, Any]
+) -> tuple[str, ...]:
+    """Trainings of one kind, in the order of `KIND_HEAD`."""
+    ratio = interval(middle_of(rows, "ramp")["ratios"]["ramp"], 2)
+    return (
+        *(task, kind, str(len(rows)), spread([value_of(row["score"]) for row in rows])),
+        f"{ratio} of {value_of(ramp):.1f} m",
+        spread([value_of(row["untrained"]) for row in rows]),
+    )
+
+
 def table_of(results: Mapping[str, Any]) -> Table:
     """Scores of all seeds, with what the network got before it learned, and of the rivals."""
     scores = [row["score"] for row in results["seeds"] if row["score"]]
-    reached = [score["stealthy_displacement_m"]["value"] for score in scores]
+    reached = [value_of(score) for score in scores]
     middle = f"; median of {len(reached)} seeds {median(reached):.2f} m" if reached else ""
     table = Table(title=f"against {results['detector']}, evaluation runs{middle}")
     for head in ("spoofer", "observes"):
@@ -50,21 +98,23 @@ def table_of(results: Mapping[str, Any]) -> Table:
     for row in results["seeds"]:
         cells = _cells(row["score"]) if row["score"] else ("none within the budget", "")
         untrained = row["untrained"]
-        before = untrained["stealthy_displacement_m"]["value"]
-        further = f"{before:.2f}", f"{row['wall_s'] / 60.0:.1f}"
+        further = f"{value_of(untrained):.2f}", f"{row['wall_s'] / 60.0:.1f}"
         table.add_row(f"PPO, seed {row['seed']}", untrained["knowledge"], *cells, *further)
     return table
 
 
 def _cells(score: Mapping[str, Any]) -> tuple[str, str]:
     """Displacement with its interval, marked where it is over the budget, and alarms."""
-    keeps = score["within_budget"] and score["fit_within_budget"] is not False
-    rate = 100.0 * score["alarm_rate"]["value"]
-    return interval(score["stealthy_displacement_m"]) + ("" if keeps else "*"), f"{rate:.1f}"
+    return marked(score), f"{100.0 * score['alarm_rate']['value']:.1f}"
 
 
-def copy_policy(source: Path, target: Path, training: Mapping[str, Any]) -> None:
-    """Write a policy and its card under another name, with further fields of its training."""
+def copy_policy(
+    source: Path,
+    target: Path,
+    training: Mapping[str, Any] | None = None,
+    scores: Sequence[Score] = (),
+) -> None:
+    """Write a policy and its card under another name, with more on its training and scores."""
     content = source.read_bytes()
     card = Card.load(source.with_suffix(".json"))
     if card.file is None:
@@ -72,7 +122,8 @@ def copy_policy(source: Path, target: Path, training: Mapping[str, Any]) -> None
     own = {
         "name": target.stem,
         "file": card.file.model_copy(update={"name": target.name}),
-        "training": {**card.training, **training},
+        "training": {**card.training, **(training or {})},
+        "scores": (*card.scores, *scores),
     }
     write_file(target, content)
     card.model_copy(update=own).save(target.with_suffix(".json"))

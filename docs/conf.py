@@ -6,11 +6,11 @@ and in a checkout.  A warning is an error; nothing is downloaded.
 
 from __future__ import annotations
 
-import importlib
 import pkgutil
 import types
 from pathlib import Path
 
+import scipy.stats  # noqa: F401  (before torch is mocked, of whose classes it asks)
 from sphinx.addnodes import desc_annotation
 
 import spoofgym
@@ -82,8 +82,6 @@ default_role = "py:obj"
 nitpicky = True
 python_use_unqualified_type_names = True
 toc_object_entries_show_parents = "hide"
-# SciPy asks of arrays whether they are torch's while it is imported, and a mock has no classes.
-importlib.import_module("scipy.stats")
 autodoc_mock_imports = ["stable_baselines3", "torch"]
 autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints_format = "short"

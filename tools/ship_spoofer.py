@@ -16,7 +16,6 @@ from agents.folder import error_lines
 from agents.seeds import copy_policy
 from spoofgym.bench.evaluate import RUNS, Evaluator, Score
 from spoofgym.cli.output import progress
-from spoofgym.spoofers.card import Card
 from spoofgym.spoofers.card import Score as CardScore
 from spoofgym.spoofers.zoo import ZOO_FOLDER
 
@@ -45,10 +44,7 @@ def ship(policy: Path, name: str, judge: Evaluator, folder: Path = ZOO_FOLDER) -
     if not score.within_budget:
         raise ValueError(f"{policy} is not shipped: {score}")
     target = folder / f"{name}.onnx"
-    copy_policy(policy, target, {})
-    card = Card.load(target.with_suffix(".json"))
-    scores = (on_card(score, judge.suite.entropy),)
-    card.model_copy(update={"scores": scores}).save(target.with_suffix(".json"))
+    copy_policy(policy, target, scores=[on_card(score, judge.suite.entropy)])
     print(score)
     return target
 

@@ -14,7 +14,6 @@ import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import torch
@@ -24,9 +23,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.folder import error_lines, open_folder
+from agents.seeds import KIND_HEAD, kind_cells
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
 from spoofgym.bench.evaluate import Evaluator, Score
+from spoofgym.bench.report import markdown_table
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 
 NUM_ENVS = {"plain": 64, "defaults": 8}
@@ -119,30 +120,9 @@ def play(settings: Settings, console: Console) -> dict[str, Any]:
 
 def table_of(results: dict[str, Any]) -> str:
     """A line of Markdown for each kind: the median over its seeds, and the range."""
-    ramp = results["ramps"]["ramp"]["stealthy_displacement_m"]["value"]
-    lines = [
-        "| task | arguments | seeds | stealthy displacement [m] | over the ramp | untrained [m] |",
-        "|---|---|---|---|---|---|",
-    ]
-    for kind, rows in results["kinds"].items():
-        reached = _values(row["score"] for row in rows)
-        before = _values(row["untrained"] for row in rows)
-        ratio = sorted((row["ratios"]["ramp"] for row in rows), key=lambda r: r["value"])
-        middle = ratio[(len(ratio) - 1) // 2]
-        lines.append(
-            f"| {results['task']} | {kind} | {len(rows)} | {_range(reached)} | "
-            f"{middle['value']:.2f} ({middle['low']:.2f} to {middle['high']:.2f}) of {ramp:.1f} m "
-            f"| {_range(before)} |"
-        )
-    return "\n".join(lines)
-
-
-def _values(scores: Any) -> list[float]:
-    return [score["stealthy_displacement_m"]["value"] for score in scores]
-
-
-def _range(values: list[float]) -> str:
-    return f"{median(values):.1f} [{min(values):.1f}, {max(values):.1f}]"
+    ramp = results["ramps"]["ramp"]
+    rows = [kind_cells(results["task"], kind, of, ramp) for kind, of in results["kinds"].items()]
+    return "\n".join(markdown_table(KIND_HEAD, rows))
 
 
 def main() -> None:
@@ -154,7 +134,7 @@ def main() -> None:
         results = play(settings, console)
     text = json.dumps(results, indent=1) + "\n"
     write_file(settings.out / "results.json", text.encode())
-    console.print(table_of(results), soft_wrap=True)
+    console.print(table_of(results), soft_wrap=True, markup=False)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import torch
@@ -26,9 +25,10 @@ import tyro
 from rich.console import Console
 
 from agents.folder import error_lines
+from agents.seeds import marked, spread, value_of
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
-from spoofgym.bench.tables import interval
+from spoofgym.bench.report import markdown_table
 
 from .ppo_spoofer import RESULTS, RIVALS, Arguments, train
 
@@ -129,7 +129,7 @@ def page(table: dict[str, Any]) -> str:
         *("PPO untrained (blind)", "PPO (blind)", "PPO (blind+reported)"),
         *(_head(table, FEEDBACK), "PPO (oracle)"),
     )
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    rows = []
     for world in WORLDS:
         for detector in DETECTORS:
             blind, reported, oracle = (table.get(f"{world}/{detector}/{k}") for k in KNOWLEDGE)
@@ -141,8 +141,8 @@ def page(table: dict[str, Any]) -> str:
                 *(_seeds(blind, "untrained"), _seeds(blind), _seeds(reported)),
                 *(_score(rivals.get(FEEDBACK)), _seeds(oracle)),
             )
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+            rows.append(cells)
+    return "\n".join(markdown_table(heads, rows)) + "\n"
 
 
 def _head(table: dict[str, Any], name: str) -> str:
@@ -154,19 +154,12 @@ def _head(table: dict[str, Any], name: str) -> str:
 
 def _score(score: dict[str, Any] | None) -> str:
     """Displacement with its interval, `*` where it is over the budget; "-" where there is none."""
-    if not score:
-        return "-"
-    keeps = score["within_budget"] and score["fit_within_budget"] is not False
-    return interval(score["stealthy_displacement_m"]) + ("" if keeps else "*")
+    return marked(score) if score else "-"
 
 
 def _seeds(results: dict[str, Any] | None, key: str = "score") -> str:
     """Median over the seeds, and the least and largest of them."""
-    if results is None:
-        return "-"
-    scores = [row[key] for row in results["seeds"]]
-    found = [s["stealthy_displacement_m"]["value"] if s else 0.0 for s in scores]
-    return f"{median(found):.1f} [{min(found):.1f}, {max(found):.1f}]"
+    return "-" if results is None else spread([value_of(row[key]) for row in results["seeds"]])
 
 
 def main() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 
 from .._registry import check_choice
 from ..detectors import zoo
-from ..detectors.learned.card import DetectorCard
-from ..policies.card import PolicyFile
+from ..detectors.learned.card import DetectorCard, card_path
+from ..policies.card import PolicyFile, kind_at
 from ..spoofers.card import Card
 from ..spoofers.zoo import card_of, shipped
 
@@ -31,20 +31,12 @@ def find_card(name: str) -> Card | DetectorCard:
     path = Path(name)
     if path.suffix in {".json", ".onnx"}:
         path = path.with_suffix(".json")
-        return DetectorCard.load(path) if _is_of_detector(path) else Card.load(path)
+        kind = DetectorCard if kind_at(path) == "detector-policy" else Card
+        return kind.load(path)
     check_choice("shipped spoofer or detector", name, [*shipped(), *zoo.shipped()])
     if name in zoo.shipped():
-        return DetectorCard.load(zoo.path_of(name).with_suffix(".json"))
+        return DetectorCard.load(card_path(zoo.path_of(name)))
     return card_of(name)
-
-
-def _is_of_detector(path: Path) -> bool:
-    """Whether a file says that it is the card of a detector; False where it can't be read."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(found, dict) and found.get("kind") == "detector-policy"
 
 
 def score_text(score: dict[str, Any]) -> str:

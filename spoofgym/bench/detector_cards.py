@@ -8,6 +8,7 @@ from typing import Any
 
 from ..detector_tasks import DETECTOR_TASKS, DetectorTask
 from ..detectors import zoo
+from ..detectors.learned.card import DetectorCard, card_path
 from ..tasks import RANGE_RATE_TESTS, SUITE, task_of
 from .tables import interval
 
@@ -50,8 +51,8 @@ def learned_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
 
 
 def _learned_in(name: str, task: DetectorTask) -> bool:
-    card = json.loads(zoo.path_of(name).with_suffix(".json").read_text(encoding="utf-8"))
-    return task_of(card["training"]["task"]).settings == task.task.settings
+    card = DetectorCard.load(card_path(zoo.path_of(name)))
+    return task_of(card.training["task"]).settings == task.task.settings
 
 
 def stored_cards() -> dict[str, dict[str, Any]]:

@@ -162,6 +162,25 @@ def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is no number")
 
 
+def kind_at(path: str | os.PathLike[str]) -> str:
+    """Kind that a card states in its file; empty where it has none, or can't be read.
+
+    Parameters
+    ----------
+    path : path-like
+        Of the card.
+
+    Returns
+    -------
+    str
+        Such as ``"detector-policy"``.
+    """
+    try:
+        return _kind_of(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
 def _kind_of(text: str) -> str:
     """Kind of a card that may be damaged; empty where it has none."""
     try:

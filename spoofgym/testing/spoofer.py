@@ -89,21 +89,15 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
             detector={"name": "ewma", "thresholds": "nominal"},
             target_heading_deg="random" if follows else 90.0,
         )
+    if attack is not None:
+        card = card.model_copy(update={"env_kwargs": {**card.env_kwargs, "attack": attack}})
     own = setup_of_card(card)
     if not isinstance(own, TightlyCoupledSetup):
         raise ValueError(
             f"only spoofers of the tightly coupled receiver can be checked; the card of "
             f"{card.name!r} is of {card.env_id}"
         )
-    return TightlyCoupledSetup(
-        scenario=own.scenario,
-        receiver=own.receiver,
-        attack=own.attack if attack is None else attack,
-        detector=own.detector,
-        timeline=own.timeline,
-        domain=own.domain,
-        target_heading_deg=own.target_heading_deg,
-    )
+    return own
 
 
 def _check_declarations(spoofer: Spoofer) -> None:

@@ -13,7 +13,7 @@ pytest.importorskip("typer")
 from matplotlib.image import imread
 from typer.testing import CliRunner, Result
 
-from agents.curve import app, draw_curves, names_of
+from agents.curve import _grouped, app, draw_curves, names_of
 from agents.record import TrainingRecord, read_record
 
 
@@ -91,3 +91,9 @@ def test_a_record_that_cannot_be_drawn_is_told(
     assert "error: " in done.output
     assert message in done.output
     assert not (tmp_path / "curve.png").exists()
+
+
+def test_levels_that_would_overlap_share_a_text() -> None:
+    levels = {"ramp": 45.3, "optimum": 63.5, "accelerating": 44.9}
+    assert _grouped(levels, 2.0) == [("accelerating, ramp", 45.3), ("optimum", 63.5)]
+    assert _grouped(levels, 0.1) == [("accelerating", 44.9), ("ramp", 45.3), ("optimum", 63.5)]
