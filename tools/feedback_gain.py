@@ -28,7 +28,8 @@ from spoofgym._files import write_file
 from spoofgym.bench.bracket import Brackets
 from spoofgym.bench.bracketed import bound_of
 from spoofgym.bench.entries import detector_entry
-from spoofgym.bench.evaluate import Evaluator, Score
+from spoofgym.bench.evaluate import Evaluator
+from spoofgym.bench.spoofer_score import Score
 from spoofgym.bench.tables import interval, number
 from spoofgym.cli.output import print_json, print_table, progress
 from spoofgym.tasks import task_of

@@ -33,8 +33,9 @@ from spoofgym._files import write_file
 from spoofgym._registry import check_choice
 from spoofgym.bench.campaign import with_rates
 from spoofgym.bench.entries import fitted, spoofer_entry
-from spoofgym.bench.evaluate import Evaluator, Score
+from spoofgym.bench.evaluate import Evaluator
 from spoofgym.bench.specs import parse_spec
+from spoofgym.bench.spoofer_score import Score
 from spoofgym.bench.tables import interval
 from spoofgym.cli.output import print_json, print_table, progress
 from spoofgym.simulators.clean_runs import Progress

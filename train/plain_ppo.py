@@ -26,8 +26,9 @@ from agents.folder import error_lines, open_folder
 from agents.seeds import KIND_HEAD, kind_cells
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
-from spoofgym.bench.evaluate import Evaluator, Score
+from spoofgym.bench.evaluate import Evaluator
 from spoofgym.bench.report import markdown_table
+from spoofgym.bench.spoofer_score import Score
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 
 NUM_ENVS = {"plain": 64, "defaults": 8}

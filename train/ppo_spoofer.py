@@ -58,8 +58,9 @@ from agents.record import TrainingRecord, read_record
 from agents.seeds import comparable, copy_policy, table_of
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
-from spoofgym.bench.evaluate import FITTED, Evaluator, Score, entry_of
+from spoofgym.bench.evaluate import FITTED, Evaluator, entry_of
 from spoofgym.bench.specs import parse_spec
+from spoofgym.bench.spoofer_score import Score
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
 from spoofgym.tasks import task_of
