@@ -27,6 +27,8 @@ What is not a default of PPO or of the environment, and why:
    an attack that a detector allows has to be within it (T4 allows for metres a second).
 7. `average`: what is scored and kept is the average of the weights over some ten updates, since the
    policy jitters by metres from one update to the next.
+8. `alarm_price` = 8: at the environment's price a policy that has learned enough buys alarms, goes
+   over the budget, and has to be scaled down.
 """
 
 from __future__ import annotations
@@ -89,8 +91,9 @@ class Arguments:
     """What it observes: blind, tracking or oracle, each also with +reported."""
     settings: str = "{}"
     """Further settings of that world, as JSON, such as '{"attack": "quiet"}'."""
-    alarm_price: float | None = None
-    """What an alarm costs in the reward, in lengths; as in the environment by default."""
+    alarm_price: float | None = 8.0
+    """What an alarm costs in the reward, in lengths; None for what it costs by default, and where
+    `settings` have a reward of their own."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     """One training each; they seed the network, the exploration and the episodes."""
     steps: int = 2_400_000
