@@ -22,12 +22,13 @@ What is not a default of PPO or of the environment, and why:
 3. `log_std_init` = -1.5: with the library's standard deviation of 1 every episode alarms.
 4. `learning_rate` = 1e-3, falling to a tenth; `gae_lambda` = 0.98 for long episodes.
 5. `VecNormalize`: observations and rewards in units of their own standard deviations, so that one
-   set of settings suits detectors that allow for metres and for hundreds of metres.
+   set of settings suits detectors that allow for metres and for hundreds of metres.  Rewards are not
+   clipped: an alarm costs more than the ten deviations at which the library cuts them.
 6. The environment's action is a wanted rate; `full_scale_mps` is what an action of 1 asks for, and
    an attack that a detector allows has to be within it (T4 allows for metres a second).
 7. `average`: what is scored and kept is the average of the weights over some ten updates, since the
    policy jitters by metres from one update to the next.
-8. `alarm_price` = 8: at the environment's price a policy that has learned enough buys alarms, goes
+8. `alarm_price` = 3: at the environment's price a policy that has learned enough buys alarms, goes
    over the budget, and has to be scaled down.
 """
 
@@ -91,7 +92,7 @@ class Arguments:
     """What it observes: blind, tracking or oracle, each also with +reported."""
     settings: str = "{}"
     """Further settings of that world, as JSON, such as '{"attack": "quiet"}'."""
-    alarm_price: float | None = 8.0
+    alarm_price: float | None = 3.0
     """What an alarm costs in the reward, in lengths; None for what it costs by default, and where
     `settings` have a reward of their own."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
@@ -114,7 +115,7 @@ class Arguments:
     """Rate that an action of 1 asks for."""
     average: float = 0.9
     """How much of the averaged weights stays at every update; 0 for the policy as it is."""
-    stages: int = 8
+    stages: int = 16
     """How often a policy is scored, and a checkpoint is written."""
     fit_runs: int = 256
     """Training runs, on which amplitudes are fitted and the best policy is chosen."""
@@ -247,7 +248,7 @@ class Training:
             average=args.average,
             verbose=0,
         )
-        self.envs = VecNormalize(args.make_envs(), gamma=1.0)
+        self.envs = VecNormalize(args.make_envs(), gamma=1.0, clip_reward=math.inf)
         self.model = make_model(args, self.seed, self.envs, self._learning_rate)
         if args.tensorboard:
             self.model.set_logger(configure(str(self.folder / "tensorboard"), ["tensorboard"]))
