@@ -24,12 +24,11 @@ What is not a default of PPO or of the environment, and why:
 5. `VecNormalize`: observations and rewards in units of their own standard deviations, so that one
    set of settings suits detectors that allow for metres and for hundreds of metres.  Rewards are not
    clipped: an alarm costs more than the ten deviations at which the library cuts them.
-6. The environment's action is a wanted rate; `full_scale_mps` is what an action of 1 asks for, and
-   an attack that a detector allows has to be within it (T4 allows for metres a second).
+6. The environment's action is a wanted rate, and an action of 1 all through the attack goes four
+   lengths (alert limits) far: so that exploration is no louder than what it looks for.
 7. `average`: what is scored and kept is the average of the weights over some ten updates, since the
    policy jitters by metres from one update to the next.
-8. `alarm_price` = 3: at the environment's price a policy that has learned enough buys alarms, goes
-   over the budget, and has to be scaled down.
+8. `alarm_price` = 3: at the environment's price a policy that has learned enough buys alarms.
 """
 
 from __future__ import annotations
@@ -70,6 +69,8 @@ from spoofgym.tasks import task_of
 
 CHECKPOINT, RECORD, RESULTS = "checkpoint.zip", "record.jsonl", "results.json"
 PICTURE = "curve.png"
+LENGTHS = 4.0
+"""How far an action of 1 all through an attack goes, by default."""
 RIVALS = ("ramp", "accelerating-ramp", "blind-optimum")
 """Whom the policies are compared with, each fitted to the budget on the same training runs."""
 STATE = ("stage", "spent_s", "untrained")
@@ -93,8 +94,7 @@ class Arguments:
     settings: str = "{}"
     """Further settings of that world, as JSON, such as '{"attack": "quiet"}'."""
     alarm_price: float | None = 3.0
-    """What an alarm costs in the reward, in lengths; None for what it costs by default, and where
-    `settings` have a reward of their own."""
+    """What an alarm costs, in lengths; None as by default, and for a reward in `settings`."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     """One training each; they seed the network, the exploration and the episodes."""
     steps: int = 2_400_000
@@ -111,8 +111,8 @@ class Arguments:
     """Of generalised advantage estimation."""
     log_std_init: float = -1.5
     """Logarithm of the exploration's standard deviation at first, in parts of the full scale."""
-    full_scale_mps: float = 1.0
-    """Rate that an action of 1 asks for."""
+    full_scale_mps: float | None = None
+    """Rate that an action of 1 asks for; by default that of four lengths within the attack."""
     average: float = 0.9
     """How much of the averaged weights stays at every update; 0 for the policy as it is."""
     stages: int = 16
@@ -146,7 +146,7 @@ class Arguments:
             ("full_scale_mps", 1e-3, 1e3),
         ):
             value = getattr(self, name)
-            if not low <= value <= high:
+            if value is not None and not low <= value <= high:
                 raise ValueError(f"`{name}` must be in [{low:g}, {high:g}], got {value}")
         if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
             raise ValueError(f"`seeds` must be different numbers, 0 or more, got {self.seeds}")
@@ -186,10 +186,13 @@ class Arguments:
     def make_envs(self) -> SpoofVecEnv:
         """Receivers of the training."""
         own: dict[str, Any] = {"knowledge": self.knowledge, "threads": self.threads}
+        scale = self.full_scale_mps
+        if scale is None:
+            core = SpoofVecEnv(1, threads=1, **self.world).core
+            scale = LENGTHS * core.length_m / (core.setup.steps * core.setup.interval_s)
+        own["action"] = {"name": "rate-setpoint", "full_scale_mps": scale}
         if self.alarm_price is not None:
             own["alarm_price"] = self.alarm_price
-        if self.full_scale_mps != 1.0:
-            own["action"] = {"name": "rate-setpoint", "full_scale_mps": self.full_scale_mps}
         return SpoofVecEnv(self.num_envs, **own, **self.world)
 
     def command(self) -> str:
