@@ -8,8 +8,8 @@ ONNX file with its card.  At the end all of them play evaluation runs, which dec
 the tuned ramps and the blind optimum of the same runs, and beside the network as it was before it
 learned, its amplitude fitted, too.
 
-After a kill the same command goes on from the last checkpoint, to the same result: learning goes in
-stages, and each stage starts new episodes with random numbers of its own.
+After a kill the same command goes on from the last checkpoint, to the same result: each stage of
+learning starts new episodes with random numbers of its own.
 
 The folder holds `config.json`, a folder for each seed with its `record.jsonl` (learning curve),
 `checkpoint.zip` and policy, `results.json`, the picture `curve.png`, and the policy of the seed
@@ -17,18 +17,19 @@ that was best on training runs, `NAME.onnx` with `NAME.json`.
 
 What is not a default of PPO or of the environment, and why:
 
-1. `gamma` = 1: what is scored is not discounted, and an episode has an end.
+1. `gamma` = 1: what is scored is not discounted; `gae_lambda` = 0.98 for long episodes.
 2. `n_steps` is an episode, and minibatches are large, since the environment is fast.
 3. `log_std_init` = -1.5: with the library's standard deviation of 1 every episode alarms.
-4. `learning_rate` = 1e-3, falling to a tenth; `gae_lambda` = 0.98 for long episodes.
+4. `learning_rate` = 1e-3, falling to a tenth.
 5. `VecNormalize`: observations and rewards in units of their own standard deviations, so that one
-   set of settings suits detectors that allow for metres and for hundreds of metres.  Rewards are not
-   clipped: an alarm costs more than the ten deviations at which the library cuts them.
+   set of settings suits detectors that allow for metres and for hundreds of metres.  Rewards are
+   not clipped: an alarm costs more than the ten deviations at which the library cuts them.
 6. The environment's action is a wanted rate, and an action of 1 all through the attack goes four
    lengths (alert limits) far: so that exploration is no louder than what it looks for.
 7. `average`: what is scored and kept is the average of the weights over some ten updates, since the
    policy jitters by metres from one update to the next.
-8. `alarm_price` = 3: at the environment's price a policy that has learned enough buys alarms.
+8. The price of an alarm follows the budget, as a Lagrange multiplier: a policy that has to be
+   scaled down pays more from then on, one that could be scaled up pays less.
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ from agents.bar import Bar
 from agents.checkpoint import finite, load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
 from agents.folder import error_lines, open_folder, used_versions
+from agents.price import next_price, set_price
 from agents.record import TrainingRecord, read_record
 from agents.seeds import comparable, copy_policy, table_of
 from spoofgym._files import write_file
@@ -63,6 +65,7 @@ from spoofgym._registry import check_choice
 from spoofgym.bench.evaluate import FITTED, Evaluator, entry_of
 from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.spoofer_score import Score
+from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
 from spoofgym.tasks import task_of
@@ -73,7 +76,7 @@ LENGTHS = 4.0
 """How far an action of 1 all through an attack goes, by default."""
 RIVALS = ("ramp", "accelerating-ramp", "blind-optimum")
 """Whom the policies are compared with, each fitted to the budget on the same training runs."""
-STATE = ("stage", "spent_s", "untrained")
+STATE = ("stage", "spent_s", "untrained", "price")
 """What a checkpoint keeps of a training, beside model and scores."""
 FREE = ("out", "seeds", "rivals", "threads", "tensorboard", "json")
 """Arguments that a run which is gone on with may change."""
@@ -93,8 +96,10 @@ class Arguments:
     """What it observes: blind, tracking or oracle, each also with +reported."""
     settings: str = "{}"
     """Further settings of that world, as JSON, such as '{"attack": "quiet"}'."""
-    alarm_price: float | None = 3.0
-    """What an alarm costs, in lengths; None as by default, and for a reward in `settings`."""
+    alarm_price: float = ALARM_PRICE
+    """What an alarm costs at first, in lengths; nothing where `settings` have a reward."""
+    price_gain: float = 1.5
+    """After a score the price is divided by this power of the amplitude; 0 for a fixed price."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     """One training each; they seed the network, the exploration and the episodes."""
     steps: int = 2_400_000
@@ -115,7 +120,7 @@ class Arguments:
     """Rate that an action of 1 asks for; by default that of four lengths within the attack."""
     average: float = 0.9
     """How much of the averaged weights stays at every update; 0 for the policy as it is."""
-    stages: int = 16
+    stages: int = 12
     """How often a policy is scored, and a checkpoint is written."""
     fit_runs: int = 256
     """Training runs, on which amplitudes are fitted and the best policy is chosen."""
@@ -140,6 +145,8 @@ class Arguments:
             *((name, 1, math.inf) for name in ("steps", "num_envs", "batch_size", "n_epochs")),
             *((name, 1, math.inf) for name in ("stages", "fit_runs", "runs")),
             ("gae_lambda", 0.0, 1.0),
+            ("alarm_price", 0.0, 1e6),
+            ("price_gain", 0.0, 10.0),
             ("average", 0.0, 0.999),
             ("learning_rate", 0.0, 1.0),
             ("log_std_init", -20.0, 2.0),
@@ -191,8 +198,6 @@ class Arguments:
             core = SpoofVecEnv(1, threads=1, **self.world).core
             scale = LENGTHS * core.length_m / (core.setup.steps * core.setup.interval_s)
         own["action"] = {"name": "rate-setpoint", "full_scale_mps": scale}
-        if self.alarm_price is not None:
-            own["alarm_price"] = self.alarm_price
         return SpoofVecEnv(self.num_envs, **own, **self.world)
 
     def command(self) -> str:
@@ -237,6 +242,7 @@ class Training:
     spent_s: float = 0.0
     stage: int = 0
     untrained: dict[str, Any] | None = None
+    price: float = field(init=False)
     envs: VecNormalize = field(init=False)
     model: PPO = field(init=False)
     watch: ScoreCallback = field(init=False)
@@ -244,6 +250,7 @@ class Training:
     def __post_init__(self) -> None:
         """Make a fresh model, and take over what its folder holds."""
         args = self.args
+        self.price = args.alarm_price
         self.watch = ScoreCallback(
             judge=self.judge,
             every=args.steps,
@@ -283,6 +290,7 @@ class Training:
             chance = np.random.SeedSequence([self.seed, self.stage])
             self.model.set_random_seed(int(chance.generate_state(1)[0]))
             self.model.set_env(self.envs)  # which makes the stage start with new episodes
+            set_price(self.envs.venv, self.price)
             until = args.steps * (self.stage + 1) // args.stages
             try:
                 self.model.learn(
@@ -295,6 +303,9 @@ class Training:
                     raise
                 self.watch.give_up(str(error).partition("\n")[0])
             self.stage += 1
+            if self.watch.history:
+                amplitude = self.watch.history[-1][1].value
+                self.price = next_price(self.price, amplitude, args.price_gain)
             self.spent_s += time.perf_counter() - began
             self.save()
 

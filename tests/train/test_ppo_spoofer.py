@@ -38,6 +38,7 @@ QUICK = {
     "num_envs": 5,
     "batch_size": 50,
     "n_epochs": 2,
+    "full_scale_mps": 1.0,
     "stages": 2,
     "fit_runs": 80,
     "runs": 20,
