@@ -5,19 +5,21 @@ from __future__ import annotations
 from spoofgym.envs.terms.reward import default_rewards
 from spoofgym.sb3 import SpoofVecEnv
 
-LEAST = 1.0
-"""In lengths.  Below, a policy that has found nothing yet learns that alarms are for nothing."""
+LEAST, MOST = 1.0, 8.0
+"""In lengths.  Below, a policy that has found nothing yet learns that alarms are for nothing; above,
+a few alarms drown what else there is to learn."""
 
 
 def next_price(price: float, amplitude: float, gain: float) -> float:
     """Price in lengths after a fit of the amplitude: more where it had to be scaled down.
 
-    It is divided by the amplitude to the power of `gain`, within a factor of two.
+    It is divided by the amplitude to the power of `gain`, within a factor of two and from `LEAST`
+    to `MOST`.
     """
     if gain == 0.0:
         return price
     factor = min(max(max(amplitude, 1e-3) ** -gain, 0.5), 2.0)
-    return max(price * factor, LEAST)
+    return min(max(price * factor, LEAST), MOST)
 
 
 def set_price(envs: SpoofVecEnv, price: float) -> None:
