@@ -22,6 +22,7 @@ from ..simulators.base import Simulator
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .calibration import Calibration
 from .payoff import RUNNING, DuelOutcome, make_payoff, make_threshold
+from .world import with_world
 
 FloatArray = NDArray[np.float64]
 
@@ -238,6 +239,6 @@ def duel_setup(
     exclusion_s: float | None = EXCLUSION_S,
     **settings: Any,
 ) -> TightlyCoupledSetup:
-    """What all receivers of a duel share; `settings` are those of `TightlyCoupledSetup`."""
+    """What all receivers of a duel share; `settings` of `TightlyCoupledSetup` and `with_world`."""
     agent = DetectorAgent(statistic, weighs, exclusion_s)
-    return make_setup(TightlyCoupledSetup, {**settings, "detector": agent})
+    return make_setup(TightlyCoupledSetup, {**with_world(settings), "detector": agent})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
@@ -19,10 +20,13 @@ from ..tasks import task_of
 from .detector_core import DetectorCore
 from .rules import make_duel
 from .spoofer_view import SpooferSide, SpooferView, check_settings
+from .world import with_world
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 VIEWS = {"SpooferView": "ewma", "DetectorView": "ramp"}
 """Views of one side of the duel, with whom they meet by default."""
+SCENARIO = inspect.signature(TightlyCoupledSetup).parameters["scenario"].default
+"""Of an environment that is named and has none of its own, with a pool, too."""
 
 
 class LearnersSide(NamedTuple):
@@ -60,9 +64,12 @@ class LearnersSide(NamedTuple):
             whom = own[0] if view == "DetectorView" else None
             pool = whom or VIEWS["DetectorView"]
         _check_opponents(name, side, setup, pool, weights, settings.get("detector"))
+        all_ = {**merged, **settings}
         if pool is not None:
             merged.pop("detector", None)  # of the id, in whose place the pool or the learner is
-        return cls(name, side, setup, pool, weights, {**merged, **settings})
+            own_world = {"scenario": SCENARIO} if env_id is not None and view not in VIEWS else {}
+            all_ = with_world({**own_world, **merged, **settings})
+        return cls(name, side, setup, pool, weights, all_)
 
     def core(
         self, num_envs: int, threads: int | None, prefetch: bool, whose: str

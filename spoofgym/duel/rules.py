@@ -21,11 +21,12 @@ from ..envs.options import (
 )
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .duel import Duel, DuelStep, duel_setup
+from .world import with_world
 
 SPOOFER, DETECTOR = "spoofer_0", "detector_0"
 AGENTS = (SPOOFER, DETECTOR)
 _WORLD = {
-    name: parameter
+    name: parameter.replace(default=with_world({}).get(name, parameter.default))
     for name, parameter in inspect.signature(TightlyCoupledSetup).parameters.items()
     if name != "detector"
 }

@@ -18,6 +18,7 @@ from ..envs.rendering import CoreRecorder
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .opponents import DetectorSpec, label_of, members_of, pooled_detector
 from .vector_view import POOL_CHANGED, PooledVectorView
+from .world import with_world
 
 DetectorPool = Sequence[DetectorSpec] | DetectorSpec
 Weights = Sequence[float] | None
@@ -49,7 +50,7 @@ class SpooferSide:
         # with a reward of one's own there is no default one to be without a price
         free = {} if rules.get("reward") is not None else {"alarm_price": 0.0}
         self._rules = {**free, **rules}
-        self._setup = make_setup(TightlyCoupledSetup, {**world, "detector": "never"})
+        self._setup = make_setup(TightlyCoupledSetup, {**with_world(world), "detector": "never"})
         self.labels: tuple[str, ...] = ()
         self.core = self._against(pool, weights)
 
@@ -97,7 +98,8 @@ class SpooferView(CoreEnv[SpoofCore]):
     render_mode : {"human", "rgb_array"}, optional
         As in `SpoofEnv`.
     **settings
-        As in `SpoofEnv`, but for the detector; ``alarm_price`` is 0 by default.
+        As in `SpoofEnv`, but for the detector; ``alarm_price`` is 0 by default, and the world is
+        that of `spoofgym.duel_v0.env`.
 
     Attributes
     ----------

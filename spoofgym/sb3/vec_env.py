@@ -69,7 +69,9 @@ class SpoofVecEnv(VecEnv):
         Who learns.  A detector learns against a pool of spoofers, as in `DetectorView`.
     pool : list, optional
         Frozen opponents, of which one is drawn for every episode, as `SpooferView` and
-        `DetectorView` take them; a spoofer has a single ``detector`` without one.
+        `DetectorView` take them; a spoofer has a single ``detector`` without one.  With a pool, or
+        the detector's side, the world is that of the duel unless an id, a task or a ``scenario``
+        is given.
     weights : sequence of float, optional
         Probability of each of the pool.
     threads : int, optional

@@ -48,14 +48,9 @@ def test_weights_decide_how_often():
 
 
 def test_the_view_of_the_spoofer_meets_the_same_opponents():
-    view = SpooferView(pool=MEMBERS, timeline=SHORT, attack="false-position", action="full-command")
-    env = SpoofEnv(
-        detector=POOL,
-        timeline=SHORT,
-        attack="false-position",
-        alarm_price=0.0,
-        action="full-command",
-    )
+    same = {"scenario": "trolley", "attack": "false-position", "action": "full-command"}
+    view = SpooferView(pool=MEMBERS, timeline=SHORT, **same)
+    env = SpoofEnv(detector=POOL, timeline=SHORT, alarm_price=0.0, **same)
     push = np.array([0.3, 0.1], dtype=np.float32)
     for seed in range(3):
         view.reset(seed=seed)

@@ -12,6 +12,9 @@ from spoofgym.detectors import DetectorContext, Verdict
 from spoofgym.detectors.ewma import Ewma
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
+ONE_SKY = {"turn_on": "drawn"}
+BRIEF = {"timeline": SHORT, "domain": ONE_SKY}
+"""Short, and in the default world with one sky, which is made faster than with all of them."""
 SATELLITES = 12
 QUIET = np.r_[-1.0, np.ones(SATELLITES)]
 """Statistic 0, all weights 1."""
@@ -19,11 +22,11 @@ ALARM = np.ones(1 + SATELLITES)
 
 
 def aec(**kwargs: Any) -> Any:
-    return duel_v0.env(**{"timeline": SHORT, "action": "full-command", **kwargs})
+    return duel_v0.env(**{**BRIEF, "action": "full-command", **kwargs})
 
 
 def parallel(**kwargs: Any) -> Any:
-    return duel_v0.parallel_env(**{"timeline": SHORT, "action": "full-command", **kwargs})
+    return duel_v0.parallel_env(**{**BRIEF, "action": "full-command", **kwargs})
 
 
 def as_action(verdict: Verdict) -> np.ndarray:

@@ -13,9 +13,9 @@ from spoofgym.duel.rules import make_duel
 from spoofgym.simulators.clean_runs import Player
 from spoofgym.simulators.splits import generators_of, seeds_of_runs
 
-from .support import ALARM, SHORT, parallel, wary
+from .support import ALARM, BRIEF, parallel, wary
 
-SETTINGS = {"timeline": SHORT, "runs": 60, "false_alarm": 0.1, "receivers": 30}
+SETTINGS = {**BRIEF, "runs": 60, "false_alarm": 0.1, "receivers": 30}
 
 
 def test_a_new_run_exceeds_the_quantile_with_the_stated_probability():
@@ -42,7 +42,7 @@ def test_too_few_runs_tell_no_quantile():
     assert (fewest_runs(0.05), fewest_runs(0.3)) == (19, 3)
     assert quantile_of(np.arange(19) / 19, 0.05, 0.95)[::2] == (18 / 19, 1.0)
     with pytest.raises(ValueError, match="`runs` must be at least 19 for `false_alarm`"):
-        duel_v0.calibrate(wary, runs=18, timeline=SHORT)
+        duel_v0.calibrate(wary, runs=18, **BRIEF)
 
 
 def test_the_threshold_does_not_depend_on_the_size_of_the_batch():
@@ -58,7 +58,7 @@ def test_the_threshold_does_not_depend_on_the_size_of_the_batch():
 @pytest.mark.parametrize("delay", [0, 1])
 def test_clean_runs_are_those_of_the_duel(delay):
     """A frozen policy as a detector says what it says as an agent, epoch by epoch."""
-    settings = {"timeline": SHORT, "action": "full-command"}
+    settings = {**BRIEF, "action": "full-command"}
     duel = make_duel(6, decision_delay=delay, attack_probability=0.0, **settings)
     duel.threshold = FixedThreshold(np.inf, 6)
     policy = duel_v0.FunctionPolicy(wary)
@@ -82,9 +82,7 @@ def test_clean_runs_are_those_of_the_duel(delay):
 
 def test_fresh_clean_episodes_keep_the_rate():
     found = duel_v0.calibrate(wary, **SETTINGS)
-    envs = duel_v0.DetectorVectorView(
-        64, "none", threshold=found, attack_probability=0.0, timeline=SHORT
-    )
+    envs = duel_v0.DetectorVectorView(64, "none", threshold=found, attack_probability=0.0, **BRIEF)
     observation, _ = envs.reset(seed=500)
     alarmed = np.zeros(64, dtype=bool)
     for _ in range(envs.core.duel.epochs):

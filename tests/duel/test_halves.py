@@ -10,13 +10,19 @@ from .support import SHORT, Late, PerSatellite, aec, as_action, bound, parallel
 NO_LIVE = {**SHORT, "live_s": 0.0}
 """Nobody asks an agent in the warm-up, so the detector must not judge there either."""
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
+WORLD = {"scenario": "zhong2025", "domain": None}
 PUSH = [0.02, 0.6]
-"""Without and with an alarm."""
+"""Without and with an alarm in this world."""
 
 
 def reference(detector, push, seed):
     env = SpoofEnv(
-        detector=detector, timeline=NO_LIVE, attack=STRONG, alarm_price=0.0, action="full-command"
+        **WORLD,
+        detector=detector,
+        timeline=NO_LIVE,
+        attack=STRONG,
+        alarm_price=0.0,
+        action="full-command",
     )
     env.reset(seed=seed)
     displacement, over, info = [], False, {}
@@ -48,7 +54,12 @@ def played(duel, epoch_of, push, seed):
 def test_the_aec_form_with_an_agent_of_ewma_is_the_env_with_ewma(push):
     expected, info = reference(PerSatellite(), push, 4)
     duel = aec(
-        timeline=NO_LIVE, attack=STRONG, attack_probability=1.0, threshold=0.5, exclusion_s=None
+        **WORLD,
+        timeline=NO_LIVE,
+        attack=STRONG,
+        attack_probability=1.0,
+        threshold=0.5,
+        exclusion_s=None,
     )
     own, last, total = played(
         duel, lambda d: d.unwrapped.rules.duel.core.engine.simulator.epoch, push, 4
@@ -65,7 +76,12 @@ def test_the_aec_form_with_an_agent_of_ewma_is_the_env_with_ewma(push):
 def test_the_parallel_form_is_the_env_with_ewma_one_epoch_late(push):
     expected, info = reference(Late(), push, 4)
     duel = parallel(
-        timeline=NO_LIVE, attack=STRONG, attack_probability=1.0, threshold=0.5, exclusion_s=None
+        **WORLD,
+        timeline=NO_LIVE,
+        attack=STRONG,
+        attack_probability=1.0,
+        threshold=0.5,
+        exclusion_s=None,
     )
     core = duel.rules.duel
     agent = bound(PerSatellite(), core)

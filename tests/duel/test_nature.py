@@ -5,11 +5,12 @@ import pytest
 
 from spoofgym import duel_v0
 from spoofgym.detectors.pool import NATURE, OPPONENT, checked_weights, drawn, uniforms
+from spoofgym.duel.world import with_world
 from spoofgym.envs import SpoofEnv
 from spoofgym.envs.scoring import DisplacementScore, FusedStep
 from spoofgym.envs.step_result import StepResult
 
-from .support import ALARM, QUIET, SHORT, aec, parallel
+from .support import ALARM, BRIEF, QUIET, aec, parallel
 
 PUSH = np.array([0.4, 1.0])
 
@@ -42,7 +43,7 @@ def test_a_clean_episode_is_the_clean_run_whatever_is_commanded_and_pays_nothing
     found = {seed: attacked(run(env, seed)) for seed in range(8)}
     assert {True, False} == set(found.values())
     seed = next(seed for seed, hit in found.items() if not hit)
-    reference = SpoofEnv(detector="never", timeline=SHORT, action="full-command")
+    reference = SpoofEnv(detector="never", action="full-command", **with_world(BRIEF))
     reference.reset(seed=seed)
     expected = [reference.step(np.zeros(2))[4]["displacement_m"] for _ in range(30)]
     trace = run(env, seed)
@@ -67,7 +68,7 @@ def test_the_detector_is_not_told():
 @pytest.mark.parametrize("delay", [0, 1])
 def test_a_learning_detector_sees_only_at_the_end_that_it_was_attacked(delay):
     view = duel_v0.DetectorView(
-        "none", timeline=SHORT, attack_probability=1.0, decision_delay=delay, threshold=1.0
+        "none", **BRIEF, attack_probability=1.0, decision_delay=delay, threshold=1.0
     )
     _, info = view.reset(seed=3)
     over = False

@@ -10,18 +10,19 @@ import pytest
 from spoofgym import duel_v0
 from spoofgym.detectors.calibration import FOLDER_VARIABLE, run_probability
 from spoofgym.duel.opponents import make_opponent
+from spoofgym.duel.world import with_world
 from spoofgym.simulators import TightlyCoupledSetup, calibrate, check
 
 from ..spoofers.policies import network, write_policy
-from .support import SHORT
+from .support import BRIEF
 
-SETTINGS = {"timeline": SHORT, "runs": 19}
+SETTINGS = {**BRIEF, "runs": 19}
 
 
 @pytest.fixture
 def file(tmp_path):
     """Network of random weights, with a card that has its threshold."""
-    view = duel_v0.DetectorView(timeline=SHORT)
+    view = duel_v0.DetectorView(**BRIEF)
     path = tmp_path / "guard.onnx"
     sizes = view.observation_space.shape[0], view.action_space.shape[0]
     path.write_bytes(network(*sizes).SerializeToString())
@@ -40,7 +41,7 @@ def edit(path, **fields):
 
 def test_the_policy_is_the_same_in_any_batch_and_in_copies(file):
     policy = duel_v0.OnnxDetector(file)
-    view = duel_v0.DetectorVectorView(64, timeline=SHORT)
+    view = duel_v0.DetectorVectorView(64, **BRIEF)
     view.reset(seed=1)
     low, high = view.single_observation_space.low, view.single_observation_space.high
     observation = np.random.default_rng(0).uniform(low, high, (64, len(low))).astype(np.float32)
@@ -63,12 +64,12 @@ def _context(receivers, fields):
 
 
 def test_a_file_stands_in_a_pool(file, tmp_path):
-    view = duel_v0.SpooferVectorView(4, [str(file), "ewma"], timeline=SHORT)
+    view = duel_v0.SpooferVectorView(4, [str(file), "ewma"], **BRIEF)
     view.reset(seed=3)
     for _ in range(5):
         view.step(np.zeros((4, 1)))
     assert set(view.opponents) <= {str(file), "ewma"}
-    other = duel_v0.SpooferView({"name": str(file), "threshold": 0.25}, timeline=SHORT)
+    other = duel_v0.SpooferView({"name": str(file), "threshold": 0.25}, **BRIEF)
     (member,) = other.core.setup.detector.judges
     assert (member.scale, member.detector.card.exclusion_s) == (0.25, 30.0)
     store = tmp_path / "store"
@@ -82,18 +83,18 @@ def test_a_file_is_calibrated_by_the_mechanism_of_all_detectors(file, tmp_path, 
     asked = {"name": str(file), "false_alarms_per_hour": 20.0}
     told = r"no calibration of .*guard\.onnx .*--detector .*guard\.onnx --false-alarms-per-hour 20`"
     with pytest.raises(ValueError, match=told):
-        duel_v0.SpooferView(asked, timeline=SHORT)
-    setup = TightlyCoupledSetup(detector="never", timeline=SHORT)
+        duel_v0.SpooferView(asked, **BRIEF)
+    setup = TightlyCoupledSetup(detector="never", **with_world(BRIEF))
     judge = make_opponent(asked, setup.live)
     (found,) = calibrate(setup, judge, runs=40, false_alarms_per_hour=20.0)
     check(setup, [found], judge)
-    view = duel_v0.SpooferView(asked, timeline=SHORT)
+    view = duel_v0.SpooferView(asked, **BRIEF)
     (member,) = view.core.setup.detector.judges
     assert member.scale == found.point(20.0).scale
     assert member.detector.quiet_epochs == setup.live
     own = duel_v0.calibrate(
         duel_v0.OnnxDetector(file),
-        timeline=SHORT,
+        **BRIEF,
         runs=40,
         false_alarm=run_probability(20.0, setup.window_s),
     )
@@ -107,10 +108,10 @@ def test_what_does_not_fit_is_refused_by_name(file):
         ValueError,
         match=r"the detector 'guard' \(.*guard.onnx\).* odd only on the card; .*: range_inn",
     ):
-        duel_v0.SpooferView(str(file), timeline=SHORT).reset(seed=0)
+        duel_v0.SpooferView(str(file), **BRIEF).reset(seed=0)
     edit(file, observation={**names, "high": [11.0, *names["high"][1:]]})
     with pytest.raises(ValueError, match=r"'guard' .* observation\.high: "):
-        duel_v0.SpooferView(str(file), timeline=SHORT)
+        duel_v0.SpooferView(str(file), **BRIEF)
 
 
 @pytest.mark.parametrize(
@@ -127,17 +128,17 @@ def test_what_does_not_fit_is_refused_by_name(file):
 def test_damaged_cards(file, fields, message):
     edit(file, **fields)
     with pytest.raises(ValueError, match=message):
-        duel_v0.SpooferView(str(file), timeline=SHORT)
+        duel_v0.SpooferView(str(file), **BRIEF)
 
 
 def test_a_policy_of_the_other_side_is_told_where_it_belongs(file):
     with pytest.raises(
         ValueError, match=r"guard.json is that of a detector policy, .* SpooferView"
     ):
-        duel_v0.DetectorView(str(file), timeline=SHORT)
+        duel_v0.DetectorView(str(file), **BRIEF)
     spoofer = write_policy(file.parent, "tiny")
     with pytest.raises(ValueError, match=r"tiny.json is that of a spoofer, .* DetectorView"):
-        duel_v0.SpooferView(str(spoofer), timeline=SHORT)
+        duel_v0.SpooferView(str(spoofer), **BRIEF)
 
 
 def test_a_damaged_card_is_told_in_one_line(file):
@@ -150,10 +151,10 @@ def test_a_damaged_card_is_told_in_one_line(file):
 
 def test_other_files(file, tmp_path):
     with pytest.raises(ValueError, match="has no setting 'level'; valid: threshold"):
-        duel_v0.SpooferView({"name": str(file), "level": 0.2}, timeline=SHORT)
+        duel_v0.SpooferView({"name": str(file), "level": 0.2}, **BRIEF)
     small = tmp_path / "small.onnx"
     small.write_bytes(network(3, 2).SerializeToString())
     with pytest.raises(ValueError, match=r"float32 \(batch, 3\); the card has"):
-        duel_v0.write_card(small, duel_v0.DetectorView(timeline=SHORT), name="small")
+        duel_v0.write_card(small, duel_v0.DetectorView(**BRIEF), name="small")
     with pytest.raises(ValueError, match=r"must be the path of an \.onnx file"):
         duel_v0.OnnxDetector("guard.pt")

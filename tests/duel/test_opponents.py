@@ -6,7 +6,7 @@ import pytest
 from spoofgym import duel_v0
 from spoofgym.spoofers import Spoofer
 
-from .support import QUIET, SHORT
+from .support import BRIEF, QUIET
 
 
 class Odd(Spoofer):
@@ -53,7 +53,7 @@ class Double(Spoofer):
     ],
 )
 def test_a_spoofer_that_breaks_the_contract_is_named(action, message, delay):
-    envs = duel_v0.DetectorVectorView(3, Odd(action), timeline=SHORT, decision_delay=delay)
+    envs = duel_v0.DetectorVectorView(3, Odd(action), **BRIEF, decision_delay=delay)
     with pytest.raises(ValueError, match=f"the spoofer 'Odd' of the pool: .*{message}"):
         one_epoch(envs)
 
@@ -64,7 +64,7 @@ def one_epoch(envs):
 
 
 def test_a_spoofer_starts_again_only_where_an_episode_does():
-    envs = duel_v0.DetectorVectorView(3, "ramp", timeline=SHORT, autoreset_mode="disabled")
+    envs = duel_v0.DetectorVectorView(3, "ramp", **BRIEF, autoreset_mode="disabled")
     envs.reset(seed=1)
     memory = envs.core.pool._spoofers[0].memory
     for _ in range(2):
@@ -77,7 +77,7 @@ def test_a_spoofer_starts_again_only_where_an_episode_does():
 def test_every_spoofer_commands_in_double_precision_whoever_acts_first():
     commands = {}
     for name, pool in (("alone", [Double()]), ("pair", [Single(), Double()])):
-        envs = duel_v0.DetectorVectorView(8, pool, timeline=SHORT)
+        envs = duel_v0.DetectorVectorView(8, pool, **BRIEF)
         envs.reset(seed=2)
         game = envs.core
         commands[name] = game.pool.act(game.duel.core.snapshot(), np.arange(8))

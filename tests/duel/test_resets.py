@@ -5,10 +5,10 @@ import pytest
 
 from spoofgym import duel_v0
 
-from .support import QUIET, SHORT, aec, parallel
+from .support import BRIEF, QUIET, SHORT, aec, parallel
 
 DRAWN = {
-    "timeline": SHORT,
+    **BRIEF,
     "domain": {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
     "target_heading_deg": "random",
 }

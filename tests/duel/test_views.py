@@ -8,16 +8,17 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from spoofgym import duel_v0
+from spoofgym.duel.world import with_world
 from spoofgym.envs import SpoofEnv
 from spoofgym.spoofers import Ramp
 
-from .support import QUIET, SHORT, aec, parallel, wary
+from .support import BRIEF, QUIET, SHORT, aec, parallel, wary
 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 SPOOFERS = [{"name": "ramp", "rate_mps": 0.5}, "none", Ramp(rate_mps=3.0)]
 WARY = duel_v0.PolicyDetector(policy=duel_v0.FunctionPolicy(wary), threshold=0.2)
 DETECTORS = ["ewma", "snapshot-chi2", WARY]
-FULL = {"timeline": SHORT, "attack": STRONG, "action": "full-command"}
+FULL = {**BRIEF, "attack": STRONG, "action": "full-command"}
 SPOOFER = {"pool": DETECTORS, "weights": [1.0, 1.0, 2.0], **FULL}
 DOMAIN = {
     "domain": {"start_s": (0.0, 30.0), "turned_deg": (0.0, 360.0), "worlds": 2},
@@ -28,14 +29,14 @@ FOLLOWING = [
     "none",
     Ramp(rate_mps=3.0, heading_deg="target"),
 ]
-DETECTOR = {"pool": SPOOFERS, "timeline": SHORT, "attack": STRONG, "threshold": 0.5}
+DETECTOR = {"pool": SPOOFERS, **BRIEF, "attack": STRONG, "threshold": 0.5}
 
 
 @pytest.mark.parametrize(
     ("name", "kwargs"),
     [
         ("SpooferView", SPOOFER),
-        ("SpooferView", {"pool": "never", "knowledge": "oracle", "timeline": SHORT}),
+        ("SpooferView", {"pool": "never", "knowledge": "oracle", **BRIEF}),
         ("DetectorView", DETECTOR),
         ("DetectorView", {**DETECTOR, "decision_delay": 1, "statistic": "channel"}),
     ],
@@ -141,7 +142,7 @@ def test_every_receiver_of_a_vector_view_is_the_single_view(single, vector, kwar
 
 def test_the_spoofers_view_of_one_detector_is_the_env_with_it():
     ours = duel_v0.SpooferView("ewma", alarm_price=1.5, **FULL)
-    theirs = SpoofEnv(detector="ewma", **FULL)
+    theirs = SpoofEnv(detector="ewma", **with_world(FULL))
     ours.reset(seed=8)
     theirs.reset(seed=8)
     over = False
@@ -198,7 +199,7 @@ def play(duel, delay, seed, push):
 
 @pytest.mark.parametrize("delay", [0, 1])
 def test_the_detectors_view_is_the_duel_against_that_spoofer(delay):
-    kwargs = {"timeline": SHORT, "attack": STRONG, "threshold": 1.0}
+    kwargs = {**BRIEF, "attack": STRONG, "threshold": 1.0}
     view = duel_v0.DetectorView({"name": "ramp", "rate_mps": 0.5}, decision_delay=delay, **kwargs)
     duel = (parallel if delay else aec)(**kwargs)
     rewards = {}
@@ -317,7 +318,7 @@ def test_after_a_change_of_the_pool_all_receivers_begin_anew(make):
 )
 def test_bad_settings(make, kwargs, message):
     with pytest.raises((ValueError, TypeError), match=message):
-        make(**{"timeline": SHORT, **kwargs})
+        make(**{**BRIEF, **kwargs})
 
 
 VIEWS = [
@@ -388,7 +389,7 @@ def test_the_spoofers_view_draws_its_episodes():
 
 
 def test_a_pool_that_changes_the_observation_is_refused_by_both_names():
-    view = duel_v0.SpooferView("ewma", timeline=SHORT, knowledge="oracle")
+    view = duel_v0.SpooferView("ewma", **BRIEF, knowledge="oracle")
     with pytest.raises(ValueError, match=r"the pool snapshot-chi2 gives .* but ewma gave"):
         view.set_pool("snapshot-chi2")
     view.reset(seed=1)
@@ -418,7 +419,8 @@ def test_an_unfinished_episode_survives_pickling(make):
 @pytest.mark.parametrize("delay", [0, 1])
 def test_an_episode_may_last_as_long_as_the_flight(delay):
     timeline = {"warmup_s": 200.0, "live_s": 10.0, "attack_s": 207.5, "time_to_alert_s": 10.0}
-    kwargs = {"threshold": 0.5, "timeline": timeline, "decision_delay": delay}
+    world = {"scenario": "zhong2025"}
+    kwargs = {**world, "threshold": 0.5, "timeline": timeline, "decision_delay": delay}
     envs = duel_v0.DetectorVectorView(2, "ramp", **kwargs)
     setup = envs.core.duel.setup
     spare = setup.world.epochs - 1 - (setup.onset + setup.steps + setup.hold)

@@ -20,6 +20,7 @@ from rich.console import Console
 
 from agents.bar import Bar
 from agents.folder import open_folder
+from agents.price import next_price
 from agents.record import read_record
 from spoofgym.bench.evaluate import Evaluator
 from spoofgym.envs import attach
@@ -208,13 +209,30 @@ def test_evaluation_and_training_share_no_runs(trained):
     assert len(set(states)) == 4
 
 
-def test_full_scale_and_price_are_of_the_environment():
-    args = arguments(Path("x"), full_scale_mps=3.0, alarm_price=0.5)
-    envs = args.make_envs()
-    assert envs.env_kwargs["alarm_price"] == 0.5
-    assert envs.env_kwargs["action"] == {"name": "rate-setpoint", "full_scale_mps": 3.0}
-    envs.close()
+def test_the_full_scale_is_four_lengths_within_the_attack_or_what_is_given():
+    for given, expected in ((3.0, 3.0), (None, 4 * 40.0 / 10.0)):
+        envs = arguments(Path("x"), full_scale_mps=given).make_envs()
+        assert envs.env_kwargs["action"] == {"name": "rate-setpoint", "full_scale_mps": expected}
+        envs.close()
     assert arguments(Path("x"), detector="", settings="{}").world == {"task": "T1"}
+
+
+def test_the_price_follows_the_amplitude_and_is_kept(tmp_path):
+    args = arguments(tmp_path, seeds=(0,), alarm_price=6.0)
+    judge = Evaluator(runs=args.runs, fit_runs=args.fit_runs, threads=1, **args.world)
+    training = Training(args, 0, judge)
+    assert training.price == 6.0
+    training.run(Bar(quiet(), "", args.steps))
+    expected = 6.0
+    for _, found in training.watch.history[1:]:
+        expected = next_price(expected, found.value, args.price_gain)
+    assert training.price == expected != 6.0
+    paid = dict(training.envs.venv.core._reward_parts)["reward_alarm"].penalty_m
+    assert paid != 6.0 * 40.0
+    training.envs.close()
+    again = Training(args, 0, judge)
+    assert again.price == expected
+    again.envs.close()
 
 
 @pytest.mark.parametrize(

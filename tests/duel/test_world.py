@@ -1,0 +1,87 @@
+"""The world of a duel: a game where none is given, and what is given otherwise."""
+
+import inspect
+
+import gymnasium as gym
+import pytest
+
+from spoofgym import duel_v0
+from spoofgym.duel.learner import LearnersSide
+from spoofgym.duel.rules import make_duel
+from spoofgym.duel.world import with_world
+from spoofgym.envs import SpoofEnv
+from spoofgym.tasks import task_of
+
+from .support import SHORT
+
+GAME, PAPERS = task_of("T3").world_kwargs, "zhong2025"
+
+
+def described(setup):
+    return setup.world_settings()
+
+
+def duels(**given):
+    """Setups of all forms of the duel."""
+    own = {"timeline": SHORT, **given}
+    return [
+        make_duel(1, **own).setup,
+        duel_v0.SpooferView(**own).core.setup,
+        duel_v0.DetectorView(**own).core.duel.setup,
+        gym.make("spoofgym/SpooferView-v0", **own).unwrapped.core.setup,
+    ]
+
+
+def test_without_a_world_all_forms_are_played_in_that_of_t3():
+    expected = described(SpoofEnv(**GAME, timeline=SHORT).core.setup)
+    papers = described(SpoofEnv(timeline=SHORT).core.setup)
+    assert expected["scenario"] != papers["scenario"]
+    for setup in duels():
+        assert described(setup) == expected
+
+
+def test_with_a_scenario_nothing_of_it_is_left():
+    papers = described(SpoofEnv(timeline=SHORT).core.setup)
+    for setup in duels(scenario=PAPERS):
+        assert described(setup) == papers
+
+
+def test_parts_of_it_can_be_set():
+    for setup in duels(receiver="paper", domain=None):
+        assert described(setup) == described(
+            SpoofEnv(scenario="trolley", receiver="paper", timeline=SHORT).core.setup
+        )
+
+
+def test_its_signature_shows_it():
+    shown = inspect.signature(duel_v0.env).parameters
+    assert {name: shown[name].default for name in GAME} == GAME
+
+
+def side_of(env_id=None, task=None, side="spoofer", pool=None, **settings):
+    return LearnersSide.of(env_id, task, side, pool, None, settings).settings
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [
+        ({}, {}),
+        ({"pool": ["ewma"]}, GAME),
+        ({"side": "detector"}, GAME),
+        ({"env_id": "spoofgym/DetectorView-v0"}, GAME),
+        ({"env_id": "spoofgym/TightlyCoupled-v0", "pool": ["ewma"]}, {"scenario": PAPERS}),
+        ({"pool": ["ewma"], "scenario": "trolley"}, {"scenario": "trolley"}),
+    ],
+)
+def test_a_learner_has_it_where_it_names_no_world(asked, expected):
+    assert side_of(**asked) == expected
+
+
+def test_a_task_keeps_its_world():
+    assert side_of(task="T6")["domain"] == task_of("T6").settings["domain"]
+
+
+def test_settings_are_not_changed():
+    given = {"receiver": "paper"}
+    assert with_world(given) == {**GAME, "receiver": "paper"}
+    assert given == {"receiver": "paper"}
