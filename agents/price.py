@@ -6,8 +6,8 @@ from spoofgym.envs.terms.reward import default_rewards
 from spoofgym.sb3 import SpoofVecEnv
 
 LEAST, MOST = 1.0, 8.0
-"""In lengths.  Below, a policy that has found nothing yet learns that alarms are for nothing; above,
-a few alarms drown what else there is to learn."""
+"""In lengths.  With less a policy that has found nothing learns that alarms are for nothing; with
+more a few alarms drown what else there is to learn."""
 
 
 def next_price(price: float, amplitude: float, gain: float) -> float:
