@@ -31,6 +31,7 @@ from ..envs.players import (
     DUELS,
     IDS,
     MODES,
+    ONE_SKY,
     SETTINGS,
     SHORT,
     SMALL_IDS,
@@ -266,7 +267,7 @@ def pickled(name: str, form: str, **settings: Any) -> None:
 def test_a_duel_is_told_by_its_seed_and_survives_pickling(
     form: str, kwargs: dict[str, Any]
 ) -> None:
-    player = Player(make("", form, timeline=SHORT, **kwargs), form)
+    player = Player(make("", form, **{"timeline": SHORT, "domain": ONE_SKY, **kwargs}), form)
     first = player.begin(6).go(5)
     assert_same(first, player.begin(6).go(5), form)
     copy = pickle.loads(pickle.dumps(player))

@@ -24,7 +24,12 @@ DUELS = {"AEC duel": "env", "parallel duel": "parallel_env"}
 COUNT = 3
 SHORT = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
 FEW_WORLDS = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
+ONE_SKY = {"turn_on": "drawn"}
 SETTINGS: dict[str, dict[str, Any]] = {
+    **{
+        f"spoofgym/{side}View-v0": {"timeline": SHORT, "domain": ONE_SKY}
+        for side in ("Detector", "Spoofer")
+    },
     **{
         f"spoofgym/BenchD{k}-v1": {"timeline": SHORT, "scenario": "trolley", "domain": FEW_WORLDS}
         for k in range(1, 5)
