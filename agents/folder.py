@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -67,3 +69,13 @@ def error_lines() -> Iterator[None]:
         raise SystemExit(f"error: {' '.join(str(error).split())}") from error
     except KeyboardInterrupt:
         raise SystemExit("interrupted; the same command goes on") from None
+
+
+def command_of(module: str, args: Any, free: Container[str], last: Sequence[str] = ()) -> str:
+    """Command line of a training again: what is not a default and not `free`, and `last`."""
+    words = ["--out", args.out.name]
+    for item in fields(args):
+        value = getattr(args, item.name)
+        if item.name not in free and value != item.default:
+            words += [f"--{item.name.replace('_', '-')}", str(value)]
+    return shlex.join(["python", "-m", module, *words, *last])

@@ -11,24 +11,22 @@ learned, its amplitude fitted, too.
 After a kill the same command goes on from the last checkpoint, to the same result: each stage of
 learning starts new episodes with random numbers of its own.
 
-The folder holds `config.json`, a folder for each seed with its `record.jsonl` (learning curve),
-`checkpoint.zip` and policy, `results.json`, the picture `curve.png`, and the policy of the seed
-that was best on training runs, `NAME.onnx` with `NAME.json`.
+The folder gets `results.json`, `curve.png`, the policy of the seed that was best on training runs,
+`NAME.onnx` with `NAME.json`, and a folder for each seed with learning curve, checkpoint and policy.
 
 What is not a default of PPO or of the environment, and why:
 
 1. `gamma` = 1: what is scored is not discounted; `gae_lambda` = 0.98 for long episodes.
 2. `n_steps` is an episode, and minibatches are large, since the environment is fast.
-3. `log_std_init` = -1.5: with the library's standard deviation of 1 every episode alarms.
-4. `learning_rate` = 1e-3, falling to a tenth.
-5. `VecNormalize`: observations and rewards in units of their own standard deviations, so that one
+3. `log_std_init` = -1.5: at the library's 0 every episode alarms; `learning_rate` falls from 1e-3.
+4. `VecNormalize`: observations and rewards in units of their own standard deviations, so that one
    set of settings suits detectors that allow for metres and for hundreds of metres.  Rewards are
    not clipped: an alarm costs more than the ten deviations at which the library cuts them.
-6. The environment's action is a wanted rate, and an action of 1 all through the attack goes four
+5. The environment's action is a wanted rate, and an action of 1 all through the attack goes four
    lengths (alert limits) far: so that exploration is no louder than what it looks for.
-7. `average`: what is scored and kept is the average of the weights over some ten updates, since the
+6. `average`: what is scored and kept is the average of the weights over some ten updates, since the
    policy jitters by metres from one update to the next.
-8. The price of an alarm follows the budget, as a Lagrange multiplier: a policy that has to be
+7. The price of an alarm follows the budget, as a Lagrange multiplier: a policy that has to be
    scaled down pays more from then on, one that could be scaled up pays less.
 """
 
@@ -37,10 +35,9 @@ from __future__ import annotations
 import json
 import math
 import re
-import shlex
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +53,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from agents.bar import Bar
 from agents.checkpoint import finite, load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
-from agents.folder import error_lines, open_folder, used_versions
+from agents.folder import command_of, error_lines, open_folder, used_versions
 from agents.price import next_price, set_price
 from agents.record import TrainingRecord, read_record
 from agents.seeds import comparable, copy_policy, table_of
@@ -202,13 +199,7 @@ class Arguments:
 
     def command(self) -> str:
         """What trains the same again."""
-        words = ["--out", self.out.name]
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name not in FREE and value != item.default:
-                words += [f"--{item.name.replace('_', '-')}", str(value)]
-        words += ["--seeds", *map(str, self.seeds)]
-        return shlex.join(["python", "-m", "train.ppo_spoofer", *words])
+        return command_of("train.ppo_spoofer", self, FREE, ["--seeds", *map(str, self.seeds)])
 
 
 def make_model(

@@ -141,7 +141,7 @@ def test_environments_and_duel_take_it():
     small = {"timeline": SHORT["tightly-coupled"]["timeline"], "imu_rate_hz": 20}
     one = gym.make("spoofgym/TightlyCoupled-v0", **small)
     many = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=2, **small)
-    duel = duel_v0.env(**small)
+    duel = duel_v0.env(scenario="zhong2025", **small)
     for env in (one, many, duel):
         env.reset(seed=3)
     cores = one.unwrapped.core, many.unwrapped.core, duel.unwrapped.rules.duel.core
