@@ -62,7 +62,11 @@ def draw_curves(
     axes.set_ylim(bottom=0.0)
     for names, level in _grouped(levels or {}, NEAR * axes.get_ylim()[1]):
         axes.annotate(names, (0.0, level), xytext=(2, 2), textcoords="offset points", fontsize=8)
-    axes.legend(fontsize="small", ncols=2, framealpha=0.9)
+    figure.legend(
+        fontsize="small",
+        ncols=min(len(axes.get_legend_handles_labels()[0]), 6),
+        loc="outside lower center",
+    )
     save_figure(figure, path, dpi=110)
 
 
