@@ -105,7 +105,7 @@ def test_every_link_to_a_file_leads_somewhere():
 
 
 def test_the_price_of_the_block_follows_the_budget(scope):
-    """Up while more than the budget alarm, down while fewer do, and never below 0."""
+    """Up while more than the budget alarm, down while fewer do, and never below the least price."""
     if "AlarmBudget" not in scope:
         pytest.skip("stable-baselines3 is not installed")
     paid = []
@@ -114,7 +114,7 @@ def test_the_price_of_the_block_follows_the_budget(scope):
         def set_rewards(self, terms):
             paid.append(next(term.penalty_m for term in terms if term.name == "alarm"))
 
-    budget = scope["AlarmBudget"](Envs(), budget=0.05, price_m=4.0, step_m=100.0)
+    budget = scope["AlarmBudget"](Envs(), budget=0.05, least_m=4.0, step_m=100.0)
     budget.init_callback(
         type("Model", (), {"logger": Logger(), "get_env": lambda self: None, "num_timesteps": 0})()
     )
@@ -123,7 +123,7 @@ def test_the_price_of_the_block_follows_the_budget(scope):
         budget.on_rollout_start()
         assert budget.on_step()
         budget.on_rollout_end()
-    assert paid == pytest.approx([4.0, 9.0, 4.0, 0.0])
+    assert paid == pytest.approx([4.0, 9.0, 4.0, 4.0])
 
 
 class Logger:
