@@ -146,7 +146,10 @@ def main() -> None:
     for folder in map(Path, sys.argv[1:]):
         results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
         if "kinds" in results:
-            kept["plain"][results["task"]] = taken_of_plain(results)
+            found = taken_of_plain(results)
+            before = kept["plain"].get(results["task"], found)
+            found["kinds"] = {**before["kinds"], **found["kinds"]}  # played in several parts
+            kept["plain"][results["task"]] = found
             continue
         config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
         task = config["arguments"]["task"]
