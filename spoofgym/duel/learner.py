@@ -68,7 +68,8 @@ class LearnersSide(NamedTuple):
         if pool is not None:
             merged.pop("detector", None)  # of the id, in whose place the pool or the learner is
             own_world = {"scenario": SCENARIO} if env_id is not None and view not in VIEWS else {}
-            all_ = with_world({**own_world, **merged, **settings})
+            given = {k: v for k, v in settings.items() if not (k == "scenario" and v is None)}
+            all_ = with_world({**own_world, **merged, **given})
         return cls(name, side, setup, pool, weights, all_)
 
     def core(

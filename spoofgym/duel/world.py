@@ -8,14 +8,15 @@ from typing import Any
 from ..tasks import task_of
 
 GAME = "T3"
-"""Task in whose world a duel is played by default: docs/game.md shows that it is a game.
+"""Task in whose world a duel is played by default.
 
-In the world of the papers, the default of the environments of one side, it is none: a detector that
-has learned for half a minute finds every attack there.
+The best detector that is known there still concedes part of the alert limit (docs/game.md).
 """
 
 
 def with_world(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings with the world of `GAME` below them, unless they have a scenario of their own."""
-    below = task_of(GAME).world_kwargs if settings.get("scenario") is None else {}
-    return {**below, **settings}
+    if settings.get("scenario") is not None:
+        return dict(settings)
+    given = {name: value for name, value in settings.items() if name != "scenario"}
+    return {**task_of(GAME).world_kwargs, **given}

@@ -46,6 +46,13 @@ def test_with_a_scenario_nothing_of_it_is_left():
         assert described(setup) == papers
 
 
+def test_no_scenario_is_as_if_it_were_not_given():
+    assert with_world({"scenario": None}) == GAME
+    assert side_of(pool=["ewma"], scenario=None) == GAME
+    named = side_of(env_id="spoofgym/TightlyCoupled-v0", pool=["ewma"], scenario=None)
+    assert named == {"scenario": PAPERS}
+
+
 def test_parts_of_it_can_be_set():
     for setup in duels(receiver="paper", domain=None):
         assert described(setup) == described(
@@ -78,7 +85,9 @@ def test_a_learner_has_it_where_it_names_no_world(asked, expected):
 
 
 def test_a_task_keeps_its_world():
-    assert side_of(task="T6")["domain"] == task_of("T6").settings["domain"]
+    for task in ("T1", "T2"):
+        found = side_of(task=task, side="detector")
+        assert found == {**task_of(task).world_kwargs}
 
 
 def test_settings_are_not_changed():
