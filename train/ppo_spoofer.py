@@ -37,6 +37,7 @@ import math
 import re
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,8 @@ from agents.bar import Bar
 from agents.checkpoint import finite, load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
 from agents.folder import command_of, error_lines, open_folder, used_versions
-from agents.price import next_price, set_price
+from agents.full_scale import setpoint_action
+from agents.price import LEAST, MOST, next_price, set_price
 from agents.record import TrainingRecord, read_record
 from agents.seeds import comparable, copy_policy, table_of
 from spoofgym._files import write_file
@@ -69,12 +71,9 @@ from spoofgym.tasks import task_of
 
 CHECKPOINT, RECORD, RESULTS = "checkpoint.zip", "record.jsonl", "results.json"
 PICTURE = "curve.png"
-LENGTHS = 4.0
-"""How far an action of 1 all through an attack goes, by default."""
 RIVALS = ("ramp", "accelerating-ramp", "blind-optimum")
 """Whom the policies are compared with, each fitted to the budget on the same training runs."""
-STATE = ("stage", "spent_s", "untrained", "price")
-"""What a checkpoint keeps of a training, beside model and scores."""
+STATE = ("stage", "spent_s", "untrained", "price")  # what a checkpoint keeps beside model, scores
 FREE = ("out", "seeds", "rivals", "threads", "tensorboard", "json")
 """Arguments that a run which is gone on with may change."""
 
@@ -94,7 +93,7 @@ class Arguments:
     settings: str = "{}"
     """Further settings of that world, as JSON, such as '{"attack": "quiet"}'."""
     alarm_price: float = ALARM_PRICE
-    """What an alarm costs at first, in lengths; nothing where `settings` have a reward."""
+    """What an alarm costs at first, in lengths."""
     price_gain: float = 1.5
     """After a score the price is divided by this power of the amplitude; 0 for a fixed price."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
@@ -142,7 +141,7 @@ class Arguments:
             *((name, 1, math.inf) for name in ("steps", "num_envs", "batch_size", "n_epochs")),
             *((name, 1, math.inf) for name in ("stages", "fit_runs", "runs")),
             ("gae_lambda", 0.0, 1.0),
-            ("alarm_price", 0.0, 1e6),
+            ("alarm_price", *((LEAST, MOST) if self.price_gain else (0.0, math.inf))),
             ("price_gain", 0.0, 10.0),
             ("average", 0.0, 0.999),
             ("learning_rate", 0.0, 1.0),
@@ -190,11 +189,11 @@ class Arguments:
     def make_envs(self) -> SpoofVecEnv:
         """Receivers of the training."""
         own: dict[str, Any] = {"knowledge": self.knowledge, "threads": self.threads}
-        scale = self.full_scale_mps
-        if scale is None:
-            core = SpoofVecEnv(1, threads=1, **self.world).core
-            scale = LENGTHS * core.length_m / (core.setup.steps * core.setup.interval_s)
-        own["action"] = {"name": "rate-setpoint", "full_scale_mps": scale}
+        limit_m = task_of(self.task).alert_limit_m
+        if "task" not in self.world and limit_m is not None:
+            own["length_m"] = limit_m  # as the task itself has it
+        with closing(SpoofVecEnv(1, **own, **self.world)) as probe:
+            own |= setpoint_action(probe.core, self.full_scale_mps)
         return SpoofVecEnv(self.num_envs, **own, **self.world)
 
     def command(self) -> str:
@@ -277,7 +276,7 @@ class Training:
         if self.untrained is None:
             self.untrained = self.judge.score(self.model, label="untrained").as_dict()
         while self.stage < args.stages and self.watch.diverged is None:
-            began = time.perf_counter()
+            began, scores = time.perf_counter(), len(self.watch.history)
             chance = np.random.SeedSequence([self.seed, self.stage])
             self.model.set_random_seed(int(chance.generate_state(1)[0]))
             self.model.set_env(self.envs)  # which makes the stage start with new episodes
@@ -294,7 +293,7 @@ class Training:
                     raise
                 self.watch.give_up(str(error).partition("\n")[0])
             self.stage += 1
-            if self.watch.history:
+            if len(self.watch.history) > scores:
                 amplitude = self.watch.history[-1][1].value
                 self.price = next_price(self.price, amplitude, args.price_gain)
             self.spent_s += time.perf_counter() - began

@@ -209,12 +209,37 @@ def test_evaluation_and_training_share_no_runs(trained):
     assert len(set(states)) == 4
 
 
-def test_the_full_scale_is_four_lengths_within_the_attack_or_what_is_given():
-    for given, expected in ((3.0, 3.0), (None, 4 * 40.0 / 10.0)):
+def test_the_full_scale_is_the_limit_of_a_short_attack_or_what_is_given():
+    for given, expected in ((3.0, 3.0), (None, 5.0)):
         envs = arguments(Path("x"), full_scale_mps=given).make_envs()
         assert envs.env_kwargs["action"] == {"name": "rate-setpoint", "full_scale_mps": expected}
         envs.close()
     assert arguments(Path("x"), detector="", settings="{}").world == {"task": "T1"}
+
+
+@pytest.mark.parametrize(
+    ("given", "action", "length_m"),
+    [
+        ({"task": "T4", "detector": "never"}, {"full_scale_mps": 5.0}, 556.0),
+        ({"task": "T3", "detector": "never"}, {"full_scale_mps": 4 * 20.0 / 150.0}, 20.0),
+        ({"settings": '{"target_heading_deg": "worst"}'}, {"dimensions": 2}, 40.0),
+    ],
+)
+def test_the_full_scale_fits_the_attack_and_the_alert_limit_of_the_task(given, action, length_m):
+    quick = {"settings": "{}", "full_scale_mps": None, "num_envs": 1}
+    envs = arguments(Path("x"), **{**quick, **given}).make_envs()
+    assert action.items() <= envs.env_kwargs["action"].items()
+    assert envs.core.length_m == length_m
+    envs.close()
+
+
+def test_an_attack_without_a_wanted_rate_is_commanded_as_it_is():
+    settings = json.dumps({**WORLD, "attack": "paper-ideal"})
+    envs = arguments(Path("x"), settings=settings, full_scale_mps=None).make_envs()
+    assert "action" not in envs.env_kwargs
+    envs.close()
+    with pytest.raises(ValueError, match="`full_scale_mps` is that of a wanted rate"):
+        arguments(Path("x"), settings=settings, full_scale_mps=2.0).make_envs()
 
 
 def test_the_price_follows_the_amplitude_and_is_kept(tmp_path):
@@ -228,7 +253,8 @@ def test_the_price_follows_the_amplitude_and_is_kept(tmp_path):
         expected = next_price(expected, found.value, args.price_gain)
     assert training.price == expected != 6.0
     paid = dict(training.envs.venv.core._reward_parts)["reward_alarm"].penalty_m
-    assert paid != 6.0 * 40.0
+    before = next_price(6.0, training.watch.history[1][1].value, args.price_gain)
+    assert paid == pytest.approx(40.0 * before)
     training.envs.close()
     again = Training(args, 0, judge)
     assert again.price == expected
@@ -240,6 +266,7 @@ def test_the_price_follows_the_amplitude_and_is_kept(tmp_path):
     [
         (("--task", "T9"), "unknown task 'T9'; valid: T1"),
         (("--knowledge", "psychic"), "unknown knowledge 'psychic'; valid: "),
+        (("--alarm-price", 9), r"`alarm_price` must be in [1, 8], got 9"),
         (("--steps", 0), r"`steps` must be in [1, inf], got 0"),
         (("--gae-lambda", 1.5), r"`gae_lambda` must be in [0, 1], got 1.5"),
         (("--learning-rate", "nan"), r"`learning_rate` must be in [0, 1], got nan"),
