@@ -64,10 +64,9 @@ from spoofgym._registry import check_choice
 from spoofgym.bench.evaluate import FITTED, Evaluator, entry_of
 from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.spoofer_score import Score
-from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
-from spoofgym.tasks import task_of
+from spoofgym.tasks import ALARM_PRICE, task_of
 
 CHECKPOINT, RECORD, RESULTS = "checkpoint.zip", "record.jsonl", "results.json"
 PICTURE = "curve.png"
@@ -189,12 +188,13 @@ class Arguments:
     def make_envs(self) -> SpoofVecEnv:
         """Receivers of the training."""
         own: dict[str, Any] = {"knowledge": self.knowledge, "threads": self.threads}
+        own |= self.world
         limit_m = task_of(self.task).alert_limit_m
-        if "task" not in self.world and limit_m is not None:
+        if "task" not in own and limit_m is not None:
             own["length_m"] = limit_m  # as the task itself has it
-        with closing(SpoofVecEnv(1, **own, **self.world)) as probe:
+        with closing(SpoofVecEnv(1, **own)) as probe:
             own |= setpoint_action(probe.core, self.full_scale_mps)
-        return SpoofVecEnv(self.num_envs, **own, **self.world)
+        return SpoofVecEnv(self.num_envs, **own)
 
     def command(self) -> str:
         """What trains the same again."""

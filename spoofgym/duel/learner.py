@@ -20,7 +20,7 @@ from ..tasks import task_of
 from .detector_core import DetectorCore
 from .rules import make_duel
 from .spoofer_view import SpooferSide, SpooferView, check_settings
-from .world import with_world
+from .world import given, with_world
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 VIEWS = {"SpooferView": "ewma", "DetectorView": "ramp"}
@@ -64,12 +64,12 @@ class LearnersSide(NamedTuple):
             whom = own[0] if view == "DetectorView" else None
             pool = whom or VIEWS["DetectorView"]
         _check_opponents(name, side, setup, pool, weights, settings.get("detector"))
-        all_ = {**merged, **settings}
-        if pool is not None:
-            merged.pop("detector", None)  # of the id, in whose place the pool or the learner is
-            own_world = {"scenario": SCENARIO} if env_id is not None and view not in VIEWS else {}
-            given = {k: v for k, v in settings.items() if not (k == "scenario" and v is None)}
-            all_ = with_world({**own_world, **merged, **given})
+        if pool is None:
+            return cls(name, side, setup, pool, weights, {**merged, **settings})
+        merged.pop("detector", None)  # of the id, in whose place the pool or the learner is
+        if env_id is not None and view not in VIEWS:
+            merged.setdefault("scenario", SCENARIO)
+        all_ = with_world({**merged, **given(settings)})
         return cls(name, side, setup, pool, weights, all_)
 
     def core(

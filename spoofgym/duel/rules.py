@@ -25,8 +25,9 @@ from .world import with_world
 
 SPOOFER, DETECTOR = "spoofer_0", "detector_0"
 AGENTS = (SPOOFER, DETECTOR)
+_DEFAULT = with_world({})
 _WORLD = {
-    name: parameter.replace(default=with_world({}).get(name, parameter.default))
+    name: parameter.replace(default=_DEFAULT.get(name, parameter.default))
     for name, parameter in inspect.signature(TightlyCoupledSetup).parameters.items()
     if name != "detector"
 }

@@ -14,9 +14,15 @@ The best detector that is known there still concedes part of the alert limit (do
 """
 
 
+def given(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings without a scenario of None, which is as if it were not there."""
+    found = dict(settings)
+    if found.get("scenario") is None:
+        found.pop("scenario", None)
+    return found
+
+
 def with_world(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings with the world of `GAME` below them, unless they have a scenario of their own."""
-    if settings.get("scenario") is not None:
-        return dict(settings)
-    given = {name: value for name, value in settings.items() if name != "scenario"}
-    return {**task_of(GAME).world_kwargs, **given}
+    own = given(settings)
+    return own if "scenario" in own else {**task_of(GAME).world_kwargs, **own}

@@ -26,12 +26,12 @@ from gymnasium.vector import AutoresetMode
 
 from spoofgym.tasks import TASKS
 
+from ..duel.support import ONE_SKY
 from ..envs.players import (
     COUNT,
     DUELS,
     IDS,
     MODES,
-    ONE_SKY,
     SETTINGS,
     SHORT,
     SMALL_IDS,

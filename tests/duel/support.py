@@ -13,6 +13,8 @@ from spoofgym.detectors.ewma import Ewma
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
 ONE_SKY = {"turn_on": "drawn"}
+PAPERS = {"scenario": "zhong2025", "domain": None}
+"""The world of the papers, in which a receiver assumes the same however long an episode is."""
 BRIEF = {"timeline": SHORT, "domain": ONE_SKY}
 """Short, and in the default world with one sky, which is made faster than with all of them."""
 SATELLITES = 12

@@ -7,14 +7,12 @@ import pytest
 
 from spoofgym import duel_v0
 
-from .support import ALARM, QUIET, SHORT, aec, parallel, wary
+from .support import ALARM, PAPERS, QUIET, SHORT, aec, parallel, wary
 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 EVERY = 3
-WORLD = {"scenario": "zhong2025", "domain": None}
-"""Whose receiver assumes the same whatever the length of an episode; a matched one does not."""
 SLOW = {
-    **WORLD,
+    **PAPERS,
     "decision_interval_s": 1.5,
     "attack": STRONG,
     "attack_probability": 1.0,
@@ -132,7 +130,7 @@ def test_the_spoofers_view_is_the_same_game_with_a_step_a_decision(delay, betwee
     opponent = duel_v0.PolicyDetector(policy=policy, threshold=0.2, decision_delay=delay)
     view = duel_v0.SpooferView(
         opponent,
-        **WORLD,
+        **PAPERS,
         timeline=SHORT,
         attack=STRONG,
         action="full-command",
@@ -242,7 +240,7 @@ def test_a_duel_that_is_pickled_between_two_decisions_goes_on_identically():
 
 
 def test_the_store_tells_intervals_apart_where_an_episode_depends_on_them(tmp_path):
-    settings = {**WORLD, "false_alarm": 0.5, "runs": 2, "store": tmp_path, "timeline": SHORT}
+    settings = {**PAPERS, "false_alarm": 0.5, "runs": 2, "store": tmp_path, "timeline": SHORT}
     policy = duel_v0.FunctionPolicy(wary, "wary")
     quick = duel_v0.calibrate(policy, **settings)
     slow = duel_v0.calibrate(policy, **settings, decision_interval_s=1.5)

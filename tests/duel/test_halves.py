@@ -5,19 +5,18 @@ import pytest
 
 from spoofgym.envs import SpoofEnv
 
-from .support import SHORT, Late, PerSatellite, aec, as_action, bound, parallel
+from .support import PAPERS, SHORT, Late, PerSatellite, aec, as_action, bound, parallel
 
 NO_LIVE = {**SHORT, "live_s": 0.0}
 """Nobody asks an agent in the warm-up, so the detector must not judge there either."""
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
-WORLD = {"scenario": "zhong2025", "domain": None}
 PUSH = [0.02, 0.6]
-"""Without and with an alarm in this world."""
+"""Without and with an alarm in the world of the papers."""
 
 
 def reference(detector, push, seed):
     env = SpoofEnv(
-        **WORLD,
+        **PAPERS,
         detector=detector,
         timeline=NO_LIVE,
         attack=STRONG,
@@ -54,7 +53,7 @@ def played(duel, epoch_of, push, seed):
 def test_the_aec_form_with_an_agent_of_ewma_is_the_env_with_ewma(push):
     expected, info = reference(PerSatellite(), push, 4)
     duel = aec(
-        **WORLD,
+        **PAPERS,
         timeline=NO_LIVE,
         attack=STRONG,
         attack_probability=1.0,
@@ -76,7 +75,7 @@ def test_the_aec_form_with_an_agent_of_ewma_is_the_env_with_ewma(push):
 def test_the_parallel_form_is_the_env_with_ewma_one_epoch_late(push):
     expected, info = reference(Late(), push, 4)
     duel = parallel(
-        **WORLD,
+        **PAPERS,
         timeline=NO_LIVE,
         attack=STRONG,
         attack_probability=1.0,

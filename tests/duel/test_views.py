@@ -12,7 +12,7 @@ from spoofgym.duel.world import with_world
 from spoofgym.envs import SpoofEnv
 from spoofgym.spoofers import Ramp
 
-from .support import BRIEF, QUIET, SHORT, aec, parallel, wary
+from .support import BRIEF, PAPERS, QUIET, SHORT, aec, parallel, wary
 
 STRONG = {"name": "false-position", "acceleration_limit_mps2": 1.0}
 SPOOFERS = [{"name": "ramp", "rate_mps": 0.5}, "none", Ramp(rate_mps=3.0)]
@@ -419,8 +419,7 @@ def test_an_unfinished_episode_survives_pickling(make):
 @pytest.mark.parametrize("delay", [0, 1])
 def test_an_episode_may_last_as_long_as_the_flight(delay):
     timeline = {"warmup_s": 200.0, "live_s": 10.0, "attack_s": 207.5, "time_to_alert_s": 10.0}
-    world = {"scenario": "zhong2025"}
-    kwargs = {**world, "threshold": 0.5, "timeline": timeline, "decision_delay": delay}
+    kwargs = {**PAPERS, "threshold": 0.5, "timeline": timeline, "decision_delay": delay}
     envs = duel_v0.DetectorVectorView(2, "ramp", **kwargs)
     setup = envs.core.duel.setup
     spare = setup.world.epochs - 1 - (setup.onset + setup.steps + setup.hold)

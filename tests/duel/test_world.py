@@ -17,10 +17,6 @@ from .support import SHORT
 GAME, PAPERS = task_of("T3").world_kwargs, "zhong2025"
 
 
-def described(setup):
-    return setup.world_settings()
-
-
 def duels(**given):
     """Setups of all forms of the duel."""
     own = {"timeline": SHORT, **given}
@@ -33,17 +29,17 @@ def duels(**given):
 
 
 def test_without_a_world_all_forms_are_played_in_that_of_t3():
-    expected = described(SpoofEnv(**GAME, timeline=SHORT).core.setup)
-    papers = described(SpoofEnv(timeline=SHORT).core.setup)
+    expected = SpoofEnv(**GAME, timeline=SHORT).core.setup.world_settings()
+    papers = SpoofEnv(timeline=SHORT).core.setup.world_settings()
     assert expected["scenario"] != papers["scenario"]
     for setup in duels():
-        assert described(setup) == expected
+        assert setup.world_settings() == expected
 
 
 def test_with_a_scenario_nothing_of_it_is_left():
-    papers = described(SpoofEnv(timeline=SHORT).core.setup)
+    papers = SpoofEnv(timeline=SHORT).core.setup.world_settings()
     for setup in duels(scenario=PAPERS):
-        assert described(setup) == papers
+        assert setup.world_settings() == papers
 
 
 def test_no_scenario_is_as_if_it_were_not_given():
@@ -55,9 +51,8 @@ def test_no_scenario_is_as_if_it_were_not_given():
 
 def test_parts_of_it_can_be_set():
     for setup in duels(receiver="paper", domain=None):
-        assert described(setup) == described(
-            SpoofEnv(scenario="trolley", receiver="paper", timeline=SHORT).core.setup
-        )
+        same = SpoofEnv(scenario="trolley", receiver="paper", timeline=SHORT)
+        assert setup.world_settings() == same.core.setup.world_settings()
 
 
 def test_its_signature_shows_it():
@@ -87,7 +82,7 @@ def test_a_learner_has_it_where_it_names_no_world(asked, expected):
 def test_a_task_keeps_its_world():
     for task in ("T1", "T2"):
         found = side_of(task=task, side="detector")
-        assert found == {**task_of(task).world_kwargs}
+        assert found == task_of(task).world_kwargs
 
 
 def test_settings_are_not_changed():

@@ -14,6 +14,7 @@ from spoofgym.detectors import Detector, DetectorContext, Verdict
 from spoofgym.receiver.epoch import Epoch
 from spoofgym.tasks import TASKS
 
+from ..duel.support import ONE_SKY
 from .support import ID, SMALL, VICTIMS
 
 IDS = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
@@ -24,7 +25,6 @@ DUELS = {"AEC duel": "env", "parallel duel": "parallel_env"}
 COUNT = 3
 SHORT = {"warmup_s": 8.0, "live_s": 5.0, "attack_s": 10.0, "time_to_alert_s": 2.0}
 FEW_WORLDS = {"start_s": [0.0, 30.0], "turned_deg": [0.0, 360.0], "worlds": 2}
-ONE_SKY = {"turn_on": "drawn"}
 SETTINGS: dict[str, dict[str, Any]] = {
     **{
         f"spoofgym/{side}View-v0": {"timeline": SHORT, "domain": ONE_SKY}
