@@ -18,7 +18,7 @@ from ._registry import check_choice
 SUITE = "spoofgym-bench-v1"
 """Name of the tasks together; a change of any of them makes another one."""
 ALARM_PRICE = 1.5
-"""What an alarm costs in the reward, in lengths, of all tasks and of environments by default."""
+"""What an alarm costs in the reward of the environments, as by default elsewhere, in lengths."""
 BUDGET = 0.05
 """Largest P(alarm | silent twin) of a spoofer that scores."""
 

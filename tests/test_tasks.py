@@ -17,7 +17,8 @@ from spoofgym.bench.suite import Suite
 from spoofgym.cli import app
 from spoofgym.detector_tasks import DETECTOR_TASKS
 from spoofgym.detectors import make_detector
-from spoofgym.tasks import PAPERS, TASKS, task_of
+from spoofgym.envs import core
+from spoofgym.tasks import ALARM_PRICE, PAPERS, TASKS, task_of
 from tools.pages import part_between
 from tools.task_cards import BEGIN, END, PAGE, dealt, shown, spread
 
@@ -52,6 +53,10 @@ def test_the_long_task_is_covered_by_its_detector():
     assert (setup.steps, setup.repeat) == (650, 1)
     assert detector.detector.covers_s >= (setup.steps + setup.hold) * setup.interval_s
     assert setup.live * setup.interval_s >= task.settings["timeline"]["live_s"]
+
+
+def test_all_tasks_are_paid_alike():
+    assert ALARM_PRICE == core.ALARM_PRICE
 
 
 def test_the_alert_limit_of_a_task_is_in_its_table():

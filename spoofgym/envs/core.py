@@ -15,7 +15,6 @@ from ..simulators.base import Given, Rngs, Rows, run_serially
 from ..simulators.engine import Engine
 from ..simulators.monitors import PassiveDetectors, needed_monitors
 from ..simulators.setup import Setup
-from ..tasks import ALARM_PRICE
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
 from .observer import Observer
 from .scoring import PLAY, DisplacementScore, FusedStep, ScoredStep
@@ -37,6 +36,8 @@ SingleStep = tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]
 """Observation, reward, terminated, truncated, and information, of a batch of one."""
 RESET_NAMES: tuple[str, ...] = ("time_s", "warmup_alarm", "coasting")
 """Keys of the information of a reset."""
+ALARM_PRICE = 1.5
+"""Price of an alarm, in lengths; that of `tasks`, which is no source of what is compiled."""
 NOTHING_SEEN = np.empty(0, dtype=np.float32)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spoofgym.detectors import Verdict
-from spoofgym.tasks import ALARM_PRICE
+from spoofgym.envs.core import ALARM_PRICE
 
 from .support import HOLD, LIVE, STEPS, AlarmAt, victim
 

@@ -10,8 +10,8 @@ import pytest
 
 from spoofgym.detectors import Ewma
 from spoofgym.envs import SpoofEnv
+from spoofgym.envs.core import ALARM_PRICE
 from spoofgym.simulators import TightlyCoupledSetup
-from spoofgym.tasks import ALARM_PRICE
 
 from .support import ID, SMALL, STEPS, VICTIMS, single, vector, victim, victims
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from spoofgym.tasks import ALARM_PRICE
+from spoofgym.envs.core import ALARM_PRICE
 
 from ..support import (
     HOLD,
