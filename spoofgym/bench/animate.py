@@ -24,7 +24,7 @@ def play_frames(
     Yields (H, W, 3) uint8.
     """
     run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
-    setup = suite.setup(detector)
+    setup = suite.setup(detector, [spoofer])
     action = commands_of(build_spoofer(spoofer.spec), setup).terms
     core = SpoofCore(1, setup, action=action, end_at_alarm=False, threads=1)
     screen = Screen("rgb_array", CoreRecorder(core))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -237,12 +238,23 @@ def training_start(
 
 
 def start_of(
-    suite: Suite, detector: Entry, split: str, runs: int, threads: int | None, progress: Progress
+    suite: Suite,
+    detector: Entry,
+    split: str,
+    runs: int,
+    threads: int | None,
+    progress: Progress,
+    spoofers: Sequence[Entry] | None = None,
 ) -> tuple[WarmStart, Runs]:
-    """Runs of a split at the onset, and what they do without attack."""
+    """Runs of a split at the onset, and what they do without attack.
+
+    `spoofers`: who is to play them, all of the suite's by default.
+    """
     now = f"{detector.label}: {split} runs"
     progress.advance(0.0, now)
-    start = WarmStart(suite.setup(detector), suite.generators(split, runs), threads=threads)
+    start = WarmStart(
+        suite.setup(detector, spoofers), suite.generators(split, runs), threads=threads
+    )
     progress.advance(runs * WARMUP_SHARE, now)
     return start, play(start, "none", tick=lambda part: progress.advance(runs * part, now))
 

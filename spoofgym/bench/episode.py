@@ -110,7 +110,7 @@ class Episode:
 def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) -> Episode:
     """Play one of the evaluation runs, attacked and not."""
     run = whole_number("`run`", run)
-    setup = suite.setup(detector)
+    setup = suite.setup(detector, [spoofer])
     engine = Engine(1, setup, threads=1, twin=True)
     simulator, twin = engine.simulator, engine.twin
     assert twin is not None  # as was asked for

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,13 +16,13 @@ from ..spoofers.model import ModelPolicy, describe_env
 from ..spoofers.scaled import AMPLITUDE, Scaled
 from ..tasks import task_of
 from .budget import BUDGET, fewest_runs
-from .campaign import search, start_of, training_start, with_rates
+from .campaign import search, start_of, with_rates
 from .entries import Entry, build_spoofer, fitted, spoofer_entry
 from .metrics import bootstrap_mean, resamples_of, wilson
 from .run import Runs, WarmStart, displacement_of, play
 from .scores import clusters_of, counted, stealth_of
 from .spoofer_score import Score
-from .suite import WORLD, Suite, Tuning
+from .suite import WORLD, Suite, Tuning, watched_for
 from .tune import TuningResult
 
 FITTED = "fitted"
@@ -131,18 +130,20 @@ class Evaluator:
         self.suite = Suite(**chosen, spoofers=["none"], runs=runs, entropy=entropy, tuning=tuning)
         self.suite.check_fit()
         (self.detector,) = self.suite.detector_entries
+        self._starts: dict[tuple[str, tuple[type, ...]], tuple[WarmStart, Runs]] = {}
 
-    @cached_property
-    def _training(self) -> tuple[WarmStart, Runs]:
-        return training_start(self.suite, self.detector, self.threads, self.progress)
-
-    @cached_property
-    def _evaluation(self) -> tuple[WarmStart, Runs]:
-        runs, threads = self.suite.runs, self.threads
-        return start_of(self.suite, self.detector, "evaluation", runs, threads, self.progress)
+    def _start(self, split: str, entry: Entry) -> tuple[WarmStart, Runs]:
+        """Runs of a split, kept for all spoofers that need the same to be watched."""
+        watched = tuple(map(type, watched_for([entry])))
+        if (split, watched) not in self._starts:
+            runs = self.suite.tuning.runs if split == "training" else self.suite.runs
+            self._starts[split, watched] = start_of(
+                self.suite, self.detector, split, runs, self.threads, self.progress, [entry]
+            )
+        return self._starts[split, watched]
 
     def _fitted(self, entry: Entry) -> TuningResult:
-        start, clean = self._training
+        start, clean = self._start("training", entry)
         return search(self.suite, self.detector, entry, start, clean, self.progress)
 
     def fit(self, policy: Any, *, knowledge: str | None = None) -> TuningResult:
@@ -189,7 +190,7 @@ class Evaluator:
             spec, within, value = entry.with_value(found.value), found.within_budget, found.value
         elif isinstance(entry, LiveEntry) and isinstance(entry.spoofer, Scaled):
             setting, value = AMPLITUDE, entry.spoofer.amplitude
-        start, twin = self._evaluation
+        start, twin = self._start("evaluation", entry)
         setup, runs, now = start.setup, self.suite.runs, f"{entry.label}: evaluation runs"
         attacked = play(start, spec, tick=lambda part: self.progress.advance(part * runs, now))
         counts = counted(start.warmup_alarm, twin.first_alarm)

@@ -7,7 +7,7 @@ import hashlib
 import math
 import uuid
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -24,12 +24,13 @@ from ..detectors import Calibrated, Detector, OperatingPoint, PooledDetector
 from ..detectors.calibrated import resolve
 from ..envs.factory import make_setup
 from ..envs.observer import Observer
-from ..envs.spoofer_binding import ENV_ID, warn_of_headings
+from ..envs.spoofer_binding import ENV_ID, monitors_for, warn_of_headings
 from ..envs.spoofer_binding import spoofer_context as spoofer_context
 from ..envs.terms.observation import default_terms
 from ..sim.scenario import Scenario
 from ..simulators.base import run_serially
 from ..simulators.domain import Domain
+from ..simulators.monitors import Monitor
 from ..simulators.setup import Setup, Timeline
 from ..simulators.splits import SPLITS as SPLITS
 from ..simulators.splits import generators_of
@@ -248,7 +249,8 @@ class Suite:
                 kind = type(build_spoofer(entry.with_value(1.0)))
                 low, _ = kind.tuning_range(spoofer_context(self._setup))
                 spec = entry.with_value(low)
-            spoofer = make_bound_spoofer(spec, self._setup, 1)[0]
+            setup = self._setup.altered(monitors=watched_for([entry]))
+            spoofer = make_bound_spoofer(spec, setup, 1)[0]
             bound.append(spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer)
         warn_of_headings(bound, self._setup)
 
@@ -256,9 +258,17 @@ class Suite:
     def _setup(self) -> Setup:
         return make_setup(VICTIMS[self.env].setup, {"detector": "never", **self.given})
 
-    def setup(self, detector: Entry) -> Setup:
-        """What all receivers share, with one of the detectors; world and all else are the same."""
-        return self._setup.altered(detector=make_judge(detector.spec))
+    def setup(self, detector: Entry, spoofers: Sequence[Entry] | None = None) -> Setup:
+        """What all receivers share, with one of the detectors; world and all else are the same.
+
+        `spoofers`: who plays, all of the suite's by default; what they observe is watched.
+        """
+        watched = self._watched if spoofers is None else watched_for(spoofers)
+        return self._setup.altered(detector=make_judge(detector.spec), monitors=watched)
+
+    @cached_property
+    def _watched(self) -> list[Monitor]:
+        return watched_for(self.spoofer_entries)
 
     def generators(self, split: str, runs: int, first: int = 0) -> list[np.random.Generator]:
         """Generators of the runs of a split, from `first` on."""
@@ -388,6 +398,11 @@ class Suite:
     def digest(self) -> str:
         """Digest of `config`; ONNX files count by their content, wherever they are."""
         return campaign_digest(self.config)
+
+
+def watched_for(spoofers: Iterable[Entry]) -> list[Monitor]:
+    """What has to look at the victim's epochs, for spoofers to observe what they know."""
+    return monitors_for(build_spoofer(entry.untuned) for entry in spoofers)
 
 
 def versions() -> dict[str, str]:

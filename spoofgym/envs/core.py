@@ -174,6 +174,8 @@ class SpoofCore:
         if self._passive is not None:
             monitors.append(self._passive.monitor)
             self.reset_names += self._passive.reset_names
+        own = set(map(type, monitors))
+        monitors += [monitor for monitor in setup.monitors if type(monitor) not in own]
         self.setup = setup.altered(monitors=monitors, kernel=PLAY)
         self.engine = Engine(
             receivers,

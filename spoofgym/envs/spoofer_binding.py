@@ -17,6 +17,7 @@ from ..simulators import (
     WheeledRobotSetup,
 )
 from ..simulators.broadcast import PastPositions
+from ..simulators.monitors import Monitor
 from ..simulators.setup import Setup
 from ..spoofers import (
     Card,
@@ -154,6 +155,12 @@ def commands_of(spoofer: Spoofer, setup: Setup) -> CommandMap:
     terms: Sequence[ActionTerm]
     terms = default_action(setup) if given is None else make_terms("action", given)
     return CommandMap(terms, setup)
+
+
+def monitors_for(spoofers: Iterable[Spoofer]) -> list[Monitor]:
+    """What has to look at the victim's epochs, for spoofers to observe what they know."""
+    reported = any(REPORTED in spoofer.knowledge for spoofer in spoofers)
+    return [PastPositions()] if reported else []
 
 
 def bound_spoofer(

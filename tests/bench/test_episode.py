@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from spoofgym._pictures import check_picture
+from spoofgym.bench.animate import play_frames
 from spoofgym.bench.episode import TWIN, Episode, draw_episode, play_episode
 from spoofgym.bench.run import WarmStart, displacement_of, induced_error, play
 from spoofgym.bench.suite import Suite
 from spoofgym.detectors import Ewma
+from spoofgym.simulators.broadcast import PastPositions
+from spoofgym.spoofers import Ramp
 
 from .support import small_suite
 
@@ -82,3 +85,17 @@ def test_the_ending_of_a_picture_is_a_format_in_any_case() -> None:
     assert check_picture(Path("a.PNG")) == Path("a.PNG")
     with pytest.raises(ValueError, match=r"unknown ending of a picture '\.gift'; valid: "):
         check_picture(Path("a.gift"))
+
+
+def test_a_spoofer_of_a_campaign_sees_what_the_victim_reports(
+    monkeypatch: pytest.MonkeyPatch, episode: Episode
+) -> None:
+    monkeypatch.setattr(Ramp, "knowledge", "blind+reported")
+    reported = small_suite(detectors=("ewma",), spoofers=(SPOOFER,))
+    reported.check_fit()
+    judge, none, ramp = (*reported.detector_entries, *reported.spoofer_entries)
+    assert [type(each) for each in reported.setup(judge).monitors] == [PastPositions]
+    assert reported.setup(judge, [none]).monitors == ()
+    again = play_episode(reported, judge, ramp, run=3)
+    assert json.dumps(again.summary()) == json.dumps(episode.summary())
+    assert len(list(play_frames(reported, judge, ramp, every=1000))) == 2

@@ -174,3 +174,26 @@ def test_a_detector_that_is_not_calibrated_here_says_how_that_is_done():
 def test_worlds_are_checked_before_anything_is_played(settings, error, message):
     with pytest.raises(error, match=message):
         Evaluator(**settings)
+
+
+def test_what_the_victim_reports_is_seen_and_changes_no_bit_of_the_others(judge):
+    before = judge.score({"name": "ramp", "rate_mps": 0.1})
+    seen = []
+
+    def follow(observation):
+        seen.append(observation.copy())
+        return np.full((len(observation), 1), 0.1)
+
+    known = judge.score(follow, amplitude=None, knowledge="blind+reported")
+    assert known.knowledge == "blind+reported"
+    blind = judge.score(constant(), amplitude=None)
+    assert np.array_equal(known.displacement_m, blind.displacement_m)  # it does not use them
+    assert np.array_equal(known.counts, blind.counts)
+    again = judge.score({"name": "ramp", "rate_mps": 0.1})
+    assert np.array_equal(again.displacement_m, before.displacement_m)
+    late = seen[-1][:, -3:-1]  # north and east, in parts of their scale, 30 s into the attack
+    start = seen[0][:, -3:-1]
+    assert np.ptp(late[:, 1]) > 0.0
+    assert not np.array_equal(late, start)
+    fitted = judge.fit(follow, knowledge="blind+reported")
+    assert fitted.within_budget

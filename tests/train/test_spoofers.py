@@ -40,7 +40,7 @@ def small(tmp_path, monkeypatch):
     monkeypatch.setattr(spoofers, "RIVALS", ("ramp",))
     return Settings(
         out=tmp_path,
-        only=("T3", "snapshot-chi2", "blind", "oracle"),
+        only=("T3", "snapshot-chi2"),
         seeds=(0,),
         steps=100,
         fit_runs=80,
@@ -62,19 +62,20 @@ def test_a_part_is_trained_and_stays_when_another_part_follows(small, monkeypatc
     table = play(blind, Console(quiet=True))
     assert list(table) == ["T3/snapshot-chi2/blind"]
     assert set(table["T3/snapshot-chi2/blind"]["rivals"]) == {"ramp", "feedback"}
-    after = play(replace(small, only=("T3", "snapshot-chi2", "oracle")), Console(quiet=True))
+    after = play(small, Console(quiet=True))
     torch.set_num_threads(before)
-    assert list(after) == ["T3/snapshot-chi2/blind", "T3/snapshot-chi2/oracle"]
+    assert list(after) == [f"T3/snapshot-chi2/{known}" for known in KNOWLEDGE]
     assert after["T3/snapshot-chi2/blind"] == table["T3/snapshot-chi2/blind"]
-    score = after["T3/snapshot-chi2/oracle"]["seeds"][0]["score"]
-    assert score["knowledge"] == "oracle"
+    for known in KNOWLEDGE:
+        (seed,) = after[f"T3/snapshot-chi2/{known}"]["seeds"]
+        assert seed["untrained"]["knowledge"] == known
     assert json.loads((small.out / TABLE).read_text()) == after
     text = (small.out / PAGE).read_text()
     assert text == page(after)
     assert "| feedback (oracle) | PPO (oracle) |" in text
     assert "| ramp (blind) |" in text
     (row,) = [line for line in text.splitlines() if line.startswith("| T3 | snapshot-chi2 |")]
-    assert row.split(" | ")[-3].strip() == "-"  # blind+reported has not been trained
+    assert " | - |" not in row
 
 
 def test_names_are_checked(tmp_path):
