@@ -1,10 +1,11 @@
 """Tables and pictures of `docs/learned_spoofers.md`, from results of trainings.
 
-    python -m tools.learned_page runs/ppo-T3 runs/ppo-T5 runs/plain-T3
+    python -m tools.learned_page runs/ppo-T3 runs/ppo-T5 runs/plain-T3 runs/spoofers
 
 takes the results of these folders into `docs/learned_spoofers.json`, those of `train.ppo_spoofer`
-with their pictures and those of `train.plain_ppo`, and writes the tables of the page; without a
-folder it writes the tables again.
+with their pictures, those of `train.plain_ppo` and those of `train.spoofers`, and writes the tables
+of the page; without a folder it writes the tables again.  Cells of `train.spoofers` that a folder
+lacks stay as they are.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from agents.seeds import (
     spread,
     value_of,
 )
+from agents.spoofer_table import RIVALS, page
 from spoofgym._files import write_file
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.tables import interval
@@ -33,8 +35,10 @@ from .pages import put_between
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE, KEPT = DOCS / "learned_spoofers.md", DOCS / "learned_spoofers.json"
 BEGIN, END = "<!-- learned:begin -->", "<!-- learned:end -->"
+MANY_BEGIN, MANY_END = "<!-- spoofers:begin -->", "<!-- spoofers:end -->"
 PLAIN_BEGIN, PLAIN_END = "<!-- plain:begin -->", "<!-- plain:end -->"
-RIVALS = ("ramp", "accelerating-ramp", "blind-optimum")
+MANY = "spoofers.json"
+"""Results of `train.spoofers` in their folder."""
 TASK_HEAD = (
     *("task", "detector", "ramp [m]", "accelerating ramp [m]", "blind optimum [m]"),
     *("PPO, median and range of the seeds [m]", "of the best of the three", "untrained [m]"),
@@ -57,6 +61,12 @@ def taken(results: dict[str, Any]) -> dict[str, Any]:
     ]
     rivals = {name: results["rivals"][name] for name in RIVALS}
     return {**{name: results[name] for name in plain}, "rivals": rivals, "seeds": seeds}
+
+
+def taken_of_cell(results: dict[str, Any]) -> dict[str, Any]:
+    """What the page needs of a cell of `train.spoofers`, whose rivals are its own."""
+    rivals = results["rivals"]
+    return {**taken({**results, "rivals": dict.fromkeys(RIVALS)}), "rivals": rivals}
 
 
 def taken_of_plain(results: dict[str, Any]) -> dict[str, Any]:
@@ -142,8 +152,12 @@ def _curve(rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     """Take the results of the folders that are given, and write the page."""
-    kept = json.loads(KEPT.read_text(encoding="utf-8"))
+    kept = {"spoofers": {}, **json.loads(KEPT.read_text(encoding="utf-8"))}
     for folder in map(Path, sys.argv[1:]):
+        if (folder / MANY).is_file():
+            cells = json.loads((folder / MANY).read_text(encoding="utf-8"))
+            kept["spoofers"] |= {cell: taken_of_cell(found) for cell, found in cells.items()}
+            continue
         results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
         if "kinds" in results:
             found = taken_of_plain(results)
@@ -160,6 +174,7 @@ def main() -> None:
     write_file(KEPT, (json.dumps(kept, indent=1) + "\n").encode())
     put_between(PAGE, BEGIN, END, shown(kept["recipe"]))
     put_between(PAGE, PLAIN_BEGIN, PLAIN_END, shown_of_plain(kept["plain"]))
+    put_between(PAGE, MANY_BEGIN, MANY_END, page(kept["spoofers"]))
 
 
 if __name__ == "__main__":

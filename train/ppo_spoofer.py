@@ -59,6 +59,7 @@ from agents.full_scale import setpoint_action
 from agents.price import LEAST, MOST, next_price, set_price
 from agents.record import TrainingRecord, read_record
 from agents.seeds import comparable, copy_policy, table_of
+from agents.spoofer_table import RIVALS
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
 from spoofgym.bench.evaluate import FITTED, Evaluator, entry_of
@@ -70,8 +71,6 @@ from spoofgym.tasks import ALARM_PRICE, task_of
 
 CHECKPOINT, RECORD, RESULTS = "checkpoint.zip", "record.jsonl", "results.json"
 PICTURE = "curve.png"
-RIVALS = ("ramp", "accelerating-ramp", "blind-optimum")
-"""Whom the policies are compared with, each fitted to the budget on the same training runs."""
 STATE = ("stage", "spent_s", "untrained", "price")  # what a checkpoint keeps beside model, scores
 FREE = ("out", "seeds", "rivals", "threads", "tensorboard", "json")
 """Arguments that a run which is gone on with may change."""

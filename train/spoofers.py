@@ -25,12 +25,11 @@ import tyro
 from rich.console import Console
 
 from agents.folder import error_lines
-from agents.seeds import marked, spread, value_of
+from agents.spoofer_table import FEEDBACK, KNOWLEDGE, RIVALS, page
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
-from spoofgym.bench.report import markdown_table
 
-from .ppo_spoofer import RESULTS, RIVALS, Arguments, train
+from .ppo_spoofer import RESULTS, Arguments, train
 
 DETECTORS = {
     "solution-separation": "solution-separation",
@@ -43,8 +42,6 @@ DETECTORS = {
 """By short names; all at the default rate of false alarms."""
 WORLDS = ("T3", "T5")
 """Worlds, by the tasks that have them."""
-KNOWLEDGE = ("blind", "blind+reported", "oracle")
-FEEDBACK = "feedback"
 TABLE, PAGE = "spoofers.json", "spoofers.md"
 
 
@@ -120,46 +117,6 @@ def collected(settings: Settings) -> dict[str, Any]:
         if path.is_file():
             found["/".join(cell)] = json.loads(path.read_text(encoding="utf-8"))
     return found
-
-
-def page(table: dict[str, Any]) -> str:
-    """Table of all cells, a line for each detector; what needs the victim's statistics is last."""
-    heads = (
-        *("world", "detector", *(_head(table, name) for name in RIVALS)),
-        *("PPO untrained (blind)", "PPO (blind)", "PPO (blind+reported)"),
-        *(_head(table, FEEDBACK), "PPO (oracle)"),
-    )
-    rows = []
-    for world in WORLDS:
-        for detector in DETECTORS:
-            blind, reported, oracle = (table.get(f"{world}/{detector}/{k}") for k in KNOWLEDGE)
-            if blind is None and reported is None and oracle is None:
-                continue
-            rivals = {} if blind is None else blind["rivals"]
-            cells = (
-                *(world, detector, *(_score(rivals.get(name)) for name in RIVALS)),
-                *(_seeds(blind, "untrained"), _seeds(blind), _seeds(reported)),
-                *(_score(rivals.get(FEEDBACK)), _seeds(oracle)),
-            )
-            rows.append(cells)
-    return "\n".join(markdown_table(heads, rows)) + "\n"
-
-
-def _head(table: dict[str, Any], name: str) -> str:
-    """A rival, and what it observes where it has played."""
-    scores = (cell["rivals"].get(name) for cell in table.values())
-    known = next((score["knowledge"] for score in scores if score), None)
-    return name if known is None else f"{name} ({known})"
-
-
-def _score(score: dict[str, Any] | None) -> str:
-    """Displacement with its interval, `*` where it is over the budget; "-" where there is none."""
-    return marked(score) if score else "-"
-
-
-def _seeds(results: dict[str, Any] | None, key: str = "score") -> str:
-    """Median over the seeds, and the least and largest of them."""
-    return "-" if results is None else spread([value_of(row[key]) for row in results["seeds"]])
 
 
 def main() -> None:

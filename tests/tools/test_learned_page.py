@@ -8,11 +8,14 @@ from statistics import median
 import pytest
 
 from agents.seeds import middle_of, value_of
+from agents.spoofer_table import page as table
 from tools.learned_page import (
     BEGIN,
     DOCS,
     END,
     KEPT,
+    MANY_BEGIN,
+    MANY_END,
     PAGE,
     PLAIN_BEGIN,
     PLAIN_END,
@@ -35,6 +38,7 @@ def test_the_page_has_the_tables_of_the_kept_results(kept):
     page = PAGE.read_text()
     assert part_between(page, BEGIN, END) == f"\n{shown(kept['recipe'])}"
     assert part_between(page, PLAIN_BEGIN, PLAIN_END) == f"\n{shown_of_plain(kept['plain'])}"
+    assert part_between(page, MANY_BEGIN, MANY_END) == f"\n{table(kept['spoofers'])}"
 
 
 def test_every_training_has_five_seeds_and_a_picture(kept):
@@ -45,6 +49,14 @@ def test_every_training_has_five_seeds_and_a_picture(kept):
         assert picture in page
         assert (DOCS / picture).is_file()
         assert taken(found) == found
+
+
+def test_every_cell_of_the_many_trainings_has_five_seeds(kept):
+    for cell, found in kept["spoofers"].items():
+        assert [row["seed"] for row in found["seeds"]] == SEEDS
+        assert taken_of_cell(found) == found
+        known = cell.rpartition("/")[2]
+        assert {row["untrained"]["knowledge"] for row in found["seeds"]} == {known}
 
 
 def test_the_recipe_reaches_95_percent_where_the_page_says_so(kept):

@@ -14,8 +14,9 @@ for name in ("stable_baselines3", "onnxscript", "tyro", "matplotlib"):
 
 from rich.console import Console
 
+from agents.spoofer_table import KNOWLEDGE, page
 from train import spoofers
-from train.spoofers import DETECTORS, KNOWLEDGE, PAGE, TABLE, WORLDS, Settings, page, play
+from train.spoofers import DETECTORS, PAGE, TABLE, WORLDS, Settings, play
 
 QUICK = {
     "settings": json.dumps(

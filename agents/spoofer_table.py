@@ -1,0 +1,70 @@
+"""Table of many trained spoofers, and of their rivals: who gets how far, and what each knows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from spoofgym.bench.report import markdown_table
+from spoofgym.bench.tables import interval
+
+from .seeds import keeps_budget, marked, middle_of, spread, value_of
+
+KNOWLEDGE = ("blind", "blind+reported", "oracle")
+"""What a trained spoofer observes, in the order of the columns."""
+RIVALS = ("ramp", "accelerating-ramp", "blind-optimum")
+"""Whom policies are compared with, each fitted to the budget on the same training runs."""
+FEEDBACK, BEST = "feedback", "blind-optimum"
+
+
+def page(table: Mapping[str, Any]) -> str:
+    """Table of all cells, a line for each detector; what needs the victim's statistics is last.
+
+    `table`: results of trainings by ``"world/detector/knowledge"``.
+    """
+    heads = (
+        *("world", "detector", *(_head(table, name) for name in RIVALS)),
+        *("PPO untrained (blind)", "PPO (blind)", f"of the {BEST}", "PPO (blind+reported)"),
+        *(_head(table, FEEDBACK), "PPO (oracle)"),
+    )
+    rows = []
+    for case in dict.fromkeys(cell.rpartition("/")[0] for cell in table):
+        blind, reported, oracle = (table.get(f"{case}/{known}") for known in KNOWLEDGE)
+        rivals = {} if blind is None else blind["rivals"]
+        rows.append(
+            (
+                *(*case.split("/"), *(_score(rivals.get(name)) for name in RIVALS)),
+                *(_seeds(blind, "untrained"), _seeds(blind), _ratio(blind), _seeds(reported)),
+                *(_score(rivals.get(FEEDBACK)), _seeds(oracle)),
+            )
+        )
+    return "\n".join(markdown_table(heads, rows)) + "\n"
+
+
+def _head(table: Mapping[str, Any], name: str) -> str:
+    """A rival, and what it observes where it has played."""
+    scores = (cell["rivals"].get(name) for cell in table.values())
+    known = next((score["knowledge"] for score in scores if score), None)
+    return name if known is None else f"{name} ({known})"
+
+
+def _score(score: Mapping[str, Any] | None) -> str:
+    """Displacement with its interval, `*` where it is over the budget; "-" where there is none."""
+    return marked(score) if score else "-"
+
+
+def _seeds(results: Mapping[str, Any] | None, key: str = "score") -> str:
+    """Median over the seeds, the least and largest of them, and how many are over the budget."""
+    if results is None:
+        return "-"
+    scores = [row[key] for row in results["seeds"]]
+    over = sum(1 for score in scores if score and not keeps_budget(score))
+    return spread([value_of(score) for score in scores]) + (f", {over} over" if over else "")
+
+
+def _ratio(results: Mapping[str, Any] | None) -> str:
+    """The median seed's ratio to the best profile that is known, paired by runs."""
+    if results is None or BEST not in results["rivals"]:
+        return "-"
+    middle = middle_of(results["seeds"], BEST)
+    return interval(middle["ratios"][BEST], 2) if middle["score"] else "0"
