@@ -90,8 +90,6 @@ class Arguments:
     """What it observes: blind, tracking or oracle, each also with +reported."""
     settings: str = "{}"
     """Further settings of that world, as JSON, such as '{"attack": "quiet"}'."""
-    length_m: float | None = None
-    """Unit of prices and full scale; the task's alert limit by default, or the environment's."""
     alarm_price: float = ALARM_PRICE
     """What an alarm costs at first, in lengths."""
     price_gain: float = 1.5
@@ -147,7 +145,6 @@ class Arguments:
             ("learning_rate", 0.0, 1.0),
             ("log_std_init", -20.0, 2.0),
             ("full_scale_mps", 1e-3, 1e3),
-            ("length_m", 1e-3, 1e6),
         ):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
@@ -191,12 +188,9 @@ class Arguments:
         """Receivers of the training."""
         own: dict[str, Any] = {"knowledge": self.knowledge, "threads": self.threads}
         own |= self.world
-        task = task_of(self.task)
-        if self.length_m is not None and own.pop("task", None):
-            own |= task.env_kwargs
-        length_m = self.length_m or task.alert_limit_m
-        if "task" not in own and length_m is not None:
-            own["length_m"] = length_m  # by default as the task itself has it
+        limit_m = task_of(self.task).alert_limit_m
+        if "task" not in own and limit_m is not None:
+            own["length_m"] = limit_m  # as the task itself has it
         with closing(SpoofVecEnv(1, **own)) as probe:
             own |= setpoint_action(probe.core, self.full_scale_mps)
         return SpoofVecEnv(self.num_envs, **own)
