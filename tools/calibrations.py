@@ -16,7 +16,9 @@ import time
 from typing import Any
 
 from spoofgym._registry import check_choice
+from spoofgym.bench.detector_cards import classics_of
 from spoofgym.bench.victims import HEADLINE_DOMAIN, VICTIMS
+from spoofgym.detector_tasks import DETECTOR_TASKS
 from spoofgym.detectors import Detector
 from spoofgym.detectors.calibration import SHIPPED_FOLDER
 from spoofgym.envs.factory import make_setup
@@ -43,8 +45,8 @@ HEADLINES: dict[str, dict[str, Any]] = {
 }
 """Worlds of the table of all detectors, drawn for every run."""
 OWN_WORLDS = ("T3", "T4")
-"""Tasks whose tests of range rates are calibrated, and no others; that of T3, which T5 and T6 have,
-too, is the headline `trolley`."""
+"""Tasks whose own detectors, tests of range rates and classics of the tasks for detectors are
+calibrated, and no others; the world of T3, which T5 and T6 have, too, is the headline `trolley`."""
 WORLDS = {
     **{name: (ENV_ID, settings) for name, settings in HEADLINES.items()},
     **PAPERS,
@@ -78,7 +80,9 @@ def detectors_of(name: str, setup: Setup) -> list[Detector]:
     """All detectors that suit a world, and those that its environment and benchmark name."""
     env_id, settings = WORLDS[name]
     if name in OWN_WORLDS:
-        return inner_detectors([*TASKS[name].detectors, *RANGE_RATE_TESTS])
+        judged = (each for each in DETECTOR_TASKS.values() if each.world_of == name)
+        classics = [each for task in judged for each in classics_of(task)]
+        return inner_detectors([*TASKS[name].detectors, *RANGE_RATE_TESTS, *classics])
     own = [settings["detector"]] if "detector" in settings else []
     return inner_detectors([*suitable_detectors(setup), *VICTIMS[env_id].detectors, *own])
 
