@@ -23,6 +23,7 @@ from tools.learned_page import (
     shown,
     shown_of_plain,
     taken,
+    taken_of_cell,
 )
 from tools.pages import part_between
 
