@@ -182,16 +182,22 @@ def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():
         assert low <= never <= high  # chance is told from nothing by nobody
 
 
+def test_every_classic_has_a_score():
+    for key, card in detector_cards.stored_cards().items():
+        assert card["left_out"] == {}, key
+        assert len(card["detectors"]) >= len(detector_cards.classics_of(DETECTOR_TASKS[key]))
+
+
 def test_a_card_keeps_the_rows_of_the_same_runs_and_no_others():
     stored = detector_cards.stored_cards()["D1"]
     best = stored["best_classic"]
     few = [each for each in stored["detectors"] if each["detector"] in (best, "never")]
-    left = {"ewma": "not played", "raim": "not played"}
+    left = {"ewma": "not played", "mine": "not played"}
     card = {**stored, "detectors": few, "left_out": left}
     whole = with_others(card, stored)
     names = [each["detector"] for each in whole["detectors"]]
     assert sorted(names) == sorted(each["detector"] for each in stored["detectors"])
-    assert whole["left_out"] == {"raim": "not played"}
+    assert whole["left_out"] == {"mine": "not played"}
     assert with_others(card, None) == card
     assert with_others({**card, "selection_runs": 7}, stored)["detectors"] == few
     other = [{**each, "runs": 3} if each["detector"] == best else each for each in few]
