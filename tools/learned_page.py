@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -47,8 +48,8 @@ CURVE_HEAD = ("task", "arguments", "thousands of steps: stealthy displacement")
 KINDS = {"plain": "five arguments", "defaults": "those of the library alone"}
 
 
-def taken(results: dict[str, Any]) -> dict[str, Any]:
-    """What the page needs of the results of `train.ppo_spoofer`."""
+def taken(results: dict[str, Any], whom: Iterable[str] = RIVALS) -> dict[str, Any]:
+    """What the page needs of the results of `train.ppo_spoofer`; `whom`: of which rivals."""
     plain = ("command", "versions", "detector", "kept")
     seeds = [
         {
@@ -59,14 +60,8 @@ def taken(results: dict[str, Any]) -> dict[str, Any]:
         }
         for row in results["seeds"]
     ]
-    rivals = {name: results["rivals"][name] for name in RIVALS}
+    rivals = {name: results["rivals"][name] for name in whom}
     return {**{name: results[name] for name in plain}, "rivals": rivals, "seeds": seeds}
-
-
-def taken_of_cell(results: dict[str, Any]) -> dict[str, Any]:
-    """What the page needs of a cell of `train.spoofers`, whose rivals are its own."""
-    rivals = results["rivals"]
-    return {**taken({**results, "rivals": dict.fromkeys(RIVALS)}), "rivals": rivals}
 
 
 def taken_of_plain(results: dict[str, Any]) -> dict[str, Any]:
@@ -156,7 +151,9 @@ def main() -> None:
     for folder in map(Path, sys.argv[1:]):
         if (folder / MANY).is_file():
             cells = json.loads((folder / MANY).read_text(encoding="utf-8"))
-            kept["spoofers"] |= {cell: taken_of_cell(found) for cell, found in cells.items()}
+            kept["spoofers"] |= {
+                cell: taken(found, found["rivals"]) for cell, found in cells.items()
+            }
             continue
         results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
         if "kinds" in results:

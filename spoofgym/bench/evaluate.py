@@ -22,7 +22,7 @@ from .metrics import bootstrap_mean, resamples_of, wilson
 from .run import Runs, WarmStart, displacement_of, play
 from .scores import clusters_of, counted, stealth_of
 from .spoofer_score import Score
-from .suite import WORLD, Suite, Tuning, watched_for
+from .suite import WORLD, Suite, Tuning
 from .tune import TuningResult
 
 FITTED = "fitted"
@@ -134,7 +134,7 @@ class Evaluator:
 
     def _start(self, split: str, entry: Entry) -> tuple[WarmStart, Runs]:
         """Runs of a split, kept for all spoofers that need the same to be watched."""
-        watched = tuple(map(type, watched_for([entry])))
+        watched = tuple(map(type, self.suite.watched_for([entry])))
         if (split, watched) not in self._starts:
             runs = self.suite.tuning.runs if split == "training" else self.suite.runs
             self._starts[split, watched] = start_of(

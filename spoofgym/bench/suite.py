@@ -249,7 +249,7 @@ class Suite:
                 kind = type(build_spoofer(entry.with_value(1.0)))
                 low, _ = kind.tuning_range(spoofer_context(self._setup))
                 spec = entry.with_value(low)
-            setup = self._setup.altered(monitors=watched_for([entry]))
+            setup = self._setup.altered(monitors=self.watched_for([entry]))
             spoofer = make_bound_spoofer(spec, setup, 1)[0]
             bound.append(spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer)
         warn_of_headings(bound, self._setup)
@@ -263,12 +263,16 @@ class Suite:
 
         `spoofers`: who plays, all of the suite's by default; what they observe is watched.
         """
-        watched = self._watched if spoofers is None else watched_for(spoofers)
+        watched = self._watched if spoofers is None else self.watched_for(spoofers)
         return self._setup.altered(detector=make_judge(detector.spec), monitors=watched)
 
     @cached_property
     def _watched(self) -> list[Monitor]:
-        return watched_for(self.spoofer_entries)
+        return self.watched_for(self.spoofer_entries)
+
+    def watched_for(self, spoofers: Iterable[Entry]) -> list[Monitor]:
+        """What has to look at the victim's epochs, for spoofers to observe what they know."""
+        return monitors_for((build_spoofer(each.untuned) for each in spoofers), self._setup)
 
     def generators(self, split: str, runs: int, first: int = 0) -> list[np.random.Generator]:
         """Generators of the runs of a split, from `first` on."""
@@ -398,11 +402,6 @@ class Suite:
     def digest(self) -> str:
         """Digest of `config`; ONNX files count by their content, wherever they are."""
         return campaign_digest(self.config)
-
-
-def watched_for(spoofers: Iterable[Entry]) -> list[Monitor]:
-    """What has to look at the victim's epochs, for spoofers to observe what they know."""
-    return monitors_for(build_spoofer(entry.untuned) for entry in spoofers)
 
 
 def versions() -> dict[str, str]:

@@ -17,7 +17,7 @@ from ..simulators import (
     WheeledRobotSetup,
 )
 from ..simulators.broadcast import PastPositions
-from ..simulators.monitors import Monitor
+from ..simulators.monitors import Monitor, needed_monitors
 from ..simulators.setup import Setup
 from ..spoofers import (
     Card,
@@ -157,10 +157,10 @@ def commands_of(spoofer: Spoofer, setup: Setup) -> CommandMap:
     return CommandMap(terms, setup)
 
 
-def monitors_for(spoofers: Iterable[Spoofer]) -> list[Monitor]:
+def monitors_for(spoofers: Iterable[Spoofer], setup: Setup) -> list[Monitor]:
     """What has to look at the victim's epochs, for spoofers to observe what they know."""
-    reported = any(REPORTED in spoofer.knowledge for spoofer in spoofers)
-    return [PastPositions()] if reported else []
+    known = dict.fromkeys(spoofer.knowledge for spoofer in spoofers)
+    return needed_monitors(term for each in known for term in default_terms(setup, each))
 
 
 def bound_spoofer(

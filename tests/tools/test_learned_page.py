@@ -23,7 +23,6 @@ from tools.learned_page import (
     shown,
     shown_of_plain,
     taken,
-    taken_of_cell,
 )
 from tools.pages import part_between
 
@@ -55,7 +54,7 @@ def test_every_training_has_five_seeds_and_a_picture(kept):
 def test_every_cell_of_the_many_trainings_has_five_seeds(kept):
     for cell, found in kept["spoofers"].items():
         assert [row["seed"] for row in found["seeds"]] == SEEDS
-        assert taken_of_cell(found) == found
+        assert taken(found, found["rivals"]) == found
         known = cell.rpartition("/")[2]
         assert {row["untrained"]["knowledge"] for row in found["seeds"]} == {known}
 
