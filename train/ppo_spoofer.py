@@ -23,7 +23,7 @@ What is not a default of PPO or of the environment, and why:
    set of settings suits detectors that allow for metres and for hundreds of metres.  Rewards are
    not clipped: an alarm costs more than the ten deviations at which the library cuts them.
 5. The environment's action is a wanted rate, and an action of 1 all through the attack goes four
-   lengths (alert limits) far: so that exploration is no louder than what it looks for.
+   lengths (alert limits, or `length_m`) far: exploration is no louder than what it looks for.
 6. `average`: what is scored and kept is the average of the weights over some ten updates, since the
    policy jitters by metres from one update to the next.
 7. The price of an alarm follows the budget, as a Lagrange multiplier: a policy that has to be
@@ -112,6 +112,10 @@ class Arguments:
     """Logarithm of the exploration's standard deviation at first, in parts of the full scale."""
     full_scale_mps: float | None = None
     """Rate that an action of 1 asks for; by default that of four lengths within the attack."""
+    decision_interval_s: float | None = 10.0
+    """Time between its decisions, between which the rate changes linearly; None for an epoch."""
+    length_m: float | None = None
+    """Unit of rewards and prices; by default the alert limit, or 40 m."""
     average: float = 0.9
     """How much of the averaged weights stays at every update; 0 for the policy as it is."""
     stages: int = 12
@@ -145,6 +149,7 @@ class Arguments:
             ("learning_rate", 0.0, 1.0),
             ("log_std_init", -20.0, 2.0),
             ("full_scale_mps", 1e-3, 1e3),
+            *((name, 1e-3, 1e5) for name in ("length_m", "decision_interval_s")),
         ):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
@@ -188,9 +193,11 @@ class Arguments:
         """Receivers of the training."""
         own: dict[str, Any] = {"knowledge": self.knowledge, "threads": self.threads}
         own |= self.world
-        limit_m = task_of(self.task).alert_limit_m
-        if "task" not in own and limit_m is not None:
-            own["length_m"] = limit_m  # as the task itself has it
+        if self.decision_interval_s is not None:
+            own |= {"decision_interval_s": self.decision_interval_s, "between": "linear"}
+        length_m = self.length_m or task_of(self.task).alert_limit_m
+        if length_m is not None:
+            own["length_m"] = length_m
         with closing(SpoofVecEnv(1, **own)) as probe:
             own |= setpoint_action(probe.core, self.full_scale_mps)
         return SpoofVecEnv(self.num_envs, **own)
@@ -345,13 +352,8 @@ class Training:
 
 def train(args: Arguments, console: Console) -> dict[str, Any]:
     """Train all seeds that are not finished, score and compare them; the results, JSON-able."""
-    judge = Evaluator(
-        runs=args.runs,
-        fit_runs=args.fit_runs,
-        entropy=args.entropy,
-        threads=args.threads,
-        **args.world,
-    )
+    played = {name: getattr(args, name) for name in ("runs", "fit_runs", "entropy", "threads")}
+    judge = Evaluator(**played, **args.world)
     open_folder(args.out, args.identity)
     trainings = []
     for seed in args.seeds:

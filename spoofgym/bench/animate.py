@@ -30,10 +30,12 @@ def play_frames(
     screen = Screen("rgb_array", CoreRecorder(core))
     core.reset(suite.generators("evaluation", run + 1, run))
     attacker = Attacker(spoofer.spec, core.engine)
+    # where the world has decisions, the environment makes epochs of them
+    action_of = attacker.action if setup.repeat == 1 else attacker.decide
     screen.begin({name: array[0] for name, array in core.reset_info().items()})
     yield screen.frame()
     for step in range(1, core.episode_steps + 1):
-        result, _ = core.step(attacker.decide((step - 1) * setup.repeat))
+        result, _ = core.step(action_of((step - 1) * setup.repeat))
         screen.add({name: array[0] for name, array in result.info.items()})
         if step % every == 0 or step == core.episode_steps:
             yield screen.frame()

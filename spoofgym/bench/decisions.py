@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..envs.decisions import Decisions
 from ..envs.observer import Observer
-from ..envs.spoofer_binding import bound_spoofer
+from ..envs.spoofer_binding import bound_spoofer, paced
 from ..envs.terms.action import CommandMap
 from ..simulators.engine import Engine
 from ..simulators.setup import Setup
@@ -33,31 +34,33 @@ class Attacker:
     """Spoofer that commands all receivers of an engine, which are at their onset.
 
     - `engine`: its simulator leaves all measurements alone where the spoofer transmits nothing;
-    - `spoofer`: bound.
+    - `spoofer`: bound; it decides at its own pace.
     """
 
     def __init__(self, spec: Any, engine: Engine) -> None:
-        self._spec, self.engine, self.setup = spec, engine, engine.setup
+        self._spec, self.engine = spec, engine
         made = make_bound_spoofer(spec, engine.setup, engine.receivers)
         self.spoofer, self._observer, self._commands = made
+        setup, size = paced(engine.setup, self.spoofer), len(self._commands.names)
+        self._decisions = Decisions(setup, engine.receivers, size)
         self._commands.aim(engine.simulator.heading)
         if not self.spoofer.transmits:
             engine.simulator.clean = np.ones(engine.receivers, dtype=np.bool_)
-        self._before = self._decided = np.zeros((engine.receivers, len(self._commands.names)))
 
     def command(self, epoch: int) -> FloatArray | None:
-        """Command (B, a) of an epoch, counted from the onset on; None after the last one.
+        """Command (B, a) of an epoch, counted from the onset on; None after the last one."""
+        if epoch >= self.engine.setup.steps:
+            return None
+        return self._commands.command(self.action(epoch), self.engine.simulator.commanded_rate)
+
+    def action(self, epoch: int) -> FloatArray:
+        """Action (B, k) of an epoch, on the way from one decision to the next.
 
         Asks the spoofer where a decision is due.
         """
-        setup = self.setup
-        if epoch >= setup.steps:
-            return None
-        since = epoch % setup.repeat
-        if since == 0:
-            self._before, self._decided = self._decided, self.decide(epoch)
-        action = setup.command(self._before, self._decided, since)
-        return self._commands.command(action, self.engine.simulator.commanded_rate)
+        if self._decisions.due(epoch):
+            self._decisions.take(self.decide(epoch))
+        return self._decisions.action(epoch)
 
     def decide(self, epoch: int) -> FloatArray:
         """Action of the spoofer, checked: (B, k) float64, C-contiguous."""
@@ -77,8 +80,8 @@ class Attacker:
 
     def go_on_with(self, engine: Engine, rows: NDArray[np.intp]) -> None:
         """Command an engine of some of the receivers from now on."""
-        spoofer, _, self._commands = make_bound_spoofer(self._spec, self.setup, len(rows))
+        spoofer, _, self._commands = make_bound_spoofer(self._spec, engine.setup, len(rows))
         self._commands.aim(engine.simulator.heading)
         spoofer.memory.copy_rows(np.arange(len(rows)), self.spoofer.memory, rows)
         self.engine, self.spoofer = engine, spoofer
-        self._before, self._decided = self._before[rows], self._decided[rows]
+        self._decisions = self._decisions.of(rows)

@@ -75,7 +75,7 @@ class DetectorCore:
     def _arrive(self, rows: NDArray[np.intp]) -> None:
         """Let the opponents of some receivers move, those that decide now."""
         due = rows[self.duel.deciding[rows]]
-        action = self.pool.act(self.duel.core.snapshot(), due) if len(due) else None
+        action = self.pool.act(self.duel.snapshot(), due) if len(due) else None
         self.duel.arrive(action, rows)
 
     def step(self, action: FloatArray) -> tuple[PlainResult, NDArray[np.float32]]:

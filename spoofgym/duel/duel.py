@@ -14,9 +14,11 @@ from ..detectors.pool import NATURE, uniforms
 from ..detectors.verdicts import checked
 from ..envs import _kernels
 from ..envs.core import NOTHING_SEEN, SpoofCore
+from ..envs.decisions import Decisions
 from ..envs.factory import make_setup
 from ..envs.scoring import DisplacementScore, FusedStep
 from ..envs.step_result import StepResult
+from ..envs.terms.base import Snapshot
 from ..envs.terms.registry import ActionSpec
 from ..simulators.base import Simulator
 from ..simulators.tightly_coupled import TightlyCoupledSetup
@@ -97,7 +99,7 @@ class Duel:
         self._everyone = np.arange(receivers)
         self._sources: list[np.random.Generator | None] = [None] * receivers
         shape = (receivers, len(self.core.action_names))
-        self._before, self._given = np.zeros(shape), np.zeros(shape)
+        self._decisions = Decisions(setup, *shape)
         self._command = np.zeros((receivers, len(setup.action_names)))
 
     @property
@@ -118,7 +120,7 @@ class Duel:
     @property
     def deciding(self) -> NDArray[np.bool_]:
         """(B,) bool, whose spoofer decides before the coming epoch."""
-        now: NDArray[np.bool_] = self.score.step_count % self.setup.repeat == 0
+        now: NDArray[np.bool_] = self._decisions.due(self.score.step_count)
         return now
 
     def reset(
@@ -134,7 +136,8 @@ class Duel:
         where = self._everyone if rows is None else rows
         self.core.reset(rngs, rows, given)
         self.score.reset(where)
-        self._before[where] = self._given[where] = self._command[where] = 0.0
+        self._decisions.forget(where)
+        self._command[where] = 0.0
         self.over[where] = False
         for row, rng in zip(where, rngs, strict=True):
             if self._sources[row] is not rng:
@@ -154,14 +157,13 @@ class Duel:
         if len(due):
             if action is None:
                 raise ValueError("`action` must be given: a decision of the spoofer is due")
-            self._before[due], self._given[due] = self._given[due], action[due]
+            self._decisions.take(action, due)
         self._command[where] = command = self._commanded()[where]
         self.core.engine.apart(where, lambda part: self._arrive(part, command, where))
 
     def _commanded(self) -> FloatArray:
         """Commands as the attack takes them: holding the rate where all have been given."""
-        epoch = self.score.step_count % self.setup.repeat
-        action = self.core.command(self.setup.command(self._before, self._given, epoch[:, None]))
+        action = self.core.command(self._decisions.action(self.score.step_count))
         by_rate = self.setup.attack.control == "rate"
         held = self._command if by_rate else np.zeros_like(self._command)
         command = np.where(self.holding[:, None], held, action)
@@ -215,9 +217,13 @@ class Duel:
         }
         return DuelStep(won, paid, terminated, info)
 
+    def snapshot(self) -> Snapshot:
+        """The episodes now, as `SpoofCore.snapshot`."""
+        return self.core.snapshot()._replace(step=self.score.step_count)
+
     def observe_spoofer(self) -> NDArray[np.float32]:
         """What the spoofer observes, (B, o), a new array."""
-        return self.core.observe()
+        return self.core.observer.observe(self.snapshot())
 
     def observe_detector(self) -> NDArray[np.float32]:
         """What the detector observes of the last epoch that has arrived, (B, o), a new array."""

@@ -12,12 +12,12 @@ from ..detectors import Calibrated, Detector, detector_in_world
 from ..detectors.learned.agent import PolicyDetector
 from ..detectors.learned.detector import LearnedDetector
 from ..detectors.pool import PooledDetector, checked_weights, drawn
+from ..envs.decisions import Decisions
 from ..envs.observer import Observer
 from ..envs.options import checked_action
-from ..envs.spoofer_binding import bound_spoofer, card_behind, warn_of_headings
+from ..envs.spoofer_binding import bound_spoofer, card_behind, paced, warn_of_headings
 from ..envs.terms.action import CommandMap
 from ..envs.terms.base import Snapshot
-from ..simulators.base import Simulator
 from ..simulators.setup import Setup
 from ..spoofers import Spoofer, make_spoofer
 
@@ -73,8 +73,9 @@ def pooled_detector(
 class SpooferPool:
     """Spoofers of which one commands a receiver for a whole episode.
 
-    Every spoofer that has a receiver at present is called once a decision, with the observations
-    that its knowledge allows, for all receivers; each receiver takes the command of its own.
+    Every spoofer that has a receiver at present is called once a decision, its own or the world's,
+    with the observations that its knowledge allows, for all receivers; each receiver takes the
+    command of its own.
 
     `weights`: probability of each; all alike by default; `opponent` (B,) index of the spoofer of
     every receiver.
@@ -93,6 +94,7 @@ class SpooferPool:
         self._observers: dict[tuple[str, bool], Observer] = {}
         self._seeing: list[tuple[str, bool]] = []
         self._commands: list[CommandMap] = []
+        self._decisions: list[Decisions] = []
         self._spoofers = [self._made(spec, setup, receivers) for spec in specs]
         warn_of_headings(self._spoofers, setup)
         self._shape = receivers, len(setup.action_names)
@@ -101,7 +103,8 @@ class SpooferPool:
     def _made(self, spec: SpooferSpec, setup: Setup, receivers: int) -> Spoofer:
         made = make_spoofer(dict(spec) if isinstance(spec, Mapping) else spec)
         context, observer, commands = bound_spoofer(made, setup, receivers)
-        if commands.setpoint_mps is not None and setup.repeat > 1:
+        own, late = paced(setup, made), setup.repeat > 1
+        if commands.setpoint_mps is not None and late:
             raise ValueError(
                 f"the spoofer {label_of(spec)!r} acts by set-points, which the acceleration "
                 "follows at every epoch: no pool with a `decision_interval_s` can have it"
@@ -120,6 +123,9 @@ class SpooferPool:
             )
         made.bind(context)
         made.reset()
+        # where the world has decisions, the duel makes epochs of them
+        pace = setup.altered(pace=(None, "hold")) if late else own
+        self._decisions.append(Decisions(pace, receivers, len(commands.names)))
         return made
 
     def begin(self, rows: NDArray[np.intp], keys: NDArray[np.uint64]) -> None:
@@ -127,8 +133,9 @@ class SpooferPool:
         self.opponent[rows] = drawn(keys, self._chances)
         mask = np.zeros(len(self.opponent), dtype=np.bool_)
         mask[rows] = True
-        for spoofer in self._spoofers:
+        for spoofer, decisions in zip(self._spoofers, self._decisions, strict=True):
             spoofer.reset(mask)
+            decisions.forget(rows)
 
     def act(self, snapshot: Snapshot, rows: NDArray[np.intp]) -> FloatArray:
         """Let the spoofers of some receivers decide; those of the others do nothing.
@@ -138,25 +145,28 @@ class SpooferPool:
         command = np.zeros(self._shape)
         seen: dict[tuple[str, bool], NDArray[np.float32]] = {}
         for k in np.unique(self.opponent[rows]):
-            spoofer, key = self._spoofers[k], self._seeing[k]
-            if key not in seen:
-                seen[key] = self._observers[key].observe(snapshot)
-            before = {name: np.array(array) for name, array in spoofer.memory.items()}
-            action = self._checked(k, spoofer.act(seen[key]), snapshot.simulator)
-            for name, array in before.items():
-                array[rows] = spoofer.memory[name][rows]
-                spoofer.memory[name] = array
-            own = rows[self.opponent[rows] == k]
-            command[own] = action[own]
+            own, decisions = rows[self.opponent[rows] == k], self._decisions[k]
+            due = own[decisions.due(snapshot.step[own])]
+            if len(due):
+                key = self._seeing[k]
+                if key not in seen:
+                    seen[key] = self._observers[key].observe(snapshot)
+                decisions.take(self._decided(k, seen[key], due), due)
+            self._commands[k].aim(snapshot.simulator.heading)
+            taken = decisions.action(snapshot.step)
+            given = self._commands[k].command(taken, snapshot.simulator.commanded_rate)
+            command[own] = given[own]
         return command
 
-    def _checked(self, k: int, action: Any, simulator: Simulator) -> FloatArray:
-        """Action of a spoofer for all receivers, as the attack takes it."""
-        commands = self._commands[k]
-        shape = self._shape[0], len(commands.names)
+    def _decided(self, k: int, seen: NDArray[np.float32], rows: NDArray[np.intp]) -> FloatArray:
+        """Action of a spoofer for all receivers; its memory goes on for some of them."""
+        spoofer, names = self._spoofers[k], self._commands[k].names
+        before = {name: np.array(array) for name, array in spoofer.memory.items()}
+        action = spoofer.act(seen)
+        for name, array in before.items():
+            array[rows] = spoofer.memory[name][rows]
+            spoofer.memory[name] = array
         try:
-            given = checked_action(action, shape, commands.names)
+            return checked_action(action, (self._shape[0], len(names)), names)
         except (TypeError, ValueError) as error:
             raise ValueError(f"the spoofer {self.labels[k]!r} of the pool: {error}") from error
-        commands.aim(simulator.heading)
-        return commands.command(given, simulator.commanded_rate)

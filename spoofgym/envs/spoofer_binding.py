@@ -163,10 +163,32 @@ def monitors_for(spoofers: Iterable[Spoofer], setup: Setup) -> list[Monitor]:
     return needed_monitors(term for each in known for term in default_terms(setup, each))
 
 
+def paced(setup: Setup, spoofer: Spoofer) -> Setup:
+    """The same world, in which decisions are due as a spoofer takes them."""
+    pace = spoofer.decision_interval_s, spoofer.between
+    if pace[0] is None or pace == (setup.decision_interval_s, setup.between):
+        return setup
+    name = spoofer.label or type(spoofer).__name__
+    if setup.decision_interval_s is not None:
+        raise ValueError(
+            f"{name} decides every {pace[0]:g} s ({pace[1]} between), but this world every "
+            f"{setup.decision_interval_s:g} s ({setup.between} between); without a "
+            "`decision_interval_s` of its own any spoofer can decide as it does"
+        )
+    try:
+        return setup.altered(pace=(pace[0], pace[1]))
+    except ValueError as error:
+        raise ValueError(f"{name} decides every {pace[0]:g} s: {error}") from error
+
+
 def bound_spoofer(
     spoofer: Spoofer, setup: Setup, receivers: int
 ) -> tuple[SpooferContext, Observer, CommandMap]:
-    """What a spoofer is given that commands the attack itself, what it observes, its commands."""
+    """What a spoofer is given that commands the attack itself, what it observes, its commands.
+
+    It decides at its own pace.
+    """
+    setup = paced(setup, spoofer)
     if REPORTED in spoofer.knowledge and not any(
         isinstance(monitor, PastPositions) for monitor in setup.monitors
     ):

@@ -225,16 +225,20 @@ class Setup(ABC):
         self.kernel: SequelKernel | None = None
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
         self.onset = self.quiet + self.live
-        self.decision_interval_s, self.between = decision_interval_s, between
+        self._decide_every(decision_interval_s, between)
+        # one decision more, which a finished receiver may run until it is reset
+        self.length = self.onset + self.steps + self.hold + self.repeat
+
+    def _decide_every(self, decision_interval_s: float | None, between: str) -> None:
+        """Take how often a spoofer decides, and what is commanded between two decisions."""
         check_choice("between", between, BETWEEN)
         if between != "hold" and decision_interval_s is None:
             raise ValueError(
                 f"`between` {between!r} needs a `decision_interval_s`: without one there is no "
                 "epoch between two decisions"
             )
-        self.repeat = _repeat(decision_interval_s, interval_s, self.steps)
-        # one decision more, which a finished receiver may run until it is reset
-        self.length = self.onset + self.steps + self.hold + self.repeat
+        self.decision_interval_s, self.between = decision_interval_s, between
+        self.repeat = _repeat(decision_interval_s, self.interval_s, self.steps)
 
     @abstractmethod
     def world_settings(self) -> Mapping[str, Any]:
@@ -247,15 +251,17 @@ class Setup(ABC):
 
     @cached_property
     def conditions(self) -> Conditions:
-        """What a calibration of a detector here belongs to."""
+        """What a calibration of a detector here belongs to.
+
+        Not how often a spoofer decides: of that nothing is seen in clean runs, but for the latest
+        start, which is earlier by less than a decision.
+        """
         settings = {
             "kind": self.kind,
             **described(self.world_settings()),
             "timeline": described(self.timeline),
             "interval_s": described(self.interval_s),
         }
-        if self.repeat > 1:  # an episode keeps a decision to spare, and may have to start earlier
-            settings["decision_interval_s"] = described(self.decision_interval_s)
         return Conditions(settings, self.window_s, self.name, self._options())
 
     def _options(self) -> str:
@@ -375,9 +381,17 @@ class Setup(ABC):
         detector: Detector | None = None,
         monitors: Sequence[Monitor] | None = None,
         kernel: SequelKernel | None = None,
+        pace: tuple[float | None, str] | None = None,
     ) -> Setup:
-        """The same world and attack, with another detector, other monitors, or another kernel."""
+        """The same world and attack, with something else in it.
+
+        Another detector, other monitors, another kernel, or another pace of the spoofer:
+        ``decision_interval_s`` and ``between``, which change neither when an episode may start nor
+        how long it takes.
+        """
         other = copy.copy(self)
+        if pace is not None:
+            other._decide_every(*pace)
         if detector is not None:
             other.detector = detector
         if monitors is not None:

@@ -45,6 +45,10 @@ class Spoofer(Policy[SpooferContext]):
         What it was optimised on before the attack: detector, receiver, scenario; or nothing.
     action_terms : str, mapping, sequence or None
         How its actions command the attack, as ``action=`` of `SpoofEnv`; None as there by default.
+    decision_interval_s : float or None
+        Time between its decisions; None for every decision of the world.
+    between : {"hold", "linear"}
+        What it commands between decisions of its own, as in environments.
     transmits : bool
         Whether it counterfeits at all.  An attack that is commanded nothing may still be seen, by
         its tracking error or its delay; where nothing is transmitted, measurements are authentic.
@@ -56,6 +60,8 @@ class Spoofer(Policy[SpooferContext]):
     tunable: ClassVar[str | None] = None
     transmits: ClassVar[bool] = True
     action_terms: Any = "full-command"
+    decision_interval_s: float | None = None
+    between: str = "hold"
     label: str | None = None
     designed_on: str = "nothing"
 

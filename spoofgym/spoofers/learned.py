@@ -30,7 +30,7 @@ class OnnxPolicy(Spoofer):
     ----------
     card : Card
         What it fits, what it knows, how it was made.
-    knowledge, label, designed_on : str
+    knowledge, label, designed_on, decision_interval_s, between : optional
         Of the card.
     """
 
@@ -56,6 +56,8 @@ class OnnxPolicy(Spoofer):
         self.designed_on = card.knowledge.design_time
         self.label = card.name
         self.action_terms = card.env_kwargs.get("action")
+        self.decision_interval_s = card.env_kwargs.get("decision_interval_s")
+        self.between = card.env_kwargs.get("between", "hold")
 
     def bind(self, context: SpooferContext) -> None:
         """Prepare for a batch of receivers."""

@@ -37,6 +37,8 @@ class ModelPolicy(Spoofer):
         How its actions command the attack, as ``action=`` of `SpoofEnv`.
     observation : Space, optional
         What it has been trained to observe; anything else is refused then.
+    decision_interval_s, between : optional
+        How often it decides, and what it commands in between, as in environments.
     label : str, optional
         Short name in results; by default that of its class.
     """
@@ -48,11 +50,14 @@ class ModelPolicy(Spoofer):
         knowledge: str = "blind",
         action: Any = None,
         observation: Space | None = None,
+        decision_interval_s: float | None = None,
+        between: str = "hold",
         label: str | None = None,
     ) -> None:
         check_choice("knowledge", knowledge, KNOWLEDGE)
         self.model, self.knowledge, self.action_terms = model, knowledge, action
         self.observation = observation
+        self.decision_interval_s, self.between = decision_interval_s, between
         self.label = label or name_of(model)
         self._function = function_of(model)
 
@@ -195,4 +200,6 @@ def describe_env(env: Any) -> Mapping[str, Any]:
         "knowledge": settings["knowledge"],
         "action": settings["action"],
         "observation": space,
+        "decision_interval_s": core.setup.decision_interval_s,
+        "between": core.setup.between,
     }

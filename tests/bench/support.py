@@ -91,6 +91,7 @@ def make_card(
     score = {"undetected_displacement_m": 12.5, "low": 11.0, "high": 14.0, "runs": 5}
     rates = {"alarm_rate": 0.2, "clean_alarm_rate": 0.18, "budget": 0.05}
     world = {"detector": {"name": "ewma"}, "timeline": dataclasses.asdict(suite.timeline)}
+    world |= suite.settings
     return Card(
         name=name,
         kind=kind,

@@ -80,9 +80,71 @@ def test_every_spoofer_commands_in_double_precision_whoever_acts_first():
         envs = duel_v0.DetectorVectorView(8, pool, **BRIEF)
         envs.reset(seed=2)
         game = envs.core
-        commands[name] = game.pool.act(game.duel.core.snapshot(), np.arange(8))
+        commands[name] = game.pool.act(game.duel.snapshot(), np.arange(8))
         opponents = np.array(envs.opponents)
     assert set(opponents) == {"Single", "Double"}
     mine = opponents == "Double"
     np.testing.assert_array_equal(commands["pair"][mine], commands["alone"][mine])
     assert (commands["pair"][~mine] == np.float32(0.1)).all()
+
+
+class Sweep(Spoofer):
+    """Pushes by the time that is left, and decides seldom."""
+
+    knowledge = "blind"
+
+    def __init__(self, between="hold", decision_interval_s=None):
+        self.between, self.decision_interval_s = between, decision_interval_s
+
+    def act(self, observation):
+        return np.tile(np.cos(7.0 * observation[:, -1:].astype(np.float64)), (1, 2))
+
+
+@pytest.mark.parametrize("between", ["hold", "linear"])
+@pytest.mark.parametrize("delay", [0, 1])
+def test_a_spoofer_that_decides_seldom_does_so_in_a_pool(between, delay):
+    """Beside one that decides at every epoch, and for receivers of different ages."""
+    pace = {"decision_interval_s": 1.5, "between": between}
+    one_start = {**BRIEF, "domain": {**BRIEF["domain"], "start_s": [0.0, 0.0]}}
+    moved = {}
+    for name, pool, world in (
+        ("own", [Sweep(**pace), Sweep()], {}),
+        ("world", [Sweep(), Sweep()], pace),
+    ):
+        envs = duel_v0.DetectorVectorView(6, pool, **one_start, **world, decision_delay=delay)
+        envs.reset(seed=3)
+        opponents, found = np.array(envs.core.pool.opponent), []
+        for _ in range(20):
+            envs.step(np.tile(QUIET, (6, 1)))
+            found.append(envs.core.duel.core.engine.simulator.commanded_displacement.copy())
+        moved[name] = np.array(found)
+        envs.close()
+    late = opponents == 0
+    assert set(late) == {True, False}
+    np.testing.assert_array_equal(moved["own"][:, late], moved["world"][:, late])
+    assert (moved["own"][-1, ~late] != moved["world"][-1, ~late]).any()
+
+
+def test_receivers_that_began_at_different_times_have_decisions_of_their_own():
+    envs = duel_v0.DetectorVectorView(
+        2, Sweep("linear", 1.5), **BRIEF, autoreset_mode="disabled", attack_probability=1.0
+    )
+    envs.reset(seed=1)
+    for _ in range(2):
+        envs.step(np.tile(QUIET, (2, 1)))
+    envs.reset(options={"reset_mask": np.array([False, True])})
+    simulator, moved = envs.core.duel.core.engine.simulator, []
+    for _ in range(7):
+        envs.step(np.tile(QUIET, (2, 1)))
+        moved.append(simulator.commanded_displacement.copy())
+    moved = np.array(moved)
+    np.testing.assert_array_equal(moved[:-2, 0], moved[2:, 1])
+
+
+def test_whoever_observes_in_a_duel_sees_how_many_epochs_have_passed():
+    envs = duel_v0.DetectorVectorView(2, "ramp", **BRIEF, autoreset_mode="disabled")
+    envs.reset(seed=1)
+    envs.step(np.tile(QUIET, (2, 1)))
+    envs.reset(options={"reset_mask": np.array([False, True])})
+    envs.step(np.tile(QUIET, (2, 1)))
+    assert envs.core.duel.snapshot().step.tolist() == [2, 1]
