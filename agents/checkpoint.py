@@ -9,6 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
@@ -44,7 +45,8 @@ def save_checkpoint(
         there are kept.
     """
     running = {
-        name: {key: torch.as_tensor(getattr(getattr(envs, name), key)) for key in keys}
+        # in double precision, also what is a number of Python by itself
+        name: {key: torch.tensor(np.float64(getattr(getattr(envs, name), key))) for key in keys}
         for name, keys in RUNNING.items()
     }
     weights, content = BytesIO(), BytesIO()

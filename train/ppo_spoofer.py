@@ -16,16 +16,17 @@ The folder gets `results.json`, `curve.png`, the policy of the seed that was bes
 
 What is not a default of PPO or of the environment, and why:
 
-1. `gamma` = 1: what is scored is not discounted; `gae_lambda` = 0.98 for long episodes.
-2. `n_steps` is an episode, and minibatches are large, since the environment is fast.
+1. A decision every ten seconds, between which the rate changes linearly: 15 of them in place of 300
+   are what an alarm is blamed on, and exploration has no jumps, which tests of range rates see.
+2. `gamma` = 1: what is scored is not discounted; `n_steps` is an episode; few receivers side by
+   side, and ten passes over each rollout, since the policy moves only so far at every update.
 3. `log_std_init` = -1.5: at the library's 0 every episode alarms; `learning_rate` falls from 1e-3.
 4. `VecNormalize`: observations and rewards in units of their own standard deviations, so that one
    set of settings suits detectors that allow for metres and for hundreds of metres.  Rewards are
    not clipped: an alarm costs more than the ten deviations at which the library cuts them.
 5. The environment's action is a wanted rate, and an action of 1 all through the attack goes four
    lengths (alert limits, or `length_m`) far: exploration is no louder than what it looks for.
-6. `average`: what is scored and kept is the average of the weights over some ten updates, since the
-   policy jitters by metres from one update to the next.
+6. `average`: the average of the weights over some ten updates is scored, since one of them jitters.
 7. The price of an alarm follows the budget, as a Lagrange multiplier: a policy that has to be
    scaled down pays more from then on, one that could be scaled up pays less.
 """
@@ -69,11 +70,9 @@ from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
 from spoofgym.tasks import ALARM_PRICE, task_of
 
-CHECKPOINT, RECORD, RESULTS = "checkpoint.zip", "record.jsonl", "results.json"
-PICTURE = "curve.png"
+CHECKPOINT, RECORD, RESULTS, PICTURE = "checkpoint.zip", "record.jsonl", "results.json", "curve.png"
 STATE = ("stage", "spent_s", "untrained", "price")  # what a checkpoint keeps beside model, scores
-FREE = ("out", "seeds", "rivals", "threads", "tensorboard", "json")
-"""Arguments that a run which is gone on with may change."""
+FREE = ("out", "seeds", "rivals", "threads", "tensorboard", "json")  # may change when gone on with
 
 
 @dataclass(frozen=True)
@@ -96,18 +95,18 @@ class Arguments:
     """After a score the price is divided by this power of the amplitude; 0 for a fixed price."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     """One training each; they seed the network, the exploration and the episodes."""
-    steps: int = 2_400_000
-    """Steps of all receivers together, for each seed."""
-    num_envs: int = 64
+    steps: int = 150_000
+    """Decisions of all receivers together, for each seed."""
+    num_envs: int = 32
     """Receivers side by side."""
-    batch_size: int = 2400
-    """Steps of a minibatch."""
-    n_epochs: int = 5
+    batch_size: int = 240
+    """Decisions of a minibatch."""
+    n_epochs: int = 10
     """How often each rollout is learned from."""
     learning_rate: float = 1e-3
     """At first; it falls linearly to a tenth."""
     gae_lambda: float = 0.98
-    """Of generalised advantage estimation."""
+    """Of generalised advantage estimation; nearer to 1 than by default, as `gamma` is."""
     log_std_init: float = -1.5
     """Logarithm of the exploration's standard deviation at first, in parts of the full scale."""
     full_scale_mps: float | None = None

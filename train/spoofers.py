@@ -28,6 +28,8 @@ from agents.folder import error_lines
 from agents.spoofer_table import FEEDBACK, KNOWLEDGE, RIVALS, page
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
+from spoofgym.bench.evaluate import Evaluator
+from spoofgym.tasks import task_of
 
 from .ppo_spoofer import RESULTS, Arguments, train
 
@@ -42,7 +44,10 @@ DETECTORS = {
 """By short names; all at the default rate of false alarms."""
 WORLDS = ("T3", "T5")
 """Worlds, by the tasks that have them."""
-TABLE, PAGE = "spoofers.json", "spoofers.md"
+TABLE, PAGE, REACHES = "spoofers.json", "spoofers.md", "reaches.json"
+MEASURE = "accelerating-ramp"
+"""Half of how far it gets is the unit of rewards and prices, unless the alert limit is longer: so
+an action of 1 asks at least for its last rate."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +60,9 @@ class Settings:
     """Worlds, detectors or knowledge of a part, such as T3 aime blind; all by default."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     """Seeds of every cell."""
-    steps: int = 1_500_000
-    """Steps of each training."""
-    stages: int = 5
+    steps: int = 80_000
+    """Decisions of each training."""
+    stages: int = 8
     """How often each of them is scored."""
     fit_runs: int = 256
     """Training runs, on which amplitudes are fitted."""
@@ -80,12 +85,17 @@ class Settings:
         worlds, detectors, known = map(chosen, (WORLDS, DETECTORS, KNOWLEDGE))
         return [(w, d, k) for w in worlds for d in detectors for k in known]
 
-    def arguments(self, world: str, detector: str, knowledge: str) -> Arguments:
-        """The training of a cell."""
-        blind = knowledge == "blind"
+    def folder(self, world: str, detector: str, knowledge: str) -> Path:
+        """Folder of a cell."""
+        return self.out / f"{world}-{detector}-{knowledge.replace('+', '-')}"
+
+    def arguments(self, world: str, detector: str, knowledge: str, reach_m: float) -> Arguments:
+        """The training of a cell; `reach_m`: how far an accelerating ramp gets there."""
+        blind, limit_m = knowledge == "blind", task_of(world).alert_limit_m
         given: dict[str, Any] = {
-            "out": self.out / f"{world}-{detector}-{knowledge.replace('+', '-')}",
+            "out": self.folder(world, detector, knowledge),
             "task": world,
+            "length_m": max(limit_m or 0.0, round(reach_m / 2.0, 1)),
             "detector": DETECTORS[detector],
             "knowledge": knowledge,
             "rivals": (*RIVALS, FEEDBACK) if blind else ("ramp",),
@@ -98,8 +108,8 @@ class Settings:
 def play(settings: Settings, console: Console) -> dict[str, Any]:
     """Train what is missing; results of all cells that are finished, JSON-able."""
     for cell in settings.cells():
-        args = settings.arguments(*cell)
         console.print(" ".join(cell))
+        args = settings.arguments(*cell, reach_of(settings, *cell[:2]))
         results = train(args, console)
         write_file(args.out / RESULTS, (json.dumps(results, indent=1) + "\n").encode())
         table = collected(settings)
@@ -108,12 +118,24 @@ def play(settings: Settings, console: Console) -> dict[str, Any]:
     return collected(settings)
 
 
+def reach_of(settings: Settings, world: str, detector: str) -> float:
+    """How far the accelerating ramp gets on training runs [m]; the folder keeps it."""
+    path, key = settings.out / REACHES, f"{world}/{detector}"
+    known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    if key not in known:
+        args = settings.arguments(world, detector, "blind", 0.0)
+        judge = Evaluator(fit_runs=args.fit_runs, threads=args.threads, **args.world)
+        known[key] = round(judge.fit(MEASURE).score, 1)
+        write_file(path, (json.dumps(known, indent=1) + "\n").encode())
+    return float(known[key])
+
+
 def collected(settings: Settings) -> dict[str, Any]:
     """Results of every cell whose folder has them."""
     every = [(w, d, k) for w in WORLDS for d in DETECTORS for k in KNOWLEDGE]
     found = {}
     for cell in every:
-        path = settings.arguments(*cell).out / RESULTS
+        path = settings.folder(*cell) / RESULTS
         if path.is_file():
             found["/".join(cell)] = json.loads(path.read_text(encoding="utf-8"))
     return found

@@ -40,6 +40,7 @@ QUICK = {
     "batch_size": 50,
     "n_epochs": 2,
     "full_scale_mps": 1.0,
+    "decision_interval_s": 2.5,
     "stages": 2,
     "fit_runs": 80,
     "runs": 20,
@@ -88,7 +89,9 @@ def test_a_run_leaves_a_policy_that_plays(trained):
     args, results = trained
     policy = OnnxPolicy(str(args.out / "tiny.onnx"))
     assert policy.knowledge == "blind"
-    envs = SpoofVecEnv(3, seed=0, knowledge="blind", **args.world)
+    assert (policy.decision_interval_s, policy.between) == (2.5, "linear")
+    pace = {"decision_interval_s": 2.5, "between": "linear"}
+    envs = SpoofVecEnv(3, seed=0, knowledge="blind", **args.world, **pace)
     spoofer = attach(policy, envs)
     assert spoofer.act(envs.reset()).shape == (3, 1)
     envs.close()
@@ -222,6 +225,11 @@ def test_the_full_scale_is_the_limit_of_a_short_attack_or_what_is_given():
     [
         ({"task": "T4", "detector": "never"}, {"full_scale_mps": 5.0}, 556.0),
         ({"task": "T3", "detector": "never"}, {"full_scale_mps": 4 * 20.0 / 150.0}, 20.0),
+        (
+            {"task": "T3", "detector": "never", "length_m": 30.0},
+            {"full_scale_mps": 4 * 30.0 / 150.0},
+            30.0,
+        ),
         ({"settings": '{"target_heading_deg": "worst"}'}, {"dimensions": 2}, 40.0),
     ],
 )
@@ -297,3 +305,10 @@ def test_the_command_prints_help():
     )
     assert "--full-scale-mps" in shown.stdout
     assert RESULTS in shown.stdout
+
+
+@pytest.mark.parametrize(("every_s", "steps"), [(2.5, 4), (None, 20)])
+def test_it_decides_as_often_as_is_asked_for(every_s, steps):
+    envs = arguments(Path("x"), decision_interval_s=every_s).make_envs()
+    assert envs.core.episode_steps == steps
+    envs.close()

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from agents.spoofer_table import KNOWLEDGE, page
 from train import spoofers
-from train.spoofers import DETECTORS, PAGE, TABLE, WORLDS, Settings, play
+from train.spoofers import DETECTORS, PAGE, REACHES, TABLE, WORLDS, Settings, play, reach_of
 
 QUICK = {
     "settings": json.dumps(
@@ -31,6 +31,7 @@ QUICK = {
     "n_epochs": 1,
     "stages": 1,
     "threads": 1,
+    "decision_interval_s": 2.5,
 }
 
 
@@ -53,7 +54,7 @@ def small(tmp_path, monkeypatch):
 def test_all_cells_are_a_hundred_and_eighty_trainings(tmp_path):
     settings = Settings(out=tmp_path)
     assert len(settings.cells()) * len(settings.seeds) == 180
-    names = {settings.arguments(*cell).out.name for cell in settings.cells()}
+    names = {settings.folder(*cell).name for cell in settings.cells()}
     assert len(names) == len(settings.cells())
 
 
@@ -84,3 +85,26 @@ def test_names_are_checked(tmp_path):
     with pytest.raises(ValueError, match="unknown world, detector or knowledge 'T9'") as found:
         Settings(out=tmp_path, only=("T9",))
     assert valid.split(", ")[0] in str(found.value)
+
+
+@pytest.mark.parametrize(("reach_m", "length_m"), [(12.0, 20.0), (82.0, 41.0), (495.0, 247.5)])
+def test_the_full_scale_is_at_least_the_last_rate_of_the_accelerating_ramp(
+    tmp_path, reach_m, length_m
+):
+    args = Settings(out=tmp_path).arguments("T3", "ewma", "blind", reach_m)
+    assert args.length_m == length_m
+    settings = json.dumps({"attack": {"name": "false-position"}})
+    envs = replace(args, num_envs=1, detector="never", settings=settings).make_envs()
+    (action,) = envs.core.settings["action"]
+    most = float(envs.core.setup.attack.rate_limit_mps)
+    assert action.full_scale_mps >= min(2.0 * reach_m / 150.0, most)
+    assert envs.core.length_m == length_m
+    envs.close()
+
+
+def test_how_far_the_ramp_gets_is_found_once(small, monkeypatch):
+    found = reach_of(small, "T3", "snapshot-chi2")
+    assert json.loads((small.out / REACHES).read_text()) == {"T3/snapshot-chi2": found}
+    assert found > 0.0
+    monkeypatch.setattr(spoofers, "Evaluator", None)
+    assert reach_of(small, "T3", "snapshot-chi2") == found
