@@ -1,4 +1,4 @@
-"""What an action of 1 asks for, by how far it goes within the attack."""
+"""What actions ask for: how often, and how much an action of 1 is."""
 
 from __future__ import annotations
 
@@ -7,9 +7,27 @@ from typing import Any
 import numpy as np
 
 from spoofgym.envs.core import SpoofCore
+from spoofgym.simulators.setup import Setup
 
+ABOUT_S = 10.0
+"""Time between decisions, as far as the attack holds a whole number of them."""
 LENGTHS = 4.0
 """How far an action of 1 all through an attack goes, in lengths, by default."""
+
+
+def seldom(setup: Setup, decision_interval_s: float | None) -> dict[str, Any]:
+    """Settings of an environment like this one in which decisions are seldom, and linear between.
+
+    `decision_interval_s`: time between them [s]; 0 for one at every epoch, None for some ten
+    seconds.  {} where the world has decisions of its own.
+    """
+    if decision_interval_s == 0.0 or setup.decision_interval_s is not None:
+        return {}
+    if decision_interval_s is None:
+        fitting = [n for n in range(1, setup.steps + 1) if setup.steps % n == 0]
+        nearest = min(fitting, key=lambda n: abs(n * setup.interval_s - ABOUT_S))
+        decision_interval_s = round(nearest * setup.interval_s, 9)
+    return {"decision_interval_s": decision_interval_s, "between": "linear"}
 
 
 def setpoint_action(core: SpoofCore, full_scale_mps: float | None) -> dict[str, Any]:

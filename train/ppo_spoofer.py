@@ -56,7 +56,7 @@ from agents.bar import Bar
 from agents.checkpoint import finite, load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
 from agents.folder import command_of, error_lines, open_folder, used_versions
-from agents.full_scale import setpoint_action
+from agents.full_scale import seldom, setpoint_action
 from agents.price import LEAST, MOST, next_price, set_price
 from agents.record import TrainingRecord, read_record
 from agents.seeds import comparable, copy_policy, table_of
@@ -111,8 +111,8 @@ class Arguments:
     """Logarithm of the exploration's standard deviation at first, in parts of the full scale."""
     full_scale_mps: float | None = None
     """Rate that an action of 1 asks for; by default that of four lengths within the attack."""
-    decision_interval_s: float | None = 10.0
-    """Time between its decisions, between which the rate changes linearly; None for an epoch."""
+    decision_interval_s: float | None = None
+    """Time between decisions; 0 for one at every epoch, by default some ten seconds."""
     length_m: float | None = None
     """Unit of rewards and prices; by default the alert limit, or 40 m."""
     average: float = 0.9
@@ -148,7 +148,7 @@ class Arguments:
             ("learning_rate", 0.0, 1.0),
             ("log_std_init", -20.0, 2.0),
             ("full_scale_mps", 1e-3, 1e3),
-            *((name, 1e-3, 1e5) for name in ("length_m", "decision_interval_s")),
+            *(("length_m", 0.1, 1e5), ("decision_interval_s", 0.0, 1e5)),
         ):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
@@ -192,13 +192,12 @@ class Arguments:
         """Receivers of the training."""
         own: dict[str, Any] = {"knowledge": self.knowledge, "threads": self.threads}
         own |= self.world
-        if self.decision_interval_s is not None:
-            own |= {"decision_interval_s": self.decision_interval_s, "between": "linear"}
         length_m = self.length_m or task_of(self.task).alert_limit_m
         if length_m is not None:
             own["length_m"] = length_m
         with closing(SpoofVecEnv(1, **own)) as probe:
             own |= setpoint_action(probe.core, self.full_scale_mps)
+            own |= seldom(probe.core.setup, self.decision_interval_s)
         return SpoofVecEnv(self.num_envs, **own)
 
     def command(self) -> str:
@@ -353,6 +352,7 @@ def train(args: Arguments, console: Console) -> dict[str, Any]:
     """Train all seeds that are not finished, score and compare them; the results, JSON-able."""
     played = {name: getattr(args, name) for name in ("runs", "fit_runs", "entropy", "threads")}
     judge = Evaluator(**played, **args.world)
+    args.make_envs().close()  # or what is wrong with them, before there is a folder
     open_folder(args.out, args.identity)
     trainings = []
     for seed in args.seeds:

@@ -24,7 +24,7 @@ from ..detectors import Calibrated, Detector, OperatingPoint, PooledDetector
 from ..detectors.calibrated import resolve
 from ..envs.factory import make_setup
 from ..envs.observer import Observer
-from ..envs.spoofer_binding import ENV_ID, monitors_for, warn_of_headings
+from ..envs.spoofer_binding import ENV_ID, monitors_for, tuning_range_of, warn_of_headings
 from ..envs.spoofer_binding import spoofer_context as spoofer_context
 from ..envs.terms.observation import default_terms
 from ..sim.scenario import Scenario
@@ -246,8 +246,7 @@ class Suite:
                 spec = {**spec, "rates_mps": [0.0, 1e-3]}
                 entry = replace(entry, spec=spec)
             if entry.tuned:
-                kind = type(build_spoofer(entry.with_value(1.0)))
-                low, _ = kind.tuning_range(spoofer_context(self._setup))
+                low, _ = tuning_range_of(build_spoofer(entry.with_value(1.0)), self._setup)
                 spec = entry.with_value(low)
             setup = self._setup.altered(monitors=self.watched_for([entry]))
             spoofer = make_bound_spoofer(spec, setup, 1)[0]

@@ -16,9 +16,16 @@ from numpy.typing import NDArray
 
 from ..attacks import Meaconer
 from ..attacks.options import CounterfeitErrors
+from ..envs.decisions import Decisions
 from ..envs.observer import Observer
 from ..envs.options import checked_action
-from ..envs.spoofer_binding import commands_of, spoofer_context
+from ..envs.spoofer_binding import (
+    bound_spoofer,
+    commands_of,
+    monitors_for,
+    paced,
+    spoofer_context,
+)
 from ..envs.terms.action import CommandMap
 from ..envs.terms.observation import default_terms
 from ..simulators.engine import Engine
@@ -81,8 +88,11 @@ class TrainingAttacks:
         spoofers: Sequence[Spec] = (),
     ) -> None:
         for spec in spoofers:
-            if not build_spoofer(spec).transmits:
+            made = build_spoofer(spec)
+            if not made.transmits:
                 raise ValueError(f"the spoofer {spec['name']!r} transmits nothing: it is no attack")
+            watched = setup.altered(monitors=monitors_for([made], setup))
+            made.bind(bound_spoofer(made, watched, 1)[0])  # or what does not fit
         self._context = spoofer_context(setup)
         self._reach_m, self._optima, self._spoofers = reach_m, list(optima), list(spoofers)
         self._makers: dict[str, Callable[[np.random.Generator, float], Spec]] = {
@@ -210,7 +220,7 @@ class Attackers:
     ) -> None:
         setup = engine.setup
         self._engine, self._observers = engine, observers
-        self._members: list[tuple[Spoofer, CommandMap, Any]] = []
+        self._members: list[tuple[Spoofer, CommandMap, Decisions, Any]] = []
         for row, spec in enumerate(specs):
             spoofer = build_spoofer(spec)
             commands = commands_of(spoofer, setup)
@@ -218,22 +228,26 @@ class Attackers:
             if seen not in observers:
                 terms = default_terms(setup, seen[0], along_target=seen[1])
                 observers[seen] = Observer(terms, setup)
-            context: SpooferContext = spoofer_context(setup, 1, observers[seen], commands)
+            own = paced(setup, spoofer)
+            context: SpooferContext = spoofer_context(own, 1, observers[seen], commands)
             spoofer.bind(context)
             spoofer.reset()
             commands.aim(engine.simulator.heading[row : row + 1])
-            self._members.append((spoofer, commands, seen))
+            decisions = Decisions(own, 1, len(commands.names))
+            self._members.append((spoofer, commands, decisions, seen))
 
     def command(self, epoch: int) -> FloatArray:
         """Command (B, a) of an epoch, counted from the onset on."""
         engine = self._engine
-        wanted = {seen for _, _, seen in self._members}
+        wanted = {seen for _, _, decisions, seen in self._members if decisions.due(epoch)}
         seen_by = {seen: self._observers[seen](engine, epoch) for seen in wanted}
         rate = engine.simulator.commanded_rate
         out = np.zeros((engine.receivers, len(engine.setup.action_names)))
-        for row, (spoofer, commands, seen) in enumerate(self._members):
+        for row, (spoofer, commands, decisions, seen) in enumerate(self._members):
             own = slice(row, row + 1)
-            names = commands.names
-            action = checked_action(spoofer.act(seen_by[seen][own]), (1, len(names)), names)
-            out[own] = commands.command(action, rate[own])
+            if decisions.due(epoch):
+                shape = 1, len(commands.names)
+                action = checked_action(spoofer.act(seen_by[seen][own]), shape, commands.names)
+                decisions.take(action)
+            out[own] = commands.command(decisions.action(epoch), rate[own])
         return out

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from ..envs.spoofer_binding import spoofer_context
+from ..envs.spoofer_binding import tuning_range_of
 from .budget import halve
 from .entries import Entry, build_spoofer
 from .run import Runs, WarmStart, displacement_of, play
@@ -171,7 +171,7 @@ def tune(
     if setting is None:
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
     any_value = build_spoofer(entry.with_value(1.0))
-    low, high = type(any_value).tuning_range(spoofer_context(start.setup))
+    low, high = tuning_range_of(any_value, start.setup)
     grid = log_spaced(low, high, settings.values)
     everyone = start.receivers
     search = _Search(start, clean, entry, settings, tick)

@@ -364,6 +364,7 @@ class SpoofCore:
         if self._done is None:
             self._done = _DoneRows(self.engine)
         before = score.ended.copy()
+        self._done.keep(np.flatnonzero(before))
         result = StepResult(self._fused.layout)
         self._epoch(action, result, setup.command(self._decided, action, 0))
         for epoch in range(1, setup.repeat):
@@ -371,6 +372,7 @@ class SpoofCore:
             if np.logical_and.reduce(over):
                 break
             self._done.keep(np.flatnonzero(over & ~before))
+            self._done.turn_back()
             before = over
             later = StepResult(self._fused.layout)
             self._epoch(action, later, setup.command(self._decided, action, epoch))
@@ -439,13 +441,21 @@ class _DoneRows:
                 copy.copy_rows(rows, simulator, rows)
             self._kept[rows] = True
 
+    def turn_back(self) -> None:
+        """Put back those that have come to the end of their flight: there is no epoch after it."""
+        simulator = self._pairs[0][1]
+        end = simulator.memory["first"] + simulator.setup.length
+        self._put_back(np.flatnonzero(self._kept & (simulator.epochs >= end)))
+
     def restore(self) -> None:
         """Put back all that have been kept."""
-        rows = np.flatnonzero(self._kept)
+        self._put_back(np.flatnonzero(self._kept))
+        self._kept[:] = False
+
+    def _put_back(self, rows: Rows) -> None:
         if len(rows):
             for copy, simulator in self._pairs:
                 simulator.copy_rows(rows, copy, rows)
-            self._kept[:] = False
 
     def drop(self, rows: Rows) -> None:
         """Forget receivers that start a new episode."""

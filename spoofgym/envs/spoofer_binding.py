@@ -101,6 +101,12 @@ def attach(
             raise ValueError(
                 f"{card.name!r} was made for another environment{hint}:\n  " + "\n  ".join(found)
             )
+    if paced(core.setup, made).repeat != core.setup.repeat:
+        raise ValueError(
+            f"{type(made).__name__} decides every {made.decision_interval_s:g} s, and this "
+            f"environment asks it every {core.setup.interval_s:g} s: make it with "
+            f"decision_interval_s={made.decision_interval_s:g}, between={made.between!r}"
+        )
     _check_heading(made, core)
     made.bind(context)
     made.reset()
@@ -165,20 +171,29 @@ def monitors_for(spoofers: Iterable[Spoofer], setup: Setup) -> list[Monitor]:
 
 def paced(setup: Setup, spoofer: Spoofer) -> Setup:
     """The same world, in which decisions are due as a spoofer takes them."""
-    pace = spoofer.decision_interval_s, spoofer.between
-    if pace[0] is None or pace == (setup.decision_interval_s, setup.between):
+    every, between = spoofer.decision_interval_s, spoofer.between
+    if every is None and between == "hold":
         return setup
     name = spoofer.label or type(spoofer).__name__
-    if setup.decision_interval_s is not None:
+    try:
+        own = setup.altered(pace=(every, between))
+    except (TypeError, ValueError) as error:
+        given = f"decision_interval_s={every!r} and between={between!r}"
+        raise ValueError(f"{name} decides by {given}: {error}") from error
+    if setup.repeat == 1:
+        return own
+    if (own.repeat, own.between) != (setup.repeat, setup.between):
         raise ValueError(
-            f"{name} decides every {pace[0]:g} s ({pace[1]} between), but this world every "
+            f"{name} decides every {every:g} s ({between} between), but this world every "
             f"{setup.decision_interval_s:g} s ({setup.between} between); without a "
             "`decision_interval_s` of its own any spoofer can decide as it does"
         )
-    try:
-        return setup.altered(pace=(pace[0], pace[1]))
-    except ValueError as error:
-        raise ValueError(f"{name} decides every {pace[0]:g} s: {error}") from error
+    return setup
+
+
+def tuning_range_of(spoofer: Spoofer, setup: Setup) -> tuple[float, float]:
+    """Range of a spoofer's tunable setting here, at its own pace."""
+    return type(spoofer).tuning_range(spoofer_context(paced(setup, spoofer)))
 
 
 def bound_spoofer(

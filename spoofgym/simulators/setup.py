@@ -165,7 +165,10 @@ class Setup(ABC):
     env_id: ClassVar[str] = ""
     """Environment of this victim; "" for none."""
     of_attack: ClassVar[frozenset[str]] = frozenset(
-        {"detector", "attack", "target_heading_deg", "between", "rate_limit_mps"}
+        {
+            *("detector", "attack", "target_heading_deg", "rate_limit_mps"),
+            *("decision_interval_s", "between"),
+        }
     )
     """Settings that a clean run does not depend on."""
     given: Mapping[str, Any] | None = None
@@ -226,8 +229,8 @@ class Setup(ABC):
         self.quiet, self.live, self.steps, self.hold = timeline.epochs(interval_s)
         self.onset = self.quiet + self.live
         self._decide_every(decision_interval_s, between)
-        # one decision more, which a finished receiver may run until it is reset
-        self.length = self.onset + self.steps + self.hold + self.repeat
+        # one epoch more, which a finished receiver may run until it is reset
+        self.length = self.onset + self.steps + self.hold + 1
 
     def _decide_every(self, decision_interval_s: float | None, between: str) -> None:
         """Take how often a spoofer decides, and what is commanded between two decisions."""
@@ -251,11 +254,7 @@ class Setup(ABC):
 
     @cached_property
     def conditions(self) -> Conditions:
-        """What a calibration of a detector here belongs to.
-
-        Not how often a spoofer decides: of that nothing is seen in clean runs, but for the latest
-        start, which is earlier by less than a decision.
-        """
+        """What a calibration of a detector here belongs to; not how often a spoofer decides."""
         settings = {
             "kind": self.kind,
             **described(self.world_settings()),
@@ -317,8 +316,8 @@ class Setup(ABC):
             raise ValueError(
                 f"an episode takes {length * interval:g} s{start} (warm-up {line.warmup_s:g} s, "
                 f"attack {line.attack_s:g} s, time to alert {line.time_to_alert_s:g} s, and one "
-                f"decision of {self.repeat * interval:g} s in reserve), but "
-                f"{name!r} lasts {(epochs - 1) * interval:g} s"
+                f"epoch of {interval:g} s in reserve), but {name!r} lasts "
+                f"{(epochs - 1) * interval:g} s"
             )
         return first, last
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import copy
+import math
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .._registry import is_number
 from ..attacks import Attack
+from ..envs.decisions import Decisions
 from ..envs.observer import Observer
-from ..envs.spoofer_binding import bound_spoofer, setup_of_card
+from ..envs.spoofer_binding import bound_spoofer, paced, setup_of_card
 from ..envs.terms.action import CommandMap
 from ..simulators import Engine, Setup, TightlyCoupledSetup, Timeline
 from ..spoofers import KNOWLEDGE, Spoofer, SpooferContext, make_spoofer
@@ -26,6 +30,8 @@ RECEIVERS = 5
 TIMELINE = Timeline(warmup_s=3.0, live_s=1.0, attack_s=12.0, time_to_alert_s=0.0)
 COMMANDS = 24
 """As many are tried of an episode."""
+LONGEST_S = 60.0
+"""Of decisions; the default scenario has no room for longer ones."""
 
 
 def check_spoofer(
@@ -85,7 +91,7 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
         follows = getattr(spoofer, "heading_deg", None) == TARGET
         return TightlyCoupledSetup(
             attack=attack,
-            timeline=TIMELINE,
+            timeline=replace(TIMELINE, attack_s=_window_s(spoofer)),
             detector={"name": "ewma", "thresholds": "nominal"},
             target_heading_deg="random" if follows else 90.0,
         )
@@ -98,6 +104,14 @@ def _setup(spoofer: Spoofer, attack: Attack | Mapping[str, Any] | str | None) ->
             f"{card.name!r} is of {card.env_id}"
         )
     return own
+
+
+def _window_s(spoofer: Spoofer) -> float:
+    """Attack window that holds a whole number of decisions, at least two."""
+    every = spoofer.decision_interval_s
+    if every is None or not (is_number(every) and 0.0 < every < LONGEST_S):
+        return TIMELINE.attack_s  # or a message by whoever takes it
+    return every * max(math.ceil(TIMELINE.attack_s / every), 2)
 
 
 def _check_declarations(spoofer: Spoofer) -> None:
@@ -142,13 +156,18 @@ def _perform(
     engine = Engine(RECEIVERS, setup, threads=1)
     engine.reset([np.random.default_rng(seed) for seed in range(RECEIVERS)])
     commands.aim(engine.simulator.heading)
-    observations = []
+    decisions = Decisions(paced(setup, spoofer), RECEIVERS, len(commands.names))
+    observations: list[Observation] = []
     with no_global_chance("spoofer"):
         bound = _bind(spoofer, context)
-        for k in range(min(COMMANDS, setup.steps)):
-            seen = observer(engine, k)
-            observations.append(seen.copy())
-            action = _act(bound, seen, k)
+        for k in range(setup.steps):
+            if decisions.due(k):
+                if len(observations) == COMMANDS:
+                    break
+                seen = observer(engine, k)
+                observations.append(seen.copy())
+                decisions.take(_act(bound, seen, len(observations) - 1))
+            action = decisions.action(k)
             engine.step(commands.command(action, engine.simulator.commanded_rate))
     return observations
 

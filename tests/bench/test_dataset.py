@@ -173,6 +173,24 @@ def test_feedback_sees_its_detector_and_a_spoofer_may_be_a_file(tmp_path: Any) -
     assert (found.displacement_m[~found.clean].max(axis=1) > 0.0).all()
 
 
+def test_a_spoofer_that_decides_seldom_does_so_in_a_data_set(tmp_path: Any) -> None:
+    """It commands the same, as far as it is commanded the same at every decision."""
+    late = small_suite(settings={"decision_interval_s": 2.5, "between": "linear"})
+    write_policy(tmp_path / "late.onnx", late, "blind", (0.0, 0.02))
+    write_policy(tmp_path / "often.onnx", small_suite(), "blind", (0.0, 0.02))
+    rates = {}
+    for name in ("late", "often"):
+        spoofers = [{"name": str(tmp_path / f"{name}.onnx")}]
+        found = play(plan(families=[], spoofers=spoofers, runs={"train": 6}), "train", range(6))
+        rates[name] = found.displacement_m[~found.clean]
+    # the first decision is a line from nothing: (1 + ... + 5) / 5 epochs instead of 5 of them
+    assert 0.0 < rates["late"].max() < rates["often"].max()
+    wrong = small_suite(settings={"decision_interval_s": 0.5, "between": "linear"})
+    write_policy(tmp_path / "wrong.onnx", wrong, "blind", (0.0, 0.02), steps=7)
+    with pytest.raises(ValueError, match=r"does not fit this attack: conditions\.steps"):
+        plan(spoofers=[{"name": str(tmp_path / "wrong.onnx")}])
+
+
 def test_optima_are_those_of_the_card() -> None:
     assert all(len(rates) == 24 for rates in optima_of("T3"))
     assert optima_of("T1") == []

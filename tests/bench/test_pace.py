@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ from spoofgym.bench.entries import spoofer_entry
 from spoofgym.bench.evaluate import entry_of
 from spoofgym.bench.run import Runs, WarmStart, play
 from spoofgym.bench.suite import Suite
-from spoofgym.envs.spoofer_binding import bound_spoofer, paced
+from spoofgym.envs.spoofer_binding import attach, bound_spoofer, paced, tuning_range_of
 from spoofgym.spoofers import OnnxPolicy, Spoofer, make_spoofer
 from spoofgym.spoofers.model import ModelPolicy
 from spoofgym.spoofers.scaled import Scaled
@@ -117,12 +118,12 @@ def test_a_model_takes_its_pace_from_its_environment() -> None:
 @pytest.mark.parametrize(
     ("own", "world", "message"),
     [
-        (
-            {"decision_interval_s": 0.7},
-            {},
-            "Mirror decides every 0.7 s: .*multiple of the interval",
-        ),
-        ({"decision_interval_s": 3.0}, {}, "Mirror decides every 3 s: .*whole number of decisions"),
+        ({"decision_interval_s": 0.7}, {}, "Mirror decides by .*=0.7 .*multiple of the interval"),
+        ({"decision_interval_s": 3.0}, {}, "Mirror decides by .*=3.0 .*whole number of decisions"),
+        ({"decision_interval_s": "ten"}, {}, "Mirror decides by .*='ten' .*decision_interval_s"),
+        ({"decision_interval_s": 0.0}, LATE, "Mirror decides by .*=0.0 .*must be finite and > 0"),
+        ({"between": "linear"}, {}, "needs a `decision_interval_s`"),
+        ({"decision_interval_s": 2.5, "between": "spline"}, {}, "unknown between 'spline'"),
         ({"decision_interval_s": 5.0}, LATE, "Mirror decides every 5 s .hold between., but this"),
         ({"decision_interval_s": 2.5}, LATE, "this world every 2.5 s .linear between."),
     ],
@@ -133,6 +134,39 @@ def test_a_pace_that_does_not_fit_is_told(
     suite = small_suite(detectors=("ewma",), settings=world)
     with pytest.raises(ValueError, match=message):
         paced(suite.setup(suite.detector_entries[0]), Mirror(**own))  # type: ignore[arg-type]
+
+
+def test_an_environment_asks_it_as_often_as_it_decides() -> None:
+    envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=2, knowledge="oracle")
+    with pytest.raises(
+        ValueError, match=r"make it with decision_interval_s=2\.5, between='linear'"
+    ):
+        attach(Mirror(**LATE), envs)
+    envs.close()
+    late = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=2, knowledge="oracle", **LATE)
+    assert attach(Mirror(**LATE), late).context.interval_s == 2.5
+    late.close()
+
+
+class Reach(Mirror):
+    """Has a setting whose range depends on how often it decides."""
+
+    tunable = "far"
+    far = 1.0
+
+    @classmethod
+    def tuning_range(cls, context):  # type: ignore[no-untyped-def]
+        return 1.0, 1.0 + context.interval_s
+
+
+def test_a_setting_has_the_range_of_its_own_decisions(suite: Suite) -> None:
+    setup = suite.setup(suite.detector_entries[0])
+    assert tuning_range_of(Reach(**LATE), setup) == (1.0, 3.5)
+
+
+def test_a_calibration_is_asked_for_by_a_command_without_it() -> None:
+    late = small_suite(settings=LATE)
+    assert "decision" not in late.setup(late.detector_entries[0]).conditions.options
 
 
 def test_an_animation_has_a_frame_for_every_epoch(suite: Suite, tmp_path: Path) -> None:

@@ -87,6 +87,38 @@ def test_a_new_spoofer_that_keeps_the_contract_passes(kind):
     assert not hasattr(spoofer, "memory")  # the object itself was left alone
 
 
+class Planned(Follower):
+    """Goes by a plan that has an entry for every decision of its own."""
+
+    knowledge = "blind"
+    tunable = None
+
+    def __init__(self, decision_interval_s, between="hold"):
+        self.decision_interval_s, self.between = decision_interval_s, between
+
+    def bind(self, context):
+        super().bind(context)
+        self.memory.declare("decision", np.zeros(context.receivers, dtype=np.int64))
+        self.plan = np.linspace(0.0, 1.0, context.steps)
+
+    def act(self, observation):
+        now = self.plan[self.memory["decision"]]
+        self.memory["decision"] = self.memory["decision"] + 1
+        return np.repeat(now[:, None], len(self.context.action_names), axis=1)
+
+
+@pytest.mark.parametrize("every_s", [0.5, 2.5, 5.0, 10.0])
+@pytest.mark.parametrize("between", ["hold", "linear"])
+def test_a_spoofer_that_decides_seldom_is_asked_as_often_as_it_decides(every_s, between):
+    check_spoofer(Planned(every_s, between))
+
+
+@pytest.mark.parametrize("every_s", [0.7, 0.0, -1.0, float("nan"), "ten", 1e6])
+def test_a_pace_that_makes_no_sense_is_told(every_s):
+    with pytest.raises(ValueError, match="decision_interval_s"):
+        check_spoofer(Planned(every_s))
+
+
 class AllKnowing(Follower):
     knowledge = "everything"
 

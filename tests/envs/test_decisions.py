@@ -242,6 +242,40 @@ def test_in_a_batch_those_that_end_wait_for_the_others():
     envs.close()
 
 
+@pytest.mark.parametrize("mode", ["next_step", "same_step"])
+def test_those_that_end_with_the_flight_wait_there_for_the_others(mode):
+    """Receivers whose episodes began at different times, all of them as late as they can."""
+    late = make(detector="never").core.setup
+    start_s = 0.5 * late._starts(late.epochs_each, "")[1]
+    settings = {"domain": {"start_s": [start_s, start_s]}, "timeline": SHORT, **EARLY}
+    settings = {**settings, **FULL, "decision_interval_s": 5.0, "twin": True, "knowledge": "blind"}
+    envs = gym.make_vec(ID, num_envs=3, autoreset_mode=mode, **settings)
+    core = envs.unwrapped.core
+    simulator, epoch, reached = core.engine.simulator, core._epoch, []
+
+    def watched(*given):
+        epoch(*given)
+        reached.append(int((simulator.epochs - simulator.memory["first"]).max()))
+
+    core._epoch = watched
+    envs.reset(seed=7)
+    pushes = np.array([[0.0, 1.0], [0.0, 0.001], [0.0, 0.3]])
+    lengths: dict[int, list[int]] = {0: [], 1: [], 2: []}
+    since = np.zeros(3, dtype=int)
+    for _ in range(30):
+        seen, _, terminated, truncated, _ = envs.step(pushes)
+        assert np.isfinite(seen).all()
+        over = terminated | truncated
+        since += 1
+        for row in np.flatnonzero(over):
+            lengths[int(row)].append(int(since[row]))
+        since[over] = 0 if mode == "same_step" else -1
+    # every episode of a receiver has the same start and push, and so the same length
+    assert [set(found) for found in lengths.values()] == [{1}, {4}, {2}]
+    assert max(reached) <= late.length  # the world has no epoch after that
+    envs.close()
+
+
 @pytest.mark.parametrize(
     "reward",
     [

@@ -120,7 +120,7 @@ def test_a_bad_action_names_element_and_value(kind, bad):
         ({"timeline": {"warmup_s": 500.0}}, "lasts 418 s"),
         (
             {"timeline": {"warmup_s": 400.0}, "decision_interval_s": 5.0},
-            r"takes 565 s .warm-up 400 s, .* 10 s, and one decision of 5 s in reserve.",
+            r"takes 560.5 s .warm-up 400 s, .* 10 s, and one epoch of 0.5 s in reserve.",
         ),
         ({"attack": {"name": "per-channel", "channels": ["S05", "S05"]}}, "each satellite once"),
         ({"timeline": {"attack_s": -1.0}}, "`attack_s` must be"),

@@ -307,8 +307,36 @@ def test_the_command_prints_help():
     assert RESULTS in shown.stdout
 
 
-@pytest.mark.parametrize(("every_s", "steps"), [(2.5, 4), (None, 20)])
-def test_it_decides_as_often_as_is_asked_for(every_s, steps):
-    envs = arguments(Path("x"), decision_interval_s=every_s).make_envs()
+@pytest.mark.parametrize(
+    ("every_s", "given", "steps"),
+    [
+        (2.5, {}, 4),
+        (0.0, {}, 20),
+        (None, {}, 1),
+        (None, {"decision_interval_s": 5.0}, 2),  # of the world, where everybody decides so
+    ],
+)
+def test_it_decides_as_often_as_is_asked_for(every_s, given, steps):
+    settings = json.dumps({**WORLD, **given})
+    envs = arguments(Path("x"), decision_interval_s=every_s, settings=settings).make_envs()
     assert envs.core.episode_steps == steps
     envs.close()
+
+
+@pytest.mark.parametrize(
+    ("task", "interval_s", "decisions"), [("T1", 10.0, 15), ("T4", 12.5, 26), ("T6", 10.0, 15)]
+)
+def test_decisions_divide_the_attack_of_a_task(task, interval_s, decisions):
+    envs = Arguments(out=Path("x"), task=task, num_envs=1, threads=1).make_envs()
+    assert envs.core.setup.decision_interval_s == interval_s
+    assert envs.core.episode_steps == decisions
+    envs.close()
+
+
+def test_an_interval_that_does_not_fit_leaves_no_folder(refused, tmp_path):
+    settings = json.dumps(WORLD)
+    given = ("--out", tmp_path / "x", "--task", "T1", "--settings", settings)
+    detector = ("--detector", "snapshot-chi2:thresholds=nominal")
+    said = refused(*given, *detector, "--decision-interval-s", "3")
+    assert "window of 10 s must hold a whole number of decisions" in said
+    assert not (tmp_path / "x").exists()
