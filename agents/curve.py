@@ -47,9 +47,10 @@ def draw_curves(
     figure = figure_class()(figsize=(7.0, 4.2), layout="constrained")
     axes = figure.subplots()
     style(axes)
-    reached = []
+    reached, most = [], max(point["step"] for points in records.values() for point in points)
+    unit, word = (1e6, "million") if most >= 1e6 else (1e3, "thousand")
     for (name, points), colour in zip(records.items(), cycle(COLOURS), strict=False):
-        steps = [point["step"] / 1e6 for point in points]
+        steps = [point["step"] / unit for point in points]
         moved = [point["stealthy_m"] if point["within_budget"] else 0.0 for point in points]
         reached.append((steps, moved))
         axes.plot(steps, moved, ".-", color=colour, lw=1.0, alpha=0.7, label=name)
@@ -58,10 +59,17 @@ def draw_curves(
         axes.plot(reached[0][0], middle, color="black", lw=2.0, label="median")
     for level in (levels or {}).values():
         axes.axhline(level, color=GREY, ls="--", lw=1.0)
-    axes.set(xlabel="steps [million]", ylabel="stealthy displacement on training runs [m]")
+    axes.set(xlabel=f"steps [{word}]", ylabel="stealthy displacement on training runs [m]")
     axes.set_ylim(bottom=0.0)
     for names, level in _grouped(levels or {}, NEAR * axes.get_ylim()[1]):
-        axes.annotate(names, (0.0, level), xytext=(2, 2), textcoords="offset points", fontsize=8)
+        axes.annotate(
+            names,
+            (0.0, level),
+            xytext=(3, 3),
+            textcoords="offset points",
+            fontsize=8,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5},
+        )
     figure.legend(
         fontsize="small",
         ncols=min(len(axes.get_legend_handles_labels()[0]), 6),

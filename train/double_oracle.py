@@ -29,6 +29,7 @@ import json
 import shlex
 import subprocess
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ import tyro
 from rich.console import Console
 
 from agents.folder import error_lines, open_folder
+from agents.full_scale import seldom, setpoint_action
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice, whole_number
 from spoofgym.bench.blind_optimum import BlindSearch
@@ -62,8 +64,9 @@ RESULTS, PAGE = "results.json", "game.md"
 RESPONSES = ("none", "learned")
 AMPLITUDES = (0.5, 0.7, 1.0)
 """Factors on the commands of a learned policy that are tried."""
-NUM_ENVS, N_STEPS, BATCH = 32, 300, 2400
-"""Of PPO; the rest are the defaults of stable-baselines3, with gamma 1."""
+NUM_ENVS, LOG_STD = 32, -1.5
+"""Of PPO, which decides as seldom as in `train.ppo_spoofer`; the rest are the defaults of
+stable-baselines3, with gamma 1."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,7 @@ class Arguments:
     generations: int = 6
     """Of that search."""
     ppo_steps: int = 0
-    """Steps of a PPO best response in every iteration; 0 for none."""
+    """Decisions of a PPO best response in every iteration; 0 for none."""
     detector_response: str = "none"
     """none, or learned by `detector_command`."""
     detector_command: str = ""
@@ -366,18 +369,28 @@ def learn(args: Arguments, mix: Mixture, file: Path, seed: int) -> None:
     pool = mix.pool()
     task = task_of(args.task)
     length = args.limit_m or task.alert_limit_m
-    env = SpoofVecEnv(
-        NUM_ENVS,
-        pool=pool["members"],
-        weights=pool["weights"],
-        threads=args.threads,
-        seed=seed,
-        alarm_price=1.5,
-        **({} if length is None else {"length_m": length}),
+    settings: dict[str, Any] = {
         **task.world_kwargs,
-    )
+        **({} if length is None else {"length_m": length}),
+        "pool": pool["members"],
+        "weights": pool["weights"],
+        "threads": args.threads,
+        "alarm_price": 1.5,
+    }
+    with closing(SpoofVecEnv(1, **settings)) as probe:
+        settings |= setpoint_action(probe.core, None)
+        settings |= seldom(probe.core.setup, None)
+    env = SpoofVecEnv(NUM_ENVS, seed=seed, **settings)
+    n_steps = env.core.episode_steps
     model = PPO(
-        "MlpPolicy", env, n_steps=N_STEPS, batch_size=BATCH, gamma=1.0, seed=seed, device="cpu"
+        "MlpPolicy",
+        env,
+        n_steps=n_steps,
+        batch_size=n_steps * NUM_ENVS // 2,
+        gamma=1.0,
+        policy_kwargs={"log_std_init": LOG_STD},
+        seed=seed,
+        device="cpu",
     )
     model.learn(args.ppo_steps)
     onnx(model, env, file)

@@ -24,11 +24,12 @@ ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 SHORT = 'timeline={"warmup_s": 6, "live_s": 3, "attack_s": 10, "time_to_alert_s": 1}'
+NOMINAL = 'detector={"name": "ewma", "thresholds": "nominal"}'
 SMALLER = {
-    'SpoofVecEnv(64, detector="snapshot-chi2"': "SpoofVecEnv("
-    '4, detector={"name": "snapshot-chi2", "thresholds": "nominal"}, ' + SHORT,
-    "n_steps=300, batch_size=4800": "n_steps=10, batch_size=40",
-    "model.learn(1_000_000)": "model.learn(80)",
+    'SpoofVecEnv(32, task="T2"': f"SpoofVecEnv(4, {NOMINAL}, {SHORT}",
+    "n_steps=15, batch_size=240": "n_steps=1, batch_size=4",
+    "model.learn(50_000)": "model.learn(80)",
+    'task="T2")': f"runs=4, fit_runs=80, {NOMINAL}, {SHORT})",
 }
 """What makes the training small; each has to be found in the README."""
 
