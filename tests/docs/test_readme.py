@@ -27,7 +27,7 @@ SHORT = 'timeline={"warmup_s": 6, "live_s": 3, "attack_s": 10, "time_to_alert_s"
 NOMINAL = 'detector={"name": "ewma", "thresholds": "nominal"}'
 SMALLER = {
     'SpoofVecEnv(32, task="T2"': f"SpoofVecEnv(4, {NOMINAL}, {SHORT}",
-    "n_steps=15, batch_size=240": "n_steps=1, batch_size=4",
+    '"n_steps": 15, "batch_size": 240': '"n_steps": 1, "batch_size": 4',
     "model.learn(50_000)": "model.learn(80)",
     'task="T2")': f"runs=4, fit_runs=80, {NOMINAL}, {SHORT})",
 }
