@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -132,9 +133,10 @@ def test_a_finished_run_stays_as_it_is(trained):
     assert (args.out / "tiny.onnx").read_bytes() == before
 
 
-def test_further_seeds_join_a_run(trained):
+def test_further_seeds_join_a_run(trained, tmp_path):
     args, results = trained
-    more = train(replace(args, seeds=(7,), rivals=()), quiet())
+    copy = shutil.copytree(args.out, tmp_path / "tiny")
+    more = train(replace(args, out=copy, seeds=(7,), rivals=()), quiet())
     assert more["seeds"][0]["score"] == results["seeds"][1]["score"]
 
 
