@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 
 from spoofgym.envs.core import SpoofCore
+from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.simulators.setup import Setup
 
 ABOUT_S = 10.0
 """Time between decisions, as far as the attack holds a whole number of them."""
 LENGTHS = 4.0
 """How far an action of 1 all through an attack goes, in lengths, by default."""
+
+
+def for_learning(
+    settings: Mapping[str, Any],
+    full_scale_mps: float | None = None,
+    decision_interval_s: float | None = None,
+) -> dict[str, Any]:
+    """Settings of a `SpoofVecEnv` with the action that is learned, as the two below have it."""
+    with closing(SpoofVecEnv(1, **settings)) as probe:
+        return {
+            **settings,
+            **setpoint_action(probe.core, full_scale_mps),
+            **seldom(probe.core.setup, decision_interval_s),
+        }
 
 
 def seldom(setup: Setup, decision_interval_s: float | None) -> dict[str, Any]:

@@ -29,7 +29,6 @@ import json
 import shlex
 import subprocess
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,7 +38,6 @@ import tyro
 from rich.console import Console
 
 from agents.folder import error_lines, open_folder
-from agents.full_scale import seldom, setpoint_action
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice, whole_number
 from spoofgym.bench.blind_optimum import BlindSearch
@@ -363,6 +361,7 @@ def learn(args: Arguments, mix: Mixture, file: Path, seed: int) -> None:
     """Let PPO learn against a pool of detectors, and write what it has learned."""
     from stable_baselines3 import PPO
 
+    from agents.full_scale import for_learning
     from spoofgym.export import onnx
     from spoofgym.sb3 import SpoofVecEnv
 
@@ -377,10 +376,7 @@ def learn(args: Arguments, mix: Mixture, file: Path, seed: int) -> None:
         "threads": args.threads,
         "alarm_price": 1.5,
     }
-    with closing(SpoofVecEnv(1, **settings)) as probe:
-        settings |= setpoint_action(probe.core, None)
-        settings |= seldom(probe.core.setup, None)
-    env = SpoofVecEnv(NUM_ENVS, seed=seed, **settings)
+    env = SpoofVecEnv(NUM_ENVS, seed=seed, **for_learning(settings))
     n_steps = env.core.episode_steps
     model = PPO(
         "MlpPolicy",

@@ -38,7 +38,6 @@ import math
 import re
 import time
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,7 +55,7 @@ from agents.bar import Bar
 from agents.checkpoint import finite, load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
 from agents.folder import command_of, error_lines, open_folder, used_versions
-from agents.full_scale import seldom, setpoint_action
+from agents.full_scale import for_learning
 from agents.price import LEAST, MOST, next_price, set_price
 from agents.record import TrainingRecord, read_record
 from agents.seeds import comparable, copy_policy, table_of
@@ -195,9 +194,7 @@ class Arguments:
         length_m = self.length_m or task_of(self.task).alert_limit_m
         if length_m is not None:
             own["length_m"] = length_m
-        with closing(SpoofVecEnv(1, **own)) as probe:
-            own |= setpoint_action(probe.core, self.full_scale_mps)
-            own |= seldom(probe.core.setup, self.decision_interval_s)
+        own = for_learning(own, self.full_scale_mps, self.decision_interval_s)
         return SpoofVecEnv(self.num_envs, **own)
 
     def command(self) -> str:
@@ -209,8 +206,7 @@ def make_model(
     args: Arguments, seed: int, envs: VecNormalize, learning_rate: Callable[[float], float] | float
 ) -> PPO:
     """PPO with fresh weights; a rollout is an episode of every receiver."""
-    setup = envs.venv.core.setup
-    n_steps = setup.steps // setup.repeat
+    n_steps = envs.venv.core.episode_steps
     return PPO(
         "MlpPolicy",
         envs,
