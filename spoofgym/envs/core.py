@@ -16,6 +16,7 @@ from ..simulators.engine import Engine
 from ..simulators.monitors import PassiveDetectors, needed_monitors
 from ..simulators.setup import Setup
 from ._kernels import ALARM, COST, DISPLACEMENT, FIRST, GAIN, RETRACTION, REWARD, TRUNCATED
+from .decisions import Decisions
 from .observer import Observer
 from .scoring import PLAY, DisplacementScore, FusedStep, ScoredStep
 from .step_result import MARK_NAMES, VALUE_NAMES, Info, PlainResult, StepResult
@@ -190,7 +191,7 @@ class SpoofCore:
         self.observation_names = self.observer.names
         self.bounds = self.observer.low, self.observer.high
         self._origin = np.zeros((receivers, 2))
-        self._decided = np.zeros((receivers, len(self.commands.names)))
+        self._decisions = Decisions(setup, receivers, len(self.commands.names))
         self._everyone = np.arange(receivers)
         self.action_names = self.commands.names
         self.commands.aim(self.heading_rad)
@@ -276,7 +277,7 @@ class SpoofCore:
         self.score.reset(where)
         if self._done is not None:  # an interrupted decision may have left some
             self._done.drop(where)
-        self._decided[where] = 0.0
+        self._decisions.forget(where)
         self.commands.aim(self.heading_rad)
         if self.engine.twin is None:
             self._origin[where] = self.engine.simulator.origin_ne()[where]
@@ -366,7 +367,8 @@ class SpoofCore:
         before = score.ended.copy()
         self._done.keep(np.flatnonzero(before))
         result = StepResult(self._fused.layout)
-        self._epoch(action, result, setup.command(self._decided, action, 0))
+        self._decisions.take(action)
+        self._epoch(action, result, self._decisions.action(0))
         for epoch in range(1, setup.repeat):
             over, counts = score.ended.copy(), score.step_count.copy()
             if np.logical_and.reduce(over):
@@ -375,12 +377,11 @@ class SpoofCore:
             self._done.turn_back()
             before = over
             later = StepResult(self._fused.layout)
-            self._epoch(action, later, setup.command(self._decided, action, epoch))
+            self._epoch(action, later, self._decisions.action(epoch))
             later.add(result, over)
             score.step_count[over] = counts[over]
             result = later
         self._done.restore()
-        self._decided[:] = action
         return result
 
     def _report_more(self, result: StepResult) -> None:

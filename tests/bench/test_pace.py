@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -16,7 +16,7 @@ from spoofgym.bench.evaluate import entry_of
 from spoofgym.bench.run import Runs, WarmStart, play
 from spoofgym.bench.suite import Suite
 from spoofgym.envs.spoofer_binding import attach, bound_spoofer, paced, tuning_range_of
-from spoofgym.spoofers import OnnxPolicy, Spoofer, make_spoofer
+from spoofgym.spoofers import OnnxPolicy, Spoofer, SpooferContext, make_spoofer
 from spoofgym.spoofers.model import ModelPolicy
 from spoofgym.spoofers.scaled import Scaled
 
@@ -59,8 +59,8 @@ def test_it_is_what_it_does_in_a_world_with_such_decisions(
     pace = {"decision_interval_s": 2.5, "between": between}
     world = small_suite(detectors=("ewma",), settings=pace)
 
-    def made(**own: object) -> Spoofer:
-        mirror = Mirror(**own)  # type: ignore[arg-type]
+    def made(**own: Any) -> Spoofer:
+        mirror = Mirror(**own)
         return mirror if amplitude is None else Scaled(mirror, amplitude)
 
     own, worlds, always = (
@@ -129,11 +129,11 @@ def test_a_model_takes_its_pace_from_its_environment() -> None:
     ],
 )
 def test_a_pace_that_does_not_fit_is_told(
-    own: dict[str, float], world: dict[str, object], message: str
+    own: dict[str, Any], world: dict[str, object], message: str
 ) -> None:
     suite = small_suite(detectors=("ewma",), settings=world)
     with pytest.raises(ValueError, match=message):
-        paced(suite.setup(suite.detector_entries[0]), Mirror(**own))  # type: ignore[arg-type]
+        paced(suite.setup(suite.detector_entries[0]), Mirror(**own))
 
 
 def test_an_environment_asks_it_as_often_as_it_decides() -> None:
@@ -155,7 +155,7 @@ class Reach(Mirror):
     far = 1.0
 
     @classmethod
-    def tuning_range(cls, context):  # type: ignore[no-untyped-def]
+    def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
         return 1.0, 1.0 + context.interval_s
 
 
