@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from ..attacks import ATTACKS
-from ..envs.spoofer_binding import setup_of_card
+from ..envs.spoofer_binding import bound_spoofer, monitors_for, setup_of_card
 from ..simulators.setup import Setup
-from ..spoofers import Spoofer, SpooferContext
+from ..spoofers import Spoofer
 from ..spoofers.card import Card
 from ..spoofers.scaled import split_amplitude
 from ..spoofers.zoo import card_of, shipped
@@ -15,24 +13,33 @@ from .entries import Entry, build_spoofer, detector_entry, spec_of_spoofer
 from .specs import describe, spec_of
 
 
-def fitting(
-    env: str, context_of: Callable[[str], SpooferContext]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def fitting(env: str, setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Shipped spoofers of an environment whose actions and observations mean what they meant.
 
-    Returns their names, and why others of it are left out.
+    Each is asked as a campaign plays it, by its own actions and at its own pace.  Returns their
+    names, and why others of it are left out.
     """
     names, notes = [], []
     for name in shipped():
-        card = card_of(name)
-        if card.env_id != env:
+        if card_of(name).env_id != env:
             continue
-        differences = card.differences(context_of(card.knowledge.run_time))
+        differences = _unlike_card(name, setup)
         if differences:
             notes.append(f"shipped spoofer {name} is left out: {'; '.join(differences)}")
         else:
             names.append(name)
     return tuple(names), tuple(notes)
+
+
+def _unlike_card(name: str, setup: Setup) -> list[str]:
+    """What is another one for a shipped spoofer in a world than on its card."""
+    spoofer = build_spoofer(name)
+    watched = setup.altered(monitors=monitors_for([spoofer], setup))
+    try:
+        context, _, _ = bound_spoofer(spoofer, watched, 1)
+    except ValueError as error:
+        return [str(error)]
+    return card_of(name).differences(context)
 
 
 def card_behind(spoofer: Spoofer) -> Card | None:

@@ -23,10 +23,8 @@ from ..attacks import ATTACKS, Attack
 from ..detectors import Calibrated, Detector, OperatingPoint, PooledDetector
 from ..detectors.calibrated import resolve
 from ..envs.factory import make_setup
-from ..envs.observer import Observer
 from ..envs.spoofer_binding import ENV_ID, monitors_for, tuning_range_of, warn_of_headings
 from ..envs.spoofer_binding import spoofer_context as spoofer_context
-from ..envs.terms.observation import default_terms
 from ..sim.scenario import Scenario
 from ..simulators.base import run_serially
 from ..simulators.domain import Domain
@@ -36,7 +34,7 @@ from ..simulators.splits import SPLITS as SPLITS
 from ..simulators.splits import generators_of
 from ..simulators.splits import seed_sequences as seed_sequences
 from ..simulators.tightly_coupled import TightlyCoupledSetup
-from ..spoofers import Ramp, Scaled, Spoofer, SpooferContext
+from ..spoofers import Ramp, Scaled, Spoofer
 from .attack_suite import NAME, VERSION, Member, fitting_members, suite_digest
 from .decisions import make_bound_spoofer
 from .entries import (
@@ -210,12 +208,7 @@ class Suite:
     @cached_property
     def _shipped(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Shipped spoofers that fit, and why others do not."""
-        return fitting(self.env, self._context)
-
-    def _context(self, knowledge: str) -> SpooferContext:
-        """What a spoofer with such knowledge at run time knows of the attack."""
-        observer = Observer(default_terms(self._setup, knowledge), self._setup)
-        return spoofer_context(self._setup, 1, observer)
+        return fitting(self.env, self._setup)
 
     @property
     def left_out(self) -> tuple[str, ...]:

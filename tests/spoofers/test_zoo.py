@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from spoofgym.bench import Suite
+from spoofgym.bench.shipped import fitting
+from spoofgym.envs.spoofer_binding import setup_of_card
 from spoofgym.spoofers import SPOOFERS, OnnxPolicy, Ramp, card_of, make_spoofer, resolve, shipped
 from spoofgym.spoofers.zoo import ZOO_FOLDER, spec_of_shipped
 
@@ -98,3 +101,18 @@ def test_every_shipped_spoofer_is_whole(name: str) -> None:
     if card.file is not None:
         assert card.file.name == f"{name}.onnx"
         assert card.file.bytes < 500_000
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_shipped_spoofer_fits_its_own_world_and_the_default_one(name: str) -> None:
+    card = card_of(name)
+    for setup in (setup_of_card(card), Suite(env=card.env_id).world):
+        names, notes = fitting(card.env_id, setup)
+        assert name in names, notes
+    assert name in {entry.label for entry in Suite(env=card.env_id).spoofer_entries}
+
+
+def test_a_learned_spoofer_whose_decisions_do_not_fit_is_left_out_with_the_reason() -> None:
+    suite = Suite(timeline={"attack_s": 25.0})
+    (note,) = [note for note in suite.left_out if "ewma-ppo" in note]
+    assert "attack window of 25 s must hold a whole number of decisions" in note
