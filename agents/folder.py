@@ -14,7 +14,7 @@ from typing import Any
 
 from spoofgym._describe import unlike
 from spoofgym._files import remove_stale_parts, write_file
-from spoofgym.bench.suite import versions
+from spoofgym.bench.versions import versions
 
 CONFIG = "config.json"
 

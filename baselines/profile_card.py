@@ -10,8 +10,9 @@ import numpy as np
 
 from spoofgym.bench.metrics import bootstrap_mean, resamples_of
 from spoofgym.bench.specs import describe
-from spoofgym.bench.suite import spoofer_context, versions
+from spoofgym.bench.suite import spoofer_context
 from spoofgym.bench.tune import Trial
+from spoofgym.bench.versions import versions
 from spoofgym.spoofers import Card
 from spoofgym.spoofers.card import fields_of
 

@@ -27,7 +27,7 @@ import torch
 from ._describe import describe
 from ._files import write_file
 from ._registry import check_finite
-from .bench.suite import versions
+from .bench.versions import versions
 from .detectors.learned.agent import DetectorAgent, action_names
 from .detectors.learned.card import DetectorCard, OnnxDetector, card_path
 from .detectors.learned.detector import detector_card

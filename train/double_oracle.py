@@ -38,11 +38,11 @@ import tyro
 from rich.console import Console
 
 from agents.folder import error_lines, open_folder
+from agents.game_page import page_of
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice, whole_number
 from spoofgym.bench.blind_optimum import BlindSearch
 from spoofgym.bench.specs import make_judge, parse_spec
-from spoofgym.bench.tables import interval
 from spoofgym.detectors import DETECTORS
 from spoofgym.detectors.calibrated import ASKED, STANDARD_RATE
 from spoofgym.duel.best_response import (
@@ -391,54 +391,6 @@ def learn(args: Arguments, mix: Mixture, file: Path, seed: int) -> None:
     model.learn(args.ppo_steps)
     onnx(model, env, file)
     env.close()
-
-
-def page_of(results: dict[str, Any]) -> str:
-    """Results as a page: matrix, mixes, both ends of the exploitability."""
-    last, config = results["iterations"][-1], results["config"]
-    lines = [f"# The game in the world of {config['task']}", ""]
-    final = results["final"]
-    mixed = "A single detector solves this game" if last["pure"] else "No single detector solves it"
-    lines += [
-        f"{mixed}: its value is {interval(last['spread']['value'], 3)}. On fresh runs the best "
-        f"response to the mix of detectors gets {interval(final['mix'], 3)}, and that to "
-        f"{final['single']} alone {interval(final['alone'], 3)}: mixing saves "
-        f"{interval(final['gain_of_mixing'], 3)}.",
-        "",
-        *matrix_table(last),
-        "",
-        "| iteration | value | gain of a spoofer, from below | from above | gain of a detector, "
-        "from below | both, from below |",
-        "|---|---|---|---|---|---|",
-    ]
-    for k, each in enumerate(results["iterations"]):
-        ends = each["exploitability"]
-        above = ends["spoofer"]["above"]
-        shown = f"{'none' if above is None else f'{above:.3f}'}: {ends['spoofer']['why']}"
-        cells = [
-            interval(each["spread"]["value"], 3),
-            f"{interval(ends['spoofer']['below'], 3)}, {ends['spoofer']['member']}",
-            shown,
-            f"{interval(ends['detector']['below'], 3)}, {ends['detector']['member']}",
-            interval(ends["below"], 3),
-        ]
-        lines.append(f"| {k} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
-
-
-def matrix_table(found: dict[str, Any]) -> list[str]:
-    """Table of a matrix, with what each spoofer observes, and the mixes of both sides."""
-    matrix, spread = found["matrix"], found["spread"]
-    names = [each["label"] for each in matrix["detectors"]]
-    lines = [
-        f"| spoofer | observes | mix | {' | '.join(names)} |",
-        "|---|---|---|" + "---|" * len(names),
-        f"| **mix** | | | {' | '.join(interval(p, 2) for p in spread['detector'])} |",
-    ]
-    for who, p, row in zip(matrix["spoofers"], spread["spoofer"], matrix["values"], strict=True):
-        cells = " | ".join(f"{value:.3f}" for value in row)
-        lines.append(f"| {who['label']} | {who['knowledge']} | {interval(p, 2)} | {cells} |")
-    return lines
 
 
 def run(args: Arguments, console: Console) -> dict[str, Any]:

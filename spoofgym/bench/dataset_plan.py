@@ -22,8 +22,8 @@ from ..simulators.monitors import PassiveDetectors
 from ..simulators.setup import Setup
 from ..simulators.splits import SPLITS
 from .specs import Spec, make_judge, spec_of_judge
-from .suite import versions
 from .training_attacks import FAMILIES, HELD_OUT, TrainingAttacks, check_not_held_out
+from .versions import versions
 
 PARTS = {"train": "dataset-train", "validation": "dataset-validation", "test": "dataset-test"}
 """Splits of a data set, and what `simulators.splits` calls them."""

@@ -15,7 +15,7 @@ from ..detectors import Calibrated, PooledDetector
 from .detector_worlds import Defence
 from .searches import Selection
 from .specs import slug
-from .suite import versions
+from .versions import versions
 
 
 @dataclasses.dataclass(frozen=True)

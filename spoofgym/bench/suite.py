@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import math
 import uuid
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from .._describe import outside_sources
 from .._registry import check_choice, whole_number
 from ..attacks import ATTACKS, Attack
@@ -29,11 +25,12 @@ from ..sim.scenario import Scenario
 from ..simulators.base import run_serially
 from ..simulators.domain import Domain
 from ..simulators.monitors import Monitor
-from ..simulators.setup import Setup, Timeline
+from ..simulators.setup import Setup
 from ..simulators.splits import SPLITS as SPLITS
 from ..simulators.splits import generators_of
 from ..simulators.splits import seed_sequences as seed_sequences
 from ..simulators.tightly_coupled import TightlyCoupledSetup
+from ..simulators.timeline import Timeline
 from ..spoofers import Ramp, Scaled, Spoofer
 from .attack_suite import NAME, VERSION, Member, fitting_members, suite_digest
 from .decisions import make_bound_spoofer
@@ -53,6 +50,7 @@ from .searches import Selection
 from .searches import Tuning as Tuning
 from .shipped import fitting
 from .specs import campaign_digest, describe, make_judge, settings_of, spec_of
+from .versions import versions
 from .victims import VICTIMS
 
 FORMAT = 5
@@ -394,13 +392,3 @@ class Suite:
     def digest(self) -> str:
         """Digest of `config`; ONNX files count by their content, wherever they are."""
         return campaign_digest(self.config)
-
-
-def versions() -> dict[str, str]:
-    """What results depend on besides the settings."""
-    root = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
-    packages = {name: version(name) for name in ("numba", "numpy", "scipy")}
-    return {"spoofgym": __version__, "sources": digest.hexdigest()[:16], **packages}

@@ -14,7 +14,7 @@ from .holdouts import hold_out as hold_out
 from .holdouts import transfer as transfer
 from .loosely_coupled import LooselyCoupledSetup as LooselyCoupledSetup
 from .setup import Setup as Setup
-from .setup import Timeline as Timeline
 from .snapshot_positioning import SnapshotSetup as SnapshotSetup
 from .tightly_coupled import TightlyCoupledSetup as TightlyCoupledSetup
+from .timeline import Timeline as Timeline
 from .wheeled_robot import WheeledRobotSetup as WheeledRobotSetup

@@ -20,7 +20,8 @@ from ..sim.scenario import at_rate
 from .base import Rows
 from .domain import Choice, Domain
 from .rates import RateSimulator
-from .setup import RateCommands, Run, Setup, Timeline
+from .setup import RateCommands, Run, Setup
+from .timeline import Timeline
 
 FloatArray = NDArray[np.float64]
 INTERVAL_S = 0.1

@@ -24,7 +24,8 @@ from .base import Rows, Written
 from .domain import Choice, Domain
 from .frame import SkyData
 from .rates import RateSimulator
-from .setup import RateCommands, Run, Setup, Timeline
+from .setup import RateCommands, Run, Setup
+from .timeline import Timeline
 
 FloatArray = NDArray[np.float64]
 AXES = ("north", "east", "down", "clock")

@@ -41,7 +41,8 @@ from .base import Rngs, Rows, Sequel, Simulator, StepArrays
 from .combinations import Combinations, worlds_of
 from .domain import Choice, Domain
 from .frame import SkyData
-from .setup import Run, SequelKernel, Setup, Timeline
+from .setup import Run, SequelKernel, Setup
+from .timeline import Timeline
 
 FloatArray = NDArray[np.float64]
 DEFAULT_ATTACK = "false-position"

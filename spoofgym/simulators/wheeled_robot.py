@@ -34,7 +34,8 @@ from ..sim.robot_track import RobotLoop
 from .base import Rows, Written
 from .domain import Choice, Domain
 from .rates import RateSimulator
-from .setup import MOST_EPOCHS, RateCommands, Run, Setup, Timeline
+from .setup import RateCommands, Run, Setup
+from .timeline import MOST_EPOCHS, Timeline
 
 FloatArray = NDArray[np.float64]
 DEFAULT_DETECTOR: dict[str, Any] = {"name": "acna", "variant": "production"}
