@@ -133,6 +133,8 @@ def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
     if len(tuned) > 1:
         raise ValueError(f"one setting of a spoofer can be tuned, got {', '.join(tuned)}")
     full = {**spec_of_spoofer(spoofer), **dict.fromkeys(tuned, TUNED)}
+    if isinstance(spec, Spoofer):
+        _check_pace(spec, full)
     if spoofer.label is not None:
         fixed = full.get(AMPLITUDE, TUNED)
         word = "" if fixed == TUNED else f"(amplitude={fixed:g})"
@@ -142,6 +144,19 @@ def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
     if default is not None:
         default |= {AMPLITUDE: TUNED}
     return Entry(label_of(full, default), full)
+
+
+def _check_pace(spoofer: Spoofer, spec: Spec) -> None:
+    """Raise where an object decides at a pace that the one of its settings would not have."""
+    again = build_spoofer(spec)
+    for name in ("decision_interval_s", "between"):
+        value = getattr(spoofer, name)
+        if getattr(again, name) != value:
+            raise ValueError(
+                f"`{name}` = {value!r} was set on an object of {type(spoofer).__name__}, which has "
+                f"no such setting, so that a campaign would lose it: make it an attribute of a "
+                "class of your own, or one of its settings"
+            )
 
 
 def _default(word: str, kinds: Mapping[str, type[Any]], kind: type[Any]) -> Spec | None:

@@ -136,6 +136,15 @@ def test_a_pace_that_does_not_fit_is_told(
         paced(suite.setup(suite.detector_entries[0]), Mirror(**own))
 
 
+@pytest.mark.parametrize("amplitude", [None, 0.5])
+def test_a_pace_that_a_campaign_would_lose_is_refused(amplitude: float | None) -> None:
+    ramp = make_spoofer("ramp")
+    ramp.decision_interval_s = 2.5
+    with pytest.raises(ValueError, match=r"`decision_interval_s` = 2.5 was set on an object of"):
+        spoofer_entry(ramp if amplitude is None else Scaled(ramp, amplitude))
+    assert spoofer_entry(Mirror(**LATE)).spec["between"] == "linear"
+
+
 def test_an_environment_asks_it_as_often_as_it_decides() -> None:
     envs = gym.make_vec("spoofgym/TightlyCoupled-v0", num_envs=2, knowledge="oracle")
     with pytest.raises(
