@@ -19,7 +19,7 @@ What is not a default of PPO or of the environment, and why:
 1. A decision every ten seconds, between which the rate changes linearly: 15 of them in place of 300
    are what an alarm is blamed on, and exploration has no jumps, which tests of range rates see.
 2. `gamma` = 1: what is scored is not discounted; `n_steps` is an episode; few receivers side by
-   side, and ten passes over each rollout, since the policy moves only so far at every update.
+   side, with `gae_lambda` near to it, since the policy moves only so far at every update.
 3. `log_std_init` = -1.5: at the library's 0 every episode alarms; `learning_rate` falls from 1e-3.
 4. `VecNormalize`: observations and rewards in units of their own standard deviations, so that one
    set of settings suits detectors that allow for metres and for hundreds of metres.  Rewards are
@@ -76,7 +76,7 @@ FREE = ("out", "seeds", "rivals", "threads", "tensorboard", "json")  # may chang
 
 @dataclass(frozen=True)
 class Arguments:
-    """Settings of a training; all but `threads`, `tensorboard` and `json` are its identity."""
+    """Settings of a training; most are its identity, which a folder keeps: all that is not `FREE`."""
 
     out: Path
     """Folder of the run; its last part is the name of the spoofer."""
@@ -125,7 +125,7 @@ class Arguments:
     entropy: int = 0
     """Seed of training and evaluation runs."""
     rivals: tuple[str, ...] = RIVALS
-    """Spoofers to compare with on the same runs; none for no comparison."""
+    """Spoofers to compare with on the same runs; `--rivals` alone for no comparison."""
     threads: int | None = None
     """Of the engine; all useful cores by default."""
     tensorboard: bool = False

@@ -12,7 +12,7 @@ import numpy as np
 from .._registry import check_finite, check_keywords, whole_number
 from ..simulators.clean_runs import Progress, Silent
 from ..spoofers import Spoofer
-from ..spoofers.model import ModelPolicy, describe_env
+from ..spoofers.model import ModelPolicy, trained_in
 from ..spoofers.scaled import AMPLITUDE, Scaled
 from ..tasks import task_of
 from .budget import BUDGET, fewest_runs
@@ -245,8 +245,9 @@ def evaluate(
     Parameters
     ----------
     policy : object
-        A model of stable-baselines3, with the ``VecNormalize`` of its environment folded in; a
-        torch module; a function of (B, o) observations that returns (B, a) actions; a `Spoofer`;
+        A model of stable-baselines3, with the ``VecNormalize`` of its environment folded in, which
+        a model that was loaded has only if it was given ``env=`` (else a warning says so); a torch
+        module; a function of (B, o) observations that returns (B, a) actions; a `Spoofer`;
         its name, or name and settings; or the path of an ``.onnx`` file with its card.
     task : str, optional
         ``"T1"`` to ``"T6"``; without one, ``detector`` and its world are given by name.
@@ -319,8 +320,7 @@ def entry_of(
         return spoofer_entry(fitted(spec) if fits else spec)
     spoofer = policy
     if not isinstance(policy, Spoofer):
-        made_in = describe_env(policy.get_env()) if hasattr(policy, "get_env") else {}
-        known = {**made_in, **({} if knowledge is None else {"knowledge": knowledge})}
+        known = {**trained_in(policy), **({} if knowledge is None else {"knowledge": knowledge})}
         spoofer = ModelPolicy(policy, label=label, **known)
     name = str(spoofer.label or type(spoofer).__name__)
     if isinstance(spoofer, Scaled) and amplitude is not None:

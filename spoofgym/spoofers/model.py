@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, Self
 
@@ -178,10 +179,33 @@ def _of_module(torch: Any, module: Any) -> Function:
 
 
 def inner_env(env: Any) -> Any:
-    """Environment with a core inside all wrappers; None where there is none."""
+    """Environment with a core inside all wrappers; None where there is none.
+
+    Of several that run in this process side by side it is the first one.
+    """
     while env is not None and getattr(env, "core", None) is None:
-        env = getattr(env, "venv", None) or getattr(env, "env", None)
+        several = getattr(env, "envs", None) or [None]
+        env = getattr(env, "venv", None) or getattr(env, "env", None) or several[0]
     return env
+
+
+def trained_in(model: Any) -> Mapping[str, Any]:
+    """What a model's own environment says of it: arguments of `ModelPolicy`.
+
+    Warns of a model of stable-baselines3 whose environment can't be read.
+    """
+    if not hasattr(model, "get_env"):
+        return {}
+    found = describe_env(model.get_env())
+    if not found:
+        warnings.warn(
+            f"this {type(model).__name__} has no environment that can be read, so that it is "
+            "played without normalization, by the attack's own actions and at every decision of "
+            "the world: load it with env=, or score the file that `spoofgym.export.onnx` writes",
+            UserWarning,
+            stacklevel=4,
+        )
+    return found
 
 
 def describe_env(env: Any) -> Mapping[str, Any]:

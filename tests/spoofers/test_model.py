@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+from types import SimpleNamespace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from spoofgym.policies.card import Space
-from spoofgym.spoofers.model import ModelPolicy, function_of, inner_env
+from spoofgym.spoofers.model import ModelPolicy, function_of, inner_env, trained_in
 
 from .policies import BLIND
 
@@ -64,3 +66,26 @@ def test_models_of_other_libraries_have_predict():
 def test_there_may_be_no_environment_inside():
     assert inner_env(None) is None
     assert inner_env(object()) is None
+
+
+class Loaded:
+    """A model of stable-baselines3, as far as its environment is asked for."""
+
+    def __init__(self, env=None):
+        self.env = env
+
+    def get_env(self):
+        return self.env
+
+
+def test_a_model_is_played_as_its_environment_says_however_that_was_made():
+    pace = {"decision_interval_s": 10.0, "between": "linear"}
+    env = gym.make("spoofgym/TightlyCoupled-v0", knowledge="tracking", **pace)
+    found = trained_in(Loaded(SimpleNamespace(envs=[env])))  # as of a DummyVecEnv
+    assert found.items() >= {"knowledge": "tracking", **pace}.items()
+    assert trained_in(lambda seen: seen) == {}
+
+
+def test_a_model_that_was_loaded_without_an_environment_is_warned_of():
+    with pytest.warns(UserWarning, match="Loaded has no environment that can be read"):
+        assert trained_in(Loaded()) == {}
