@@ -23,7 +23,7 @@ tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tes
 .DEFAULT_GOAL := help
 bench_detectors = $(addprefix --detector ,solution-separation aime:signals=range_rate \
 	sequential-chi2:signals=range_rate snapshot-chi2 ewma)
-.PHONY: help venv bench test test-cpus test-ray check docs perf benchmarks train
+.PHONY: help venv bench test test-cpus test-ray check docs perf benchmarks train learn
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
@@ -56,6 +56,9 @@ docs: $(VENV)/.installed-docs ## build the pages and the API as a site, build/do
 
 train: $(VENV)/.installed-train ## train a spoofer, for example ARGS="--out runs/my-first"
 	$(python) -m train.ppo_spoofer $(ARGS)
+
+learn: $(VENV)/.installed-train ## all trainings behind the pages again, with their scores, into runs/all; hours, and goes on after a kill
+	$(python) -m tools.learn_all --out runs/all $(ARGS)
 
 perf: $(VENV)/.installed-bench ## measure the speed of this machine, part by part
 	$(VENV)/bin/spoofgym perf $(ARGS)

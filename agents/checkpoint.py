@@ -104,8 +104,3 @@ def load_checkpoint(
     for name, content in files.items():
         write_file(folder / name, content)
     return state
-
-
-def finite(model: BaseAlgorithm) -> bool:
-    """Whether all weights of a model's policy are finite."""
-    return all(bool(torch.isfinite(weight).all()) for weight in model.policy.parameters())

@@ -83,6 +83,35 @@ def test_a_diverged_training_ends_and_keeps_the_best():
     assert "of step " in callback.diverged
 
 
+class Poison(BaseCallback):
+    """Makes the weights NaN, as an update that goes wrong does."""
+
+    def _on_step(self):
+        return True
+
+    def _on_rollout_start(self):
+        if self.num_timesteps >= 320:
+            self.model.policy.action_net.weight.data.fill_(float("nan"))
+
+
+@pytest.mark.parametrize("every", [160, 10**6])
+def test_weights_that_are_no_numbers_end_a_training(every):
+    callback = scored(every=every)
+    model = learner(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD))
+    with pytest.warns(UserWarning, match="diverged after 320 steps: PPO has weights that are not"):
+        model.learn(1600, callback=[Poison(), callback])
+    assert model.num_timesteps < 500
+    assert np.isfinite(np.concatenate([w.ravel() for w in weights_of(model).values()])).all()
+    assert callback.history[-1][0] < 320
+
+
+def test_a_score_says_that_weights_are_no_numbers():
+    model = learner(SpoofVecEnv(8, knowledge="blind", seed=0, **WORLD))
+    model.policy.action_net.weight.data.fill_(float("nan"))
+    with pytest.raises(NotFinite, match="PPO has weights that are not finite"):
+        scored().judge.score(model, amplitude=None)
+
+
 def test_a_callback_goes_on_from_its_state():
     """One judge for two callbacks; what the second has been given it does not score again."""
     first = scored(every=160)

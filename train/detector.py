@@ -96,6 +96,10 @@ class Arguments:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"`{name}` must be finite and > 0, got {value}")
+        for name in ("emphasis", "weight_decay", "seed"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", self.out.name):
             raise ValueError(f"the last part of `out` names the detector, got {str(self.out)!r}")
 

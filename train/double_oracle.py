@@ -333,8 +333,11 @@ class DoubleOracle:
             return []
         name = "".join(c if c.isalnum() else "-" for c in mix.label)
         file = self.args.out / f"ppo-{turn}-{name}.onnx"
-        if not file.with_suffix(".json").is_file():
-            learn(self.args, mix, file, self.args.entropy + turn)
+        if not file.with_suffix(".json").is_file() and not learn(
+            self.args, mix, file, self.args.entropy + turn
+        ):
+            print(f"PPO has diverged against {mix.label}, and takes no part in response {turn}")
+            return []
         return [
             member_of({"name": str(file), "amplitude": x}, SPOOFER, label=f"PPO {turn}, {x:g}")
             for x in AMPLITUDES
@@ -357,13 +360,17 @@ class DoubleOracle:
         return [member_of(spec, DETECTOR, label=f"learned {turn}")]
 
 
-def learn(args: Arguments, mix: Mixture, file: Path, seed: int) -> None:
-    """Let PPO learn against a pool of detectors, and write what it has learned."""
+def learn(args: Arguments, mix: Mixture, file: Path, seed: int) -> bool:
+    """Let PPO learn against a pool of detectors, and write what it has learned.
+
+    Returns whether there is such a policy: none is written whose weights are not finite.
+    """
     from stable_baselines3 import PPO
 
     from agents.full_scale import for_learning
     from spoofgym.export import onnx
     from spoofgym.sb3 import SpoofVecEnv
+    from spoofgym.spoofers.model import finite
 
     pool = mix.pool()
     task = task_of(args.task)
@@ -388,9 +395,16 @@ def learn(args: Arguments, mix: Mixture, file: Path, seed: int) -> None:
         seed=seed,
         device="cpu",
     )
-    model.learn(args.ppo_steps)
-    onnx(model, env, file)
+    try:
+        model.learn(args.ppo_steps)
+    except ValueError:  # of a distribution whose mean is no number
+        if finite(model.policy):
+            raise
+    sound = finite(model.policy)
+    if sound:
+        onnx(model, env, file)
     env.close()
+    return sound
 
 
 def run(args: Arguments, console: Console) -> dict[str, Any]:

@@ -52,7 +52,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.bar import Bar
-from agents.checkpoint import finite, load_checkpoint, save_checkpoint
+from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
 from agents.folder import command_of, error_lines, open_folder, used_versions
 from agents.full_scale import for_learning
@@ -67,6 +67,7 @@ from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.spoofer_score import Score
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
+from spoofgym.spoofers.model import finite
 from spoofgym.tasks import ALARM_PRICE, task_of
 
 CHECKPOINT, RECORD, RESULTS, PICTURE = "checkpoint.zip", "record.jsonl", "results.json", "curve.png"
@@ -76,7 +77,7 @@ FREE = ("out", "seeds", "rivals", "threads", "tensorboard", "json")  # may chang
 
 @dataclass(frozen=True)
 class Arguments:
-    """Settings of a training; most are its identity, which a folder keeps: all that is not `FREE`."""
+    """Settings of a training; all but those of `FREE` are its identity, which a folder keeps."""
 
     out: Path
     """Folder of the run; its last part is the name of the spoofer."""
@@ -289,7 +290,7 @@ class Training:
                     reset_num_timesteps=False,
                 )
             except ValueError as error:  # of a distribution whose mean is no number
-                if finite(self.model):
+                if finite(self.model.policy):
                     raise
                 self.watch.give_up(str(error).partition("\n")[0])
             self.stage += 1

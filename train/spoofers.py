@@ -16,7 +16,7 @@ knowledge of a part, and other parts of the same folder stay in the table.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ import torch
 import tyro
 from rich.console import Console
 
-from agents.folder import error_lines
+from agents.folder import error_lines, open_folder
 from agents.spoofer_table import FEEDBACK, KNOWLEDGE, RIVALS, page
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
@@ -75,6 +75,15 @@ class Settings:
         """Check the names."""
         for name in self.only:
             check_choice("world, detector or knowledge", name, (*WORLDS, *DETECTORS, *KNOWLEDGE))
+        try:
+            further = json.loads(self.further)
+        except ValueError as error:
+            raise ValueError(f"`further` is not JSON: {error}; got {self.further!r}") from error
+        if not isinstance(further, dict):
+            raise ValueError(f"`further` must be a JSON object, got {self.further!r}")
+        valid = sorted({each.name for each in fields(Arguments)} - {"out", "task"})
+        for name in further:
+            check_choice("further setting", name, valid)
 
     def cells(self) -> list[tuple[str, str, str]]:
         """World, detector and knowledge of what is to be trained."""
@@ -110,12 +119,23 @@ def play(settings: Settings, console: Console) -> dict[str, Any]:
     for cell in settings.cells():
         console.print(" ".join(cell))
         args = settings.arguments(*cell, reach_of(settings, *cell[:2]))
-        results = train(args, console)
-        write_file(args.out / RESULTS, (json.dumps(results, indent=1) + "\n").encode())
+        if not is_finished(args):
+            results = train(args, console)
+            write_file(args.out / RESULTS, (json.dumps(results, indent=1) + "\n").encode())
         table = collected(settings)
         write_file(settings.out / TABLE, (json.dumps(table, indent=1) + "\n").encode())
         write_file(settings.out / PAGE, page(table).encode())
     return collected(settings)
+
+
+def is_finished(args: Arguments) -> bool:
+    """Whether a cell has results of all seeds; a ValueError where they are of other settings."""
+    path = args.out / RESULTS
+    if not path.is_file():
+        return False
+    open_folder(args.out, args.identity)
+    rows = json.loads(path.read_text(encoding="utf-8"))["seeds"]
+    return {row["seed"] for row in rows} >= set(args.seeds)
 
 
 def reach_of(settings: Settings, world: str, detector: str) -> float:

@@ -134,7 +134,7 @@ def best_spoofer(
     entropy : int
         Seed of the runs that decide; nobody in the mix may have been chosen on them.
     given : sequence of Member
-        Further spoofers, which are tried as they are.
+        Further spoofers, which are tried as they are, and keep their names.
     warm : sequence of Member
         Curves from which the search for blind optima may start, besides plain shapes.
     label : str, optional
@@ -143,9 +143,10 @@ def best_spoofer(
     Returns
     -------
     Response
-        Its member was decided on the splits `selection` and `search` of that seed.
+        Its member was decided on the splits `selection` and `search` of that seed, a given one,
+        too.
     """
-    seeds = [(entropy, SELECTION), (entropy, SEARCH)]
+    seeds = frozenset([(entropy, SELECTION), (entropy, SEARCH)])
     context = spoofer_context(game.setup)
     attacks = [
         each
@@ -154,8 +155,9 @@ def best_spoofer(
     ]
     curves, notes = ([], ()) if budget.blind is None else _curves(game, mix, budget, warm, entropy)
     attacks += [Attack("c", _blind_optimum(rates), True) for rates in curves]
-    tried: list[Member] = list(given)
-    family = {each.label: each.label for each in given}
+    tried = [dataclasses.replace(each, decided_on=each.decided_on | seeds) for each in given]
+    known = {each.label for each in given}
+    family = {label: label for label in known}
     for number, attack in enumerate(attacks):
         name = attack.entry.label.removesuffix("(tuned)").replace("tuned,", "")
         for value in grid_of(attack, context, budget.values):
@@ -179,7 +181,7 @@ def best_spoofer(
         by_family.setdefault(name, tried[k])
     winner = finalists[int(np.argmax(found))]
     name = family[winner.label] if label is None else f"{label}: {family[winner.label]}"
-    if winner not in given:
+    if winner.label not in known:
         winner = dataclasses.replace(winner, label=name)
     return Response(winner, float(found.max()), best, by_family, notes)
 

@@ -60,9 +60,10 @@ class LearnersSide(NamedTuple):
         own = merged.pop("pool", None), merged.pop("weights", None)
         if pool is None and side == SPOOFER:
             pool, weights = own[0] or VIEWS.get(view), own[1] if weights is None else weights
+        elif pool is None and view == "DetectorView":
+            pool, weights = own[0] or VIEWS[view], own[1] if weights is None else weights
         elif pool is None:
-            whom = own[0] if view == "DetectorView" else None
-            pool = whom or VIEWS["DetectorView"]
+            pool = VIEWS["DetectorView"]
         _check_opponents(name, side, setup, pool, weights, settings.get("detector"))
         if pool is None:
             return cls(name, side, setup, pool, weights, {**merged, **settings})

@@ -144,7 +144,8 @@ class Game:
                     f"task {task} decides the world: `{', '.join(world)}` can't be given with it"
                 )
             known = task_of(task)
-            world, limit_m = known.world_kwargs, limit_m or known.alert_limit_m
+            world = known.world_kwargs
+            limit_m = known.alert_limit_m if limit_m is None else limit_m
         if limit_m is None:
             raise ValueError("`limit_m` is needed: this world has no alert limit of its own")
         self._world = {**world, "task": task} if task is None else {"task": task}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,9 +41,10 @@ CONTROL_FLOW = frozenset({"If", "Loop", "Scan", "SequenceMap"})
 LARGEST_BYTES, MOST_OPERATORS, MOST_PARTS = 32 << 20, 5_000, 50_000
 """Of a file; a policy is asked hundreds of times an episode.  Parts are operators, their settings,
 tensors and types, in subgraphs, too."""
-MOST_ELEMENTS, MOST_PRODUCTS = 4 << 20, 1 << 28
-"""Of any tensor between two operators, and multiplications of all products of matrices, for the
-observations that a network is tried on."""
+MOST_ELEMENTS, MOST_IN_ALL, MOST_PRODUCTS = 4 << 20, 1 << 25, 1 << 28
+"""Of any tensor between two operators, of all of them together, and multiplications of all products
+of matrices, convolutions and recurrent operators, for the observations that it is tried on."""
+RECURRENT = ("GRU", "LSTM", "RNN")
 TRIED, PARTS = 16, (1, 2, 3)
 """Observations that a network is tried on when it is loaded, and sizes of smaller batches."""
 TILED, ROLLED = 8, 128
@@ -96,13 +97,11 @@ def _check_work(model: ModelProto, where: str) -> None:
         dims = value.type.tensor_type.shape.dim
         shapes[value.name] = [dim.dim_value if dim.HasField("dim_value") else TRIED for dim in dims]
     largest = max(map(_size, shapes.values()), default=0)
-    products = sum(
-        _size(shapes.get(node.output[0], [])) * shapes[node.input[0]][-1]
-        for node in inferred.node
-        if node.op_type in ("Gemm", "MatMul") and shapes.get(node.input[0])
-    )
+    results = [shapes[name] for node in inferred.node for name in node.output if name in shapes]
+    products = sum(_products(node, shapes) for node in inferred.node)
     for word, found, most in (
         ("a tensor of {:,} elements", largest, MOST_ELEMENTS),
+        ("results of {:,} elements", sum(map(_size, results)), MOST_IN_ALL),
         ("{:,} multiplications in products of matrices", products, MOST_PRODUCTS),
     ):
         if found > most:
@@ -110,6 +109,23 @@ def _check_work(model: ModelProto, where: str) -> None:
                 f"{where} has {word.format(found)} for {TRIED} observations; a policy may have "
                 f"{most:,}"
             )
+
+
+def _products(node: Any, shapes: Mapping[str, Sequence[int]]) -> int:
+    """Multiplications of an operator that has many for each element of its result."""
+    first, *others = [shapes.get(name, []) for name in node.input] or [[]]
+    results = _size(shapes.get(node.output[0], []))
+    if not first or not others:
+        return 0
+    if node.op_type in ("Gemm", "MatMul"):
+        return results * first[-1]
+    if node.op_type in ("Conv", "ConvTranspose"):  # (results, channels of each, ...) or turned
+        return results * _size(others[0][1:])
+    if node.op_type in RECURRENT:  # (length, batch, inputs), and its weights at every step
+        return _size(first[:2]) * sum(map(_size, others[:2]))
+    if node.op_type == "Einsum":  # at most all elements of one with all of the other
+        return _size(first) * _size(others[0])
+    return 0
 
 
 def _size(shape: Sequence[int]) -> int:

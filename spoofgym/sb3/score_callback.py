@@ -15,6 +15,7 @@ from ..bench.evaluate import FIT_RUNS, Evaluator
 from ..bench.tune import TuningResult
 from ..policies.contract import NotFinite
 from ..simulators.clean_runs import Progress
+from ..spoofers.model import finite
 from .average import WeightAverage
 
 STATE = ("best_m", "best_step", "best_amplitude", "diverged", "_next", "_averaged_at")
@@ -33,7 +34,10 @@ class ScoreCallback(BaseCallback):
     its updates, which jitters less than the policy that learns.  The policy itself goes on with its
     own weights; `averaged` lends it the average, such as for a last score.
 
-    A policy that returns NaN or infinity ends the training; the best one is kept.
+    A policy whose weights or actions are NaN or infinite ends the training; the best one is kept,
+    and the model has the weights of the last rollout before.  Where they become so within an
+    update, before its last minibatch, torch raises a ValueError out of ``learn``: no callback is
+    asked there.  The file of the best policy is whole then, too.
 
     Parameters
     ----------
@@ -101,9 +105,12 @@ class ScoreCallback(BaseCallback):
         self.best_m, self.best_step, self.best_amplitude = 0.0, -1, 1.0
         self.diverged: str | None = None
         self._next, self._averaged_at = 0, -1
+        self._sound: dict[str, Any] = {}
 
     def _on_rollout_start(self) -> None:
         """Score the policy, when that is due; it is not updated before the rollout is full."""
+        if not self._is_sound():
+            return
         self._update_average()
         if self.num_timesteps >= self._next:
             self._next = self.num_timesteps + self.every
@@ -113,8 +120,22 @@ class ScoreCallback(BaseCallback):
         return self.diverged is None
 
     def _on_training_end(self) -> None:
-        self._update_average()
-        self._score()
+        if self._is_sound():
+            self._update_average()
+            self._score()
+
+    def _is_sound(self) -> bool:
+        """Whether the weights are finite; if not, the model gets the last ones that were."""
+        if self.diverged is not None:
+            return False
+        if finite(self.model.policy):
+            state = self.model.policy.state_dict()
+            self._sound = {name: weight.clone() for name, weight in state.items()}
+            return True
+        if self._sound:
+            self.model.policy.load_state_dict(self._sound)
+        self.give_up(f"{type(self.model).__name__} has weights that are not finite")
+        return False
 
     def _update_average(self) -> None:
         """Take in the weights, once after every update."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .._registry import check_choice
 from ..policies.card import Space, unlike_spaces
-from ..policies.contract import checked_action
+from ..policies.contract import NotFinite, checked_action
 from .base import KNOWLEDGE, FloatArray, Spoofer, SpooferContext
 
 Function = Callable[[NDArray[np.float32]], Any]
@@ -123,6 +123,11 @@ def refuse_state(policy: Any) -> None:
         )
 
 
+def finite(policy: Any) -> bool:
+    """Whether all weights of a network are finite."""
+    return all(bool(weight.isfinite().all()) for weight in policy.parameters())
+
+
 def normalization_of(model: Any) -> tuple[FloatArray, FloatArray, float] | None:
     """Mean and scale of observations (o,), and where they are clipped, of a `VecNormalize`."""
     found = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
@@ -159,7 +164,13 @@ def _of_stable_baselines(model: Any, policy: Any) -> Function:
             seen = np.clip((seen - mean) / scale, -clip, clip).astype(np.float32)
         with torch.no_grad():
             given = torch.as_tensor(seen, device=policy.device)
-            return policy._predict(given, deterministic=True).cpu().numpy()
+            try:
+                return policy._predict(given, deterministic=True).cpu().numpy()
+            except ValueError as error:  # of a distribution whose mean is no number
+                if finite(policy):
+                    raise
+                name = name_of(policy if model is None else model)
+                raise NotFinite(f"{name} has weights that are not finite") from error
 
     return act
 

@@ -150,6 +150,10 @@ def test_no_family_that_tasks_hold_out_is_in_a_data_set(folder: Any) -> None:
     assert config["attack"]["errors"] == "inherited"
     with pytest.raises(ValueError, match=r"held out.*quiet"):
         plan(world={"attack": "quiet"})
+    own = {"code_sd_m": 0.0, "range_rate_sd_mps": 0.0}
+    for errors, task in (("replaced", None), (own, None), ("replaced", "T5")):
+        with pytest.raises(ValueError, match=r"held out.*quiet"):
+            plan(world={"attack": {"name": "false-position", "errors": errors}}, task=task)
     with pytest.raises(ValueError, match=r"held out.*meaconer"):
         plan(world={"attack": "meaconer"})
     some = {"name": "false-position", "channels": ["S01", "S02"]}

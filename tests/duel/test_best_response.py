@@ -62,6 +62,14 @@ def test_a_response_is_not_scored_on_the_runs_that_chose_it(answered):
     assert np.isfinite(fresh.values).all()
 
 
+def test_a_given_spoofer_that_wins_was_chosen_on_these_runs_too():
+    wins = member_of({"name": "ramp", "rate_mps": 0.4}, "spoofer", label="mine")
+    few = AttackBudget(runs=3, sift_runs=2, values=2, kept=1, blind=None, oracles=False)
+    found = best_spoofer(game(), mix_of("detector", CUSUM), few, entropy=5, given=[wins])
+    assert found.by_family["mine"].decided_on == {(5, "selection"), (5, "search")}
+    assert found.by_family["mine"].spec == wins.spec
+
+
 def test_the_same_budget_finds_the_same_response(answered):
     mix, found = answered
     given, warm = (

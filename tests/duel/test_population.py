@@ -264,3 +264,5 @@ def test_a_task_brings_its_world_and_its_alert_limit():
     assert found.setup.name == "trolley"
     with pytest.raises(ValueError, match="limit_m"):
         Game("T1")
+    with pytest.raises(ValueError, match=r"limit_m.*got 0"):
+        Game("T3", limit_m=0.0)

@@ -89,3 +89,17 @@ def test_settings_are_not_changed():
     given = {"receiver": "paper"}
     assert with_world(given) == {**GAME, "receiver": "paper"}
     assert given == {"receiver": "paper"}
+
+
+@pytest.mark.parametrize(
+    ("view", "pool"), [("DetectorView", ["ramp", "none"]), ("SpooferView", ["ewma", "never"])]
+)
+def test_weights_of_a_named_view_hold_on_both_sides(view, pool):
+    name, entry = f"spoofgym/Weighted{view}-v0", gym.spec(f"spoofgym/{view}-v0").entry_point
+    gym.register(name, entry_point=entry, kwargs={"pool": pool, "weights": [3, 1]})
+    try:
+        found = LearnersSide.of(name, None, "spoofer", None, None, {})
+        assert (found.pool, found.weights) == (pool, [3, 1])
+        assert LearnersSide.of(name, None, "spoofer", None, [1, 1], {}).weights == [1, 1]
+    finally:
+        del gym.registry[name]

@@ -121,6 +121,19 @@ def test_ppo_answers_a_mix(tmp_path):
     assert policies >= {"PPO 1, 0.5", "PPO 1, 0.7", "PPO 1, 1"}
 
 
+def test_a_policy_that_diverges_takes_no_part_and_stops_no_game(tmp_path, monkeypatch, capsys):
+    from stable_baselines3 import PPO
+
+    def diverge(self, steps):
+        self.policy.action_net.weight.data.fill_(float("nan"))
+
+    monkeypatch.setattr(PPO, "learn", diverge)
+    found = play(tmp_path, iterations=1, search_runs=0, ppo_steps=100)
+    assert not any("PPO" in name for name in found["iterations"][0]["best_spoofer"]["best"])
+    assert "PPO has diverged against" in capsys.readouterr().out
+    assert not list(tmp_path.glob("ppo-*"))
+
+
 def test_a_learned_detector_is_calibrated_and_enters(tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "calibrations"))
     view = duel_v0.DetectorView(timeline=SHORT)

@@ -80,6 +80,33 @@ def test_a_part_is_trained_and_stays_when_another_part_follows(small, monkeypatc
     assert "-" not in [cell.strip(" |") for cell in row.split(" | ")[-3:]]  # all have played
 
 
+def test_a_finished_cell_is_neither_trained_nor_scored_again(small, monkeypatch):
+    blind = replace(small, only=("T3", "snapshot-chi2", "blind"))
+    table = play(blind, Console(quiet=True))
+    with monkeypatch.context() as patch:
+        patch.setattr(spoofers, "train", None)
+        assert play(blind, Console(quiet=True)) == table
+        with pytest.raises(ValueError, match=r"other settings.*steps"):
+            play(replace(blind, steps=200), Console(quiet=True))
+    (cell,) = blind.cells()
+    args = blind.arguments(*cell, 1.0)
+    assert spoofers.is_finished(args)
+    assert not spoofers.is_finished(replace(args, seeds=(0, 1)))
+
+
+@pytest.mark.parametrize(
+    ("further", "message"),
+    [
+        ("{", "`further` is not JSON"),
+        ("[1]", "`further` must be a JSON object"),
+        ('{"stepz": 3}', "unknown further setting 'stepz'"),
+    ],
+)
+def test_further_settings_are_checked(tmp_path, further, message):
+    with pytest.raises(ValueError, match=message):
+        Settings(out=tmp_path, further=further)
+
+
 def test_names_are_checked(tmp_path):
     valid = ", ".join(sorted((*WORLDS, *DETECTORS, *KNOWLEDGE)))
     with pytest.raises(ValueError, match="unknown world, detector or knowledge 'T9'") as found:

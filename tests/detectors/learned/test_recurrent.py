@@ -10,7 +10,7 @@ import time
 import numpy as np
 import onnx
 import pytest
-from onnx import helper, numpy_helper
+from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.detectors import LearnedDetector
 from spoofgym.detectors.learned.card import OnnxDetector
@@ -286,6 +286,72 @@ def test_a_small_file_with_much_work_is_refused_within_a_second():
     content = helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString()
     with pytest.raises(ValueError, match="320,000,000 multiplications in products of matrices"):
         read_model(content, "guard.onnx")
+
+
+def tensor(name, *dims):
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, dims)
+
+
+def zeros(name, *dims):
+    return numpy_helper.from_array(np.zeros(dims, np.float32), name)
+
+
+def long_convolution():
+    nodes = [helper.make_node("Conv", ["x", "w"], ["y"], pads=[128, 128])]
+    weights = [zeros("w", 64, 1, 257)]
+    return nodes, tensor("x", "batch", 1, 4096), tensor("y", "batch", 64, 4096), weights
+
+
+def long_memory():
+    nodes = [helper.make_node("GRU", ["x", "w", "r"], ["y", "h"], hidden_size=128)]
+    weights = [zeros("w", 1, 384, 8), zeros("r", 1, 384, 128)]
+    return nodes, tensor("x", 1000, "batch", 8), tensor("h", 1, "batch", 128), weights
+
+
+def products_of_all():
+    nodes = [helper.make_node("Einsum", ["x", "w"], ["y"], equation="ba,ac->bc")]
+    return nodes, tensor("x", "batch", 4096), tensor("y", "batch", 512), [zeros("w", 4096, 512)]
+
+
+def many_roots():
+    nodes = [helper.make_node("Exp", [f"h{k}"], [f"h{k + 1}"]) for k in range(40)]
+    return nodes, tensor("h0", "batch", 60_000), tensor("h40", "batch", 60_000), []
+
+
+@pytest.mark.parametrize(
+    ("graph", "message"),
+    [
+        (long_convolution, "multiplications in products of matrices"),
+        (long_memory, "multiplications in products of matrices"),
+        (products_of_all, "multiplications in products of matrices"),
+        (many_roots, "results of 38,400,000 elements"),
+    ],
+)
+def test_work_of_other_operators_counts_too(graph, message):
+    nodes, given, returned, weights = graph()
+    whole = helper.make_graph(nodes, "policy", [given], [returned], weights)
+    opset = [helper.make_opsetid("", 18)]
+    content = helper.make_model(whole, opset_imports=opset, ir_version=8).SerializeToString()
+    started = time.perf_counter()
+    with pytest.raises(ValueError, match=message):
+        read_model(content, "guard.onnx")
+    assert time.perf_counter() - started < 1.0
+
+
+def test_a_network_that_answers_otherwise_when_asked_again_is_refused(tmp_path, monkeypatch):
+    path, asked = write_guard(tmp_path), []
+
+    def step(self, seen, states):
+        action, after = known(self, seen, states)
+        asked.append(len(seen))
+        return action * (1.0 - 1e-6 * len(asked)), after
+
+    known = OnnxModel.step
+    monkeypatch.setattr(OnnxModel, "step", step)
+    monkeypatch.setattr("spoofgym.policies.onnx_model._consistent", set())
+    its = card(path)
+    with pytest.raises(ValueError, match="the same observation otherwise when asked again"):
+        OnnxModel(path, its.file, its.observation, its.action, state=its.state)
 
 
 def test_other_bounds_are_tried_again(tmp_path):

@@ -1,0 +1,54 @@
+"""All trainings by one command: what has ended is not run again, and every command is one."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+
+import pytest
+
+for name in ("torch", "tyro"):
+    pytest.importorskip(name)
+
+from rich.console import Console  # noqa: E402
+
+from spoofgym.detector_tasks import DETECTOR_TASKS  # noqa: E402
+from spoofgym.tasks import TASKS  # noqa: E402
+from tools.learn_all import MARKS, Settings, run, steps_of  # noqa: E402
+
+QUIET = Console(quiet=True)
+
+
+def writing(path):
+    """A step that appends a line to a file."""
+    return ["-c", f"open({str(path)!r}, 'a').write('x')"]
+
+
+def test_a_killed_run_goes_on_with_the_step_that_was_not_finished(tmp_path):
+    first, last = tmp_path / "first", tmp_path / "last"
+    fails = {"one": writing(first), "two": ["-c", "raise SystemExit(3)"], "three": writing(last)}
+    with pytest.raises(subprocess.CalledProcessError, match="status 3"):
+        run(tmp_path, fails, QUIET)
+    assert not last.exists()
+    done = run(tmp_path, {**fails, "two": writing(last)}, QUIET)
+    assert list(done) == ["one", "two", "three"]
+    assert first.read_text() == "x"
+    assert last.read_text() == "xx"
+    assert json.loads((tmp_path / MARKS).read_text()) == done
+
+
+def test_every_task_and_every_page_has_its_step(tmp_path):
+    steps = steps_of(tmp_path)
+    assert {f"ppo-{key}" for key in TASKS} | {f"cards-{key}" for key in DETECTOR_TASKS} <= {*steps}
+    for option, module, *_ in steps.values():
+        assert option == "-m"
+        assert importlib.util.find_spec(module) is not None
+    names = [*steps]
+    assert names.index("data") < names.index("guard") < names.index("threshold")
+    assert names.index("spoofers") < names.index("page")
+
+
+def test_names_of_steps_are_checked(tmp_path):
+    with pytest.raises(ValueError, match="unknown step 'ppo-T9'"):
+        Settings(out=tmp_path, only=("ppo-T9",))
