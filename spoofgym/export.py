@@ -37,7 +37,13 @@ from .envs.spoofer_binding import spoofer_context
 from .policies.onnx_model import NEXT, SUFFIX, file_of
 from .spoofers.card import Card, Knowledge, fields_of
 from .spoofers.learned import OnnxPolicy
-from .spoofers.model import function_of, inner_env, normalization_of, refuse_state
+from .spoofers.model import (
+    Normalization,
+    function_of,
+    inner_env,
+    normalization_of,
+    refuse_state,
+)
 from .spoofers.scaled import own_columns
 
 __all__ = ["detector", "onnx", "traced"]
@@ -85,7 +91,8 @@ def onnx(
         actions, which are cut to [-1, 1].
     env : SpoofVecEnv, SpoofEnv or SpoofVectorEnv, optional
         Where it was trained, wrapped or not; by default the environment that the model has.  A
-        `VecNormalize` around it is folded in.
+        `VecNormalize` around it is folded in: that of a model of stable-baselines3 is its own, and
+        a torch module or a policy alone has learned behind the one that is given.
     path : str or Path
         ``.../NAME.onnx``; the card becomes ``.../NAME.json``.
     amplitude : float
@@ -105,8 +112,8 @@ def onnx(
     TypeError
         When the model is something else, or its policy has no deterministic action of a network.
     ValueError
-        When it is recurrent, its environment can't be written down, or the file does not act as
-        the model does; nothing is written then.
+        When it is recurrent, its environment can't be written down, or normalizes otherwise than
+        the model's own, or the file does not act as the model does; nothing is written then.
     """
     path = Path(path)
     if path.suffix != SUFFIX:
@@ -116,28 +123,24 @@ def onnx(
     inner = inner_env(env)
     if inner is None:
         raise TypeError(f"`env` must be an environment of spoofgym, wrapped or not, got {env!r}")
-    if normalization_of(model) is None and _normalizer(env) is not None:
-        raise ValueError(
-            "`env` normalizes observations, but the model does not know of it: give the model that "
-            "was made with it"
-        )
+    outer = _outer_normalization(model, env)
     low, high = inner.core.bounds
     judges = hasattr(inner.core, "duel")
     if judges and amplitude != 1.0:
         raise ValueError(f"a detector has no commands to scale: `amplitude` = {amplitude:g}")
     own = [] if judges else own_columns(inner.core.observer.names)
-    actor = _Actor(model, amplitude, len(low), own)
+    actor = _Actor(model, outer or normalization_of(model), amplitude, len(low), own)
     with _evaluating(actor):
         _check_sizes(actor, len(low), len(inner.core.action_names))
         content = traced(actor, len(low))
     told = {**_said_by(model), "amplitude": amplitude, **(training or {})}
     if judges:
-        return _write_detector(model, inner, path, content, told)
+        return _write_detector(model, outer, inner, path, content, told)
     card = _card_of(inner, path, content, told, designed_on)
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / path.name
         _write(trial, content, card)
-        _compare(model, OnnxPolicy(str(trial)).model.act, low, high, amplitude, own)
+        _compare(model, outer, OnnxPolicy(str(trial)).model.act, low, high, amplitude, own)
     _write(path, content, card)
     return card
 
@@ -310,15 +313,16 @@ class _Actor(torch.nn.Module):
     observations that are the spoofer's own commands.
     """
 
-    def __init__(self, model: Any, amplitude: float, size: int, own: list[int]) -> None:
+    def __init__(
+        self, model: Any, found: Normalization | None, amplitude: float, size: int, own: list[int]
+    ) -> None:
         super().__init__()
         self.mean = _mean_of(model)
-        found = normalization_of(model)
-        self.clip = None if found is None else found[2]
+        self.clip = None if found is None else found.clip
         if found is not None:
             # in single precision the difference comes first, as in the model's own
-            self.register_buffer("center", torch.as_tensor(found[0], dtype=torch.float64))
-            self.register_buffer("scale", torch.as_tensor(found[1], dtype=torch.float64))
+            self.register_buffer("center", torch.as_tensor(found.mean, dtype=torch.float64))
+            self.register_buffer("scale", torch.as_tensor(found.scale, dtype=torch.float64))
         self.amplitude = float(amplitude)
         divisor = torch.ones(size)
         divisor[own] = self.amplitude
@@ -530,17 +534,29 @@ def _own_versions() -> dict[str, str]:
     return found
 
 
-def _normalizer(env: Any) -> Any:
-    """`VecNormalize` of observations around an environment."""
-    while env is not None:
-        if getattr(env, "norm_obs", False):
-            return env
+def _outer_normalization(model: Any, env: Any) -> Normalization | None:
+    """That of a `VecNormalize` around an environment, which a model does not have itself."""
+    while env is not None and not getattr(env, "norm_obs", False):
         env = getattr(env, "venv", None)
+    found, own = Normalization.of(env), normalization_of(model)
+    if found is None or own is None:
+        return found
+    same = np.array_equal(own.mean, found.mean) and np.array_equal(own.scale, found.scale)
+    if not (same and own.clip == found.clip):
+        raise ValueError(
+            "`env` normalizes observations otherwise than the model's own environment: leave `env` "
+            "out, or give the one that it has learned in"
+        )
     return None
 
 
 def _write_detector(
-    model: Any, inner: Any, path: Path, content: bytes, training: dict[str, Any]
+    model: Any,
+    outer: Normalization | None,
+    inner: Any,
+    path: Path,
+    content: bytes,
+    training: dict[str, Any],
 ) -> Any:
     """Write a detector policy, once a trial of it acts as the model does."""
     low, high = inner.core.bounds
@@ -548,18 +564,27 @@ def _write_detector(
         trial = Path(folder) / path.name
         trial.write_bytes(content)
         write_card(trial, inner, name=path.stem, training=training)
-        _compare(model, OnnxDetector(trial).model.act, low, high, 1.0, [])
+        _compare(model, outer, OnnxDetector(trial).model.act, low, high, 1.0, [])
     write_file(path, content)
     card_path(path).unlink(missing_ok=True)
     return write_card(path, inner, name=path.stem, training=training)
 
 
-def _compare(model: Any, act: Any, low: Any, high: Any, amplitude: float, own: list[int]) -> None:
+def _compare(
+    model: Any,
+    outer: Normalization | None,
+    act: Any,
+    low: Any,
+    high: Any,
+    amplitude: float,
+    own: list[int],
+) -> None:
     """Raise unless a file acts as its model, all over the space of its card."""
     drawn = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
     seen = np.vstack([drawn, 0.1 * drawn]).astype(np.float32)
     planned = seen.copy()
     planned[:, own] /= np.float32(amplitude)
+    planned = planned if outer is None else outer(planned)
     wanted = np.clip(np.asarray(function_of(model)(planned), dtype=np.float64), -1.0, 1.0)
     wanted = np.clip(amplitude * wanted, -1.0, 1.0)
     apart = float(np.abs(act(seen) - wanted).max())

@@ -82,8 +82,16 @@ def test_the_normalization_of_observations_is_folded_in(tmp_path):
     mine = judge.score(model, amplitude=2.0)
     file = judge.score(str(tmp_path / "mine.onnx"), amplitude=None)
     assert file.stealthy_displacement_m.value == pytest.approx(mine.stealthy_displacement_m.value)
-    with pytest.raises(ValueError, match="the model does not know of it"):
-        onnx(model.policy, envs, tmp_path / "other.onnx")
+    onnx(model.policy, envs, tmp_path / "alone.onnx", amplitude=2.0)  # a module, behind `envs`
+    np.testing.assert_array_equal(
+        OnnxPolicy(str(tmp_path / "alone.onnx")).model.act(seen),
+        OnnxPolicy(str(tmp_path / "mine.onnx")).model.act(seen),
+    )
+    other = VecNormalize(make(), norm_reward=False)
+    other.reset()
+    with pytest.raises(ValueError, match="otherwise than the model's own environment"):
+        onnx(model, other, tmp_path / "other.onnx")
+    assert not (tmp_path / "other.onnx").exists()
 
 
 def test_a_card_says_where_it_was_made_and_the_file_fits_there(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,14 +128,32 @@ def finite(policy: Any) -> bool:
     return all(bool(weight.isfinite().all()) for weight in policy.parameters())
 
 
-def normalization_of(model: Any) -> tuple[FloatArray, FloatArray, float] | None:
-    """Mean and scale of observations (o,), and where they are clipped, of a `VecNormalize`."""
+class Normalization(NamedTuple):
+    """What a `VecNormalize` does with observations: (o,) mean and scale, and where it clips."""
+
+    mean: FloatArray
+    scale: FloatArray
+    clip: float
+
+    @classmethod
+    def of(cls, envs: Any) -> Self | None:
+        """That of a `VecNormalize`, as it is now; None where it leaves observations alone."""
+        if not getattr(envs, "norm_obs", False):
+            return None
+        mean = np.asarray(envs.obs_rms.mean, dtype=np.float64).copy()
+        scale = np.sqrt(np.asarray(envs.obs_rms.var, dtype=np.float64) + envs.epsilon)
+        return cls(mean, scale, float(envs.clip_obs))
+
+    def __call__(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Observations (B, o) as a policy sees them."""
+        scaled = (seen - self.mean) / self.scale
+        return np.asarray(np.clip(scaled, -self.clip, self.clip), dtype=np.float32)
+
+
+def normalization_of(model: Any) -> Normalization | None:
+    """Normalization of the observations of a model of stable-baselines3, if it has one."""
     found = model.get_vec_normalize_env() if hasattr(model, "get_vec_normalize_env") else None
-    if found is None or not found.norm_obs:
-        return None
-    running = found.obs_rms
-    scale = np.sqrt(np.asarray(running.var, dtype=np.float64) + found.epsilon)
-    return np.asarray(running.mean, dtype=np.float64).copy(), scale, float(found.clip_obs)
+    return Normalization.of(found)
 
 
 def _of_stable_baselines(model: Any, policy: Any) -> Function:
@@ -160,8 +178,7 @@ def _of_stable_baselines(model: Any, policy: Any) -> Function:
             policy.set_training_mode(False)
         now = normalization_of(model)
         if now is not None:
-            mean, scale, clip = now
-            seen = np.clip((seen - mean) / scale, -clip, clip).astype(np.float32)
+            seen = now(seen)
         with torch.no_grad():
             given = torch.as_tensor(seen, device=policy.device)
             try:
