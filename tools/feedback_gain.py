@@ -31,6 +31,7 @@ from spoofgym.bench.entries import detector_entry
 from spoofgym.bench.evaluate import Evaluator
 from spoofgym.bench.spoofer_score import Score
 from spoofgym.bench.tables import interval, number
+from spoofgym.bench.versions import versions
 from spoofgym.cli.output import print_json, print_table, progress
 from spoofgym.tasks import task_of
 from tools.headlines import KEPT
@@ -186,7 +187,7 @@ def run(arguments: list[str]) -> None:
     with progress(len(whom)) as bar:
         for label, case in whom.items():
             asked = [label, case, given.task, given.runs, given.fit_runs, given.seed]
-            path = given.out / f"{digest_of([*asked, RATIOS, RIDES])}.json"
+            path = given.out / f"{digest_of([*asked, RATIOS, RIDES, OFF, versions()])}.json"
             if not path.exists():
                 path.parent.mkdir(parents=True, exist_ok=True)
                 kept = case_of(label, case, given)

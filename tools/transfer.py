@@ -37,6 +37,7 @@ from spoofgym.bench.evaluate import Evaluator
 from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.spoofer_score import Score
 from spoofgym.bench.tables import interval
+from spoofgym.bench.versions import versions
 from spoofgym.cli.output import print_json, print_table, progress
 from spoofgym.simulators.clean_runs import Progress
 from spoofgym.tasks import TASKS, task_of
@@ -61,7 +62,7 @@ class Worlds:
     def digest(self, name: str, *more: Any) -> str:
         """Digest of a world, the runs in it, and of what is done there."""
         sizes = {key: value for key, value in self.sizes.items() if key != "threads"}
-        return digest_of([self.settings[name], sizes, *more])
+        return digest_of([self.settings[name], sizes, versions(), *more])
 
 
 class Kept:

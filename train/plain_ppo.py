@@ -71,6 +71,8 @@ class Settings:
         for name in ("steps", "scores", "fit_runs", "runs"):
             if getattr(self, name) < 1:
                 raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}")
+        if self.scores > self.steps:
+            raise ValueError(f"`scores` must be in [1, {self.steps}], the steps, got {self.scores}")
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -95,7 +97,8 @@ def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[S
     score = judge.score(model, label=kind)
     envs.close()
     curve = [[step, round(found.score, 3)] for step, found in watch.history]
-    return score, {"untrained": untrained.as_dict(), "curve": curve, "wall_s": round(wall_s, 1)}
+    told = {"curve": curve, "wall_s": round(wall_s, 1), "diverged": watch.diverged}
+    return score, {"untrained": untrained.as_dict(), **told}
 
 
 def play(settings: Settings, console: Console) -> dict[str, Any]:

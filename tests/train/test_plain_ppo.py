@@ -49,5 +49,7 @@ def test_a_seed_is_trained_once_and_compared_on_the_same_runs(settings, monkeypa
 def test_bad_input_is_refused(tmp_path):
     with pytest.raises(ValueError, match="unknown kind 'fancy'; valid: defaults, plain"):
         Settings(out=tmp_path, kinds=("fancy",))
+    with pytest.raises(ValueError, match=r"`scores` must be in \[1, 3\], the steps, got 4"):
+        Settings(out=tmp_path, steps=3, scores=4)
     with pytest.raises(ValueError, match="`steps` must be at least 1, got 0"):
         Settings(out=tmp_path, steps=0)
