@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +15,7 @@ from spoofgym.attacks import make_attack
 from spoofgym.bench import detector_cards
 from spoofgym.bench.attack_suite import FAMILIES
 from spoofgym.bench.entries import detector_entry
+from spoofgym.bench.evaluate_detector import DetectorEvaluator
 from spoofgym.cli import app
 from spoofgym.detector_tasks import DETECTOR_TASKS, ONSETS, PUBLIC, detector_task_of
 from spoofgym.detectors import make_detector, zoo
@@ -158,6 +160,14 @@ def test_a_learned_detector_is_scored_where_it_has_learned_from_nothing_held_out
         told = {"ramp": "ramps", "accelerating-ramp": "ramps", "profile": "profiles"}
         told |= {"dash": "dashes", "blind-optimum": "blind-optima"}
         assert {told.get(each, each) for each in card["training"]["families"]} <= public
+
+
+@pytest.mark.parametrize(("key", "warns"), [("D1", False), ("D3", True)])
+def test_a_learned_detector_is_warned_of_where_it_has_met_what_is_held_out(key, warns):
+    guard = {"name": "trolley-guard", "false_alarms_per_hour": 0.2}
+    told = pytest.warns(UserWarning, match="trolley-guard.* has learned from inherited")
+    with told if warns else nullcontext():
+        DetectorEvaluator(key).worlds.defences([guard, "never"])
 
 
 def test_cards_are_of_these_tasks_and_what_is_missing_has_its_command():

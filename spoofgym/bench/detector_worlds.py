@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ import numpy as np
 
 from .._describe import describe, digest_of
 from ..detector_tasks import CANDIDATES, AttackFamily, DetectorTask
-from ..detectors import Detector
+from ..detectors import Calibrated, Detector, LearnedDetector
 from ..detectors.calibrated import resolve
 from ..envs.spoofer_binding import spoofer_context
 from ..simulators.clean_runs import weighs
@@ -23,6 +24,7 @@ from .entries import TUNED, Entry, check_labels, detector_entry, fitted, refuse_
 from .entries import spoofer_entry as entry_of_spoofer
 from .specs import make_judge
 from .suite import Suite
+from .training_attacks import QUIET_TASKS
 
 SHIPPED = ("ewma-profile", "snapshot-chi2-profile")
 """Profiles of the letter c."""
@@ -44,6 +46,16 @@ def sharing(defences: Sequence[Defence], family: AttackFamily | None) -> list[li
     shared = [each for each in defences if each.passive and not alone]
     others = [[each] for each in defences if each not in shared]
     return [*([shared] if shared else []), *others]
+
+
+def held_out_but_met(judge: Detector, task: DetectorTask) -> str | None:
+    """Family that a task holds out, and that a detector has learned from, as its card has it."""
+    inner = judge.detector if isinstance(judge, Calibrated) else judge
+    training = inner.card.training if isinstance(inner, LearnedDetector) else {}
+    if "held_out" not in training:  # not learned, or not from a data set of spoofgym
+        return None
+    met = "quiet" if training.get("task") in QUIET_TASKS else "inherited"
+    return met if met in {family.key for family in task.held_out} else None
 
 
 class Worlds:
@@ -88,6 +100,11 @@ class Worlds:
         -------
         list of Defence
             In their order.
+
+        Warns
+        -----
+        UserWarning
+            Of a detector that has learned from what the task holds out, as its card has it.
         """
         specs = list(detectors)
         if not specs:
@@ -99,6 +116,13 @@ class Worlds:
         for entry, spec in zip(entries, specs, strict=True):
             judge = make_judge(spec)
             resolve(judge, world)
+            if met := held_out_but_met(judge, self.task):
+                warnings.warn(
+                    f"{entry.label} has learned from {met} counterfeits, which {self.task.key} "
+                    "holds out: its score is not that of a detector that has never met them",
+                    UserWarning,
+                    stacklevel=2,
+                )
             settled = in_any_world(judge)
             alone = entry.spec["name"] in CONTROLS or weighs(world, settled)
             found.append(Defence(entry, settled, not alone))
