@@ -109,6 +109,9 @@ class Detector(ABC):
         the filter believes; the innovations of such a test can be rescaled (`Calibrated`).
     calibrates : bool
         Whether thresholds scale its alarms at all; not that of a detector that never alarms.
+    draws : bool
+        Whether the last bits of its innovations decide its statistic, which is another one then, as
+        good, on another kind of processor: runs of its calibrations are not replayed.
     label : str or None
         What it is called in tables; None for its registered name, or that of its class.
     silent_epochs : int
@@ -127,6 +130,7 @@ class Detector(ABC):
     oracle: ClassVar[bool] = False
     drifts: ClassVar[bool] = False
     calibrates: ClassVar[bool] = True
+    draws: ClassVar[bool] = False
     label: ClassVar[str | None] = None
     silent_epochs: int = 0
     memory_epochs: int = 0

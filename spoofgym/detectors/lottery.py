@@ -45,6 +45,7 @@ class Lottery(Detector):
 
     paper: ClassVar[str] = "lipsitch2010"
     measures: ClassVar[str] = "any"
+    draws: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Check the settings."""

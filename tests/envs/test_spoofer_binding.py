@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from spoofgym.envs.spoofer_binding import attach, setup_of_card
-from spoofgym.spoofers import Card, Ramp
+from spoofgym.spoofers import Card, Ramp, card_of, shipped
 
 from ..spoofers.policies import ENV, FULL, TIMELINE, write_policy
 from .support import ID, vector
@@ -194,6 +194,24 @@ def test_a_shipped_profile_is_compared_by_its_card(
     assert attach("slow", env).act(env.reset(seed=0)[0][None]).shape == (1, 2)
     with pytest.raises(ValueError, match=r"'slow' was made .*\n.*detector\.kind"):
         attach({"name": "slow"}, single(detector="never"))
+
+
+@pytest.mark.usefixtures("default_rate")
+@pytest.mark.parametrize("name", shipped())
+def test_a_shipped_spoofer_plays_the_environment_of_its_card(name: str) -> None:
+    """Also where that looks its thresholds up by a rate of false alarms."""
+    card = card_of(name)
+    # some profiles ask for more than the default action, a rate of up to 1 m/s, can command
+    action = {"action": "full-command"} if card.kind == "profile" else {}
+    settings = {**action, **card.env_kwargs}
+    envs = gym.make_vec(card.env_id, num_envs=2, **settings)
+    spoofer = attach(name, envs)
+    observation, _ = envs.reset(seed=1)
+    assert envs.action_space.contains(spoofer.act(observation).astype(np.float32))
+    envs.close()
+    other = {**settings, "detector": {"name": "cusum", "thresholds": "nominal"}}
+    with pytest.raises(ValueError, match="detector"):
+        attach(name, gym.make_vec(card.env_id, num_envs=2, **other))
 
 
 def test_what_is_no_environment_of_ours_is_refused(policy: str) -> None:

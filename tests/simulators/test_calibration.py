@@ -392,6 +392,15 @@ def test_a_file_for_something_else_is_refused(setup, tmp_path):
         SnapshotEnv(detector={**asked, "name": "snapshot-chi2"})
 
 
+def test_draws_by_last_bits_are_not_held_against_another_processor(setup):
+    """One bit of one innovation, as NumPy for other instructions computes it, is another draw."""
+    (found,) = calibrate(setup, "lottery", runs=30, false_alarms_per_hour=2.0 * RATE)
+    drawn = [(run, before / 3.0, judged / 3.0) for run, before, judged in found.witnesses]
+    check(setup, [dataclasses.replace(found, witnesses=tuple(drawn))], "lottery")
+    with pytest.raises(ValueError, match="something else than lottery"):
+        check(setup, [found], {"name": "lottery", "mean_wait_s": 7.0})
+
+
 def test_what_no_longer_behaves_so_is_told(setup):
     (found,) = calibrate(setup, "ewma", runs=30, false_alarms_per_hour=2.0 * RATE)
     kept = list(found.witnesses)
