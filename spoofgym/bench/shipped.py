@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ..attacks import ATTACKS
 from ..envs.spoofer_binding import bound_spoofer, monitors_for, setup_of_card
 from ..simulators.setup import Setup
@@ -54,6 +56,12 @@ def card_behind(spoofer: Spoofer) -> Card | None:
     return None
 
 
+def _attack_of(setup: Setup) -> dict[str, Any]:
+    """What an attack does; a threat by name does what the same options do."""
+    spec = spec_of("attack", ATTACKS, setup.attack)
+    return {key: value for key, value in spec.items() if key != "threat"}
+
+
 def transferred(card: Card, setup: Setup, detector: Entry) -> tuple[str, list[str]]:
     """What a spoofer was made for, and what is another one in a campaign."""
     made = setup_of_card(card)
@@ -61,7 +69,7 @@ def transferred(card: Card, setup: Setup, detector: Entry) -> tuple[str, list[st
     if type(made) is not type(setup):
         return label, ["environment"]
     found = [] if label == detector.label else ["detector"]
-    if spec_of("attack", ATTACKS, made.attack) != spec_of("attack", ATTACKS, setup.attack):
+    if _attack_of(made) != _attack_of(setup):
         found.append("attack")
     return label, found + [
         name

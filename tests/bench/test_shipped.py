@@ -109,6 +109,7 @@ def test_what_they_were_made_for() -> None:
     pseudorange_only = {"name": "false-position", "coherent": False}
     assert known("push", scenario=calmer)["transfer"] == ["scenario"]
     assert known("push", attack=pseudorange_only)["transfer"] == ["attack"]
+    assert known("push", attack="false-position-ideal")["transfer"] == []  # the same by name
     tuned = known({"name": "ramp", "rate_mps": "tuned"}, "snapshot-chi2")
     assert (tuned["detector"], tuned["transfer"]) == ("snapshot-chi2", [])
     assert known("step")["design_time"] == "nothing"
