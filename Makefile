@@ -16,6 +16,7 @@ extras_check := flights,limits,report,dev
 extras_docs  := docs
 extras_test  := flights,limits,report,video,dev,train
 extras_train := report,train
+extras_learn := flights,limits,report,train
 
 # What is tested with RLlib and the oldest Gymnasium.
 tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tests/docs/test_rl_libraries.py
@@ -57,7 +58,7 @@ docs: $(VENV)/.installed-docs ## build the pages and the API as a site, build/do
 train: $(VENV)/.installed-train ## train a spoofer, for example ARGS="--out runs/my-first"
 	$(python) -m train.ppo_spoofer $(ARGS)
 
-learn: $(VENV)/.installed-train ## all trainings behind the pages again, with their scores, into runs/all; hours, and goes on after a kill
+learn: $(VENV)/.installed-learn ## all trainings behind the pages again, with their scores, into runs/all; hours, and goes on after a kill
 	$(python) -m tools.learn_all --out runs/all $(ARGS)
 
 perf: $(VENV)/.installed-bench ## measure the speed of this machine, part by part
