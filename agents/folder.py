@@ -60,6 +60,17 @@ def open_folder(folder: Path, arguments: dict[str, Any]) -> None:
         )
 
 
+def json_object(name: str, text: str) -> dict[str, Any]:
+    """JSON object of a setting; a ValueError names the setting and what it is."""
+    try:
+        found = json.loads(text)
+    except ValueError as error:
+        raise ValueError(f"`{name}` is not JSON: {error}; got {text!r}") from error
+    if not isinstance(found, dict):
+        raise ValueError(f"`{name}` must be a JSON object, got {text!r}")
+    return found
+
+
 @contextmanager
 def error_lines() -> Iterator[None]:
     """End the program with one line where the user has made a mistake, or pressed Ctrl-C."""

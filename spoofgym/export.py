@@ -123,24 +123,24 @@ def onnx(
     inner = inner_env(env)
     if inner is None:
         raise TypeError(f"`env` must be an environment of spoofgym, wrapped or not, got {env!r}")
-    outer = _outer_normalization(model, env)
+    normalization = _normalization_around(model, env)
     low, high = inner.core.bounds
     judges = hasattr(inner.core, "duel")
     if judges and amplitude != 1.0:
         raise ValueError(f"a detector has no commands to scale: `amplitude` = {amplitude:g}")
     own = [] if judges else own_columns(inner.core.observer.names)
-    actor = _Actor(model, outer or normalization_of(model), amplitude, len(low), own)
+    actor = _Actor(model, normalization or normalization_of(model), amplitude, len(low), own)
     with _evaluating(actor):
         _check_sizes(actor, len(low), len(inner.core.action_names))
         content = traced(actor, len(low))
     told = {**_said_by(model), "amplitude": amplitude, **(training or {})}
     if judges:
-        return _write_detector(model, outer, inner, path, content, told)
+        return _write_detector(model, normalization, inner, path, content, told)
     card = _card_of(inner, path, content, told, designed_on)
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / path.name
         _write(trial, content, card)
-        _compare(model, outer, OnnxPolicy(str(trial)).model.act, low, high, amplitude, own)
+        _compare(model, normalization, OnnxPolicy(str(trial)).model.act, low, high, amplitude, own)
     _write(path, content, card)
     return card
 
@@ -534,7 +534,7 @@ def _own_versions() -> dict[str, str]:
     return found
 
 
-def _outer_normalization(model: Any, env: Any) -> Normalization | None:
+def _normalization_around(model: Any, env: Any) -> Normalization | None:
     """That of a `VecNormalize` around an environment, which a model does not have itself."""
     while env is not None and not getattr(env, "norm_obs", False):
         env = getattr(env, "venv", None)
@@ -552,7 +552,7 @@ def _outer_normalization(model: Any, env: Any) -> Normalization | None:
 
 def _write_detector(
     model: Any,
-    outer: Normalization | None,
+    normalization: Normalization | None,
     inner: Any,
     path: Path,
     content: bytes,
@@ -564,7 +564,7 @@ def _write_detector(
         trial = Path(folder) / path.name
         trial.write_bytes(content)
         write_card(trial, inner, name=path.stem, training=training)
-        _compare(model, outer, OnnxDetector(trial).model.act, low, high, 1.0, [])
+        _compare(model, normalization, OnnxDetector(trial).model.act, low, high, 1.0, [])
     write_file(path, content)
     card_path(path).unlink(missing_ok=True)
     return write_card(path, inner, name=path.stem, training=training)
@@ -572,7 +572,7 @@ def _write_detector(
 
 def _compare(
     model: Any,
-    outer: Normalization | None,
+    normalization: Normalization | None,
     act: Any,
     low: Any,
     high: Any,
@@ -584,7 +584,7 @@ def _compare(
     seen = np.vstack([drawn, 0.1 * drawn]).astype(np.float32)
     planned = seen.copy()
     planned[:, own] /= np.float32(amplitude)
-    planned = planned if outer is None else outer(planned)
+    planned = planned if normalization is None else normalization(planned)
     wanted = np.clip(np.asarray(function_of(model)(planned), dtype=np.float64), -1.0, 1.0)
     wanted = np.clip(amplitude * wanted, -1.0, 1.0)
     apart = float(np.abs(act(seen) - wanted).max())

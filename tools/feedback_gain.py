@@ -183,11 +183,11 @@ def run(arguments: list[str]) -> None:
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
     whom = cases(given.detectors, given.task)
-    found = {}
+    found, fixed = {}, [RATIOS, RIDES, OFF, versions()]
     with progress(len(whom)) as bar:
         for label, case in whom.items():
             asked = [label, case, given.task, given.runs, given.fit_runs, given.seed]
-            path = given.out / f"{digest_of([*asked, RATIOS, RIDES, OFF, versions()])}.json"
+            path = given.out / f"{digest_of([*asked, *fixed])}.json"
             if not path.exists():
                 path.parent.mkdir(parents=True, exist_ok=True)
                 kept = case_of(label, case, given)

@@ -53,7 +53,7 @@ class Worlds:
     def __init__(self, task: str, changes: Mapping[str, Mapping[str, Any]], **sizes: Any) -> None:
         base = {**task_of(task).world_kwargs, "detector": task_of(task).detector}
         self.settings = {name: {**base, **change} for name, change in changes.items()}
-        self.sizes = sizes
+        self.sizes, self.versions = sizes, versions()
         self.judge: Callable[[str], Evaluator] = cache(self._judge)
 
     def _judge(self, name: str) -> Evaluator:
@@ -62,7 +62,7 @@ class Worlds:
     def digest(self, name: str, *more: Any) -> str:
         """Digest of a world, the runs in it, and of what is done there."""
         sizes = {key: value for key, value in self.sizes.items() if key != "threads"}
-        return digest_of([self.settings[name], sizes, versions(), *more])
+        return digest_of([self.settings[name], sizes, self.versions, *more])
 
 
 class Kept:

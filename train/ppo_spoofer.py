@@ -54,7 +54,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from agents.bar import Bar
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
-from agents.folder import command_of, error_lines, open_folder, used_versions
+from agents.folder import command_of, error_lines, json_object, open_folder, used_versions
 from agents.full_scale import for_learning
 from agents.price import LEAST, MOST, next_price, set_price
 from agents.record import TrainingRecord, read_record
@@ -176,12 +176,7 @@ class Arguments:
 
         With a detector or settings of its own it is no longer the task.
         """
-        try:
-            given = json.loads(self.settings)
-        except ValueError as error:
-            raise ValueError(f"`settings` is not JSON: {error}; got {self.settings!r}") from error
-        if not isinstance(given, dict):
-            raise ValueError(f"`settings` must be a JSON object, got {self.settings!r}")
+        given = json_object("settings", self.settings)
         if not self.detector and not given:
             return {"task": self.task}
         task = task_of(self.task)

@@ -24,7 +24,7 @@ import torch
 import tyro
 from rich.console import Console
 
-from agents.folder import error_lines, open_folder
+from agents.folder import error_lines, json_object, open_folder
 from agents.spoofer_table import FEEDBACK, KNOWLEDGE, RIVALS, page
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
@@ -75,12 +75,7 @@ class Settings:
         """Check the names."""
         for name in self.only:
             check_choice("world, detector or knowledge", name, (*WORLDS, *DETECTORS, *KNOWLEDGE))
-        try:
-            further = json.loads(self.further)
-        except ValueError as error:
-            raise ValueError(f"`further` is not JSON: {error}; got {self.further!r}") from error
-        if not isinstance(further, dict):
-            raise ValueError(f"`further` must be a JSON object, got {self.further!r}")
+        further = json_object("further", self.further)
         valid = sorted({each.name for each in fields(Arguments)} - {"out", "task"})
         for name in further:
             check_choice("further setting", name, valid)
@@ -110,7 +105,7 @@ class Settings:
             "rivals": (*RIVALS, FEEDBACK) if blind else ("ramp",),
         }
         own = ("seeds", "steps", "stages", "fit_runs", "runs")
-        further = json.loads(self.further)
+        further = json_object("further", self.further)
         return Arguments(**{**given, **{name: getattr(self, name) for name in own}, **further})
 
 

@@ -8,14 +8,15 @@ import subprocess
 
 import pytest
 
+# ruff: noqa: E402 - the packages of the laboratory may be missing
 for name in ("torch", "tyro"):
     pytest.importorskip(name)
 
-from rich.console import Console  # noqa: E402
+from rich.console import Console
 
-from spoofgym.detector_tasks import DETECTOR_TASKS  # noqa: E402
-from spoofgym.tasks import TASKS  # noqa: E402
-from tools.learn_all import MARKS, Settings, run, steps_of  # noqa: E402
+from spoofgym.detector_tasks import DETECTOR_TASKS
+from spoofgym.tasks import TASKS
+from tools.learn_all import MARKS, Settings, run, steps_of
 
 QUIET = Console(quiet=True)
 
