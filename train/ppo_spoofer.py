@@ -113,6 +113,8 @@ class Arguments:
     """Rate that an action of 1 asks for; by default that of four lengths within the attack."""
     decision_interval_s: float | None = None
     """Time between decisions; 0 for one at every epoch, by default some ten seconds."""
+    warm_pool: int | None = None
+    """Receivers that are warmed up once, of which all episodes are copies; None for new ones."""
     length_m: float | None = None
     """Unit of rewards and prices; by default the alert limit, or 40 m."""
     average: float = 0.9
@@ -149,6 +151,7 @@ class Arguments:
             ("log_std_init", -20.0, 2.0),
             ("full_scale_mps", 1e-3, 1e3),
             *(("length_m", 0.1, 1e5), ("decision_interval_s", 0.0, 1e5)),
+            ("warm_pool", 1, 1e6),
         ):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
@@ -185,7 +188,9 @@ class Arguments:
 
     def make_envs(self) -> SpoofVecEnv:
         """Receivers of the training."""
-        own: dict[str, Any] = {"knowledge": self.knowledge, "threads": self.threads}
+        own: dict[str, Any] = {
+            name: getattr(self, name) for name in ("knowledge", "threads", "warm_pool")
+        }
         own |= self.world
         length_m = self.length_m or task_of(self.task).alert_limit_m
         if length_m is not None:

@@ -121,6 +121,10 @@ class Detector(ABC):
         set by `bind`, 0 where there is no such time.
     memory : Memory
         What it remembers of every receiver.
+    only : ndarray or None
+        (r,) the receivers whose verdicts are looked at, as a pool says where others judge the rest
+        of the batch; None for all.  What is said and remembered of the rest may be anything finite,
+        so that a costly detector can leave them out.
     """
 
     paper: ClassVar[str]
@@ -135,6 +139,7 @@ class Detector(ABC):
     silent_epochs: int = 0
     memory_epochs: int = 0
     memory: Memory
+    only: NDArray[np.intp] | None = None
 
     @abstractmethod
     def bind(self, context: DetectorContext) -> None:

@@ -188,6 +188,7 @@ class Calibrated(Detector):
             innovation = np.empty(epoch.innovation.shape)
             rescale_innovations(epoch.innovation, epoch.visible, self._factors, innovation)
             epoch = epoch._replace(innovation=innovation)
+        self._judge.only = self.only
         verdict = self._judge.judge(epoch)
         return verdict if self.detector.alarm_is_state else self.scaled(verdict)
 

@@ -191,8 +191,10 @@ class PooledDetector(Detector):
         merged: Verdict | None = None
         opponent = self.memory["opponent"]
         for k in np.unique(opponent):
+            rows = np.flatnonzero(opponent == k)
+            self.judges[k].only = rows
             verdict = self._of_pool(judged(self.judges[k], epoch), epoch.innovation.shape)
-            rows = opponent == k
+            self.judges[k].only = None
             if merged is None:
                 copies: list[Any] = [None if part is None else np.array(part) for part in verdict]
                 merged = Verdict(*copies)

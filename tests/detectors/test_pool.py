@@ -42,6 +42,22 @@ def test_every_run_is_judged_by_the_detector_that_was_drawn():
     np.testing.assert_array_equal(some.position, pooled.position[:, [7, 2]])
 
 
+def test_a_detector_may_leave_out_the_runs_that_others_judge():
+    """One that does so looks at all of them where it is alone, with the same bits."""
+    lax = {"name": "solution-separation", "false_alarm": 0.1, "longest_s": 20.0, "spacing_s": 5.0}
+    members = [lax, {**lax, "false_alarm": 1e-3}, "never"]
+    pooled, memory = played({"name": "pool", "members": members})
+    kept = memory.parts[0]["epochs"]
+    assert (kept[memory["opponent"] == 0] > 0).all()
+    assert (kept[memory["opponent"] != 0] == 0).all()
+    for k, member in enumerate(members):
+        alone, _ = played(member)
+        own = memory["opponent"] == k
+        assert own.any()
+        np.testing.assert_array_equal(pooled.alarm[:, own], alone.alarm[:, own])
+        np.testing.assert_array_equal(pooled.peak[own], alone.peak[own])
+
+
 def test_weights_decide_how_often():
     _, memory = played({**POOL, "weights": [0.0, 1.0, 0.0]})
     assert (memory["opponent"] == 1).all()

@@ -98,9 +98,11 @@ def test_the_recursion_is_that_of_its_equations(states):
             if (k - 4 * j) % 12 == 0:
                 s[j], V[j] = 0.0, 0.0
             s[j], V[j] = by_hand(epoch, s[j], V[j])
-            theirs = detector.memory["separation"][:, j], detector.memory["covariance"][:, j]
-            np.testing.assert_allclose(theirs[0], s[j, :, :kept], rtol=1e-7, atol=1e-9)
-            np.testing.assert_allclose(theirs[1][1], V[j, :kept, :kept], rtol=1e-7, atol=1e-9)
+            separation, covariance = detector.memory["separation"], detector.memory["covariance"]
+            np.testing.assert_allclose(separation[..., j], s[j, :, :kept], rtol=1e-7, atol=1e-9)
+            np.testing.assert_allclose(
+                covariance[1, ..., j], V[j, :kept, :kept], rtol=1e-7, atol=1e-9
+            )
             flat, belief = s[j][:, PLACE] @ axes.T, axes @ V[j, PLACE, PLACE] @ axes.T
             q = np.einsum("bi,ij,bj->b", flat, np.linalg.inv(belief), flat)
             largest = np.maximum(largest, q)
@@ -120,7 +122,7 @@ def test_the_covariance_is_what_coasting_costs():
     for _ in range(15):
         detector.judge(filter_.epoch(np.ones(N, dtype=np.bool_)))
     difference = filter_.coasting - filter_.P
-    np.testing.assert_allclose(detector.memory["covariance"][0, 0], difference, atol=1e-9)
+    np.testing.assert_allclose(detector.memory["covariance"][0, ..., 0], difference, atol=1e-9)
 
 
 @pytest.mark.nojit
@@ -150,7 +152,7 @@ def test_the_separation_stays_within_the_bound_while_there_is_no_alarm():
     for k in range(1, 40):
         found = detector.judge(filter_.epoch(np.ones(N, dtype=np.bool_)))
         bound = detector.bound_m(0.5 * k)
-        size = np.linalg.norm(detector.memory["separation"][:, 0, PLACE] @ axes.T, axis=1)
+        size = np.linalg.norm(detector.memory["separation"][:, PLACE, 0] @ axes.T, axis=1)
         assert (found.alarm[:, 0] | (size <= bound)).all()
 
 
@@ -197,7 +199,7 @@ def step(simulator, command=None, weights=None):
 
 def separated(simulator):
     """(B, 3) of the first solution of the bank."""
-    return simulator.detector.memory["separation"][:, 0, PLACE]
+    return simulator.detector.memory["separation"][:, PLACE, 0]
 
 
 VICTIMS = [("trolley", "augmented"), ("zhong2025", "augmented"), ("zhong2025", "matched")]
@@ -246,7 +248,7 @@ def test_on_the_augmented_receiver_it_is_chi_square_with_two_degrees_of_freedom(
         axes = step(simulator)
         if k % 40 == 0:
             flat = np.einsum("bij,bj->bi", axes, separated(simulator))
-            belief = simulator.detector.memory["covariance"][:, 0, PLACE, PLACE]
+            belief = simulator.detector.memory["covariance"][:, PLACE, PLACE, 0]
             V = axes @ belief @ axes.transpose(0, 2, 1)
             found.append(np.einsum("bi,bij,bj->b", flat, np.linalg.inv(V), flat))
     q = np.ravel(found)

@@ -104,46 +104,57 @@ def propagate(
     at: IntArray,
     of: FloatArray,
     moved: FloatArray,
+    shifted: FloatArray,
 ) -> None:
-    r"""Go on by one interval in place.
+    r"""Go on by one interval in place, with all solutions side by side.
 
     .. math:: s \leftarrow \Phi s, \qquad V \leftarrow \Phi V \Phi^T
 
-    `V` (d, d), `s` (d,); `count`, `rows`, `ends`, `at`, `of` as of `changed_rows`; `moved`
-    (d, d + 1), overwritten: the rows of Phi V and Phi s that are not those of V and s.
+    `V` (d, d, J), `s` (d, J); `count`, `rows`, `ends`, `at`, `of` as of `changed_rows`; `moved`
+    (d, d J) and `shifted` (d, J), overwritten: the rows of Phi V and Phi s that are not those of V
+    and s.
     """
-    size, first = len(s), 0
+    size, bank = s.shape
+    flat, whole = V.reshape((size, size * bank)), moved.reshape((size, size, bank))
+    width, first = size * bank, 0
     for c in range(count):
-        row = moved[c]
-        for k in range(size + 1):
-            row[k] = 0.0
+        row, shift = moved[c], shifted[c]
+        row[:] = 0.0
+        shift[:] = 0.0
         for i in range(first, ends[c]):
-            a, column = of[i], V[at[i]]
-            row[size] += a * s[at[i]]
-            for k in range(size):
+            a, column, part = of[i], flat[at[i]], s[at[i]]
+            for j in range(bank):
+                shift[j] += a * part[j]
+            for k in range(width):
                 row[k] += a * column[k]
         first = ends[c]
     for c in range(count):
         r = rows[c]
-        s[r] = moved[c, size]
+        for j in range(bank):
+            s[r, j] = shifted[c, j]
         for k in range(size):
-            V[k, r] = moved[c, k]
+            mine = whole[c, k]
+            for j in range(bank):
+                V[k, r, j] = mine[j]
     for c in range(count):
-        row = V[rows[c]]
-        for k in range(size):
-            row[k] = moved[c, k]
+        row, column = moved[c], flat[rows[c]]
+        for k in range(width):
+            column[k] = row[k]
     for c in range(count):
         first = 0
         for o in range(count):
-            total = 0.0
+            total = V[rows[c], rows[o]]
+            total[:] = 0.0
             for i in range(first, ends[o]):
-                total += of[i] * moved[c, at[i]]
+                a, part = of[i], whole[c, at[i]]
+                for j in range(bank):
+                    total[j] += a * part[j]
             first = ends[o]
-            V[rows[c], rows[o]] = total
 
 
 @njit
 def advance_bank(
+    receivers: IntArray,
     transition: FloatArray,
     predicted_cov: FloatArray,
     design: FloatArray,
@@ -156,20 +167,20 @@ def advance_bank(
     separation: FloatArray,
     covariance: FloatArray,
 ) -> None:
-    """Move all solutions on by one epoch.
+    """Move all solutions of some receivers on by one epoch.
 
-    `fewest`: satellites for an update; `spacing`: D; `epochs` (B,), `separation` (B, J, d),
-    `covariance` (B, J, d, d) memory, overwritten: epochs so far, s and V.  Where S is not positive
-    definite, s is infinite.
+    `receivers` (r,): which ones; `fewest`: satellites for an update; `spacing`: D; `epochs` (B,),
+    `separation` (B, d, J), `covariance` (B, d, d, J) memory, overwritten: epochs so far, s and V.
+    Where S is not positive definite, s is infinite.
     """
-    (receivers, m), (bank, kept) = innovation.shape, separation.shape[1:]
+    m, (kept, bank) = innovation.shape[1], separation.shape[1:]
     scratch, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
     A, y = np.empty((m, kept)), np.empty(m)
     gained, added = np.empty(kept), np.empty((kept, kept))
     rows, ends = np.empty(kept, dtype=np.int64), np.empty(kept, dtype=np.int64)
     at, of = np.empty(kept * kept, dtype=np.int64), np.empty(kept * kept)
-    moved = np.empty((kept, kept + 1))
-    for b in range(receivers):
+    moved, shifted, begun = np.empty((kept, kept * bank)), np.empty((kept, bank)), np.empty(bank)
+    for b in receivers:
         P, H, z, S = predicted_cov[b], design[b], innovation[b], innovation_cov[b]
         seen = 0
         for j in range(visible.shape[1]):
@@ -179,28 +190,30 @@ def advance_bank(
             count = whitened_response(P, H, z, S, visible[b], scratch, factor, A, y)
         gained[:] = 0.0 if count >= 0 else np.inf
         added[:] = 0.0
-        for i in range(count):
-            mine = A[i]
-            for j in range(kept):
-                a, row = mine[j], added[j]
+        for j in range(kept):
+            row = added[j]
+            for i in range(count):
+                a, mine = A[i, j], A[i]
                 gained[j] += a * y[i]
                 for k in range(kept):
                     row[k] += a * mine[k]
         changed = changed_rows(transition[b], kept, rows, ends, at, of)
+        s, V = separation[b], covariance[b]
         for j in range(bank):
             age = age_of(epochs[b], j, spacing, bank)
-            s, V = separation[b, j], covariance[b, j]
+            begun[j] = 1.0 if age > 0 else 0.0
             if age == 1:
-                s[:] = 0.0
-                V[:] = 0.0
-            elif age > 1:
-                propagate(V, s, changed, rows, ends, at, of, moved)
-            if age > 0:
-                for i in range(kept):
-                    s[i] -= gained[i]
-                    row, more = V[i], added[i]
-                    for k in range(kept):
-                        row[k] += more[k]
+                s[:, j] = 0.0
+                V[:, :, j] = 0.0
+        propagate(V, s, changed, rows, ends, at, of, moved, shifted)
+        for i in range(kept):
+            for j in range(bank):
+                if begun[j] > 0.0:
+                    s[i, j] -= gained[i]
+            for k in range(kept):
+                more, row = added[i, k], V[i, k]
+                for j in range(bank):
+                    row[j] += more * begun[j]
         epochs[b] += 1
 
 
@@ -221,17 +234,18 @@ def horizontal_axes(position_e: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @njit
-def along(V: FloatArray, u: FloatArray, w: FloatArray) -> float:
-    """Element u' V w of the covariance of the position (3, 3)."""
+def along(V: FloatArray, j: int, u: FloatArray, w: FloatArray) -> float:
+    """Element u' V w of the covariance of the position of solution j; `V` (d, d, J)."""
     total = 0.0
     for i in range(3):
-        for j in range(3):
-            total += u[i] * V[POSITION + i, POSITION + j] * w[j]
+        for k in range(3):
+            total += u[i] * V[POSITION + i, POSITION + k, j] * w[k]
     return total
 
 
 @njit
 def judge_bank(
+    receivers: IntArray,
     separation: FloatArray,
     covariance: FloatArray,
     epochs: IntArray,
@@ -240,28 +254,30 @@ def judge_bank(
     largest_sd: FloatArray,
     statistic: FloatArray,
 ) -> None:
-    """Compare the horizontal part of all solutions with its covariance.
+    """Compare the horizontal part of all solutions of some receivers with its covariance.
 
-    `largest_sd` (B, J) memory, overwritten: root of the largest eigenvalue of V_h [m], infinite
-    where a solution is not judged; `statistic` (B,) written: largest q.
+    `receivers` (r,): which ones; `largest_sd` (B, J) memory, overwritten: root of the largest
+    eigenvalue of V_h [m], infinite where a solution is not judged; `statistic` (B,) written:
+    largest q.
     """
-    receivers, bank = separation.shape[:2]
-    for b in range(receivers):
+    bank = separation.shape[2]
+    for b in receivers:
         north, east = horizontal_axes(position_e[b])
         statistic[b] = 0.0
         for j in range(bank):
             largest_sd[b, j] = np.inf
             if age_of(epochs[b] - 1, j, spacing, bank) == 0:
                 continue
-            s, V = separation[b, j], covariance[b, j]
-            nn, ne, ee = along(V, north, north), along(V, north, east), along(V, east, east)
+            s, V = separation[b, POSITION:, j], covariance[b]
+            nn, ee = along(V, j, north, north), along(V, j, east, east)
+            ne = along(V, j, north, east)
             half, det = 0.5 * (nn + ee), nn * ee - ne * ne
             if det <= SINGULAR * 4.0 * half * half:
                 if half == 0.0:  # no update since it began, so that nothing can have moved
                     largest_sd[b, j] = 0.0
                 continue
-            n = north[0] * s[POSITION] + north[1] * s[POSITION + 1] + north[2] * s[POSITION + 2]
-            e = east[0] * s[POSITION] + east[1] * s[POSITION + 1] + east[2] * s[POSITION + 2]
+            n = north[0] * s[0] + north[1] * s[1] + north[2] * s[2]
+            e = east[0] * s[0] + east[1] * s[1] + east[2] * s[2]
             q = (ee * n * n - 2.0 * ne * n * e + nn * e * e) / det
             statistic[b] = max(statistic[b], q)
             largest_sd[b, j] = math.sqrt(half + math.sqrt(max(half * half - det, 0.0)))
@@ -280,19 +296,20 @@ def whiten_bank(
 
     `whitened` (B, J, 2) written, 0 where `judge_bank` does not judge.
     """
-    receivers, bank = separation.shape[:2]
+    receivers, bank = len(separation), separation.shape[2]
     for b in range(receivers):
         north, east = horizontal_axes(position_e[b])
         for j in range(bank):
             whitened[b, j, :] = 0.0
             if age_of(epochs[b] - 1, j, spacing, bank) == 0:
                 continue
-            s, V = separation[b, j], covariance[b, j]
-            nn, ne, ee = along(V, north, north), along(V, north, east), along(V, east, east)
+            s, V = separation[b, POSITION:, j], covariance[b]
+            nn, ee = along(V, j, north, north), along(V, j, east, east)
+            ne = along(V, j, north, east)
             half, det = 0.5 * (nn + ee), nn * ee - ne * ne
             if det <= SINGULAR * 4.0 * half * half:
                 continue
-            n = north[0] * s[POSITION] + north[1] * s[POSITION + 1] + north[2] * s[POSITION + 2]
-            e = east[0] * s[POSITION] + east[1] * s[POSITION + 1] + east[2] * s[POSITION + 2]
+            n = north[0] * s[0] + north[1] * s[1] + north[2] * s[2]
+            e = east[0] * s[0] + east[1] * s[1] + east[2] * s[2]
             whitened[b, j, 0] = n / math.sqrt(nn)
             whitened[b, j, 1] = (e - ne / nn * n) / math.sqrt(det / nn)

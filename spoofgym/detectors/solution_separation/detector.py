@@ -116,6 +116,7 @@ class SolutionSeparation(Detector):
         """Prepare the bank."""
         super().bind(context)
         b, kept = context.receivers, min(context.states, FIRST)
+        self._everyone = np.arange(b)
         self._interval_s, self._fewest = context.epoch_interval_s, context.min_satellites
         self._spacing = epochs_of(self.spacing_s, context)
         longest = math.ceil(self.longest_s / context.epoch_interval_s - 1e-9)
@@ -123,14 +124,15 @@ class SolutionSeparation(Detector):
         self.memory_epochs = bank * self._spacing
         self._threshold = float(special.chdtri(2.0, self.false_alarm / bank))
         self.memory.declare("epochs", np.zeros(b, dtype=np.int64))
-        self.memory.declare("separation", np.zeros((b, bank, kept)))
-        self.memory.declare("covariance", np.zeros((b, bank, kept, kept)))
+        self.memory.declare("separation", np.zeros((b, kept, bank)))
+        self.memory.declare("covariance", np.zeros((b, kept, kept, bank)))
         self.memory.declare("largest_sd", np.full((b, bank), np.inf))
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
-        memory = self.memory
+        memory, rows = self.memory, self._everyone if self.only is None else self.only
         advance_bank(
+            rows,
             cast(FloatArray, epoch.transition),
             cast(FloatArray, epoch.predicted_cov),
             cast(FloatArray, epoch.design),
@@ -143,8 +145,9 @@ class SolutionSeparation(Detector):
             memory["separation"],
             memory["covariance"],
         )
-        statistic = np.empty((len(epoch.time), 1))
+        statistic = np.zeros((len(epoch.time), 1))
         judge_bank(
+            rows,
             memory["separation"],
             memory["covariance"],
             memory["epochs"],
