@@ -45,10 +45,16 @@ GAME = (
 )
 """Settings of the game on docs/game.md."""
 
+SLOW, POOLED = ("T4", "T6"), ("--warm-pool", "512")
+"""Tasks in which warming up takes most of a training, and what makes that cheaper."""
+
 
 def steps_of(out: Path) -> dict[str, list[str]]:
     """Arguments of Python for every step, by its name, in their order."""
-    recipes = {f"ppo-{key}": ["train.ppo_spoofer", "--task", key] for key in TASKS}
+    recipes = {
+        f"ppo-{key}": ["train.ppo_spoofer", "--task", key, *(POOLED if key in SLOW else ())]
+        for key in TASKS
+    }
     plain = {f"plain-{key}": ["train.plain_ppo", "--task", key] for key in ("T2", "T3", "T5")}
     folders = [*recipes, *plain, "spoofers"]
     guard = str(out / "guard" / "guard.onnx")

@@ -20,11 +20,11 @@ from ..tasks import task_of
 from .detector_core import DetectorCore
 from .rules import make_duel
 from .spoofer_view import SpooferSide, SpooferView, check_settings
-from .world import given, with_world
+from .world import default_opponent, given, with_world
 
 SPOOFER, DETECTOR = "spoofer", "detector"
-VIEWS = {"SpooferView": "ewma", "DetectorView": "ramp"}
-"""Views of one side of the duel, with whom they meet by default."""
+VIEWS, RAMP = ("SpooferView", "DetectorView"), "ramp"
+"""Views of one side of the duel, and whom the detector's meets by default."""
 SCENARIO = inspect.signature(TightlyCoupledSetup).parameters["scenario"].default
 """Of an environment that is named and has none of its own, with a pool, too."""
 
@@ -58,12 +58,12 @@ class LearnersSide(NamedTuple):
         if view == "DetectorView":
             side = DETECTOR
         own = merged.pop("pool", None), merged.pop("weights", None)
-        if pool is None and side == SPOOFER:
-            pool, weights = own[0] or VIEWS.get(view), own[1] if weights is None else weights
-        elif pool is None and view == "DetectorView":
-            pool, weights = own[0] or VIEWS[view], own[1] if weights is None else weights
-        elif pool is None:
-            pool = VIEWS["DetectorView"]
+        if pool is None:
+            pool, weights = own[0], own[1] if weights is None else weights
+        if pool is None and side == DETECTOR:
+            pool = RAMP
+        elif pool is None and view == "SpooferView":
+            pool = default_opponent({**merged, **given(settings)})
         _check_opponents(name, side, setup, pool, weights, settings.get("detector"))
         if pool is None:
             return cls(name, side, setup, pool, weights, {**merged, **settings})

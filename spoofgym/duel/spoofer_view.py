@@ -18,7 +18,7 @@ from ..envs.rendering import CoreRecorder
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .opponents import DetectorSpec, label_of, members_of, pooled_detector
 from .vector_view import POOL_CHANGED, PooledVectorView
-from .world import with_world
+from .world import default_opponent, with_world
 
 DetectorPool = Sequence[DetectorSpec] | DetectorSpec
 Weights = Sequence[float] | None
@@ -90,9 +90,11 @@ class SpooferView(CoreEnv[SpoofCore]):
 
     Parameters
     ----------
-    pool : list
+    pool : list, optional
         Detectors by name, by name and settings, as objects (`PolicyDetector` for a policy with its
-        threshold), or paths of ``.onnx`` files with a card; a single one may stand for itself.
+        threshold), or paths of ``.onnx`` files with a card; a single one may stand for itself.  By
+        default solution separation, the best detector of the default world, and with a `scenario`
+        of your own `ewma`.
     weights : sequence of float, optional
         Probability of each; all alike by default.
     render_mode : {"human", "rgb_array"}, optional
@@ -109,12 +111,13 @@ class SpooferView(CoreEnv[SpoofCore]):
 
     def __init__(
         self,
-        pool: DetectorPool = "ewma",
+        pool: DetectorPool | None = None,
         weights: Weights = None,
         *,
         render_mode: str | None = None,
         **settings: Any,
     ) -> None:
+        pool = default_opponent(settings) if pool is None else pool
         check_settings(SpooferView, settings, pool)
         self._side = SpooferSide(1, pool, weights, {**settings, "threads": 1})
         super().__init__(self._side.core, render_mode)
@@ -164,7 +167,7 @@ class SpooferVectorView(PooledVectorView[SpoofCore]):
     def __init__(
         self,
         num_envs: int = 1,
-        pool: DetectorPool = "ewma",
+        pool: DetectorPool | None = None,
         weights: Weights = None,
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
@@ -176,6 +179,7 @@ class SpooferVectorView(PooledVectorView[SpoofCore]):
     ) -> None:
         mode = autoreset_mode_of(autoreset_mode)
         check_vector_settings(num_envs, render_mode)
+        pool = default_opponent(settings) if pool is None else pool
         check_settings(SpooferVectorView, settings, pool)
         self._side = SpooferSide(num_envs, pool, weights, {**settings, "threads": threads})
         super().__init__(self._side.core, mode, infos, max_episode_steps)

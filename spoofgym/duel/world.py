@@ -13,6 +13,14 @@ GAME = "T3"
 The best detector that is known there still concedes part of the alert limit (docs/game.md).
 """
 
+OPPONENT, ELSEWHERE = "solution-separation", "ewma"
+"""Detector that a spoofer meets by default there, the best of `GAME`, and in any other scenario."""
+
+
+def default_opponent(settings: Mapping[str, Any]) -> str:
+    """Detector that a spoofer meets in a world where no pool is given."""
+    return ELSEWHERE if "scenario" in given(settings) else OPPONENT
+
 
 def given(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings without a scenario of None, which is as if it were not there."""

@@ -15,6 +15,7 @@ from spoofgym.tasks import task_of
 from .support import SHORT
 
 GAME, PAPERS = task_of("T3").world_kwargs, "zhong2025"
+PAPER = {"scenario": PAPERS}
 
 
 def duels(**given):
@@ -89,6 +90,18 @@ def test_settings_are_not_changed():
     given = {"receiver": "paper"}
     assert with_world(given) == {**GAME, "receiver": "paper"}
     assert given == {"receiver": "paper"}
+
+
+@pytest.mark.parametrize(
+    ("given", "met"),
+    [({}, "solution-separation"), ({"scenario": None}, "solution-separation"), (PAPER, "ewma")],
+)
+def test_a_spoofer_meets_the_best_detector_of_the_game_by_default(given, met):
+    own = {"timeline": SHORT, **given}
+    assert duel_v0.SpooferView(**own)._side.labels == (met,)
+    assert duel_v0.SpooferVectorView(2, **own).opponents == [met, met]
+    side = LearnersSide.of("spoofgym/SpooferView-v0", None, "spoofer", None, None, given)
+    assert side.pool == met
 
 
 @pytest.mark.parametrize(
