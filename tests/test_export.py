@@ -220,7 +220,9 @@ def test_a_recurrent_policy_is_refused(tmp_path):
 def test_a_file_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
     envs = make()
     net = torch.nn.Linear(len(envs.observation_names), 1)
-    monkeypatch.setattr(spoofgym.export, "function_of", lambda _: lambda seen: seen[:, :1] * 0.0)
+    monkeypatch.setattr(
+        spoofgym.export.spoofers, "function_of", lambda _: lambda seen: seen[:, :1] * 0.0
+    )
     with pytest.raises(ValueError, match="the exported file differs from the model by"):
         onnx(net, envs, tmp_path / "x.onnx")
     assert list(tmp_path.iterdir()) == []
