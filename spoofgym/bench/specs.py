@@ -15,7 +15,7 @@ from .._describe import describe as describe
 from .._describe import digest_of as digest_of
 from .._registry import build
 from ..detectors import DETECTORS, Detector, LearnedDetector, calibrated
-from ..policies.onnx_model import SUFFIX
+from ..policies.onnx_file import SUFFIX
 
 T = TypeVar("T")
 Spec = dict[str, Any]

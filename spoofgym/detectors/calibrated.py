@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from .._jit import njit
 from .._registry import check_choice, is_number
-from ..policies.onnx_model import SUFFIX
+from ..policies.onnx_file import SUFFIX
 from ..receiver.epoch import Epoch
 from .base import Detector, DetectorContext, Verdict
 from .calibration import (

@@ -15,7 +15,7 @@ from ..detectors.learned.agent import DetectorAgent, action_names
 from ..detectors.learned.card import DetectorCard, OnnxDetector, card_path
 from ..detectors.learned.detector import detector_card
 from ..detectors.learned.observer import DetectorObserver
-from ..policies.onnx_model import SUFFIX
+from ..policies.onnx_file import SUFFIX
 from .tracing import TOLERANCE, TRIED, evaluating, library_versions, traced
 
 EPOCHS = 4

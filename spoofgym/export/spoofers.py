@@ -18,7 +18,7 @@ from ..bench.versions import versions
 from ..detectors.learned.card import OnnxDetector, card_path
 from ..duel.card import write_card
 from ..envs.spoofer_binding import spoofer_context
-from ..policies.onnx_model import SUFFIX, file_of
+from ..policies.onnx_file import SUFFIX, file_of
 from ..spoofers.card import Card, Knowledge, fields_of
 from ..spoofers.learned import OnnxPolicy
 from ..spoofers.model import Normalization, function_of, inner_env, normalization_of

@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from ..policies.onnx_model import NEXT
+from ..policies.onnx_file import NEXT
 
 TOLERANCE = 1e-5
 """Largest difference of an action between the model and its file."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from .._registry import build, check_choice
-from ..policies.onnx_model import SUFFIX
+from ..policies.onnx_file import SUFFIX
 from .accelerating_ramp import AcceleratingRamp
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
 from .card import Card

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..policies.onnx_model import SUFFIX, OnnxModel
+from ..policies.onnx_file import SUFFIX
+from ..policies.onnx_model import OnnxModel
 from .base import FloatArray, Spoofer, SpooferContext
 from .card import Card
 from .zoo import ZOO_FOLDER, shipped

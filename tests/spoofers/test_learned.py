@@ -17,7 +17,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from spoofgym.policies.onnx_model import LARGEST_BYTES, MOST_OPERATORS
+from spoofgym.policies.onnx_file import LARGEST_BYTES, MOST_OPERATORS
 from spoofgym.spoofers import OnnxPolicy, make_spoofer
 from spoofgym.spoofers.card import Card
 from spoofgym.testing import check_spoofer

@@ -12,7 +12,8 @@ from pydantic import Field, model_validator
 
 from ...policies.card import PolicyCard, PolicyFile, Space, State, unlike_spaces
 from ...policies.contract import FloatArray
-from ...policies.onnx_model import SUFFIX, OnnxModel
+from ...policies.onnx_file import SUFFIX
+from ...policies.onnx_model import OnnxModel
 from ..zoo import path_of
 from .observer import make_detector_terms
 from .policy import DetectorPolicy, PolicyContext

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from ..._registry import is_number
 from ...policies.card import Space, State
-from ...policies.onnx_model import check_signature, file_of, read_model
+from ...policies.onnx_file import check_signature, file_of, read_model
 from ...receiver.epoch import Epoch
 from ..base import Detector, DetectorContext, Verdict
 from ..calibrated import ASKED, Asked, Calibrated, with_thresholds

@@ -14,7 +14,8 @@ from onnx import TensorProto, helper, numpy_helper
 
 from spoofgym.detectors import LearnedDetector
 from spoofgym.detectors.learned.card import OnnxDetector
-from spoofgym.policies.onnx_model import MOST_OPERATORS, MOST_PARTS, OnnxModel, read_model
+from spoofgym.policies.onnx_file import MOST_OPERATORS, MOST_PARTS, read_model
+from spoofgym.policies.onnx_model import OnnxModel
 from spoofgym.testing import check_detector
 from spoofgym.testing.epochs import engine_script
 
@@ -144,7 +145,7 @@ def test_a_state_that_does_not_fit_is_refused(case, tmp_path):
 
 def relabel(path):
     """Let the card have the digest of the file."""
-    from spoofgym.policies.onnx_model import file_of
+    from spoofgym.policies.onnx_file import file_of
 
     edit_card(path, file=file_of(path.name, path.read_bytes()).model_dump())
 
