@@ -138,7 +138,11 @@ class Arguments:
                 generations=self.generations,
             )
         return AttackBudget(
-            runs=self.selection_runs, sift_runs=self.sift_runs, values=self.values, blind=blind
+            runs=self.selection_runs,
+            sift_runs=self.sift_runs,
+            values=self.values,
+            blind=blind,
+            further={"ppo_steps": self.ppo_steps} if self.ppo_steps else {},
         )
 
 

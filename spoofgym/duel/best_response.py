@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -66,6 +66,9 @@ class AttackBudget:
         Search for blind optima; None for none.
     oracles : bool
         Whether feedback, which observes the detector's statistics, is among the candidates.
+    further : mapping
+        What else is spent on every mix, JSON-able, by whoever has given candidates learn, such as
+        ``{"ppo_steps": 30_000}``; part of the digest, and nothing else.
     """
 
     runs: int = 96
@@ -76,6 +79,7 @@ class AttackBudget:
         default_factory=lambda: BlindSearch(runs=64, batch=32, knots=12, generations=6)
     )
     oracles: bool = True
+    further: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -86,6 +90,8 @@ class AttackBudget:
     def as_json(self) -> dict[str, Any]:
         """JSON-able, with a digest."""
         settings = dataclasses.asdict(self)
+        if not self.further:
+            del settings["further"]
         return {**settings, "digest": digest_of(settings)}
 
 

@@ -80,6 +80,9 @@ def test_the_same_budget_finds_the_same_response(answered):
     assert again == found
     assert BUDGET.as_json()["digest"] == AttackBudget(**vars(BUDGET)).as_json()["digest"]
     assert BUDGET.as_json()["digest"] != AttackBudget().as_json()["digest"]
+    learned = AttackBudget(further={"ppo_steps": 8}).as_json()
+    assert learned["further"] == {"ppo_steps": 8}
+    assert learned["digest"] != AttackBudget().as_json()["digest"]
 
 
 def test_without_oracles_nobody_observes_statistics():
