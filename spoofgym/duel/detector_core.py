@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ..envs.core import SingleStep
 from ..envs.step_result import Info, PlainResult
-from .duel import Duel
+from ..simulators.broadcast import PastPositions
 from .opponents import SpooferPool, SpooferSpec
+from .rules import make_duel
 
 FloatArray = NDArray[np.float64]
 
@@ -22,7 +23,8 @@ class DetectorCore:
     With ``decision_delay=0`` an observation is of the epoch that the next action judges; with 1 it
     is of the epoch before.  A step is an epoch, however seldom the spoofers decide.
 
-    `reset_names`, `info_names`: keys of `reset_info`, and of the information of a step.
+    `settings` are those of `make_duel`; `reset_names`, `info_names`: keys of `reset_info`, and of the
+    information of a step.
     """
 
     reset_names: tuple[str, ...] = ("time_s", "decision_delay")
@@ -38,10 +40,16 @@ class DetectorCore:
 
     def __init__(
         self,
-        duel: Duel,
+        receivers: int,
         pool: Sequence[SpooferSpec] | SpooferSpec,
         weights: Sequence[float] | None = None,
+        *,
+        threads: int | None = None,
+        **settings: Any,
     ) -> None:
+        given: dict[str, Any] = {"action": "full-command", **settings}
+        # for spoofers of the pool that know what the victim reports
+        duel = make_duel(receivers, threads=threads, monitors=[PastPositions()], **given)
         self.duel = duel
         self.set_pool(pool, weights)
         observer, self.action_names = duel.agent.observer, duel.agent.action_names

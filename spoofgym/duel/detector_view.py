@@ -12,7 +12,7 @@ from ..envs.env import CoreEnv
 from ..envs.options import InfoSpec, autoreset_mode_of, check_vector_settings
 from .detector_core import DetectorCore
 from .opponents import SpooferSpec
-from .rules import SETTINGS, make_duel, refuse_to_draw
+from .rules import SETTINGS, refuse_to_draw
 from .spoofer_view import Weights
 from .vector_view import POOL_CHANGED, PooledVectorView
 
@@ -81,8 +81,7 @@ class DetectorView(CoreEnv[DetectorCore]):
     ) -> None:
         refuse_to_draw("DetectorView", render_mode)
         check_keywords(DetectorView, settings, VALID)
-        duel = make_duel(1, threads=1, action="full-command", **settings)
-        super().__init__(DetectorCore(duel, pool, weights))
+        super().__init__(DetectorCore(1, pool, weights, threads=1, **settings))
 
     @property
     def opponent(self) -> str:
@@ -135,8 +134,8 @@ class DetectorVectorView(PooledVectorView[DetectorCore]):
         mode = autoreset_mode_of(autoreset_mode)
         check_vector_settings(num_envs, render_mode)
         check_keywords(DetectorVectorView, settings, VALID)
-        duel = make_duel(num_envs, threads=threads, action="full-command", **settings)
-        super().__init__(DetectorCore(duel, pool, weights), mode, infos, max_episode_steps)
+        core = DetectorCore(num_envs, pool, weights, threads=threads, **settings)
+        super().__init__(core, mode, infos, max_episode_steps)
 
     @property
     def opponents(self) -> list[str]:

@@ -18,7 +18,6 @@ from ..simulators.setup import Setup
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from ..tasks import task_of
 from .detector_core import DetectorCore
-from .rules import make_duel
 from .spoofer_view import SpooferSide, SpooferView, check_settings
 from .world import default_opponent, given, with_world
 
@@ -78,8 +77,7 @@ class LearnersSide(NamedTuple):
     ) -> SpoofCore | DetectorCore:
         """Receivers, not begun yet."""
         if self.side == DETECTOR:
-            duel = make_duel(num_envs, threads=threads, action="full-command", **self.settings)
-            return DetectorCore(duel, self.pool, self.weights)
+            return DetectorCore(num_envs, self.pool, self.weights, threads=threads, **self.settings)
         further: dict[str, Any] = {"threads": threads, "prefetch": prefetch}
         if self.pool is None:
             return make_core(self.setup, num_envs, self.settings, whose=whose, **further)

@@ -28,9 +28,11 @@ from ..bench.specs import digest_of, make_judge
 from ..bench.suite import WORLD, Suite
 from ..detectors import Detector, Never
 from ..detectors.calibrated import factors_of, resolve
+from ..envs.terms.observation import REPORTED
 from ..simulators.base import Simulator
+from ..simulators.broadcast import PastPositions
 from ..simulators.clean_runs import Progress, Silent, weighs
-from ..simulators.monitors import Monitored, PassiveDetectors
+from ..simulators.monitors import Monitor, Monitored, PassiveDetectors
 from ..simulators.setup import Setup
 from ..simulators.splits import SPLITS
 from ..tasks import task_of
@@ -299,7 +301,7 @@ class Game:
 
     def _play(self, spoofers: Sequence[Member], detectors: Sequence[Member]) -> None:
         for whom, who, alone in self._groups(spoofers, detectors):
-            field = self._field(whom, alone)
+            field = self._field(whom, alone, any(REPORTED in each.knowledge for each in who))
             for spoofer in who:
                 now = f"{spoofer.label} against {whom[0].label if alone else len(whom)}"
                 self._attack(field, spoofer, whom, alone, now)
@@ -312,16 +314,19 @@ class Game:
             self._judges[member.label] = made, weighs(self.setup, made)
         return self._judges[member.label]
 
-    def _field(self, detectors: Sequence[Member], alone: bool) -> _Field:
-        """Runs at the onset, and their clean twins."""
-        key = (str(alone), *(each.label for each in detectors))
+    def _field(self, detectors: Sequence[Member], alone: bool, reported: bool = False) -> _Field:
+        """Runs at the onset, and their clean twins; `reported`: with the victims' reports."""
+        names = [each.label for each in detectors]
+        key = (str(alone), str(reported), *names)
         if key not in self._fields:
             judges = [self._judge(each)[0] for each in detectors]
-            self.progress.advance(0.0, f"warm-up of {', '.join(key[1:])}")
+            self.progress.advance(0.0, f"warm-up of {', '.join(names)}")
+            monitors: list[Monitor] = [PastPositions()] if reported else []
             if alone:
-                setup = self.setup.altered(detector=judges[0], monitors=())
+                setup = self.setup.altered(detector=judges[0], monitors=monitors)
             else:
-                setup = self.setup.altered(detector=Never(), monitors=[EpochAlarms(judges)])
+                monitors = [EpochAlarms(judges), *monitors]
+                setup = self.setup.altered(detector=Never(), monitors=monitors)
             rngs = self.suite.generators(self.seeds[1], self.suite.runs)
             start = WarmStart(setup, rngs, threads=self.threads)
             early = start.warmup_alarm[None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..envs.options import (
     observation_space,
     warn_unknown,
 )
+from ..simulators.monitors import Monitor
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from .duel import Duel, DuelStep, duel_setup
 from .world import with_world
@@ -163,8 +165,15 @@ class Rules:
         return {SPOOFER: {**all_, **self._due()}, DETECTOR: {name: all_[name] for name in own}}
 
 
-def make_duel(receivers: int, *, threads: int | None = None, **settings: Any) -> Duel:
-    """Duel from settings that fit into JSON."""
+def make_duel(
+    receivers: int,
+    *,
+    threads: int | None = None,
+    monitors: Sequence[Monitor] = (),
+    **settings: Any,
+) -> Duel:
+    """Duel from settings that fit into JSON; `monitors` look at its epochs besides."""
     check_keywords("the duel", settings, SETTINGS)
     shared = {name: settings.pop(name) for name in SETUP if name in settings}
-    return Duel(receivers, duel_setup(**shared), threads=threads, **settings)
+    setup: Any = duel_setup(**shared).altered(monitors=monitors)
+    return Duel(receivers, setup, threads=threads, **settings)

@@ -148,3 +148,24 @@ def test_whoever_observes_in_a_duel_sees_how_many_epochs_have_passed():
     envs.reset(options={"reset_mask": np.array([False, True])})
     envs.step(np.tile(QUIET, (2, 1)))
     assert envs.core.duel.snapshot().step.tolist() == [2, 1]
+
+
+class Told(Spoofer):
+    """Keeps what it observes, and does nothing."""
+
+    knowledge = "blind+reported"
+    seen = ()
+
+    def act(self, observation):
+        type(self).seen = np.array(observation), self.context.observation_names
+        return np.zeros((len(observation), 2))
+
+
+def test_a_spoofer_of_a_pool_may_know_what_the_victim_reports():
+    view = duel_v0.DetectorVectorView(2, [Told()], **QUIET, **BRIEF)
+    view.reset(seed=4)
+    view.step(np.zeros(view.action_space.shape, dtype=np.float32))
+    seen, names = Told.seen
+    reported = [k for k, name in enumerate(names) if name.startswith("reported_position")]
+    assert len(reported) == 2
+    assert seen[:, reported].all()

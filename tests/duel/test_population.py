@@ -54,6 +54,27 @@ def test_a_shared_pass_equals_separate_ones_to_the_last_bit(played):
             assert np.array_equal(matrix.alarmed[i, j], runs.first_alarm > 0)
 
 
+class Told(Ramp):
+    """A ramp that also observes what the victim reports, and makes nothing of it."""
+
+    knowledge = "blind+reported"
+    seen: np.ndarray | None = None
+
+    def act(self, observation):
+        """Command the ramp."""
+        type(self).seen = observation
+        return super().act(observation)
+
+
+def test_a_spoofer_may_know_what_the_victim_reports(played):
+    found, matrix = played
+    told = found.matrix([Told(rate_mps=0.2)], DETECTORS)
+    assert "blind+reported" in told.as_json()["spoofers"][0]["knowledge"]
+    np.testing.assert_array_equal(told.displacement[0], matrix.displacement[1])
+    north, east = Told.seen[:, 4:6].T  # all but blind: its own commands and the clock
+    assert north.any() and east.any()
+
+
 def test_all_entries_have_the_same_runs(played):
     _, matrix = played
     never_alarm = [j for j in range(2) if not matrix.alarmed[1, j].any()]
