@@ -46,7 +46,7 @@ GAME = (
 """Settings of the game on docs/game.md."""
 
 SLOW, POOLED = ("T4", "T6"), ("--warm-pool", "512")
-"""Tasks in which warming up takes most of a training, and what makes that cheaper."""
+"""Tasks whose trainings take longest, by their warm-ups, and what makes these cheaper."""
 
 
 def steps_of(out: Path) -> dict[str, list[str]]:

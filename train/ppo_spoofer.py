@@ -114,7 +114,8 @@ class Arguments:
     decision_interval_s: float | None = None
     """Time between decisions; 0 for one at every epoch, by default some ten seconds."""
     warm_pool: int | None = None
-    """Receivers that are warmed up once, of which all episodes are copies; None for new ones."""
+    """Receivers that are warmed up once, and the same for all seeds: each episode that is learned
+    from starts as a copy of one.  None for warm-ups of their own; scores always have those."""
     length_m: float | None = None
     """Unit of rewards and prices; by default the alert limit, or 40 m."""
     average: float = 0.9

@@ -121,10 +121,10 @@ class Detector(ABC):
         set by `bind`, 0 where there is no such time.
     memory : Memory
         What it remembers of every receiver.
-    only : ndarray or None
-        (r,) the receivers whose verdicts are looked at, as a pool says where others judge the rest
-        of the batch; None for all.  What is said and remembered of the rest may be anything finite,
-        so that a costly detector can leave them out.
+    judged_rows : ndarray or None
+        (r,) the receivers whose verdicts are looked at, while a pool asks that lets other detectors
+        judge the rest of the batch; None for all.  A costly detector can leave the rest out: what
+        it says of them may be any finite statistic, with a threshold above 0 and no alarm.
     """
 
     paper: ClassVar[str]
@@ -139,7 +139,7 @@ class Detector(ABC):
     silent_epochs: int = 0
     memory_epochs: int = 0
     memory: Memory
-    only: NDArray[np.intp] | None = None
+    judged_rows: NDArray[np.intp] | None = None
 
     @abstractmethod
     def bind(self, context: DetectorContext) -> None:
@@ -163,7 +163,7 @@ class Detector(ABC):
                 f"{type(self).__name__} measures {self.measures}, but the receiver measures "
                 f"{measured}"
             )
-        self.memory = Memory(context.receivers)
+        self.memory, self.judged_rows = Memory(context.receivers), None
 
     @property
     def alarm_is_state(self) -> bool:

@@ -188,8 +188,11 @@ class Calibrated(Detector):
             innovation = np.empty(epoch.innovation.shape)
             rescale_innovations(epoch.innovation, epoch.visible, self._factors, innovation)
             epoch = epoch._replace(innovation=innovation)
-        self._judge.only = self.only
-        verdict = self._judge.judge(epoch)
+        self._judge.judged_rows = self.judged_rows
+        try:
+            verdict = self._judge.judge(epoch)
+        finally:
+            self._judge.judged_rows = None
         return verdict if self.detector.alarm_is_state else self.scaled(verdict)
 
     def scaled(self, verdict: Verdict) -> Verdict:

@@ -192,9 +192,8 @@ class PooledDetector(Detector):
         opponent = self.memory["opponent"]
         for k in np.unique(opponent):
             rows = np.flatnonzero(opponent == k)
-            self.judges[k].only = rows
-            verdict = self._of_pool(judged(self.judges[k], epoch), epoch.innovation.shape)
-            self.judges[k].only = None
+            verdict = judged(self.judges[k], epoch, rows)
+            verdict = self._of_pool(verdict, epoch.innovation.shape)
             if merged is None:
                 copies: list[Any] = [None if part is None else np.array(part) for part in verdict]
                 merged = Verdict(*copies)

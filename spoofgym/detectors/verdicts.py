@@ -20,12 +20,14 @@ FloatArray = NDArray[np.float64]
 FLOAT, BOOL = np.dtype(np.float64), np.dtype(np.bool_)
 
 
-def judged(detector: Detector, epoch: Epoch) -> Verdict:
+def judged(detector: Detector, epoch: Epoch, rows: NDArray[np.intp] | None = None) -> Verdict:
     """Let a bound detector judge an epoch, and check its verdict as `checked` does.
 
-    A new victim asks its detector through this function alone.  Where the detector fails, and reads
+    `rows`: `Detector.judged_rows`.  A new victim asks its detector through this function alone.
+    Where the detector fails, and reads
     a field that is None since it isn't declared, an `UndeclaredFieldError` says so.
     """
+    detector.judged_rows = rows
     try:
         return checked(detector.judge(epoch), detector, epoch)
     except UndeclaredFieldError:  # of a detector in a pool
@@ -38,6 +40,8 @@ def judged(detector: Detector, epoch: Epoch) -> Verdict:
         if message:
             raise UndeclaredFieldError(message) from error
         raise
+    finally:
+        detector.judged_rows = None
 
 
 class UndeclaredFieldError(TypeError):

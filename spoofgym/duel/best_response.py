@@ -79,13 +79,14 @@ class AttackBudget:
         default_factory=lambda: BlindSearch(runs=64, batch=32, knots=12, generations=6)
     )
     oracles: bool = True
-    further: Mapping[str, Any] = field(default_factory=dict)
+    further: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         """Check the numbers."""
         for name, least in (("runs", 1), ("sift_runs", 1), ("values", 2), ("kept", 1)):
             count = whole_number(f"`{name}`", getattr(self, name), least)
             object.__setattr__(self, name, count)
+        object.__setattr__(self, "further", dict(self.further))
 
     def as_json(self) -> dict[str, Any]:
         """JSON-able, with a digest."""

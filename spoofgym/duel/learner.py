@@ -12,18 +12,21 @@ import gymnasium as gym
 from .._registry import check_choice
 from ..detector_tasks import DETECTOR_TASKS, detector_task_of
 from ..envs.core import SpoofCore
-from ..envs.factory import make_core
+from ..envs.factory import CORE, make_core
 from ..envs.spoofer_binding import ENV_ID, SETUPS
 from ..simulators.setup import Setup
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from ..tasks import task_of
 from .detector_core import DetectorCore
+from .rules import SETTINGS
 from .spoofer_view import SpooferSide, SpooferView, check_settings
 from .world import default_opponent, given, with_world
 
 SPOOFER, DETECTOR = "spoofer", "detector"
 VIEWS, RAMP = ("SpooferView", "DetectorView"), "ramp"
 """Views of one side of the duel, and whom the detector's meets by default."""
+SPOOFERS_OWN = frozenset(CORE).difference(SETTINGS)
+"""Settings of an id by which a spoofer is rewarded and looks on, which a duel does not have."""
 SCENARIO = inspect.signature(TightlyCoupledSetup).parameters["scenario"].default
 """Of an environment that is named and has none of its own, with a pool, too."""
 
@@ -57,7 +60,7 @@ class LearnersSide(NamedTuple):
         if view == "DetectorView":
             side = DETECTOR
         own = merged.pop("pool", None), merged.pop("weights", None)
-        if pool is None:
+        if pool is None and (side == SPOOFER or view == "DetectorView"):
             pool, weights = own[0], own[1] if weights is None else weights
         if pool is None and side == DETECTOR:
             pool = RAMP
@@ -67,6 +70,8 @@ class LearnersSide(NamedTuple):
         if pool is None:
             return cls(name, side, setup, pool, weights, {**merged, **settings})
         merged.pop("detector", None)  # of the id, in whose place the pool or the learner is
+        if side == DETECTOR:  # whose payoff is that of the duel
+            merged = {name: x for name, x in merged.items() if name not in SPOOFERS_OWN}
         if env_id is not None and view not in VIEWS:
             merged.setdefault("scenario", SCENARIO)
         all_ = with_world({**merged, **given(settings)})

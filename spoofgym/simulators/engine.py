@@ -114,8 +114,9 @@ class Engine:
         return self.simulator.memory["warmup_alarm"]
 
     def close(self) -> None:
-        """End the threads; they are started again when they are needed."""
+        """End the threads, and let go of `warm_pool`; both are there again when they are needed."""
         self._workers.close()
+        self._pool = None
 
     def _run(self, work: Callable[[int, int], None], receivers: int) -> None:
         """Call ``work(lo, hi)`` over slices of whole lanes."""

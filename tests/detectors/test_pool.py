@@ -8,9 +8,10 @@ import pytest
 from spoofgym.bench.entries import detector_entry
 from spoofgym.bench.run import WarmStart, play
 from spoofgym.bench.suite import Suite
-from spoofgym.detectors import PooledDetector, make_detector
+from spoofgym.detectors import Calibrated, PooledDetector, SnapshotChi2, make_detector
 from spoofgym.duel_v0 import SpooferView
 from spoofgym.envs import SpoofEnv
+from spoofgym.simulators.base import run_serially
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 2.0}
 SHARP = {"name": "snapshot-chi2", "false_alarm": 0.5}
@@ -56,6 +57,30 @@ def test_a_detector_may_leave_out_the_runs_that_others_judge():
         assert own.any()
         np.testing.assert_array_equal(pooled.alarm[:, own], alone.alarm[:, own])
         np.testing.assert_array_equal(pooled.peak[own], alone.peak[own])
+
+
+class Careless(SnapshotChi2):
+    """Fails where it is to judge some of the receivers."""
+
+    def judge(self, epoch):
+        """Fail in a pool."""
+        if self.judged_rows is not None:
+            raise RuntimeError(f"asked for {len(self.judged_rows)}")
+        return super().judge(epoch)
+
+
+def test_a_detector_knows_whom_it_judges_only_while_a_pool_asks():
+    made = Calibrated(Careless(), scale=1.0)
+    suite = Suite(detectors=["never"], timeline=SHORT, runs=2)
+    setup = suite.setup(suite.detector_entries[0]).altered(
+        detector=PooledDetector([made, "never"], [1.0, 0.0])
+    )
+    simulator = setup.simulator(2, run_serially)
+    with pytest.raises(RuntimeError, match="asked for 2"):
+        simulator.warm_up(suite.generators("training", 2))
+    (judge, _) = simulator.detector.judges
+    assert judge.judged_rows is None
+    assert judge.detector.judged_rows is None
 
 
 def test_weights_decide_how_often():

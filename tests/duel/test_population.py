@@ -72,7 +72,8 @@ def test_a_spoofer_may_know_what_the_victim_reports(played):
     assert "blind+reported" in told.as_json()["spoofers"][0]["knowledge"]
     np.testing.assert_array_equal(told.displacement[0], matrix.displacement[1])
     north, east = Told.seen[:, 4:6].T  # all but blind: its own commands and the clock
-    assert north.any() and east.any()
+    assert north.any()
+    assert east.any()
 
 
 def test_all_entries_have_the_same_runs(played):

@@ -86,6 +86,25 @@ def test_a_task_keeps_its_world():
         assert found == task_of(task).world_kwargs
 
 
+@pytest.mark.parametrize("task", ["T3", "T6"])
+def test_the_detectors_side_of_a_task_is_its_world_without_the_spoofers_reward(task):
+    side = LearnersSide.of(None, task, "detector", None, None, {"timeline": SHORT})
+    assert side.pool == "ramp"
+    core = side.core(1, 1, False, "test")
+    expected = SpoofEnv(**task_of(task).world_kwargs, timeline=SHORT, detector="never")
+    assert core.duel.setup.world_settings() == expected.core.setup.world_settings()
+
+
+def test_an_id_of_a_spoofer_gives_no_pool_to_the_detectors_side():
+    name, entry = "spoofgym/Against-v0", gym.spec("spoofgym/SpooferView-v0").entry_point
+    gym.register(name, entry_point=entry, kwargs={"pool": ["ewma", "never"], "weights": [1, 2]})
+    try:
+        side = LearnersSide.of(name, None, "detector", None, None, {})
+        assert (side.pool, side.weights) == ("ramp", None)
+    finally:
+        del gym.registry[name]
+
+
 def test_settings_are_not_changed():
     given = {"receiver": "paper"}
     assert with_world(given) == {**GAME, "receiver": "paper"}

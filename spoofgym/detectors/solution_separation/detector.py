@@ -130,7 +130,8 @@ class SolutionSeparation(Detector):
 
     def judge(self, epoch: Epoch) -> Verdict:
         """Test one epoch: (B, 1) statistic, threshold and alarm; no weights."""
-        memory, rows = self.memory, self._everyone if self.only is None else self.only
+        memory = self.memory
+        rows = self._everyone if self.judged_rows is None else self.judged_rows
         advance_bank(
             rows,
             cast(FloatArray, epoch.transition),
