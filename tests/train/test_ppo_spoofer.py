@@ -147,22 +147,43 @@ def test_other_settings_are_refused(trained):
     assert "learning_rate" not in str(e.value)
 
 
-def test_a_killed_run_goes_on_to_the_same_result(trained, tmp_path, monkeypatch):
-    """The process dies after the first checkpoint of the first seed."""
-    args, results = trained
-    again = replace(args, out=tmp_path / "tiny")
+def killed_after_the_first_checkpoint(args, monkeypatch):
+    """Results of a training that died after its first checkpoint, and went on."""
     save = Training.save
 
     def save_and_die(training):
         save(training)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Training, "save", save_and_die)
-    with pytest.raises(KeyboardInterrupt):
-        train(again, quiet())
-    monkeypatch.undo()
-    assert not (again.out / "seed-7").exists()
-    found = train(again, quiet())
+    with monkeypatch.context() as patch:
+        patch.setattr(Training, "save", save_and_die)
+        with pytest.raises(KeyboardInterrupt):
+            train(args, quiet())
+    assert not (args.out / "seed-7").exists()
+    return train(args, quiet())
+
+
+def test_what_is_learned_from_can_be_copies_of_a_few_warm_ups(tmp_path, monkeypatch):
+    given = {"warm_pool": 6, "seeds": (0,), "rivals": ()}
+    args = arguments(tmp_path / "whole" / "tiny", **given)
+    assert "--warm-pool 6" in args.command()
+    results = train(args, quiet())
+    card = Card.load(args.out / "tiny.json")
+    assert card.env_kwargs["warm_pool"] == 6
+    again = arguments(tmp_path / "tiny", **given)
+    (mine,), (theirs,) = (
+        [{**row, "wall_s": 0} for row in found["seeds"]]
+        for found in (killed_after_the_first_checkpoint(again, monkeypatch), results)
+    )
+    assert mine == theirs
+    with pytest.raises(ValueError, match=r"`warm_pool` must be in \[1, 1e\+06\], got 0"):
+        arguments(tmp_path / "none", warm_pool=0)
+
+
+def test_a_killed_run_goes_on_to_the_same_result(trained, tmp_path, monkeypatch):
+    args, results = trained
+    again = replace(args, out=tmp_path / "tiny")
+    found = killed_after_the_first_checkpoint(again, monkeypatch)
     for mine, theirs in zip(found["seeds"], results["seeds"], strict=True):
         assert {**mine, "wall_s": 0} == {**theirs, "wall_s": 0}
     for file in ("tiny.onnx", "seed-0/tiny-0.onnx", "seed-7/tiny-7.onnx"):
