@@ -45,14 +45,17 @@ GAME = (
 )
 """Settings of the game on docs/game.md."""
 
-SLOW, POOLED = ("T4", "T6"), ("--warm-pool", "512")
-"""Tasks whose trainings take longest, by their warm-ups, and what makes these cheaper."""
+OWN = {
+    "T4": "--warm-pool 512 --length-m 100 --log-std-init -3 --steps 40000 --stages 4",
+    "T6": "--warm-pool 512",
+}
+"""Settings of the recipe that single tasks have on docs/learned_spoofers.md."""
 
 
 def steps_of(out: Path) -> dict[str, list[str]]:
     """Arguments of Python for every step, by its name, in their order."""
     recipes = {
-        f"ppo-{key}": ["train.ppo_spoofer", "--task", key, *(POOLED if key in SLOW else ())]
+        f"ppo-{key}": ["train.ppo_spoofer", "--task", key, *OWN.get(key, "").split()]
         for key in TASKS
     }
     plain = {f"plain-{key}": ["train.plain_ppo", "--task", key] for key in ("T2", "T3", "T5")}
