@@ -99,10 +99,10 @@ def onnx(
     with evaluating(actor):
         _check_sizes(actor, len(low), len(inner.core.action_names))
         content = traced(actor, len(low))
-    told = {**_said_by(model), "amplitude": amplitude, **(training or {})}
+    details = {**_training_of(model), "amplitude": amplitude, **(training or {})}
     if judges:
-        return _write_detector(model, normalization, inner, path, content, told)
-    card = _card_of(inner, path, content, told, designed_on)
+        return _write_detector(model, normalization, inner, path, content, details)
+    card = _card_of(inner, path, content, details, designed_on)
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / path.name
         _write(trial, content, card)
@@ -126,14 +126,14 @@ def _check_sizes(actor: torch.nn.Module, observed: int, commanded: int) -> None:
         )
 
 
-def _said_by(model: Any) -> dict[str, Any]:
+def _training_of(model: Any) -> dict[str, Any]:
     """What a model says of its training."""
-    told: dict[str, Any] = {"algorithm": type(model).__name__}
+    details: dict[str, Any] = {"algorithm": type(model).__name__}
     for key, name in (("steps", "num_timesteps"), ("seed", "seed")):
         value = getattr(model, name, None)
         if isinstance(value, int | np.integer):
-            told[key] = int(value)
-    return told
+            details[key] = int(value)
+    return details
 
 
 def _card_of(
