@@ -75,7 +75,8 @@ def kind_cells(
     task: str, kind: str, rows: Sequence[Mapping[str, Any]], ramp: Mapping[str, Any]
 ) -> tuple[str, ...]:
     """Trainings of one kind, in the order of `KIND_HEAD`."""
-    ratio = interval(middle_of(rows, "ramp")["ratios"]["ramp"], 2)
+    middle = middle_of(rows, "ramp")
+    ratio = interval(middle["ratios"]["ramp"], 2) if middle["score"] else "0, which diverged,"
     return (
         *(task, kind, str(len(rows)), spread([value_of(row["score"]) for row in rows])),
         f"{ratio} of {value_of(ramp):.1f} m",

@@ -62,9 +62,6 @@ RESULTS, PAGE = "results.json", "game.md"
 RESPONSES = ("none", "learned")
 AMPLITUDES = (0.5, 0.7, 1.0)
 """Factors on the commands of a learned policy that are tried."""
-NUM_ENVS, LOG_STD = 32, -1.5
-"""Of PPO, which decides as seldom as in `train.ppo_spoofer`; the rest are the defaults of
-stable-baselines3, with gamma 1."""
 
 
 @dataclass(frozen=True)
@@ -335,10 +332,13 @@ class DoubleOracle:
         """What PPO has learned against a mix, at some amplitudes."""
         if not self.args.ppo_steps:
             return []
+        from agents.policy_response import learn_against  # torch, which other games do not need
+
         name = "".join(c if c.isalnum() else "-" for c in mix.label)
         file = self.args.out / f"ppo-{turn}-{name}.onnx"
-        if not file.with_suffix(".json").is_file() and not learn(
-            self.args, mix, file, self.args.entropy + turn
+        args = self.args
+        if not file.with_suffix(".json").is_file() and not learn_against(
+            mix, args.task, args.limit_m, args.ppo_steps, file, args.entropy + turn, args.threads
         ):
             print(f"PPO has diverged against {mix.label}, and takes no part in response {turn}")
             return []
@@ -362,53 +362,6 @@ class DoubleOracle:
         judge: Any = make_judge(spec)
         calibrate(self.game.setup, [judge.detector], false_alarms_per_hour=rate)
         return [member_of(spec, DETECTOR, label=f"learned {turn}")]
-
-
-def learn(args: Arguments, mix: Mixture, file: Path, seed: int) -> bool:
-    """Let PPO learn against a pool of detectors, and write what it has learned.
-
-    Returns whether there is such a policy: none is written whose weights are not finite.
-    """
-    from stable_baselines3 import PPO
-
-    from agents.full_scale import for_learning
-    from spoofgym.export import onnx
-    from spoofgym.sb3 import SpoofVecEnv
-    from spoofgym.spoofers.model import finite
-
-    pool = mix.pool()
-    task = task_of(args.task)
-    length = args.limit_m or task.alert_limit_m
-    settings: dict[str, Any] = {
-        **task.world_kwargs,
-        **({} if length is None else {"length_m": length}),
-        "pool": pool["members"],
-        "weights": pool["weights"],
-        "threads": args.threads,
-        "alarm_price": 1.5,
-    }
-    env = SpoofVecEnv(NUM_ENVS, seed=seed, **for_learning(settings))
-    n_steps = env.core.episode_steps
-    model = PPO(
-        "MlpPolicy",
-        env,
-        n_steps=n_steps,
-        batch_size=n_steps * NUM_ENVS // 2,
-        gamma=1.0,
-        policy_kwargs={"log_std_init": LOG_STD},
-        seed=seed,
-        device="cpu",
-    )
-    try:
-        model.learn(args.ppo_steps)
-    except ValueError:  # of a distribution whose mean is no number
-        if finite(model.policy):
-            raise
-    sound = finite(model.policy)
-    if sound:
-        onnx(model, env, file)
-    env.close()
-    return sound
 
 
 def run(args: Arguments, console: Console) -> dict[str, Any]:

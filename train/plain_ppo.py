@@ -22,6 +22,7 @@ from rich.console import Console
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
+from agents.diverging import learn
 from agents.folder import error_lines, open_folder
 from agents.seeds import KIND_HEAD, kind_cells
 from spoofgym._files import write_file
@@ -30,6 +31,7 @@ from spoofgym.bench.evaluate import Evaluator
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.spoofer_score import Score
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
+from spoofgym.spoofers.model import finite
 
 NUM_ENVS = {"plain": 64, "defaults": 8}
 PLAIN: dict[str, Any] = {
@@ -81,8 +83,11 @@ class Settings:
         return {name: getattr(self, name) for name in own}
 
 
-def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[Score, Any]:
-    """One training: its score on evaluation runs, and what it was on training runs meanwhile."""
+def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[Score | None, Any]:
+    """One training: its score on evaluation runs, and what it was on training runs meanwhile.
+
+    A policy whose weights are not finite at the end has no score.
+    """
     num_envs = settings.num_envs or NUM_ENVS[kind]
     envs: Any = SpoofVecEnv(num_envs, task=settings.task, knowledge="blind", seed=1000 * seed)
     if kind == "plain":
@@ -92,9 +97,11 @@ def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[S
     untrained = judge.score(model, label="untrained")
     watch = ScoreCallback(judge=judge, every=settings.steps // settings.scores, verbose=0)
     began = time.perf_counter()
-    model.learn(settings.steps, callback=watch)
+    why = learn(model, settings.steps, callback=watch)
+    if why is not None:
+        watch.give_up(why)
     wall_s = time.perf_counter() - began
-    score = judge.score(model, label=kind)
+    score = judge.score(model, label=kind) if finite(model.policy) else None
     envs.close()
     curve = [[step, round(found.score, 3)] for step, found in watch.history]
     told = {"curve": curve, "wall_s": round(wall_s, 1), "diverged": watch.diverged}
@@ -113,10 +120,12 @@ def play(settings: Settings, console: Console) -> dict[str, Any]:
             if not path.is_file():
                 with console.status(f"{kind}, seed {seed}"):
                     score, more = train(settings, kind, seed, judge)
-                ratios = {name: score.ratio_to(ramp).as_json() for name, ramp in ramps.items()}
-                row = {"seed": seed, "score": score.as_dict(), "ratios": ratios, **more}
-                write_file(path, (json.dumps(row, indent=1) + "\n").encode())
-                console.print(f"{kind}, seed {seed}: {score}", soft_wrap=True)
+                row: dict[str, Any] = {"seed": seed, "score": None, "ratios": {}}
+                if score is not None:
+                    row["score"] = score.as_dict()
+                    row["ratios"] = {k: score.ratio_to(ramp).as_json() for k, ramp in ramps.items()}
+                write_file(path, (json.dumps({**row, **more}, indent=1) + "\n").encode())
+                console.print(f"{kind}, seed {seed}: {score or more['diverged']}", soft_wrap=True)
             rows.setdefault(kind, []).append(json.loads(path.read_text(encoding="utf-8")))
     rivals = {name: ramp.as_dict() for name, ramp in ramps.items()}
     return {"task": settings.task, "steps": settings.steps, "ramps": rivals, "kinds": rows}

@@ -54,6 +54,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from agents.bar import Bar
 from agents.checkpoint import load_checkpoint, save_checkpoint
 from agents.curve import draw_curves
+from agents.diverging import learn
 from agents.folder import command_of, error_lines, json_object, open_folder, used_versions
 from agents.full_scale import for_learning
 from agents.price import LEAST, MOST, next_price, set_price
@@ -67,7 +68,6 @@ from spoofgym.bench.specs import parse_spec
 from spoofgym.bench.spoofer_score import Score
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
 from spoofgym.spoofers import KNOWLEDGE
-from spoofgym.spoofers.model import finite
 from spoofgym.tasks import ALARM_PRICE, task_of
 
 CHECKPOINT, RECORD, RESULTS, PICTURE = "checkpoint.zip", "record.jsonl", "results.json", "curve.png"
@@ -284,16 +284,14 @@ class Training:
             self.model.set_env(self.envs)  # which makes the stage start with new episodes
             set_price(self.envs.venv, self.price)
             until = args.steps * (self.stage + 1) // args.stages
-            try:
-                self.model.learn(
-                    until - self.model.num_timesteps,
-                    callback=[self.watch, tick],
-                    reset_num_timesteps=False,
-                )
-            except ValueError as error:  # of a distribution whose mean is no number
-                if finite(self.model.policy):
-                    raise
-                self.watch.give_up(str(error).partition("\n")[0])
+            why = learn(
+                self.model,
+                until - self.model.num_timesteps,
+                callback=[self.watch, tick],
+                reset_num_timesteps=False,
+            )
+            if why is not None:
+                self.watch.give_up(why)
             self.stage += 1
             if len(self.watch.history) > scores:
                 amplitude = self.watch.history[-1][1].value

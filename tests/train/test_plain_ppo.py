@@ -12,6 +12,7 @@ for name in ("stable_baselines3", "tyro"):
     pytest.importorskip(name)
 
 from rich.console import Console
+from stable_baselines3 import PPO
 
 from train import plain_ppo
 from train.plain_ppo import Settings, play, table_of
@@ -53,3 +54,24 @@ def test_bad_input_is_refused(tmp_path):
         Settings(out=tmp_path, steps=3, scores=4)
     with pytest.raises(ValueError, match="`steps` must be at least 1, got 0"):
         Settings(out=tmp_path, steps=0)
+
+
+def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypatch):
+    learn = PPO.learn
+
+    def diverge(self, *given, **named):
+        learn(self, *given, **named)
+        with torch.no_grad():
+            self.policy.action_net.weight.fill_(float("nan"))
+        raise ValueError("Expected parameter loc to satisfy the constraint\nbut found nan")
+
+    monkeypatch.setattr(PPO, "learn", diverge)
+    before = torch.get_num_threads()
+    with pytest.warns(UserWarning, match="diverged after 40 steps: Expected parameter loc"):
+        results = play(settings, Console(quiet=True))
+    torch.set_num_threads(before)
+    (row,) = results["kinds"]["plain"]
+    assert (row["score"], row["ratios"]) == (None, {})
+    assert "Expected parameter loc" in row["diverged"]
+    assert [step for step, _ in row["curve"]] == [0, 40]
+    assert "| 0, which diverged, of " in table_of(results)

@@ -1,0 +1,37 @@
+"""Learning of stable-baselines3 that may diverge."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from spoofgym.spoofers.model import finite
+
+
+def learn(model: BaseAlgorithm, steps: int, **how: Any) -> str | None:
+    """Let a model learn; any other error than that of a diverged policy is raised as it is.
+
+    Parameters
+    ----------
+    model : BaseAlgorithm
+        Of stable-baselines3.
+    steps : int
+        For so many decisions of all receivers.
+    **how
+        As its own ``learn`` takes it.
+
+    Returns
+    -------
+    str or None
+        What torch said where a distribution had no number for its mean within an update; the
+        weights of the model are not finite then.  They may also be so where nothing was said, after
+        the last minibatch.
+    """
+    try:
+        model.learn(steps, **how)
+    except ValueError as error:
+        if finite(model.policy):
+            raise
+        return str(error).partition("\n")[0]
+    return None
