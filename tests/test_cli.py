@@ -12,42 +12,20 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numba
 import pytest
 import typer
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from spoofgym import __version__
-from spoofgym._jit import CACHE_VARIABLE, cache_parent
 from spoofgym.bench.store import ResultsFolder
 from spoofgym.cli import app
 from spoofgym.cli.options import ENV, World, with_world
 from spoofgym.detectors import DETECTORS
-from spoofgym.detectors.zoo import path_of
 from spoofgym.detectors.zoo import shipped as learned
 from spoofgym.spoofers import SPOOFERS, shipped
 
-from .bench.support import small_suite, use_zoo, write_zoo
-
-SHORT = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "20", "--time-to-alert-s", "5"]
-TRAINING = [*SHORT, "--training-seeds", "11", "--budget", "0.25", "--threads", "1"]
-FIXED = ["--nominal", "--selection-seeds", "0", "--set", "domain={}"]
-QUICK = [*TRAINING, *FIXED, "--seeds", "4"]
-TWO = ["--detector", "ewma", "--spoofer", "none", "--spoofer", "ramp:rate_mps=0.4"]
-
-
-def call(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def refused(*arguments: str | Path) -> str:
-    """The one line that a wrong command prints."""
-    result = call(*arguments)
-    assert result.exit_code == 2, result.output
-    lines = result.stderr.splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("spoofgym: error: ")
-    return lines[0]
+from .bench.support import small_suite
+from .command_line import FIXED, QUICK, SHORT, TRAINING, TWO, call, refused
 
 
 @pytest.fixture(autouse=True)
@@ -194,85 +172,6 @@ def test_bench_writes_table_picture_and_json() -> None:
     assert Path("out", "results.md").is_file()
 
 
-@pytest.fixture(scope="module")
-def zoo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("zoo")
-    write_zoo(folder, small_suite())
-    return folder
-
-
-def test_list_and_card_show_what_is_shipped(
-    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_zoo(zoo_folder, monkeypatch)
-    rows = json.loads(call("list", "shipped", "--json").stdout)["shipped"]
-    assert [row["name"] for row in rows] == ["curve", "push", "track"]
-    assert (rows[2]["knowledge"], rows[2]["designed_on"]) == ("tracking", "ewma, by hand")
-    assert rows[2]["scores"][0]["undetected_displacement_m"] == 12.5
-    table = " ".join(call("list").output.split())
-    assert "ewma: 12.5 m (11.0 to 14.0), alarms 20.0 % (clean 18.0 %)" in table
-    for name in ("push", str(zoo_folder / "push.onnx"), str(zoo_folder / "push.json")):
-        card = call("card", name)
-        assert card.exit_code == 0, card.output
-        for part in ("python -m by.hand", "40 commands", "12.5 (11.0 to 14.0)", "push.onnx, "):
-            assert part in card.output
-        assert json.loads(call("card", name, "--json").stdout)["name"] == "push"
-    assert "rates_mps" in call("card", "curve").output
-    wrong = " ".join(refused("card", "pull").split())
-    assert "unknown shipped spoofer or detector 'pull'; valid: curve, push, track" in wrong
-    assert "there is no card nowhere.json" in refused("card", "nowhere.onnx")
-
-
-def test_a_card_of_a_detector_is_shown_by_name_and_by_file() -> None:
-    file = path_of("trolley-guard")
-    for name in ("trolley-guard", str(file), str(file.with_suffix(".json"))):
-        found = call("card", name)
-        assert found.exit_code == 0, found.output
-        for part in ("detector-policy", "hidden (32)", "12 slots, epochs of 0.5 s", "best_pass"):
-            assert part in found.output
-        assert json.loads(call("card", name, "--json").stdout)["statistic"] == "receiver"
-    damaged = Path("damaged.json")
-    damaged.write_text('{"kind": "detector-policy"}')
-    assert "card damaged.json" in refused("card", "damaged.json")
-
-
-def test_bench_and_run_take_learned_and_optimised_spoofers(
-    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_zoo(zoo_folder, monkeypatch)
-    inline = '{"name": "profile", "rates_mps": [0, 0.1, 0.2], "label": "inline"}'
-    chosen = ["--spoofer", "push", "--spoofer", inline, "--detector", "ewma"]
-    played = call("bench", *QUICK, *chosen, "--out", "out", "--json")
-    assert played.exit_code == 0, played.output
-    summary = json.loads(played.stdout)
-    assert [cell["spoofer"] for cell in summary["cells"]] == ["none", "push", "inline"]
-    assert all(isinstance(cell["within_budget"], bool) for cell in summary["cells"])
-    assert all(cell["spoofer_settings"]["amplitude"] > 0.0 for cell in summary["cells"][1:])
-    again = call("report", "out")
-    assert "stealthy attacks" in again.output
-    for name in ("push", str(zoo_folder / "track.onnx"), inline):
-        one = call("run", *SHORT, "--spoofer", name, "--json")
-        assert one.exit_code == 0, one.output
-        assert json.loads(one.stdout)["largest_error_m"] > 0.0
-    assert Path("episode.png").is_file()
-
-
-def test_shipped_spoofers_that_do_not_fit_are_named(
-    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_zoo(zoo_folder, monkeypatch)
-    north = [*QUICK, "--out", "out", "--attack", "false-position:axes=n"]
-    assert "needs a command to the east" in refused("bench", *north)
-    assert "push does not fit this attack: " in refused("bench", *north, "--spoofer", "push")
-    assert not Path("out").exists()
-    longer = [*QUICK, "--attack-s", "25", "--detector", "ewma", "--out", "longer"]
-    result = call("bench", *longer)
-    assert result.exit_code == 0, result.output
-    note = "shipped spoofer curve is left out: conditions.steps: 40 on the card, 50 here"
-    assert note in result.output
-    assert note in Path("longer", "results.md").read_text()
-
-
 def test_an_interrupted_bench_is_kept_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     original = ResultsFolder.put_cell
 
@@ -329,65 +228,6 @@ main()
     assert (
         "**Not finished**: ewma(thresholds=nominal) / ramp" in Path("out", "results.md").read_text()
     )
-
-
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
-def test_after_warmup_another_process_compiles_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
-    command = [sys.executable, "-m", "spoofgym", "warmup", "Snapshot-v0", "--json"]
-    runs = [
-        json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
-        for _ in range(2)
-    ]
-    for run in runs:
-        assert run["cache"] == str(tmp_path / "cache")
-        rows = run["environments"]
-        assert [(each["id"], each["form"]) for each in rows] == [
-            ("spoofgym/Snapshot-v0", form) for form in ("single", "batch")
-        ]
-        assert all(each["seconds"] > 0.0 for each in rows)
-    compiled = [sum(each["compiled"] for each in run["environments"]) for run in runs]
-    assert compiled[0] > 0
-    assert compiled[1] == 0
-
-
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
-def test_warmup_says_what_it_did_and_where_the_code_is() -> None:
-    text = call("warmup", "WheeledRobot-v0", "spoofgym/Snapshot-v0").output
-    for word in ("spoofgym/WheeledRobot-v0", "spoofgym/Snapshot-v0", "single", "batch"):
-        assert word in text
-    assert f"compiled code is in {cache_parent()}" in text
-
-
-def test_warmup_refuses_what_is_not_there_and_what_cannot_be_compiled(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(numba.config, "DISABLE_JIT", 0)
-    said = refused("warmup", "Snapshot-v9")
-    assert "unknown environment 'spoofgym/Snapshot-v9'; valid: " in said
-    assert "did you mean 'spoofgym/Snapshot-v0'?" in said
-    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
-    assert "NUMBA_DISABLE_JIT is set" in refused("warmup")
-
-
-@pytest.mark.parametrize(
-    ("command", "option", "largest"),
-    [
-        ("run", "--run", 999_999),
-        ("render", "--run", 999_999),
-        ("bench", "--seeds", 1_000_000),
-        ("tune", "--training-seeds", 1_000_000),
-    ],
-)
-def test_absurd_numbers_of_runs_end_at_once(command: str, option: str, largest: int) -> None:
-    result = call(command, option, "99999999999")
-    assert result.exit_code == 2
-    assert f"Invalid value for '{option}'" in result.stderr
-    assert str(largest) in result.stderr
-    assert list(Path().iterdir()) == []
 
 
 def test_a_late_run_is_that_of_a_long_campaign() -> None:
@@ -535,118 +375,6 @@ def test_classes_of_the_user_are_found_in_the_working_directory() -> None:
     assert {cell["detector"] for cell in cells} == {"Nervous"}
     assert cells[0]["alarm_rate"]["value"] is None  # every clean twin alarms: no run counts
     assert cells[1]["spoofer"] == "Slow(rate_mps=0.1)"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["list", "planes"], "unknown kind 'planes'; valid: attacks, detectors, envs"),
-        (["bench", "--detector", "emwa"], "unknown detector 'emwa'; valid: "),
-        (["bench", "--detector", "oracle-step"], "an oracle knows the attack's"),
-        (["run", "--detector", "oracle-ramp"], "to play it all the same: `--allow-oracles`"),
-        (["bench", "--spoofer", "ramp:rate=1"], "spoofer 'ramp' has no setting 'rate'; valid: "),
-        (["run", "--scenario", "zhong"], "unknown scenario 'zhong'; valid: "),
-        (["run", "--errors", "none"], "unknown errors 'none'; valid: "),
-        (["run", "--imu", "toy"], "unknown imu grade 'toy'; valid: "),
-        (["run", "--tuning", "loose"], "`tuning` must be one of 'paper', 'matched'"),
-        (["run", "--attack", "radio"], "unknown attack 'radio'; valid: "),
-        (["run", "--spoofer", "ramp:rate_mps=nan"], "`rate_mps` must be a finite number"),
-        (["run", "--spoofer", "ramp:rate_mps=9"], "`rate_mps` = 9 is more than the attack allows"),
-        (["run", "--attack-s", "nan"], "`attack_s` must be finite"),
-        (["run", "--attack-s", "900"], "an episode takes"),
-        (["run", "--detector", "nowhere:Thing"], "there is no module 'nowhere'"),
-        (["run", "--spoofer", "ramp:rate_mps=tuned"], "needs a search"),
-        (["run", "--spoofer", "ramp:rate_mps"], "a setting is written `ramp:rate_mps=...`"),
-        (["run", "--out", "a.gift"], "unknown ending of a picture '.gift'; valid: "),
-        (["render", "--out", "a.avi"], "unknown ending of an animation '.avi'; valid: "),
-        (["render", "--fps", "0"], "`fps` must be above 0 and at most 100, got 0.0"),
-        (["bench", "--budget", "0.001"], "--training-seeds must be at least 2995 for a budget of"),
-        (["tune", "--budget", "2"], "--budget must be in (0, 1), got 2.0"),
-        (["tune", "--spoofer", "none"], "spoofer 'none' can't be tuned; tunable: nothing"),
-        (["bench", "--spoofer", "nowhere.onnx"], "there is no ONNX file nowhere.onnx"),
-        (["card", "nowhere.json"], "there is no card nowhere.json"),
-        (["bench", "--seed", "-1"], "`entropy` must be a whole number"),
-        (["bench", "--track", "a.json"], "--track and --ephemeris belong together"),
-        (["bench", "--from", "3"], "there is no --track"),
-        (["bench", "--track", "a.json", "--ephemeris", "b.n"], "a.json: No such file"),
-        (["report", "nowhere"], "nowhere holds no results of a campaign"),
-        (["bench", "--env", "Snapshot-v0"], "unknown environment of the benchmark 'Snapshot-v0'"),
-        (
-            ["bench", "--env", "spoofgym/Snapshot-v0", "--attack", "paper-ideal"],
-            "--attack is an option of spoofgym/TightlyCoupled-v0, not of spoofgym/Snapshot-v0, "
-            "whose settings are given with --set",
-        ),
-        (
-            ["run", "--env", "spoofgym/WheeledRobot-v0", "--detector", "ewma"],
-            "detector ewma does not fit a wheeled robot (spoofgym/WheeledRobot-v0): ",
-        ),
-        (["bench", "--set", "satellites"], "a setting is written `name=value`, got 'satellites'"),
-        (["bench", "--set", "between=a", "--set", "between=b"], "--set between is given twice"),
-        (["run", "--set", "satellites=9"], "TightlyCoupled-v0 has no setting 'satellites', got 9"),
-        (["bench", "--task", "T1", "--set", "worlds=2"], "--set can't be given with --task"),
-        (["bench", "--suite", "mine"], "unknown suite 'mine'; valid: standard"),
-        (["bench", "--suite", "standard", "--task", "T1"], "--task can't be given with --suite"),
-        (["bench", "--suite", "standard", "--nominal"], "--nominal can't be given with --suite"),
-        (
-            ["bench", "--suite", "standard", "--spoofer", "ramp"],
-            "--spoofer can't be given with --suite",
-        ),
-        (
-            ["bench", "--suite", "standard", "--budget", "0.1"],
-            "--budget can't be given with --suite",
-        ),
-    ],
-)
-def test_wrong_input_gets_one_clear_line(arguments: list[str], message: str) -> None:
-    assert message in refused(*arguments)
-
-
-def test_a_folder_of_something_else_is_left_alone() -> None:
-    Path("out").mkdir()
-    Path("out", "letter.txt").write_text("dear")
-    assert "letter.txt" in refused("bench", *QUICK, *TWO, "--out", "out", "--overwrite")
-    assert [path.name for path in Path("out").iterdir()] == ["letter.txt"]
-
-
-def rows(count: int) -> list[dict[str, float]]:
-    return [
-        {
-            "timestamp": 1_515_758_400 + 5 * k,
-            "latitude": 41.0 + 0.005 * k,
-            "longitude": 8.0,
-            "altitude": 10_000.0,
-        }
-        for k in range(count)
-    ]
-
-
-def test_bad_tracks_and_ephemerides_are_refused(data_folder: Path) -> None:
-    broadcast = data_folder / "gnss_broadcast" / "brdc3050.12n"
-    flight = data_folder / "adsb_flights" / "ajaccio.json.gz"
-    for name, content, message in (
-        ("empty.json", [], "a track must have rows, got none"),
-        ("backwards.json", rows(50)[::-1], "time must not run backwards"),
-        ("short.json", rows(3), "at least"),
-    ):
-        Path(name).write_text(json.dumps(content))
-        assert message in refused("bench", "--track", name, "--ephemeris", broadcast)
-    header, _, body = broadcast.read_text().partition("END OF HEADER")
-    Path("none.12n").write_text(f"{header}END OF HEADER\n")
-    assert "holds no usable GPS satellite" in refused(
-        "bench", "--track", flight, "--ephemeris", "none.12n"
-    )
-    # records of the early morning only, while the flight begins at noon
-    early = "\n".join(body.splitlines()[1:9])
-    Path("early.12n").write_text(f"{header}END OF HEADER\n{early}\n")
-    assert "must be within 2 h of a healthy record" in refused(
-        "bench", "--track", flight, "--ephemeris", "early.12n"
-    )
-    assert "`from_s` must lie in an airborne stretch" in refused(
-        "bench", "--track", flight, "--ephemeris", broadcast, "--from", "1e6"
-    )
-    assert "--date must be YYYY-MM-DD" in refused(
-        "bench", "--track", flight, "--ephemeris", broadcast, "--date", "today"
-    )
 
 
 def test_bench_on_a_real_flight(data_folder: Path) -> None:

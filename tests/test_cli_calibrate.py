@@ -8,7 +8,7 @@ import pytest
 from spoofgym.detectors.calibration import FOLDER_VARIABLE
 from spoofgym.tasks import TASKS
 
-from .test_cli import SHORT, call, refused
+from .command_line import SHORT, call, refused
 
 RATE = ["--false-alarms-per-hour", "20"]
 

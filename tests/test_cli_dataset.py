@@ -8,7 +8,7 @@ import pytest
 from spoofgym.bench.dataset import load
 from spoofgym.tasks import TASKS
 
-from .test_cli import SHORT, call, refused
+from .command_line import SHORT, call, refused
 
 SMALL = ["--train", "3", "--validation", "2", "--test", "2", "--term", "innovation"]
 SMALL += ["--term", "in-view", "--threads", "1"]

@@ -13,7 +13,7 @@ from spoofgym.limits import deflection_for, frontier_of
 from spoofgym.limits.bounds import cases_of, zero_alarm_bounds
 from spoofgym.simulators import TightlyCoupledSetup
 
-from .test_cli import SHORT, call, refused
+from .command_line import SHORT, call, refused
 
 TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s": 5.0}
 LINE = ["limits", *SHORT, "--set", "domain={}", "--nominal"]

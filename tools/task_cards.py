@@ -33,8 +33,9 @@ from numpy.typing import NDArray
 from spoofgym._describe import describe
 from spoofgym._files import write_file
 from spoofgym.bench.calibrations import calibrate_suite, missing_runs
-from spoofgym.bench.campaign import expected_work, run_campaign
+from spoofgym.bench.campaign import run_campaign
 from spoofgym.bench.entries import detector_entry, fitted
+from spoofgym.bench.remaining import expected_work
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.store import ResultsFolder
 from spoofgym.bench.suite import Selection, Suite, Tuning

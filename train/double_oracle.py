@@ -44,7 +44,8 @@ from spoofgym._registry import check_choice, whole_number
 from spoofgym.bench.blind_optimum import BlindSearch
 from spoofgym.bench.specs import make_judge, parse_spec
 from spoofgym.detectors import DETECTORS
-from spoofgym.detectors.calibrated import ASKED, STANDARD_RATE
+from spoofgym.detectors.asked import ASKED
+from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.duel.best_response import (
     AttackBudget,
     Response,

@@ -24,67 +24,19 @@ from .entries import Entry
 from .knowledge import knowledge_of
 from .optima import AIMS, Optima, curves_to_fit
 from .protection import Aim, Protection
+from .remaining import (
+    WARMUP_SHARE,
+    left_of,
+    left_of_published,
+    protection_work,
+    search_work,
+    work_of,
+)
 from .run import Runs, WarmStart, play
 from .scores import counted
 from .store import ResultsFolder
 from .suite import Suite
 from .tune import TuningResult, tune
-
-WARMUP_SHARE = 1.0
-"""Work of a warm-up, in cells."""
-
-
-def expected_work(suite: Suite, folder: ResultsFolder) -> float:
-    """Work that is left, roughly."""
-    total = sum(_work(suite, folder, detector) for detector in suite.detector_entries)
-    for published in suite.published_entries:
-        left = _left_of_published(suite, folder, published)
-        total += suite.runs * (2.0 + WARMUP_SHARE) if left else 0.0
-    return total
-
-
-def _work(suite: Suite, folder: ResultsFolder, detector: Entry) -> float:
-    """Work that is left of one detector, roughly."""
-    total = 0.0
-    cells, searches, protect = _open(suite, folder, detector)
-    if cells or protect:
-        total += suite.runs * (1.0 + WARMUP_SHARE)
-        total += suite.runs * sum(entry.label != "none" for entry in cells)
-    if searches:
-        total += suite.tuning.runs * (1.0 + WARMUP_SHARE)
-        total += len(searches) * search_work(suite)
-    return total + (protection_work(suite) if protect else 0.0)
-
-
-def search_work(suite: Suite) -> float:
-    """Work of one search, roughly."""
-    settings = suite.tuning
-    return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
-
-
-def protection_work(suite: Suite) -> float:
-    """Work of the search for the worst attacks on a detector, and of those, roughly."""
-    settings = suite.selection
-    if settings is None:
-        return 0.0
-    sifting = len(suite.members) * settings.values * settings.sift_runs
-    return sifting + (12.0 + 1.0 + WARMUP_SHARE) * settings.runs + 5.0 * suite.runs
-
-
-def _open(
-    suite: Suite, folder: ResultsFolder, detector: Entry
-) -> tuple[list[Entry], list[Entry], bool]:
-    """Spoofers whose cell is not finished, those that are not tuned, whether to play the suite."""
-    cells = [
-        entry for entry in suite.spoofer_entries if not folder.has_cell(detector.label, entry.label)
-    ]
-    searches = [
-        entry
-        for entry in cells
-        if entry.tuned and folder.tuning(detector.label, entry.label) is None
-    ]
-    protect = suite.selection is not None and folder.protection(detector.label) is None
-    return cells, searches, protect
 
 
 def run_campaign(
@@ -136,7 +88,7 @@ class Player:
     def play(self, detector: Entry, progress: Progress) -> None:
         """Run the cells of a detector that are not finished, its searches and its protection."""
         suite, folder, threads = self.suite, self.folder, self.threads
-        cells, searches, protect = _open(suite, folder, detector)
+        cells, searches, protect = left_of(suite, folder, detector)
         if searches:
             _search(suite, folder, detector, searches, threads, progress, self.optima)
         members = _members(suite, folder, detector) if protect else ()
@@ -168,7 +120,7 @@ def _in_processes(
     suite: Suite, folder: ResultsFolder, threads: int | None, jobs: int, progress: Progress
 ) -> None:
     """Play the detectors, each in one of some processes, which write into the same folder."""
-    work = {each.label: _work(suite, folder, each) for each in suite.detector_entries}
+    work = {each.label: work_of(suite, folder, each) for each in suite.detector_entries}
     left = [label for label in work if work[label] > 0.0]
     each = threads or max(1, processors() // jobs)
     progress.advance(0.0, f"{len(left)} detectors, {jobs} at a time")
@@ -423,15 +375,9 @@ def _published(
     suite: Suite, folder: ResultsFolder, detector: Entry, threads: int | None, progress: Progress
 ) -> None:
     """Play a detector with its thresholds as published, without attack and against one ramp."""
-    left = _left_of_published(suite, folder, detector)
+    left = left_of_published(suite, folder, detector)
     if not left:
         return
     start, twin = start_of(suite, detector, "evaluation", suite.runs, threads, progress)
     for entry in left:
         folder.put_cell(_cell(suite, detector, entry, entry.spec, None, start, twin, progress))
-
-
-def _left_of_published(suite: Suite, folder: ResultsFolder, detector: Entry) -> list[Entry]:
-    """Spoofers of the table `as published` whose cell is not finished."""
-    entries = suite.published_spoofers
-    return [entry for entry in entries if not folder.has_cell(detector.label, entry.label)]

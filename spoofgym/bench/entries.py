@@ -8,7 +8,7 @@ from typing import Any
 
 from .._registry import check_choice
 from ..detectors import DETECTORS, Calibrated, Detector, LearnedDetector
-from ..detectors.calibrated import asked_by_default
+from ..detectors.asked import asked_by_default
 from ..spoofers import SPOOFERS, Spoofer, resolve, shipped
 from ..spoofers.scaled import AMPLITUDE, Scaled, split_amplitude, with_amplitude
 from .specs import Spec, label_of, make, make_judge, slug, spec_of, spec_of_judge

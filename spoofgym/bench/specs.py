@@ -15,6 +15,7 @@ from .._describe import describe as describe
 from .._describe import digest_of as digest_of
 from .._registry import build
 from ..detectors import DETECTORS, Detector, LearnedDetector, calibrated
+from ..detectors.asked import made_by, spec_with_thresholds
 from ..policies.onnx_file import SUFFIX
 
 T = TypeVar("T")
@@ -142,14 +143,14 @@ def make_judge(spec: Any) -> Detector:
     One that asks for nothing has those of the default rate.
     """
     made = partial(make, "detector", DETECTORS, Detector)
-    return calibrated.made_by(made, spec, calibrated.DEFAULT_RATE)
+    return made_by(made, spec, calibrated.DEFAULT_RATE)
 
 
 def spec_of_judge(detector: Detector) -> Spec:
     """Name and all settings of a detector, and what it asks of its thresholds."""
     if isinstance(detector, LearnedDetector):  # as it is, not as its card has it
         return {**_spec_of_detector(detector), "threshold_scale": 1.0}
-    return calibrated.spec_with_thresholds(detector, _spec_of_detector)
+    return spec_with_thresholds(detector, _spec_of_detector)
 
 
 def _spec_of_detector(detector: Detector) -> Spec:

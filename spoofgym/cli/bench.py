@@ -37,8 +37,9 @@ def tune(
     threads: opt.Threads = None,
 ) -> None:
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
-    from ..bench.campaign import search, search_work, training_start
+    from ..bench.campaign import search, training_start
     from ..bench.entries import TUNED, build_spoofer
+    from ..bench.remaining import search_work
     from ..bench.tuning_table import tuning_head, tuning_rows
     from ..spoofers.scaled import AMPLITUDE
 
@@ -162,7 +163,8 @@ def bench(
     given, in a world whose sky, heading, onset and turn-on constants of the sensors are drawn for
     every run, unless --set domain=... says otherwise.
     """
-    from ..bench.campaign import expected_work, run_campaign
+    from ..bench.campaign import run_campaign
+    from ..bench.remaining import expected_work
     from ..bench.store import ResultsFolder
     from ..detectors.calibrated import STANDARD_RATE
     from ..simulators.engine import processors

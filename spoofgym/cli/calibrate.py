@@ -142,7 +142,8 @@ def _judges(
     """
     from ..bench.specs import make_judge
     from ..bench.victims import VICTIMS
-    from ..detectors.calibrated import ASKED, identity_of, is_file
+    from ..detectors.asked import ASKED, is_file
+    from ..detectors.calibrated import identity_of
     from ..simulators.calibration import inner_detectors, suitable_detectors
 
     specs: list[Any] = list(VICTIMS[suite.env].detectors) if not texts else specs_of(texts)

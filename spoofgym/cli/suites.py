@@ -180,7 +180,7 @@ def _asking(world: World, specs: list[dict[str, Any]] | None, asked: Spec) -> li
     """Detectors that are asked for some thresholds, but for those that ask for others."""
     from .._registry import check_choice
     from ..bench.victims import VICTIMS
-    from ..detectors.calibrated import asks
+    from ..detectors.asked import asks
 
     check_choice("environment of the benchmark", world.env, VICTIMS)
     named = list(VICTIMS[world.env].detectors) if specs is None else specs

@@ -9,8 +9,9 @@ from .._registry import build
 from . import calibrated
 from .acna import Acna
 from .aime import Aime
+from .asked import made_by
 from .base import Detector, DetectorContext, Verdict
-from .calibrated import Calibrated, made_by
+from .calibrated import Calibrated
 from .calibration import Calibration, OperatingPoint
 from .clock_drift import ClockDrift
 from .cumulative_bank import CumulativeBank

@@ -92,7 +92,8 @@ class JointMemory(Memory):
 def _spec_of(member: Any, detector: Detector) -> Any:
     """Name and all settings of a detector that has a name; what was given of any other."""
     from . import DETECTORS
-    from .calibrated import Calibrated, spec_with_thresholds
+    from .asked import spec_with_thresholds
+    from .calibrated import Calibrated
 
     inner: Any = detector.detector if isinstance(detector, Calibrated) else detector
     name = next((name for name, kind in DETECTORS.items() if type(inner) is kind), None)

@@ -10,8 +10,6 @@ of its own with every spoofer, and a spoofer that observes statistics one with e
 
 from __future__ import annotations
 
-import copy
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,15 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._describe import outside_sources
-from .._files import remove_stale_parts, whole_file
 from .._registry import check_choice, check_keywords
 from ..bench.run import Runs, WarmStart, induced_error, play
 from ..bench.scores import counted, undetected_displacement
-from ..bench.specs import digest_of, make_judge
+from ..bench.specs import make_judge
 from ..bench.suite import WORLD, Suite
 from ..detectors import Detector, Never
-from ..detectors.calibrated import factors_of, resolve
+from ..detectors.calibrated import resolve
 from ..envs.terms.observation import REPORTED
 from ..simulators.base import Simulator
 from ..simulators.broadcast import PastPositions
@@ -36,6 +32,7 @@ from ..simulators.monitors import Monitor, Monitored, PassiveDetectors
 from ..simulators.setup import Setup
 from ..simulators.splits import SPLITS
 from ..tasks import task_of
+from .kept_entries import KeptEntries, Played
 from .members import DETECTOR, SPOOFER, Member, Mixture, Strategy, strategy_of
 from .payoff_matrix import PayoffMatrix, RunPayoff
 
@@ -45,18 +42,6 @@ SPLIT = "game"
 RUNS = 200
 FIELDS = 4
 """Warm-ups that are kept in memory."""
-FORMAT = 1
-
-
-class Played(NamedTuple):
-    """R runs of a spoofer against a detector.
-
-    - `displacement` undetected [m], `alarmed` in the judged window, `counts` whether the run does.
-    """
-
-    displacement: FloatArray
-    alarmed: NDArray[np.bool_]
-    counts: NDArray[np.bool_]
 
 
 class EpochAlarms(PassiveDetectors):
@@ -157,15 +142,12 @@ class Game:
             **world, detectors=["never"], spoofers=["none"], runs=runs, entropy=entropy
         )
         self.task, self.payoff, self.seeds = task, RunPayoff(payoff, limit_m), (entropy, split)
-        self.folder = None if folder is None else Path(folder)
+        self._kept = None if folder is None else KeptEntries(Path(folder), self.suite, self.seeds)
         self.threads, self.progress = threads, progress or Silent()
         self._judges: dict[str, tuple[Detector, bool]] = {}
         self._fields: dict[tuple[str, ...], _Field] = {}
         self._played: dict[tuple[str, str], tuple[Played, NDArray[np.int64]]] = {}
         self._members: dict[tuple[str, str], Member] = {}
-        if self.folder is not None:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            remove_stale_parts(self.folder)
 
     @property
     def setup(self) -> Setup:
@@ -367,48 +349,17 @@ class Game:
             moved = undetected_displacement(error, first, setup.hold)
             played = Played(moved, first > 0, counts)
             self._played[spoofer.label, detector.label] = played, sky
-            self._keep(spoofer, detector, played, sky)
-
-    # --- what is kept ----------------------------------------------------------------------------
+            if self._kept is not None:
+                self._kept.keep(spoofer, detector, self._judge(detector)[0], played, sky)
 
     def _is_known(self, spoofer: Member, detector: Member) -> bool:
         """Whether an entry has been played, here or in the folder."""
         key = spoofer.label, detector.label
-        file = None if key in self._played else self._file(spoofer, detector)
-        if file is not None and file.is_file():
-            with np.load(file) as found:
-                self._played[key] = Played(*(found[name] for name in Played._fields)), found["sky"]
+        if key not in self._played and self._kept is not None:
+            found = self._kept.load(spoofer, detector, self._judge(detector)[0])
+            if found is not None:
+                self._played[key] = found
         return key in self._played
-
-    def _keep(
-        self, spoofer: Member, detector: Member, played: Played, sky: NDArray[np.int64]
-    ) -> None:
-        file = self._file(spoofer, detector)
-        if file is not None:
-            head = json.dumps([spoofer.as_json(), detector.as_json()])
-            with whole_file(file) as part, part.open("wb") as content:
-                np.savez(content, **played._asdict(), sky=sky, head=np.array(head))
-
-    def _file(self, spoofer: Member, detector: Member) -> Path | None:
-        """Where an entry is kept, by all that it depends on; None where that can't be written."""
-        if self.folder is None or spoofer.spec is None or detector.spec is None:
-            return None
-        judge = self._judge(detector)[0]
-        factors = factors_of(judge)
-        outside = outside_sources(judge, spoofer.spec, detector.spec)
-        if None in outside.values():
-            return None
-        config = copy.copy(self.suite.config)
-        named = {
-            "format": FORMAT,
-            "world": {name: config[name] for name in (*WORLD, "env", "versions", "outside")},
-            "settings": config.get("settings"),
-            "runs": [self.suite.runs, *self.seeds],
-            "spoofer": spoofer.spec,
-            "detector": [detector.spec, *factors],
-            "sources": outside,
-        }
-        return self.folder / f"{digest_of(named)}.npz"
 
 
 def _listed(given: Any, side: str) -> list[Any]:

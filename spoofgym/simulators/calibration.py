@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from .._memory import Memory
 from .._registry import whole_number
 from ..detectors import DETECTORS, Calibrated, Detector, PooledDetector, make_detector
-from ..detectors.calibrated import STANDARD_RATE, check_drifts, identity_of, is_file
+from ..detectors.asked import is_file
+from ..detectors.calibrated import STANDARD_RATE, check_drifts, identity_of
 from ..detectors.calibration import (
     STANDARD_RATES,
     WITNESSES,

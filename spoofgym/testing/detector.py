@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..detectors import Detector, Verdict, make_detector
+from ..detectors.asked import is_file
 from ..detectors.base import check_needs
-from ..detectors.calibrated import is_file
 from ..detectors.learned.card import DetectorCard
 from ..detectors.learned.detector import unscaled
 from ..detectors.verdicts import UndeclaredFieldError, checked, undeclared

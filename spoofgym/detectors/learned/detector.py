@@ -12,8 +12,9 @@ from ..._registry import is_number
 from ...policies.card import Space, State
 from ...policies.onnx_file import check_signature, file_of, read_model
 from ...receiver.epoch import Epoch
+from ..asked import ASKED, Asked, with_thresholds
 from ..base import Detector, DetectorContext, Verdict
-from ..calibrated import ASKED, Asked, Calibrated, with_thresholds
+from ..calibrated import Calibrated
 from .agent import DetectorAgent, PolicyDetector, action_names
 from .card import DetectorCard, OnnxDetector, card_path
 from .observer import DetectorObserver, written_terms

@@ -1,0 +1,118 @@
+"""Entries of a matrix game in a folder, each in a file of its own by all that it depends on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._describe import outside_sources
+from .._files import remove_stale_parts, whole_file
+from ..bench.specs import digest_of
+from ..bench.suite import WORLD, Suite
+from ..detectors import Detector
+from ..detectors.calibrated import factors_of
+from .members import Member
+
+FORMAT = 1
+
+
+class Played(NamedTuple):
+    """R runs of a spoofer against a detector.
+
+    - `displacement` undetected [m], `alarmed` in the judged window, `counts` whether the run does.
+    """
+
+    displacement: NDArray[np.float64]
+    alarmed: NDArray[np.bool_]
+    counts: NDArray[np.bool_]
+
+
+class KeptEntries:
+    """Folder of what the pairs of one world have played on one set of runs.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is missing.
+    suite : Suite
+        World and number of runs.
+    seeds : tuple of int and str
+        Entropy and split of the runs.
+    """
+
+    def __init__(self, folder: Path, suite: Suite, seeds: tuple[int, str]) -> None:
+        self.folder, self.suite, self.seeds = folder, suite, seeds
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_stale_parts(folder)
+
+    def load(
+        self, spoofer: Member, detector: Member, judge: Detector
+    ) -> tuple[Played, NDArray[np.int64]] | None:
+        """What a pair has played, and the skies of its runs.
+
+        Parameters
+        ----------
+        spoofer, detector : Member
+            The pair.
+        judge : Detector
+            That detector with its thresholds in this world.
+
+        Returns
+        -------
+        tuple or None
+            None where there is no such entry.
+        """
+        file = self._file(spoofer, detector, judge)
+        if file is None or not file.is_file():
+            return None
+        with np.load(file) as found:
+            return Played(*(found[name] for name in Played._fields)), found["sky"]
+
+    def keep(
+        self,
+        spoofer: Member,
+        detector: Member,
+        judge: Detector,
+        played: Played,
+        sky: NDArray[np.int64],
+    ) -> None:
+        """Write an entry, whole or not at all; none of an object that can't be described.
+
+        Parameters
+        ----------
+        spoofer, detector, judge : Member, Member and Detector
+            As in `load`.
+        played : Played
+            What the pair has played.
+        sky : ndarray
+            (R,) sky of each run.
+        """
+        file = self._file(spoofer, detector, judge)
+        if file is not None:
+            head = json.dumps([spoofer.as_json(), detector.as_json()])
+            with whole_file(file) as part, part.open("wb") as content:
+                np.savez(content, **played._asdict(), sky=sky, head=np.array(head))
+
+    def _file(self, spoofer: Member, detector: Member, judge: Detector) -> Path | None:
+        """Where an entry is kept; None where what it depends on can't be written."""
+        if spoofer.spec is None or detector.spec is None:
+            return None
+        factors = factors_of(judge)
+        outside = outside_sources(judge, spoofer.spec, detector.spec)
+        if None in outside.values():
+            return None
+        config = self.suite.config
+        named = {
+            "format": FORMAT,
+            "world": {name: config[name] for name in (*WORLD, "env", "versions", "outside")},
+            "settings": config.get("settings"),
+            "runs": [self.suite.runs, *self.seeds],
+            "spoofer": spoofer.spec,
+            "detector": [detector.spec, *factors],
+            "sources": outside,
+        }
+        return self.folder / f"{digest_of(named)}.npz"

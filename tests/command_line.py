@@ -1,0 +1,29 @@
+"""Calls of the command line, and the short settings of its tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from typer.testing import CliRunner, Result
+
+from spoofgym.cli import app
+
+SHORT = ["--warmup-s", "20", "--live-s", "10", "--attack-s", "20", "--time-to-alert-s", "5"]
+TRAINING = [*SHORT, "--training-seeds", "11", "--budget", "0.25", "--threads", "1"]
+FIXED = ["--nominal", "--selection-seeds", "0", "--set", "domain={}"]
+QUICK = [*TRAINING, *FIXED, "--seeds", "4"]
+TWO = ["--detector", "ewma", "--spoofer", "none", "--spoofer", "ramp:rate_mps=0.4"]
+
+
+def call(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def refused(*arguments: str | Path) -> str:
+    """The one line that a wrong command prints."""
+    result = call(*arguments)
+    assert result.exit_code == 2, result.output
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("spoofgym: error: ")
+    return lines[0]

@@ -1,0 +1,340 @@
+"""Policies in files that are refused: what they may not hold, and where they do not fit."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from spoofgym.policies.onnx_file import LARGEST_BYTES, MOST_OPERATORS
+from spoofgym.spoofers import OnnxPolicy, make_spoofer
+
+from .policies import BLIND, network, write_policy
+
+Edit = Callable[[onnx.ModelProto], onnx.ModelProto | None]
+
+
+def replaced(op_type: str, **changes: Any) -> Edit:
+    """Replace the last operator by one of a kind."""
+
+    def edit(model: onnx.ModelProto) -> None:
+        node = model.graph.node[-1]
+        node.op_type = op_type
+        for name, value in changes.items():
+            setattr(node, name, value)
+
+    return edit
+
+
+def external(model: onnx.ModelProto) -> None:
+    tensor = model.graph.initializer[0]
+    tensor.ClearField("raw_data")
+    tensor.data_location = TensorProto.EXTERNAL
+    tensor.external_data.add(key="location", value="/etc/passwd")
+
+
+def subgraph(model: onnx.ModelProto, node: onnx.NodeProto, *tensors: TensorProto) -> None:
+    """Hide an operator in a branch of an If."""
+    value = helper.make_tensor_value_info("inner", TensorProto.FLOAT, None)
+    branch = helper.make_graph([node], "branch", [], [value], list(tensors))
+    model.graph.node[-1].CopyFrom(
+        helper.make_node("If", ["yes"], ["action"], then_branch=branch, else_branch=branch)
+    )
+    model.graph.initializer.append(numpy_helper.from_array(np.array(True), "yes"))
+
+
+def external_in_subgraph(model: onnx.ModelProto) -> None:
+    tensor = TensorProto(name="c", data_type=TensorProto.FLOAT, dims=[1])
+    tensor.data_location = TensorProto.EXTERNAL
+    tensor.external_data.add(key="location", value="weights.bin")
+    subgraph(model, helper.make_node("Add", ["z2", "c"], ["inner"]), tensor)
+
+
+def external_in_attribute(model: onnx.ModelProto) -> None:
+    tensor = TensorProto(name="inside", data_type=TensorProto.FLOAT, dims=[1])
+    tensor.external_data.add(key="location", value="weights.bin")
+    model.graph.node.insert(0, helper.make_node("Constant", [], ["c"], value=tensor))
+
+
+def custom_in_subgraph(model: onnx.ModelProto) -> None:
+    subgraph(model, helper.make_node("Gelu", ["z2"], ["inner"], domain="com.microsoft"))
+
+
+def custom_function(model: onnx.ModelProto) -> None:
+    body = [helper.make_node("Identity", ["x"], ["y"])]
+    opset = [helper.make_opsetid("", 18)]
+    model.functions.append(helper.make_function("mine", "Copy", ["x"], ["y"], body, opset))
+    model.opset_import.append(helper.make_opsetid("mine", 1))
+
+
+def custom_in_function(model: onnx.ModelProto) -> None:
+    body = [helper.make_node("Spy", ["x"], ["y"], domain="evil")]
+    opset = [helper.make_opsetid("", 18), helper.make_opsetid("evil", 1)]
+    model.functions.append(helper.make_function("ai.onnx", "Copy", ["x"], ["y"], body, opset))
+
+
+def second_input(model: onnx.ModelProto) -> None:
+    model.graph.input.append(helper.make_tensor_value_info("more", TensorProto.FLOAT, ["batch", 1]))
+
+
+def second_output(model: onnx.ModelProto) -> None:
+    model.graph.output.append(helper.make_tensor_value_info("z2", TensorProto.FLOAT, ["batch", 2]))
+
+
+def doubles(model: onnx.ModelProto) -> None:
+    model.graph.input[0].type.tensor_type.elem_type = TensorProto.DOUBLE
+    model.graph.node.insert(
+        0, helper.make_node("Cast", ["observation"], ["single"], to=TensorProto.FLOAT)
+    )
+    model.graph.node[1].input[0] = "single"
+
+
+def three_axes(model: onnx.ModelProto) -> None:
+    model.graph.output[0].type.tensor_type.shape.dim.add(dim_value=2)
+
+
+REFUSED: dict[str, tuple[Edit, str]] = {
+    "external": (external, r"keeps its tensor 'w0' in external data"),
+    "external in a subgraph": (external_in_subgraph, r"keeps its tensor 'c' in external data"),
+    "external in an attribute": (external_in_attribute, r"tensor 'inside' in external data"),
+    "custom": (replaced("Spy", domain="evil"), r"needs the custom operator evil::Spy"),
+    "microsoft's": (
+        replaced("Gelu", domain="com.microsoft"),
+        r"needs the custom operator com\.microsoft::Gelu",
+    ),
+    "custom in a subgraph": (custom_in_subgraph, r"custom operator com\.microsoft::Gelu"),
+    "custom function": (custom_function, r"defines the custom operator mine::Copy"),
+    "custom in a function": (custom_in_function, r"needs the custom operator evil::Spy"),
+    "unknown": (replaced("Spy"), r"no valid ONNX model: .*Spy"),
+    "chance": (replaced("RandomNormalLike"), r"draws random numbers by RandomNormalLike"),
+    "two inputs": (second_input, r"has 2 inputs \(observation, more\); the card has one input"),
+    "two outputs": (second_output, r"has 2 outputs \(action, z2\); the card has one output"),
+    "double input": (
+        doubles,
+        r"input observation of float64 \(batch, 6\); the card has .*float32",
+    ),
+    "three axes": (three_axes, r"output action of float32 \(batch, 2, 2\); the card has"),
+    "other input": (
+        lambda _: network(5, 2),
+        r"of float32 \(batch, 5\); the card has .*\(batch, 6",
+    ),
+    "other output": (
+        lambda _: network(6, 3),
+        r"of float32 \(batch, 3\); the card has .*\(batch, 2",
+    ),
+    "fixed batch": (
+        lambda _: network(6, 2, batch=4),
+        r"observation with a fixed batch of 4; .*any",
+    ),
+    "no graph": (lambda _: onnx.ModelProto(ir_version=8), r"has no graph of operators"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_file_that_is_none_of_ours_is_refused(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_session(*_: Any, **__: Any) -> None:
+        raise AssertionError("it must be refused before it is loaded")
+
+    monkeypatch.setattr("spoofgym.policies.onnx_model.make_session", no_session)
+    edit, message = REFUSED[case]
+    path = write_policy(tmp_path, model=edit)
+    with pytest.raises(ValueError, match=message) as caught:
+        OnnxPolicy(str(path))
+    assert str(path) in str(caught.value)
+
+
+def _relabelled(path: Path) -> None:
+    """Make the card fit what the file has become."""
+    card = json.loads(path.with_suffix(".json").read_text())
+    content = path.read_bytes()
+    card["file"] |= {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    path.with_suffix(".json").write_text(json.dumps(card))
+
+
+@pytest.mark.parametrize(
+    "content", [b"no network at all", b"\x80\x04\x95pickled", b"\x08\x08\x3a\xff\xff\x00"]
+)
+def test_what_is_no_onnx_is_refused(content: bytes, tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    path.write_bytes(content)
+    _relabelled(path)
+    with pytest.raises(ValueError, match=r"tiny\.onnx is no ONNX file"):
+        OnnxPolicy(str(path))
+
+
+def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    size = path.stat().st_size
+    path.write_bytes(path.read_bytes()[: size // 2])
+    with pytest.raises(ValueError, match=rf"has {size // 2} bytes, and {size} on its card"):
+        OnnxPolicy(str(path))
+    _relabelled(path)
+    with pytest.raises(ValueError, match=r"tiny\.onnx is no ONNX file, or cut off"):
+        OnnxPolicy(str(path))
+
+
+def test_a_changed_byte_is_seen(tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"has the SHA-256 [0-9a-f]{64}; its card has"):
+        OnnxPolicy(str(path))
+
+
+def test_the_digest_that_was_asked_for_is_checked(tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    with pytest.raises(ValueError, match=r"has the SHA-256 \w+; `sha256` must be 0000"):
+        make_spoofer({"name": "onnx-policy", "file": str(path), "sha256": "0" * 64})
+
+
+def test_other_things_on_the_card(tmp_path: Path) -> None:
+    path = write_policy(tmp_path, card=lambda card: card["file"].update(opset=17))
+    with pytest.raises(ValueError, match="is of opset 18, and 17 on its card"):
+        OnnxPolicy(str(path))
+    change = {"kind": "profile", "file": None, "observation": None}
+    path = write_policy(tmp_path, card=lambda card: card.update(change))
+    with pytest.raises(ValueError, match="has the card of a profile, not of an onnx-policy"):
+        OnnxPolicy(str(path))
+    card = json.loads(path.with_suffix(".json").read_text())
+    path.with_suffix(".json").write_text(json.dumps({**card, "colour": "red"}))
+    with pytest.raises(ValueError, match=r"card .*tiny\.json: `colour`: Extra inputs"):
+        OnnxPolicy(str(path))
+
+
+def test_without_a_file_there_is_no_policy() -> None:
+    with pytest.raises(ValueError, match="spoofer 'onnx-policy' needs the setting 'file'"):
+        make_spoofer("onnx-policy")
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    path = write_policy(tmp_path)
+    path.with_suffix(".json").unlink()
+    with pytest.raises(ValueError, match=r"tiny\.onnx has no card: there is no .*tiny\.json"):
+        OnnxPolicy(str(path))
+    path.unlink()
+    with pytest.raises(ValueError, match=r"there is no ONNX file .*tiny\.onnx"):
+        OnnxPolicy(str(path))
+    with pytest.raises(ValueError, match=r"`file` must be the path of an \.onnx file or the name"):
+        OnnxPolicy("tiny.zip")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"interval_s": 1.0, "steps": 15}, r"interval_s: 0\.5 on .* 1\.0 here; .*steps: 30 on"),
+        ({"rate_limit_mps": 2.0}, r"conditions\.rate_limit_mps: 5\.0 on the card, 2\.0 here"),
+        ({"acceleration_limit_mps2": 0.1}, r"acceleration_limit_mps2: 0\.05 on the card, 0\.1"),
+        ({"control": "rate"}, r"control: 'acceleration' on the card, 'rate' here"),
+        ({"observation_low": (-1.0,) * 6}, r"observation\.low: \[-100\.0, .* \[-1\.0, .* here"),
+        (
+            {"observation_names": ("own_displacement_up", *BLIND.observation_names[1:])},
+            r"own_displacement_north only on the card; observation: own_displacement_up only here",
+        ),
+        (
+            {"action_names": ("G01_acceleration",)},
+            r"action: .*only on .*action: G01_accel.* only here",
+        ),
+    ],
+)
+def test_another_attack_is_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    policy = OnnxPolicy(str(write_policy(tmp_path)))
+    with pytest.raises(ValueError, match=rf"tiny\.onnx does not fit this attack: .*{message}"):
+        policy.bind(BLIND._replace(**changes))
+    policy.bind(BLIND)
+
+
+def not_a_number(model: onnx.ModelProto) -> None:
+    """The logarithm of what is negative for some receivers."""
+    model.graph.node[-1].op_type = "Log"
+
+
+def flat(model: onnx.ModelProto) -> None:
+    """Another shape than is declared, which the checker can't see."""
+    model.graph.initializer.append(numpy_helper.from_array(np.array([1, -1]), "shape"))
+    model.graph.node[-1].CopyFrom(helper.make_node("Reshape", ["z2", "shape"], ["action"]))
+
+
+def hidden_batch(model: onnx.ModelProto) -> None:
+    """A batch that is declared free, and fixed inside."""
+    model.graph.initializer.append(numpy_helper.from_array(np.array([7, 2]), "shape"))
+    model.graph.node[-1].CopyFrom(helper.make_node("Reshape", ["z2", "shape"], ["action"]))
+
+
+def infinite(model: onnx.ModelProto) -> None:
+    model.graph.initializer.append(numpy_helper.from_array(np.float32([np.inf] * 2), "inf"))
+    model.graph.node[-1].CopyFrom(helper.make_node("Add", ["z2", "inf"], ["action"]))
+
+
+def less_the_mean(model: onnx.ModelProto) -> None:
+    """Centred over the batch, as a normalization in training mode does."""
+    model.graph.initializer.append(numpy_helper.from_array(np.array([0]), "axes"))
+    mean = helper.make_node("ReduceMean", ["z2", "axes"], ["mean"], keepdims=1)
+    model.graph.node[-1].CopyFrom(mean)
+    model.graph.node.append(helper.make_node("Sub", ["z2", "mean"], ["action"]))
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (not_a_number, r"tiny\.onnx, tried within the bounds on its card: .* NaN for receiver \d"),
+        (infinite, r"tiny\.onnx, tried within the bounds on its card: .* inf for receiver \d"),
+        (flat, r"tiny\.onnx returned actions of shape \(1, 32\), not \(16, 2\)"),
+        (hidden_batch, r"tiny\.onnx can't be run: .*"),
+        (less_the_mean, r"tiny\.onnx answers the same observation otherwise in another batch"),
+    ],
+)
+def test_what_fails_when_it_is_run_is_refused_when_it_is_loaded(
+    edit: Edit, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        OnnxPolicy(str(write_policy(tmp_path, model=edit)))
+
+
+def branches(model: onnx.ModelProto) -> None:
+    """One of two equal branches."""
+    same = helper.make_node("Identity", ["z2"], ["out"])
+    out = helper.make_tensor_value_info("out", TensorProto.FLOAT, ["batch", 2])
+    branch = helper.make_graph([same], "branch", [], [out])
+    model.graph.initializer.append(numpy_helper.from_array(np.array(True), "yes"))
+    node = helper.make_node("If", ["yes"], ["action"], then_branch=branch, else_branch=branch)
+    model.graph.node[-1].CopyFrom(node)
+
+
+def long(model: onnx.ModelProto) -> None:
+    """A chain of more operators than a policy may have."""
+    del model.graph.node[-1]
+    count = MOST_OPERATORS + 1
+    names = ["z2", *(f"c{k}" for k in range(count - 1)), "action"]
+    chain = [helper.make_node("Identity", [names[k]], [names[k + 1]]) for k in range(count)]
+    model.graph.node.extend(chain)
+
+
+def heavy(model: onnx.ModelProto) -> None:
+    """A tensor that nothing needs, larger than a policy may be."""
+    weight = np.zeros(LARGEST_BYTES // 4 + 1, dtype=np.float32)
+    model.graph.initializer.append(numpy_helper.from_array(weight, "ballast"))
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (branches, r"tiny\.onnx has the control flow If; export a network without branches"),
+        (long, r"tiny\.onnx has 5,00\d operators; a policy may have 5,000"),
+        (heavy, r"tiny\.onnx has 32.0 MiB; a policy may have 32 MiB"),
+    ],
+)
+def test_control_flow_and_oversized_networks_are_refused(
+    edit: Edit, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        OnnxPolicy(str(write_policy(tmp_path, model=edit)))

@@ -1,0 +1,97 @@
+"""What is shipped, on the command line: lists, cards, and playing it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from spoofgym.detectors.zoo import path_of
+
+from .bench.support import small_suite, use_zoo, write_zoo
+from .command_line import QUICK, SHORT, call, refused
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def zoo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("zoo")
+    write_zoo(folder, small_suite())
+    return folder
+
+
+def test_list_and_card_show_what_is_shipped(
+    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_zoo(zoo_folder, monkeypatch)
+    rows = json.loads(call("list", "shipped", "--json").stdout)["shipped"]
+    assert [row["name"] for row in rows] == ["curve", "push", "track"]
+    assert (rows[2]["knowledge"], rows[2]["designed_on"]) == ("tracking", "ewma, by hand")
+    assert rows[2]["scores"][0]["undetected_displacement_m"] == 12.5
+    table = " ".join(call("list").output.split())
+    assert "ewma: 12.5 m (11.0 to 14.0), alarms 20.0 % (clean 18.0 %)" in table
+    for name in ("push", str(zoo_folder / "push.onnx"), str(zoo_folder / "push.json")):
+        card = call("card", name)
+        assert card.exit_code == 0, card.output
+        for part in ("python -m by.hand", "40 commands", "12.5 (11.0 to 14.0)", "push.onnx, "):
+            assert part in card.output
+        assert json.loads(call("card", name, "--json").stdout)["name"] == "push"
+    assert "rates_mps" in call("card", "curve").output
+    wrong = " ".join(refused("card", "pull").split())
+    assert "unknown shipped spoofer or detector 'pull'; valid: curve, push, track" in wrong
+    assert "there is no card nowhere.json" in refused("card", "nowhere.onnx")
+
+
+def test_a_card_of_a_detector_is_shown_by_name_and_by_file() -> None:
+    file = path_of("trolley-guard")
+    for name in ("trolley-guard", str(file), str(file.with_suffix(".json"))):
+        found = call("card", name)
+        assert found.exit_code == 0, found.output
+        for part in ("detector-policy", "hidden (32)", "12 slots, epochs of 0.5 s", "best_pass"):
+            assert part in found.output
+        assert json.loads(call("card", name, "--json").stdout)["statistic"] == "receiver"
+    damaged = Path("damaged.json")
+    damaged.write_text('{"kind": "detector-policy"}')
+    assert "card damaged.json" in refused("card", "damaged.json")
+
+
+def test_bench_and_run_take_learned_and_optimised_spoofers(
+    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_zoo(zoo_folder, monkeypatch)
+    inline = '{"name": "profile", "rates_mps": [0, 0.1, 0.2], "label": "inline"}'
+    chosen = ["--spoofer", "push", "--spoofer", inline, "--detector", "ewma"]
+    played = call("bench", *QUICK, *chosen, "--out", "out", "--json")
+    assert played.exit_code == 0, played.output
+    summary = json.loads(played.stdout)
+    assert [cell["spoofer"] for cell in summary["cells"]] == ["none", "push", "inline"]
+    assert all(isinstance(cell["within_budget"], bool) for cell in summary["cells"])
+    assert all(cell["spoofer_settings"]["amplitude"] > 0.0 for cell in summary["cells"][1:])
+    again = call("report", "out")
+    assert "stealthy attacks" in again.output
+    for name in ("push", str(zoo_folder / "track.onnx"), inline):
+        one = call("run", *SHORT, "--spoofer", name, "--json")
+        assert one.exit_code == 0, one.output
+        assert json.loads(one.stdout)["largest_error_m"] > 0.0
+    assert Path("episode.png").is_file()
+
+
+def test_shipped_spoofers_that_do_not_fit_are_named(
+    zoo_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_zoo(zoo_folder, monkeypatch)
+    north = [*QUICK, "--out", "out", "--attack", "false-position:axes=n"]
+    assert "needs a command to the east" in refused("bench", *north)
+    assert "push does not fit this attack: " in refused("bench", *north, "--spoofer", "push")
+    assert not Path("out").exists()
+    longer = [*QUICK, "--attack-s", "25", "--detector", "ewma", "--out", "longer"]
+    result = call("bench", *longer)
+    assert result.exit_code == 0, result.output
+    note = "shipped spoofer curve is left out: conditions.steps: 40 on the card, 50 here"
+    assert note in result.output
+    assert note in Path("longer", "results.md").read_text()

@@ -1,0 +1,62 @@
+"""`spoofgym warmup`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+from spoofgym._jit import CACHE_VARIABLE, cache_parent
+
+from .command_line import call, refused
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+def test_after_warmup_another_process_compiles_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
+    command = [sys.executable, "-m", "spoofgym", "warmup", "Snapshot-v0", "--json"]
+    runs = [
+        json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+        for _ in range(2)
+    ]
+    for run in runs:
+        assert run["cache"] == str(tmp_path / "cache")
+        rows = run["environments"]
+        assert [(each["id"], each["form"]) for each in rows] == [
+            ("spoofgym/Snapshot-v0", form) for form in ("single", "batch")
+        ]
+        assert all(each["seconds"] > 0.0 for each in rows)
+    compiled = [sum(each["compiled"] for each in run["environments"]) for run in runs]
+    assert compiled[0] > 0
+    assert compiled[1] == 0
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+def test_warmup_says_what_it_did_and_where_the_code_is() -> None:
+    text = call("warmup", "WheeledRobot-v0", "spoofgym/Snapshot-v0").output
+    for word in ("spoofgym/WheeledRobot-v0", "spoofgym/Snapshot-v0", "single", "batch"):
+        assert word in text
+    assert f"compiled code is in {cache_parent()}" in text
+
+
+def test_warmup_refuses_what_is_not_there_and_what_cannot_be_compiled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 0)
+    said = refused("warmup", "Snapshot-v9")
+    assert "unknown environment 'spoofgym/Snapshot-v9'; valid: " in said
+    assert "did you mean 'spoofgym/Snapshot-v0'?" in said
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    assert "NUMBA_DISABLE_JIT is set" in refused("warmup")
