@@ -24,9 +24,9 @@ def learn(model: BaseAlgorithm, steps: int, **how: Any) -> str | None:
     Returns
     -------
     str or None
-        What torch said where a distribution had no number for its mean within an update; the
-        weights of the model are not finite then.  They may also be so where nothing was said, after
-        the last minibatch.
+        What torch said where a distribution had no number for its mean, in an update or in the
+        next rollout; the weights of the model are not finite then.  They may also be so where
+        nothing was said, after the last minibatch.
     """
     try:
         model.learn(steps, **how)

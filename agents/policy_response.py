@@ -11,7 +11,7 @@ from spoofgym.duel.members import Mixture
 from spoofgym.export import onnx
 from spoofgym.sb3 import SpoofVecEnv
 from spoofgym.spoofers.model import finite
-from spoofgym.tasks import task_of
+from spoofgym.tasks import ALARM_PRICE, task_of
 
 from .diverging import learn
 from .full_scale import for_learning
@@ -19,8 +19,6 @@ from .full_scale import for_learning
 NUM_ENVS, LOG_STD = 32, -1.5
 """Of PPO, which decides as seldom as in `train.ppo_spoofer`; the rest are the defaults of
 stable-baselines3, with gamma 1."""
-ALARM_PRICE = 1.5
-"""What an alarm costs, in alert limits."""
 
 
 def learn_against(

@@ -74,11 +74,12 @@ KIND_HEAD = (
 def kind_cells(
     task: str, kind: str, rows: Sequence[Mapping[str, Any]], ramp: Mapping[str, Any]
 ) -> tuple[str, ...]:
-    """Trainings of one kind, in the order of `KIND_HEAD`."""
-    middle = middle_of(rows, "ramp")
-    ratio = interval(middle["ratios"]["ramp"], 2) if middle["score"] else "0, which diverged,"
+    """Trainings of one kind, in the order of `KIND_HEAD`; those that diverged count as 0 m."""
+    middle, lost = middle_of(rows, "ramp"), sum(not row["score"] for row in rows)
+    ratio = interval(middle["ratios"]["ramp"], 2) if middle["score"] else "0"
+    seeds = f"{len(rows)}, {lost} diverged" if lost else str(len(rows))
     return (
-        *(task, kind, str(len(rows)), spread([value_of(row["score"]) for row in rows])),
+        *(task, kind, seeds, spread([value_of(row["score"]) for row in rows])),
         f"{ratio} of {value_of(ramp):.1f} m",
         spread([value_of(row["untrained"]) for row in rows]),
     )

@@ -17,6 +17,8 @@ import pytest
 # same examples everywhere.
 hypothesis.settings.register_profile("spoofgym", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("spoofgym")
+# its assertions show their values, as those of a test
+pytest.register_assert_rewrite("tests.command_line")
 
 DATA_VARIABLE = "SPOOFGYM_DATA"
 TESTS = Path(__file__).parent
@@ -34,6 +36,8 @@ LONG = (
     "docs/test_train_your_own.py",
     "train/",
     "test_cli.py",
+    "test_cli_shipped.py",
+    "test_cli_warmup.py",
     "test_interrupts.py",
     "baselines/",
     "papers/",

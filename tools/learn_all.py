@@ -50,6 +50,8 @@ OWN = {
     "T6": "--warm-pool 512",
 }
 """Settings of the recipe that single tasks have on docs/learned_spoofers.md."""
+FRESH = ("T1", "T2")
+"""Tasks with other seeds and other runs on that page, too."""
 
 
 def steps_of(out: Path) -> dict[str, list[str]]:
@@ -58,16 +60,26 @@ def steps_of(out: Path) -> dict[str, list[str]]:
         f"ppo-{key}": ["train.ppo_spoofer", "--task", key, *OWN.get(key, "").split()]
         for key in TASKS
     }
+    fresh = ("--entropy", "1", "--seeds", "5", "6", "7", "8", "9")
+    recipes |= {f"fresh-{key}": ["train.ppo_spoofer", "--task", key, *fresh] for key in FRESH}
     plain = {f"plain-{key}": ["train.plain_ppo", "--task", key] for key in ("T2", "T3", "T5")}
-    folders = [*recipes, *plain, "spoofers"]
+    folders = [*recipes, *plain, "spoofers", "refits", "refits-more"]
     guard = str(out / "guard" / "guard.onnx")
     found = {
         **{name: [*words, "--out", str(out / name)] for name, words in (recipes | plain).items()},
         "spoofers": ["train.spoofers", "--out", str(out / "spoofers")],
-        "data": ["spoofgym", "dataset", str(out / "data"), "--task", "T3"],
+        "refits": ["tools.refits", "--out", str(out / "refits")],
+        "refits-more": [
+            *("tools.refits", "--out", str(out / "refits-more"), "--task", "T2"),
+            *("--fit-runs", "1024", "--entropies", "1", "2", "3"),
+        ],
+        "data": [
+            *("spoofgym", "dataset", str(out / "data"), "--task", "T3"),
+            *("--spoofer", "solution-separation-ppo", "--spoofer", "hidden-pool-ppo"),
+        ],
         "guard": [
             *("train.detector", "--data", str(out / "data"), "--out", str(out / "guard")),
-            *("--seed", "2"),
+            *("--seed", "3"),
         ],
         "threshold": [
             *("spoofgym", "calibrate", "--task", "T3", "--detector", guard, "--runs", "2000"),

@@ -1,11 +1,12 @@
 """Tables and pictures of `docs/learned_spoofers.md`, from results of trainings.
 
-    python -m tools.learned_page runs/ppo-T3 runs/ppo-T5 runs/plain-T3 runs/spoofers
+    python -m tools.learned_page runs/ppo-T3 runs/ppo-T5 runs/plain-T3 runs/spoofers runs/refits
 
 takes the results of these folders into `docs/learned_spoofers.json`, those of `train.ppo_spoofer`
-with their pictures, those of `train.plain_ppo` and those of `train.spoofers`, and writes the tables
-of the page; without a folder it writes the tables again.  Cells of `train.spoofers` that a folder
-lacks stay as they are.
+with their pictures, those of `train.plain_ppo`, `train.spoofers` and `tools.refits`, and writes the
+tables of the page; without a folder it writes the tables again.  Trainings with an `--entropy` of
+their own, on other runs, have a table apart.  Cells of `train.spoofers` and
+tasks of `tools.refits` that a folder lacks stay as they are.
 """
 
 from __future__ import annotations
@@ -32,12 +33,16 @@ from spoofgym.bench.report import markdown_table
 from spoofgym.bench.tables import interval
 
 from .pages import put_between
+from .refits import RESULTS as REFITS
+from .refits import table as table_of_refits
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE, KEPT = DOCS / "learned_spoofers.md", DOCS / "learned_spoofers.json"
 BEGIN, END = "<!-- learned:begin -->", "<!-- learned:end -->"
+FRESH_BEGIN, FRESH_END = "<!-- fresh:begin -->", "<!-- fresh:end -->"
 MANY_BEGIN, MANY_END = "<!-- spoofers:begin -->", "<!-- spoofers:end -->"
 PLAIN_BEGIN, PLAIN_END = "<!-- plain:begin -->", "<!-- plain:end -->"
+REFITS_BEGIN, REFITS_END = "<!-- refits:begin -->", "<!-- refits:end -->"
 MANY = "spoofers.json"
 """Results of `train.spoofers` in their folder."""
 TASK_HEAD = (
@@ -82,13 +87,18 @@ def bar_of(found: dict[str, Any]) -> str:
     return max(RIVALS, key=lambda name: value_of(rivals[name]) * keeps_budget(rivals[name]))
 
 
+def shown_of_tasks(kept: dict[str, Any]) -> str:
+    """Table of the recipe: a line for each task."""
+    tasks = [_task_cells(task, found) for task, found in kept.items()]
+    return "\n".join(markdown_table(TASK_HEAD, tasks)) + "\n"
+
+
 def shown(kept: dict[str, Any]) -> str:
     """Tables of the recipe: a line for each task, and all seeds."""
     seeds = sorted({row["seed"] for found in kept.values() for row in found["seeds"]})
-    tasks = [_task_cells(task, found) for task, found in kept.items()]
     every = [_seed_cells(task, found, seeds) for task, found in kept.items()]
     lines = [
-        *markdown_table(TASK_HEAD, tasks),
+        shown_of_tasks(kept).rstrip(),
         "",
         *markdown_table(("task", *(f"seed {seed}" for seed in seeds)), every),
     ]
@@ -138,22 +148,30 @@ def shown_of_plain(kept: dict[str, Any]) -> str:
 
 
 def _curve(rows: list[dict[str, Any]]) -> str:
-    """Median over the seeds at every score."""
+    """Median over the seeds at every score, of those that have not diverged."""
     return ", ".join(
         f"{median(step for step, _ in each) / 1000:.0f}: {median(m for _, m in each):.1f}"
-        for each in zip(*(row["curve"] for row in rows), strict=True)
+        for each in zip(*(row["curve"] for row in rows if row["score"]), strict=True)
     )
 
 
 def main() -> None:
     """Take the results of the folders that are given, and write the page."""
-    kept = {"spoofers": {}, **json.loads(KEPT.read_text(encoding="utf-8"))}
+    kept = {
+        "fresh": {},
+        "spoofers": {},
+        "refits": {},
+        **json.loads(KEPT.read_text(encoding="utf-8")),
+    }
     for folder in map(Path, sys.argv[1:]):
         if (folder / MANY).is_file():
             cells = json.loads((folder / MANY).read_text(encoding="utf-8"))
             kept["spoofers"] |= {
                 cell: taken(found, found["rivals"]) for cell, found in cells.items()
             }
+            continue
+        if (folder / REFITS).is_file():
+            kept["refits"] |= json.loads((folder / REFITS).read_text(encoding="utf-8"))
             continue
         results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
         if "kinds" in results:
@@ -164,13 +182,18 @@ def main() -> None:
             continue
         config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
         task = config["arguments"]["task"]
+        if config["arguments"]["entropy"]:
+            kept["fresh"][task] = taken(results)
+            continue
         kept["recipe"][task] = taken(results)
         picture = (folder / "curve.png").read_bytes()
         write_file(DOCS / f"learning_{task.lower()}.png", picture)
     kept = {part: dict(sorted(found.items())) for part, found in kept.items()}
     write_file(KEPT, (json.dumps(kept, indent=1) + "\n").encode())
     put_between(PAGE, BEGIN, END, shown(kept["recipe"]))
+    put_between(PAGE, FRESH_BEGIN, FRESH_END, shown_of_tasks(kept["fresh"]))
     put_between(PAGE, PLAIN_BEGIN, PLAIN_END, shown_of_plain(kept["plain"]))
+    put_between(PAGE, REFITS_BEGIN, REFITS_END, table_of_refits(kept["refits"]))
     put_between(PAGE, MANY_BEGIN, MANY_END, page(kept["spoofers"]))
 
 

@@ -35,7 +35,6 @@ from spoofgym._files import write_file
 from spoofgym.bench.calibrations import calibrate_suite, missing_runs
 from spoofgym.bench.campaign import run_campaign
 from spoofgym.bench.entries import detector_entry, fitted
-from spoofgym.bench.remaining import expected_work
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.store import ResultsFolder
 from spoofgym.bench.suite import Selection, Suite, Tuning
@@ -48,6 +47,7 @@ from spoofgym.bench.task_cards import (
     score_rows,
     stored_cards,
 )
+from spoofgym.bench.work import expected_work
 from spoofgym.cli.output import progress
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.tasks import SUITE, TASKS, Task, task_of

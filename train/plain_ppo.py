@@ -31,7 +31,6 @@ from spoofgym.bench.evaluate import Evaluator
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.spoofer_score import Score
 from spoofgym.sb3 import ScoreCallback, SpoofVecEnv
-from spoofgym.spoofers.model import finite
 
 NUM_ENVS = {"plain": 64, "defaults": 8}
 PLAIN: dict[str, Any] = {
@@ -86,7 +85,7 @@ class Settings:
 def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[Score | None, Any]:
     """One training: its score on evaluation runs, and what it was on training runs meanwhile.
 
-    A policy whose weights are not finite at the end has no score.
+    A training that has diverged has no score.
     """
     num_envs = settings.num_envs or NUM_ENVS[kind]
     envs: Any = SpoofVecEnv(num_envs, task=settings.task, knowledge="blind", seed=1000 * seed)
@@ -101,7 +100,7 @@ def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[S
     if why is not None:
         watch.give_up(why)
     wall_s = time.perf_counter() - began
-    score = judge.score(model, label=kind) if finite(model.policy) else None
+    score = judge.score(model, label=kind) if watch.diverged is None else None
     envs.close()
     curve = [[step, round(found.score, 3)] for step, found in watch.history]
     told = {"curve": curve, "wall_s": round(wall_s, 1), "diverged": watch.diverged}

@@ -24,7 +24,12 @@ from .entries import Entry
 from .knowledge import knowledge_of
 from .optima import AIMS, Optima, curves_to_fit
 from .protection import Aim, Protection
-from .remaining import (
+from .run import Runs, WarmStart, play
+from .scores import counted
+from .store import ResultsFolder
+from .suite import Suite
+from .tune import TuningResult, tune
+from .work import (
     WARMUP_SHARE,
     left_of,
     left_of_published,
@@ -32,11 +37,6 @@ from .remaining import (
     search_work,
     work_of,
 )
-from .run import Runs, WarmStart, play
-from .scores import counted
-from .store import ResultsFolder
-from .suite import Suite
-from .tune import TuningResult, tune
 
 
 def run_campaign(

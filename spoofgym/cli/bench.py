@@ -39,8 +39,8 @@ def tune(
     """Find the strongest ramp that keeps to an alarm budget, on training runs."""
     from ..bench.campaign import search, training_start
     from ..bench.entries import TUNED, build_spoofer
-    from ..bench.remaining import search_work
     from ..bench.tuning_table import tuning_head, tuning_rows
+    from ..bench.work import search_work
     from ..spoofers.scaled import AMPLITUDE
 
     specs = specs_of(spoofer or ["ramp", "accelerating-ramp"])
@@ -164,8 +164,8 @@ def bench(
     every run, unless --set domain=... says otherwise.
     """
     from ..bench.campaign import run_campaign
-    from ..bench.remaining import expected_work
     from ..bench.store import ResultsFolder
+    from ..bench.work import expected_work
     from ..detectors.calibrated import STANDARD_RATE
     from ..simulators.engine import processors
 

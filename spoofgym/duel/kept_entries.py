@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,19 +15,9 @@ from ..bench.suite import WORLD, Suite
 from ..detectors import Detector
 from ..detectors.calibrated import factors_of
 from .members import Member
+from .payoff_matrix import Played
 
 FORMAT = 1
-
-
-class Played(NamedTuple):
-    """R runs of a spoofer against a detector.
-
-    - `displacement` undetected [m], `alarmed` in the judged window, `counts` whether the run does.
-    """
-
-    displacement: NDArray[np.float64]
-    alarmed: NDArray[np.bool_]
-    counts: NDArray[np.bool_]
 
 
 class KeptEntries:
@@ -66,7 +55,7 @@ class KeptEntries:
         tuple or None
             None where there is no such entry.
         """
-        file = self._file(spoofer, detector, judge)
+        file = self.file_of(spoofer, detector, judge)
         if file is None or not file.is_file():
             return None
         with np.load(file) as found:
@@ -91,14 +80,25 @@ class KeptEntries:
         sky : ndarray
             (R,) sky of each run.
         """
-        file = self._file(spoofer, detector, judge)
+        file = self.file_of(spoofer, detector, judge)
         if file is not None:
             head = json.dumps([spoofer.as_json(), detector.as_json()])
             with whole_file(file) as part, part.open("wb") as content:
                 np.savez(content, **played._asdict(), sky=sky, head=np.array(head))
 
-    def _file(self, spoofer: Member, detector: Member, judge: Detector) -> Path | None:
-        """Where an entry is kept; None where what it depends on can't be written."""
+    def file_of(self, spoofer: Member, detector: Member, judge: Detector) -> Path | None:
+        """Where an entry is kept.
+
+        Parameters
+        ----------
+        spoofer, detector, judge : Member, Member and Detector
+            As in `load`.
+
+        Returns
+        -------
+        Path or None
+            By all that the entry depends on; None where that can't be written.
+        """
         if spoofer.spec is None or detector.spec is None:
             return None
         factors = factors_of(judge)

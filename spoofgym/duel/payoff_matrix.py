@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,17 @@ from .members import Member, Mixture, Strategy, mixture
 FloatArray = NDArray[np.float64]
 PAYOFFS = ("stealth", "hmi")
 RESAMPLES = 400
+
+
+class Played(NamedTuple):
+    """R runs of a spoofer against a detector.
+
+    - `displacement` undetected [m], `alarmed` in the judged window, `counts` whether the run does.
+    """
+
+    displacement: FloatArray
+    alarmed: NDArray[np.bool_]
+    counts: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,9 @@ from ..simulators.monitors import Monitor, Monitored, PassiveDetectors
 from ..simulators.setup import Setup
 from ..simulators.splits import SPLITS
 from ..tasks import task_of
-from .kept_entries import KeptEntries, Played
+from .kept_entries import KeptEntries
 from .members import DETECTOR, SPOOFER, Member, Mixture, Strategy, strategy_of
-from .payoff_matrix import PayoffMatrix, RunPayoff
+from .payoff_matrix import PayoffMatrix, Played, RunPayoff
 
 FloatArray = NDArray[np.float64]
 SPLIT = "game"

@@ -191,11 +191,10 @@ class ScoreCallback(BaseCallback):
         why : str
             What has happened.
         """
-        kept = (
-            f"the best one, of step {self.best_step:,} with {self.best_m:.2f} m, is kept"
-            if self.best_step >= 0
-            else "none before it was within the budget"
-        )
+        kept = "none before it was within the budget"
+        if self.best_step >= 0:
+            best = f"the best one was that of step {self.best_step:,} with {self.best_m:.2f} m"
+            kept = best if self.path is None else f"{best}, and is kept"
         self.diverged = f"training has diverged after {self.num_timesteps:,} steps: {why}; {kept}"
         warnings.warn(self.diverged, UserWarning, stacklevel=3)
 

@@ -16,9 +16,9 @@ from spoofgym.bench import ResultsFolder, Suite, run_campaign, summarize
 from spoofgym.bench.cells import Cell
 from spoofgym.bench.panels import SMALLEST_M
 from spoofgym.bench.picture import draw_campaign
-from spoofgym.bench.remaining import expected_work
 from spoofgym.bench.report import markdown
 from spoofgym.bench.tables import interval
+from spoofgym.bench.work import expected_work
 
 from .support import small_suite
 

@@ -42,6 +42,8 @@ SMALL = {
     "train.detector": f"--passes 1 --width 8 {RATE}",
 }
 """What is appended to a command; the last of an option counts."""
+LEARNED = {"solution-separation-ppo": "step:size_m=3", "hidden-pool-ppo": "intermittent"}
+"""Spoofers that fit no shorter attack, and who stands in for them."""
 
 
 def test_the_page_is_tidy() -> None:
@@ -59,7 +61,7 @@ def test_its_commands_and_its_code_run(tmp_path: Any, monkeypatch: pytest.Monkey
     monkeypatch.setitem(TASKS["T3"].settings, "timeline", TIMES)
     before = torch.get_num_threads()
     for line in COMMANDS:
-        words = shlex.split(line)
+        words = [LEARNED.get(word, word) for word in shlex.split(line)]
         if words[0] == "spoofgym":
             given = [*words[1:], *shlex.split(SMALL[words[1]])]
             result = CliRunner().invoke(app, given)

@@ -12,6 +12,7 @@ from spoofgym.bench.run import displacement_of, play
 from spoofgym.bench.scores import counted
 from spoofgym.detectors import make_detector
 from spoofgym.duel import population
+from spoofgym.duel.kept_entries import KeptEntries
 from spoofgym.duel.members import member_of, mixture, strategy_of
 from spoofgym.duel.payoff_matrix import RunPayoff
 from spoofgym.duel.population import Game
@@ -174,8 +175,9 @@ def test_what_is_kept_is_not_played_again_and_is_the_same(tmp_path, monkeypatch,
 
 def test_other_runs_or_another_world_are_other_entries(tmp_path):
     def entry(**settings):
-        found = game(folder=tmp_path, **settings)
-        return found._file(strategy_of(RAMP, "spoofer"), strategy_of(CHI2, "detector"))
+        found, detector = game(folder=tmp_path, **settings), strategy_of(CHI2, "detector")
+        kept = KeptEntries(tmp_path, found.suite, found.seeds)
+        return kept.file_of(strategy_of(RAMP, "spoofer"), detector, found.detector(detector))
 
     files = [
         entry(),

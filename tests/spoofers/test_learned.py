@@ -1,4 +1,4 @@
-"""A policy in a file: run as it is, bit for bit in any batch, and refused where it does not fit."""
+"""A policy in a file: run as it is, bit for bit in any batch."""
 
 from __future__ import annotations
 
@@ -142,9 +142,6 @@ def test_a_read_only_observation_of_another_layout_is_taken(tmp_path: Path) -> N
     turned = np.asfortranarray(seen)
     turned.flags.writeable = False
     assert policy.act(turned).tobytes() == action.tobytes()
-
-
-# --- files that are refused ---
 
 
 def test_the_card_is_there_for_who_holds_the_policy(tmp_path: Path) -> None:

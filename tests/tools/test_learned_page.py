@@ -13,18 +13,25 @@ from tools.learned_page import (
     BEGIN,
     DOCS,
     END,
+    FRESH_BEGIN,
+    FRESH_END,
     KEPT,
     MANY_BEGIN,
     MANY_END,
     PAGE,
     PLAIN_BEGIN,
     PLAIN_END,
+    REFITS_BEGIN,
+    REFITS_END,
     bar_of,
     shown,
     shown_of_plain,
+    shown_of_tasks,
     taken,
 )
 from tools.pages import part_between
+from tools.refits import LEARNED
+from tools.refits import table as table_of_refits
 
 SEEDS = [0, 1, 2, 3, 4]
 
@@ -37,7 +44,9 @@ def kept():
 def test_the_page_has_the_tables_of_the_kept_results(kept):
     page = PAGE.read_text()
     assert part_between(page, BEGIN, END) == f"\n{shown(kept['recipe'])}"
+    assert part_between(page, FRESH_BEGIN, FRESH_END) == f"\n{shown_of_tasks(kept['fresh'])}"
     assert part_between(page, PLAIN_BEGIN, PLAIN_END) == f"\n{shown_of_plain(kept['plain'])}"
+    assert part_between(page, REFITS_BEGIN, REFITS_END) == f"\n{table_of_refits(kept['refits'])}"
     assert part_between(page, MANY_BEGIN, MANY_END) == f"\n{table(kept['spoofers'])}"
 
 
@@ -57,6 +66,27 @@ def test_every_cell_of_the_many_trainings_has_five_seeds(kept):
         assert taken(found, found["rivals"]) == found
         known = cell.rpartition("/")[2]
         assert {row["untrained"]["knowledge"] for row in found["seeds"]} == {known}
+
+
+def test_fresh_seeds_on_fresh_runs_share_none_with_the_others(kept):
+    """Five seeds that trials did not have, and at least what the page asks of the others."""
+    for found in kept["fresh"].values():
+        assert [row["seed"] for row in found["seeds"]] == [5, 6, 7, 8, 9]
+        assert "--entropy 1" in found["command"]
+        bar = bar_of(found)
+        assert middle_of(found["seeds"], bar)["ratios"][bar]["value"] >= 0.95
+
+
+def test_learned_spoofers_are_fitted_anew_on_five_sets_of_runs(kept):
+    """What ships for a task is among them, and no set is that of the tables."""
+    assert {"T1/256", "T2/256", "T2/1024"} <= {*kept["refits"]}
+    for key, found in kept["refits"].items():
+        assert key == f"{found['task']}/{found['fit_runs']}"
+        assert LEARNED[found["task"]] in found["spoofers"]
+        assert len(found["entropies"]) == (5 if found["fit_runs"] == 256 else 3)
+        assert 0 not in found["entropies"]
+        lengths = {len(scores) for scores in found["spoofers"].values()}
+        assert lengths == {len(found["entropies"])}
 
 
 def test_the_recipe_reaches_95_percent_where_the_page_says_so(kept):

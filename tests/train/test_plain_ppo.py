@@ -11,9 +11,12 @@ torch = pytest.importorskip("torch")
 for name in ("stable_baselines3", "tyro"):
     pytest.importorskip(name)
 
+from dataclasses import replace
+
 from rich.console import Console
 from stable_baselines3 import PPO
 
+from tools.learned_page import shown_of_plain, taken_of_plain
 from train import plain_ppo
 from train.plain_ppo import Settings, play, table_of
 
@@ -57,21 +60,31 @@ def test_bad_input_is_refused(tmp_path):
 
 
 def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypatch):
-    learn = PPO.learn
+    """Within an update, where torch raises, and after its last minibatch, where nobody does."""
+    train = PPO.train
+    broken = []
 
-    def diverge(self, *given, **named):
-        learn(self, *given, **named)
-        with torch.no_grad():
-            self.policy.action_net.weight.fill_(float("nan"))
-        raise ValueError("Expected parameter loc to satisfy the constraint\nbut found nan")
+    def diverge(self):
+        train(self)
+        if self.seed in (3, 4):
+            broken.append(self.seed)
+            with torch.no_grad():
+                self.policy.action_net.weight.fill_(float("nan"))
+            if self.seed == 3:
+                raise ValueError("Expected parameter loc to satisfy the constraint\nbut found nan")
 
-    monkeypatch.setattr(PPO, "learn", diverge)
+    monkeypatch.setattr(PPO, "train", diverge)
     before = torch.get_num_threads()
-    with pytest.warns(UserWarning, match="diverged after 40 steps: Expected parameter loc"):
-        results = play(settings, Console(quiet=True))
+    with pytest.warns(UserWarning, match="training has diverged after 40 steps"):
+        results = play(replace(settings, seeds=(3, 4, 5)), Console(quiet=True))
     torch.set_num_threads(before)
-    (row,) = results["kinds"]["plain"]
-    assert (row["score"], row["ratios"]) == (None, {})
-    assert "Expected parameter loc" in row["diverged"]
-    assert [step for step, _ in row["curve"]] == [0, 40]
-    assert "| 0, which diverged, of " in table_of(results)
+    assert broken == [3, 4]
+    rows = results["kinds"]["plain"]
+    assert [(row["score"], row["ratios"]) for row in rows[:2]] == [(None, {})] * 2
+    assert "Expected parameter loc" in rows[0]["diverged"]
+    assert "weights that are not finite" in rows[1]["diverged"]
+    assert rows[2]["diverged"] is None
+    assert rows[2]["score"]["counted"] == rows[2]["untrained"]["counted"]
+    assert "| T1 | plain | 3, 2 diverged | 0.0 [" in table_of(results)
+    page = shown_of_plain({"T1": taken_of_plain(results)})
+    assert "| 0: " in page

@@ -1,4 +1,4 @@
-"""What a campaign has left to play, and roughly how much work that is, in runs of a cell."""
+"""Work of campaigns and searches, roughly, in runs of a cell; and what a campaign has left."""
 
 from __future__ import annotations
 

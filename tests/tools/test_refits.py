@@ -1,0 +1,67 @@
+"""Scores of a spoofer on several sets of runs."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+pytest.importorskip("tyro")
+
+from rich.console import Console
+
+from spoofgym.bench.evaluate import Evaluator
+from tools.refits import RESULTS, Settings, play, table
+
+QUIET = Console(quiet=True)
+QUICK = {"task": ("T1",), "entropies": (3, 4), "fit_runs": 80, "runs": 10, "threads": 1}
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    settings = Settings(tmp_path_factory.mktemp("refits"), spoofer=("dash",), **QUICK)
+    return settings, play(settings, QUIET)
+
+
+def test_every_set_is_fitted_and_scored_by_itself(results):
+    settings, found = results
+    rows = found["T1/80"]["spoofers"]
+    (ramp, dash) = rows
+    assert ramp.startswith("ramp")
+    assert dash.startswith("dash")
+    assert [score["of_ramp"]["value"] for score in rows[ramp]] == [1.0, 1.0]
+    alone = Evaluator("T1", runs=10, fit_runs=80, entropy=4, threads=1).score("ramp")
+    assert rows[ramp][1] == {**alone.as_dict(), "of_ramp": alone.ratio_to(alone).as_json()}
+    assert rows[ramp][0]["value"] != rows[ramp][1]["value"]
+    assert json.loads((settings.out / RESULTS).read_text()) == found
+
+
+def test_what_is_finished_is_not_played_again(results, monkeypatch):
+    settings, found = results
+    monkeypatch.setattr("tools.refits.scored", None)
+    assert play(settings, QUIET) == found
+
+
+def test_the_table_has_median_range_and_who_is_over_the_budget():
+    def score(metres, times, within):
+        value = {"value": metres, "low": metres, "high": metres}
+        kept = {"within_budget": within, "fit_within_budget": True}
+        return {"stealthy_displacement_m": value, **kept, "of_ramp": {"value": times}}
+
+    case = {"task": "T3", "fit_runs": 256}
+    text = table({"a": {**case, "spoofers": {"mine": [score(1.0, None, True)]}}})
+    assert "| T3 | 256 | `mine` | 1 | 1.0 [1.0, 1.0] | - |  |" in text
+    scores = [score(9.0, 3.0, True), score(2.0, 1.0, True), score(4.0, 2.0, False)]
+    text = table({"a": {**case, "spoofers": {"mine": scores}}})
+    assert "| T3 | 256 | `mine` | 3 | 4.0 [2.0, 9.0] | 2.00 [1.00, 3.00] | 1 |" in text
+
+
+def test_bad_settings_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="`entropies` must be different"):
+        Settings(tmp_path, entropies=(1, 1))
+    with pytest.raises(ValueError, match="no learned spoofer is shipped for T4: give `spoofer`"):
+        Settings(tmp_path, task=("T4",))
+    with pytest.raises(ValueError, match="unknown task 'T9'"):
+        Settings(tmp_path, task=("T9",))
+    with pytest.raises(ValueError, match="listed twice: dash"):
+        Settings(tmp_path, task=("T1",), spoofer=("dash", "dash")).whom("T1")
