@@ -68,7 +68,7 @@ def steps_of(out: Path) -> dict[str, list[str]]:
     found = {
         **{name: [*words, "--out", str(out / name)] for name, words in (recipes | plain).items()},
         "spoofers": ["train.spoofers", "--out", str(out / "spoofers")],
-        "refits": ["tools.refits", "--out", str(out / "refits")],
+        "refits": ["tools.refits", "--out", str(out / "refits"), "--task", "T1", "T2"],
         "refits-more": [
             *("tools.refits", "--out", str(out / "refits-more"), "--task", "T2"),
             *("--fit-runs", "1024", "--entropies", "1", "2", "3"),

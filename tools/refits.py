@@ -12,9 +12,9 @@ of several sets lie apart has the fit in it, too.  The folder gets `refits.json`
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -47,13 +47,10 @@ LEARNED = {
 }
 """The learned spoofer that is shipped for a task."""
 HEAD = (
-    "task",
-    "training runs",
-    "spoofer",
-    "sets of runs",
-    "stealthy displacement, median and range [m]",
+    *("task", "training runs", "spoofer", "sets of runs"),
+    *("stealthy displacement, median and range [m]", "times the ramp, median and range"),
+    "over the budget",
 )
-HEAD = (*HEAD, "times the ramp, median and range", "over the budget")
 
 
 @dataclass(frozen=True)
@@ -117,9 +114,9 @@ def play(settings: Settings, console: Console) -> dict[str, Any]:
         specs = [entry.spec for entry in whom]
         for entropy in settings.entropies:
             judge = Evaluator(task, entropy=entropy, threads=settings.threads, **sizes)
-            digest = digest_of([judge.suite.config, specs, made])
+            digest = digest_of([judge.suite.config, specs])
             with console.status(f"{task}, entropy {entropy}"):
-                sets.append(kept(digest, lambda: scored(judge, whom)))  # noqa: B023
+                sets.append(kept(digest, partial(scored, judge, whom)))
         results[f"{task}/{settings.fit_runs}"] = {
             "task": task,
             **sizes,
@@ -158,10 +155,10 @@ def _cells(scores: Sequence[Mapping[str, Any]]) -> tuple[str, str, str]:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Command line."""
     with error_lines():
-        settings = tyro.cli(Settings, description=__doc__, args=arguments)
+        settings = tyro.cli(Settings, description=__doc__)
         console = Console(quiet=settings.json)
         results = play(settings, console)
     if settings.json:
@@ -170,4 +167,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

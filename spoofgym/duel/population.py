@@ -350,13 +350,13 @@ class Game:
             played = Played(moved, first > 0, counts)
             self._played[spoofer.label, detector.label] = played, sky
             if self._kept is not None:
-                self._kept.keep(spoofer, detector, self._judge(detector)[0], played, sky)
+                self._kept.keep(spoofer, detector, self.detector(detector), played, sky)
 
     def _is_known(self, spoofer: Member, detector: Member) -> bool:
         """Whether an entry has been played, here or in the folder."""
         key = spoofer.label, detector.label
         if key not in self._played and self._kept is not None:
-            found = self._kept.load(spoofer, detector, self._judge(detector)[0])
+            found = self._kept.load(spoofer, detector, self.detector(detector))
             if found is not None:
                 self._played[key] = found
         return key in self._played
