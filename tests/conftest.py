@@ -95,6 +95,12 @@ default_rate_of_module = pytest.fixture(
 """The same, for fixtures that live as long as a module."""
 
 
+@pytest.fixture
+def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run in a folder of the test's own, where commands may write."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _no_word_of_compiling() -> None:
     """In which test the notice would appear on stderr depends on the machine and the order."""

@@ -27,10 +27,7 @@ from spoofgym.spoofers import SPOOFERS, shipped
 from .bench.support import small_suite
 from .command_line import FIXED, QUICK, SHORT, TRAINING, TWO, call, refused
 
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def test_help_of_every_command() -> None:

@@ -13,10 +13,7 @@ from .command_line import SHORT, call, refused
 SMALL = ["--train", "3", "--validation", "2", "--test", "2", "--term", "innovation"]
 SMALL += ["--term", "in-view", "--threads", "1"]
 
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def test_a_data_set_is_written_summed_up_and_gone_on_with():

@@ -19,10 +19,7 @@ TIMELINE = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 20.0, "time_to_alert_s
 LINE = ["limits", *SHORT, "--set", "domain={}", "--nominal"]
 TWO = ["--detector", "snapshot-chi2", "--detector", "raim"]
 
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,7 @@ from spoofgym.detectors.zoo import path_of
 from .bench.support import small_suite, use_zoo, write_zoo
 from .command_line import QUICK, SHORT, call, refused
 
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 @pytest.fixture(scope="module")
