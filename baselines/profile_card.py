@@ -13,6 +13,7 @@ from spoofgym.bench.specs import describe
 from spoofgym.bench.suite import spoofer_context
 from spoofgym.bench.tune import Trial
 from spoofgym.bench.versions import versions
+from spoofgym.policies.card import DECIDED_ON
 from spoofgym.spoofers import Card
 from spoofgym.spoofers.card import fields_of
 
@@ -96,6 +97,7 @@ def _training(run: ProfileRun, choice: Choice, command: str) -> dict[str, Any]:
         "command": command,
         "seed": settings.seed,
         "arguments": asdict(run.settings),
+        DECIDED_ON: [[run.suite.entropy, "training"]],
         "aimed_alarm_rate": run.aim,
         "generations": len(run.generations),
         "steps": len(run.generations) * each,

@@ -79,7 +79,7 @@ def played(judge: Evaluator, rates_mps: list[float]) -> dict[str, Any]:
             "settings": {key: x for key, x in spec.items() if key not in ("name", "rates_mps")},
             "amplitude": fit.value,
             "training_m": {_words(each): one.score for one, each in tried},
-            "ratio": scores[kind].ratio_to(scores[BLIND]).as_json(),
+            "ratio": scores[kind].ratio_to(scores[BLIND], oracles=True).as_json(),
         }
     return found
 

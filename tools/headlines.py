@@ -130,9 +130,9 @@ def _lines(world: dict[str, Any]) -> Iterator[str]:
     world = {**world, "limits": limits, "detectors": _bracketed(world, limits)}
     columns = [name for name in COLUMNS if limits["floor"] or " bound" not in name]
     columns = [name for name in columns if limits["floor"] or "floor" not in name]
-    met = {_plain(cell) for cell in world["cells"]}
+    met = {_plain(cell): cell["knowledge"]["run_time"] for cell in world["cells"]}
     spoofers = [name for name in SPOOFERS if name in met]
-    head = [*columns, *(f"{name} [m]" for name in spoofers), "mark"]
+    head = [*columns, *(f"{tables.titled(name, met[name])} [m]" for name in spoofers), "mark"]
     for group in tables.groups(world):
         yield from markdown_table(head, list(_rows(world, group, columns, spoofers)))
     yield ""

@@ -35,7 +35,7 @@ SPOOFERS = {
     "ramp": "ramp",
     "snapshot-chi2-profile": "profile",
     "blind-optimum": "blind optimum",
-    "feedback": "feedback",
+    "feedback": "feedback (oracle)",
 }
 """Whose stealthy displacements are shown, and their headings."""
 DEFAULTS = ("snapshot-chi2", "windowed-chi2", "ewma", "joint-chart", "innovation-rate", "raim")

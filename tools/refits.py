@@ -31,6 +31,7 @@ from spoofgym.bench.entries import Entry, check_labels, fitted, spoofer_entry
 from spoofgym.bench.evaluate import Evaluator
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.specs import digest_of, parse_spec
+from spoofgym.bench.tables import titled
 from spoofgym.bench.versions import versions
 from spoofgym.tasks import task_of
 
@@ -102,7 +103,11 @@ class Settings:
 def scored(judge: Evaluator, whom: Sequence[Entry]) -> list[dict[str, Any]]:
     """Scores on one set of runs, with ratios to the first one, JSON-able."""
     scores = [judge.score(entry.spec) for entry in whom]
-    return [{**score.as_dict(), "of_ramp": score.ratio_to(scores[0]).as_json()} for score in scores]
+    ramp = scores[0]
+    return [
+        {**score.as_dict(), "of_ramp": score.ratio_to(ramp, oracles=True).as_json()}
+        for score in scores
+    ]
 
 
 def play(settings: Settings, console: Console) -> dict[str, Any]:
@@ -132,7 +137,11 @@ def table(results: Mapping[str, Any]) -> str:
     """A line for each spoofer of each task and number of training runs."""
     rows = [
         (
-            *(found["task"], str(found["fit_runs"]), f"`{name.removesuffix('(tuned)')}`"),
+            *(
+                found["task"],
+                str(found["fit_runs"]),
+                titled(f"`{name.removesuffix('(tuned)')}`", scores[0]["knowledge"]),
+            ),
             *(str(len(scores)), *_cells(scores)),
         )
         for found in results.values()

@@ -111,7 +111,7 @@ def case_of(judge: Evaluator, spec: Row, native: Row) -> Row:
         "refitted": judge.score(unfitted(spec)),
     }
     found: Row = {
-        name: {**score.as_dict(), "of_native": score.ratio_to(best).as_json()}
+        name: {**score.as_dict(), "of_native": score.ratio_to(best, oracles=True).as_json()}
         for name, score in scores.items()
     }
     if "fitted" in spec:

@@ -49,6 +49,7 @@ from spoofgym import export
 from spoofgym._files import write_file
 from spoofgym.bench.dataset import Dataset, Episodes, load
 from spoofgym.detectors.calibration import check_runs
+from spoofgym.policies.card import DECIDED_ON
 
 
 @dataclass(frozen=True)
@@ -263,6 +264,7 @@ def _export(trainer: Trainer, console: Console) -> Path:
         "task": config["task"],
         "families": config["families"],
         "held_out": config["held_out"],
+        DECIDED_ON: [[config["entropy"], f"dataset-{part}"] for part in ("train", "validation")],
         "passes": trainer.done,
         "best_pass": trainer.best_pass,
         "validation": trainer.best,

@@ -337,7 +337,7 @@ class Training:
         if watch.best_step >= 0:
             score = self.judge.score(str(self.policy), amplitude=None)
             ratios = {
-                name: score.ratio_to(rival).as_json()
+                name: score.ratio_to(rival, oracles=True).as_json()
                 for name, rival in comparable(rivals, score.knowledge).items()
             }
             row |= {"score": score.as_dict(), "ratios": ratios}

@@ -68,6 +68,10 @@ class Settings:
     """Training runs, on which amplitudes are fitted."""
     runs: int = 400
     """Evaluation runs."""
+    warm_pool: int | None = 256
+    """Receivers that are warmed up once for what is learned from, see train.ppo_spoofer; None for
+    warm-ups of their own. Most decisions end in an alarm at first, and warm-ups take half the time.
+    """
     further: str = "{}"
     """Further settings of train.ppo_spoofer for all of them, as JSON."""
 
@@ -104,7 +108,7 @@ class Settings:
             "knowledge": knowledge,
             "rivals": (*RIVALS, FEEDBACK) if blind else ("ramp",),
         }
-        own = ("seeds", "steps", "stages", "fit_runs", "runs")
+        own = ("seeds", "steps", "stages", "fit_runs", "runs", "warm_pool")
         further = json_object("further", self.further)
         return Arguments(**{**given, **{name: getattr(self, name) for name in own}, **further})
 

@@ -60,11 +60,24 @@ class Score:
         """Whether the displacement is a score: the budget is kept wherever it was looked at."""
         return self.within_budget and self.fit_within_budget is not False
 
-    def ratio_to(self, other: Score) -> Estimate:
+    @property
+    def oracle(self) -> bool:
+        """Whether it sees the detector's statistics while it attacks, as nobody can in practice."""
+        return self.knowledge.startswith("oracle")
+
+    def ratio_to(self, other: Score, *, oracles: bool = False) -> Estimate:
         """How many times as far as another spoofer on the same runs, with a paired 95 % interval.
 
-        Raises a ValueError where the runs are not the same ones.
+        Raises a ValueError where the runs are not the same ones, or where one of the two is an
+        oracle and the other is none, without `oracles`.
         """
+        if self.oracle != other.oracle and not oracles:
+            raise ValueError(
+                f"{self.spoofer} ({self.knowledge}) and {other.spoofer} ({other.knowledge}): an "
+                "oracle, which sees the detector's statistics while it attacks, is compared with "
+                "who does not only where that is asked for: `oracles=True`; say so beside the "
+                "figure"
+            )
         same = (self.task, self.detector, self.runs) == (other.task, other.detector, other.runs)
         if not same or not np.array_equal(self.counts, other.counts):
             raise ValueError(

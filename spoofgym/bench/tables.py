@@ -57,6 +57,8 @@ PUBLISHED_HEAD = (
     "P(alarm | silent twin) [%]",
     "displacement by a ramp [m]",
 )
+ORACLE = " (oracle)"
+"""Behind the name of a spoofer that sees the detector's statistics, as nobody can in practice."""
 KNOWLEDGE_HEAD = ("spoofer", "knows at run time", "was designed on")
 UNTOLD = {"name", "heading_deg", "label", "designed_on", "file"}
 """Settings that a table leaves out: they are in other columns, or in the results only."""
@@ -255,6 +257,11 @@ def mark_of(summary: dict[str, Any], detector: str) -> str:
     return "; ".join([*marks, *bracket_marks(bracket)])
 
 
+def titled(spoofer: str, knowledge: str) -> str:
+    """Name of a spoofer that stands among others, marked where it is an oracle."""
+    return spoofer + (ORACLE if knowledge.startswith("oracle") else "")
+
+
 def attack_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:
     """Rows of the table of attacks, in the order of `ATTACKS_HEAD`."""
     above = {
@@ -265,7 +272,7 @@ def attack_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:
     return [
         (
             cell["detector"],
-            cell["spoofer"],
+            titled(cell["spoofer"], cell["knowledge"]["run_time"]),
             made_for(cell),
             setting_of(cell),
             percent(cell["alarm_rate"]) + ("" if cell["within_budget"] else OVER),

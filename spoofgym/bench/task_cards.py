@@ -7,17 +7,20 @@ from importlib.resources import files
 from typing import Any
 
 from ..tasks import SUITE, TASKS
-from .tables import interval, number
+from .tables import interval, number, titled
 
 FILE = "task_cards_v1.json"
 """Stored with this module; made by `tools.task_cards`."""
-SCORES = ("ramp", "accelerating-ramp", "snapshot-chi2-profile", "blind-optimum", "feedback")
-"""Spoofers whose scores are known, each fitted to the alarm budget."""
+SCORES = {
+    **dict.fromkeys(("ramp", "accelerating-ramp", "snapshot-chi2-profile"), "blind"),
+    **{"blind-optimum": "blind", "feedback": "oracle"},
+}
+"""Spoofers whose scores are known, each fitted to the alarm budget, and what they observe."""
 HEAD = (
     "task",
     "detector",
     "floor, blind optimum, zero-alarm bound [m]",
-    *(f"{name} [m]" for name in SCORES),
+    *(f"{titled(name, known)} [m]" for name, known in SCORES.items()),
     "in 50 % of runs, the worst attack [m]",
 )
 ADMISSION_HEAD = (

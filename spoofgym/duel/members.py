@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from ..bench.entries import build_spoofer, detector_entry, refuse_oracles, spoofer_entry
 from ..bench.evaluate import LiveEntry, entry_of
-from ..detectors import Detector
-from ..detectors.pool import checked_weights
+from ..bench.specs import make_judge
+from ..detectors import Calibrated, Detector, LearnedDetector
+from ..detectors.pool import PooledDetector, checked_weights
 from ..simulators.splits import SPLITS
-from ..spoofers import Spoofer
+from ..spoofers import OnnxPolicy, Scaled, Spoofer, card_of, shipped
 
 Seeds = frozenset[tuple[int, str]]
 """Entropy and split of runs."""
@@ -203,7 +204,8 @@ def member_of(
     label : str, optional
         Name in tables.
     decided_on : iterable of (int, str)
-        Entropy and split of the runs that it was trained, fitted or chosen on.
+        Entropy and split of the runs that it was trained, fitted or chosen on, besides those that
+        its card names.
 
     Returns
     -------
@@ -220,6 +222,7 @@ def member_of(
         if split not in SPLITS:
             raise ValueError(f"unknown split {split!r}; valid: {', '.join(SPLITS)}")
     made = _member_of(given, side)
+    seeds |= made.decided_on
     return Member(label or made.label, side, made.spec, made.knowledge, seeds, made.thing)
 
 
@@ -245,7 +248,9 @@ def _spoofer(given: Any) -> Member:
             f"{entry.label}: a strategy of a game has all of its settings; fit "
             f"`{entry.tuned or 'rates_mps'}` first, as by spoofgym.evaluate or best_response"
         )
-    return Member(entry.label, SPOOFER, entry.spec, build_spoofer(entry.spec).knowledge)
+    spoofer = build_spoofer(entry.spec)
+    seeds = _seeds_of_spoofer(given, spoofer)
+    return Member(entry.label, SPOOFER, entry.spec, spoofer.knowledge, seeds)
 
 
 def _detector(given: Any) -> Member:
@@ -260,4 +265,23 @@ def _detector(given: Any) -> Member:
             ) from None
         return Member(type(given).__name__, DETECTOR, None, thing=given)
     refuse_oracles((entry,))
-    return Member(entry.label, DETECTOR, entry.spec)
+    seeds = _seeds_of_detector(make_judge(entry.spec))
+    return Member(entry.label, DETECTOR, entry.spec, decided_on=seeds)
+
+
+def _seeds_of_spoofer(given: Any, spoofer: Spoofer) -> Seeds:
+    """Runs that decided on a spoofer, as far as its card says."""
+    name = given.get("name") if isinstance(given, Mapping) else given
+    inner = spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer
+    if isinstance(inner, OnnxPolicy):
+        return inner.card.decided_on
+    return card_of(name).decided_on if name in shipped() else frozenset()
+
+
+def _seeds_of_detector(detector: Detector) -> Seeds:
+    """Runs that decided on a detector, as far as its card says, or those of a pool's members."""
+    if isinstance(detector, Calibrated):
+        return _seeds_of_detector(detector.detector)
+    if isinstance(detector, PooledDetector):
+        return frozenset[tuple[int, str]]().union(*map(_seeds_of_detector, detector.judges))
+    return detector.card.decided_on if isinstance(detector, LearnedDetector) else frozenset()

@@ -67,6 +67,11 @@ class PolicyFile(Record):
     opset: PositiveInt
 
 
+DECIDED_ON = "decided_on"
+"""Key of `training`: entropy and split of the runs that a policy was trained, fitted or chosen on.
+"""
+
+
 class PolicyCard(Record):
     """Base of the cards of both sides; a subclass has the fields."""
 
@@ -74,6 +79,18 @@ class PolicyCard(Record):
     """What else a card can be of, by its field ``kind``, and where that belongs."""
 
     name: str
+
+    @property
+    def decided_on(self) -> frozenset[tuple[int, str]]:
+        """Entropy and split of the runs that decided on the policy, as far as the card says."""
+        found = getattr(self, "training", {}).get(DECIDED_ON, [])
+        try:
+            return frozenset((int(entropy), str(split)) for entropy, split in found)
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"card of {self.name!r}: `training.{DECIDED_ON}` must be pairs of an entropy and a "
+                f'split, such as [[0, "training"]], got {found!r}'
+            ) from None
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

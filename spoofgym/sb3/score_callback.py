@@ -13,6 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from .._registry import check_finite, whole_number
 from ..bench.evaluate import FIT_RUNS, Evaluator
 from ..bench.tune import TuningResult
+from ..policies.card import DECIDED_ON
 from ..policies.contract import NotFinite
 from ..simulators.clean_runs import Progress
 from ..spoofers.model import finite
@@ -238,4 +239,5 @@ class ScoreCallback(BaseCallback):
 
         assert self.path is not None  # else nothing is kept
         with self.averaged():
-            onnx(self.model, path=self.path, amplitude=found.value)
+            seeds = {DECIDED_ON: [[self.judge.suite.entropy, "training"]]}
+            onnx(self.model, path=self.path, amplitude=found.value, training=seeds)

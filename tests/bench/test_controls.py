@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -215,7 +216,12 @@ def test_every_table_has_one_rate_and_thresholds_as_published_have_their_own(pla
     (group,) = groups(summary)
     assert (group.rate, len(group.detectors)) == ("20", 4)
     assert len(detector_rows(summary, group)) == 4
-    assert len(attack_rows(summary, group)) == 8
+    rows = attack_rows(summary, group)
+    assert len(rows) == 8
+    assert not any("oracle" in row[1] for row in rows)
+    for cell in (told := copy.deepcopy(summary))["cells"]:
+        cell["knowledge"]["run_time"] = "oracle+reported"
+    assert [row[1] for row in attack_rows(told, group)] == [f"{row[1]} (oracle)" for row in rows]
     rows = published_rows(summary)
     names = [row[1] for row in rows]
     assert names == sorted(names) == ["lottery", "snapshot-chi2", "toy"]

@@ -93,6 +93,18 @@ def test_ratios_are_paired_and_have_an_interval(judge):
         half.ratio_to(other)
 
 
+def test_an_oracle_is_compared_with_others_only_where_that_is_asked_for(judge):
+    blind = judge.score(constant(0.05), amplitude=None)
+    oracle = judge.score("feedback", amplitude=0.5)
+    assert (blind.oracle, oracle.oracle) == (False, True)
+    for one, other in ((blind, oracle), (oracle, blind)):
+        with pytest.raises(ValueError, match=r"\(oracle\).*`oracles=True`"):
+            one.ratio_to(other)
+    assert oracle.ratio_to(oracle).value == pytest.approx(1.0)
+    both = blind.ratio_to(oracle, oracles=True).value * oracle.ratio_to(blind, oracles=True).value
+    assert both == pytest.approx(1.0)
+
+
 def test_a_score_is_json_and_the_same_again(judge):
     score = judge.score(make_spoofer("ramp"), amplitude=0.3)
     data = json.loads(json.dumps(score.as_dict(), allow_nan=False))

@@ -16,7 +16,7 @@ from spoofgym.duel.kept_entries import KeptEntries
 from spoofgym.duel.members import member_of, mixture, strategy_of
 from spoofgym.duel.payoff_matrix import RunPayoff
 from spoofgym.duel.population import Game
-from spoofgym.spoofers import Ramp
+from spoofgym.spoofers import Ramp, card_of
 from spoofgym.spoofers.model import ModelPolicy
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
@@ -213,6 +213,29 @@ def test_nobody_is_scored_on_runs_that_decided_on_it(played):
     guard = member_of(CHI2, "detector", decided_on=[(0, "game")])
     with pytest.raises(ValueError, match="trained or chosen"):
         found.matrix([RAMP], [mixture("mix", [guard], [1.0])])
+
+
+def test_what_is_shipped_says_by_its_card_what_decided_on_it(played):
+    found, _ = played
+    learned = member_of("solution-separation-ppo", "spoofer", decided_on=[(4, "search")])
+    assert learned.decided_on == {(0, "training"), (4, "search")}
+    with pytest.raises(ValueError, match="trained or chosen on the runs of the split 'training'"):
+        found.on("training").matrix([learned], [CHI2])
+    for given in ("ewma-profile", {"name": "ewma-ppo", "amplitude": 0.5}):
+        assert member_of(given, "spoofer").decided_on == {(0, "training")}
+    seeds = {(0, "dataset-train"), (0, "dataset-validation")}
+    guard = {"name": "trolley-guard", "threshold": 0.5}
+    for given in (guard, {"name": "pool", "members": [CHI2, guard]}):
+        assert member_of(given, "detector").decided_on == seeds
+    assert member_of(CHI2, "detector").decided_on == frozenset()
+
+
+@pytest.mark.parametrize("wrong", [3, ["training"], [[0]], [["x", "training"]]])
+def test_a_card_that_says_it_wrongly_is_refused(wrong):
+    card = card_of("ewma-profile")
+    told = card.model_copy(update={"training": {"decided_on": wrong}})
+    with pytest.raises(ValueError, match=r"card of 'ewma-profile'.*pairs of an entropy"):
+        _ = told.decided_on
 
 
 def test_an_oracle_is_marked_and_not_compared_unasked(played):

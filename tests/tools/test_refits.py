@@ -47,10 +47,11 @@ def test_what_is_finished_is_not_played_again(results, monkeypatch):
 
 
 def test_the_table_has_median_range_and_who_is_over_the_budget():
-    def score(metres, times, within):
+    def score(metres, times, within, knowledge="blind"):
         value = {"value": metres, "low": metres, "high": metres}
         kept = {"within_budget": within, "fit_within_budget": True}
-        return {"stealthy_displacement_m": value, **kept, "of_ramp": {"value": times}}
+        known = {"knowledge": knowledge, "of_ramp": {"value": times}}
+        return {"stealthy_displacement_m": value, **kept, **known}
 
     case = {"task": "T3", "fit_runs": 256}
     text = table({"a": {**case, "spoofers": {"mine": [score(1.0, None, True)]}}})
@@ -58,6 +59,8 @@ def test_the_table_has_median_range_and_who_is_over_the_budget():
     scores = [score(9.0, 3.0, True), score(2.0, 1.0, True), score(4.0, 2.0, False)]
     text = table({"a": {**case, "spoofers": {"mine": scores}}})
     assert "| T3 | 256 | `mine` | 3 | 4.0 [2.0, 9.0] | 2.00 [1.00, 3.00] | 1 |" in text
+    text = table({"a": {**case, "spoofers": {"it": [score(1.0, 2.0, True, "oracle")]}}})
+    assert "| `it` (oracle) |" in text
 
 
 def test_bad_settings_are_refused(tmp_path):

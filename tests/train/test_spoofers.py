@@ -47,6 +47,7 @@ def small(tmp_path, monkeypatch):
         steps=100,
         fit_runs=80,
         runs=10,
+        warm_pool=8,
         further=json.dumps(QUICK),
     )
 
