@@ -205,7 +205,7 @@ def test_the_learned_detector_is_no_worse_than_the_best_classic_by_a_tenth():
     assert len(sound) >= 2
 
 
-def test_every_classic_has_a_score():
+def test_every_reference_has_a_score():
     for key, card in detector_cards.stored_cards().items():
         assert card["left_out"] == {}, key
         assert len(card["detectors"]) >= len(detector_cards.classics_of(DETECTOR_TASKS[key]))

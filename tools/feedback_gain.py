@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.folder import error_lines
+from agents.seeds import marked
 from spoofgym._describe import digest_of
 from spoofgym._files import write_file
 from spoofgym.bench.bracket import Brackets
@@ -150,19 +151,17 @@ def spec_of(label: str) -> dict[str, Any]:
 
 
 def rows(label: str, found: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table for one detector."""
+    """Rows of the table for one detector; `*` marks what is over the budget."""
     value = found["bound"]["value"]
     bound = "none" if value is None else number(value)
     if not found["room"]:
         return [(label, interval(found["blind_m"]), "-", "-", "-", "no room", bound)]
-    blind = interval(found[BLIND]["stealthy_displacement_m"])
+    blind = marked(found[BLIND])
     lines = []
     for kind in (FEEDBACK, RIDER):
         own = found[kind]
-        over = "" if own["within_budget"] else ", over budget"
         settings = f"{_words(own['settings'])}, amplitude {own['amplitude']:.4g}"
-        far = interval(own["stealthy_displacement_m"]) + over
-        lines.append((label, blind, f"{kind} (oracle)", settings, far, _ratio(own), bound))
+        lines.append((label, blind, f"{kind} (oracle)", settings, marked(own), _ratio(own), bound))
     return lines
 
 

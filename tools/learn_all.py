@@ -54,6 +54,13 @@ FRESH = ("T1", "T2", "T3")
 """Tasks with other seeds and other runs on that page, too."""
 
 
+GUARDS = {
+    "guard": ("--seed", "3"),
+    **{f"guard-{seed}": ("--seed", str(seed)) for seed in (0, 1, 2, 4)},
+}
+"""The shipped detector, best of five seeds on validation runs, and the others."""
+
+
 def steps_of(out: Path) -> dict[str, list[str]]:
     """Arguments of Python for every step, by its name, in their order."""
     recipes = {
@@ -77,15 +84,21 @@ def steps_of(out: Path) -> dict[str, list[str]]:
             *("spoofgym", "dataset", str(out / "data"), "--task", "T3"),
             *("--spoofer", "solution-separation-ppo", "--spoofer", "hidden-pool-ppo"),
         ],
-        "guard": [
-            *("train.detector", "--data", str(out / "data"), "--out", str(out / "guard")),
-            *("--seed", "3"),
-        ],
+        **{
+            name: ["train.detector", "--data", str(out / "data"), "--out", str(out / name), *seed]
+            for name, seed in GUARDS.items()
+        },
         "threshold": [
             *("spoofgym", "calibrate", "--task", "T3", "--detector", guard, "--runs", "2000"),
+            *("--hold-out", "400", "--transfer", "zhong2025", "--transfer", "trolley-tactical"),
         ],
         "feedback": ["tools.feedback_gain", "--out", str(out / "feedback")],
+        "feedback-T2": ["tools.feedback_gain", "--task", "T2", "--out", str(out / "feedback")],
         "game": ["train.double_oracle", "--task", "T3", "--out", str(out / "game"), *GAME],
+        "game-hmi": [
+            *("train.double_oracle", "--task", "T3", "--out", str(out / "game-hmi"), *GAME),
+            *("--payoff", "hmi"),
+        ],
         "page": ["tools.learned_page", *(str(out / name) for name in folders)],
         **{
             f"cards-{key}": [

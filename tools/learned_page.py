@@ -59,6 +59,7 @@ def taken(results: dict[str, Any], whom: Iterable[str] = RIVALS) -> dict[str, An
     seeds = [
         {
             **{name: row[name] for name in ("seed", "steps", "chosen_at", "diverged")},
+            **{name: row[name] for name in ("wall_s",) if name in row},  # older ones have none
             "untrained": row["untrained"],
             "score": row["score"],
             "ratios": row.get("ratios", {}),

@@ -110,7 +110,7 @@ def test_the_recipe_reaches_95_percent_where_the_page_says_so(kept):
 
 def test_five_arguments_beat_the_best_constant_ramp(kept):
     """By a tenth, with the interval of the median seed above 1; the same network untrained not."""
-    assert kept["plain"]
+    assert len({"T2", "T3", "T5"} & {*kept["plain"]}) >= 2
     for found in kept["plain"].values():
         rows = found["kinds"]["plain"]
         assert [row["seed"] for row in rows] == SEEDS
