@@ -11,6 +11,7 @@ from rich.table import Table
 
 from spoofgym._files import write_file
 from spoofgym.bench.tables import interval
+from spoofgym.spoofers.base import sees_statistics
 from spoofgym.spoofers.card import Card, Score
 
 
@@ -27,11 +28,9 @@ Who = TypeVar("Who", bound=Known)
 
 def comparable(rivals: Mapping[str, Who], knowledge: str) -> dict[str, Who]:
     """Rivals that a spoofer of some knowledge is compared with: oracles only where it is one."""
-    oracle = knowledge.startswith("oracle")
+    oracle = sees_statistics(knowledge)
     return {
-        name: who
-        for name, who in rivals.items()
-        if oracle or not who.knowledge.startswith("oracle")
+        name: who for name, who in rivals.items() if oracle or not sees_statistics(who.knowledge)
     }
 
 

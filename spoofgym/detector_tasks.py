@@ -78,7 +78,7 @@ class DetectorTask:
 
     @property
     def env_id(self) -> str:
-        """Id for `gymnasium.make`: the detector learns against the public pool."""
+        """Id for `gymnasium.make`: the detector learns against `pool`."""
         return f"spoofgym/Bench{self.key}-v1"
 
     @property

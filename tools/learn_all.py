@@ -5,8 +5,9 @@
     python -m tools.learn_all --out runs/all --list          # what there is, and what it runs
 
 Steps follow each other, each a command of its own in a folder of its own, which goes on where it
-was.  A step that has ended is not run again; `steps.json` in the folder has the seconds that each
-of them took.  The last steps write tables and cards of the pages in docs/ and spoofgym/.
+was.  A step that has ended is not run again, unless its command is another one now; `steps.json`
+in the folder has the command of each of them, and the seconds that it took.  The last steps write
+tables and cards of the pages in docs/ and spoofgym/.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 from rich.console import Console
@@ -128,20 +130,21 @@ class Settings:
             check_choice("step", name, [*steps_of(self.out)])
 
 
-def run(out: Path, steps: Steps, console: Console) -> dict[str, float]:
-    """Run what has not ended yet; seconds of every step that has, by its name.
+def run(out: Path, steps: Steps, console: Console) -> dict[str, Any]:
+    """Run what has not ended yet; seconds and command of every step that has, by its name.
 
     Raises `subprocess.CalledProcessError` at the first command that fails.
     """
     path = out / MARKS
-    done: dict[str, float] = json.loads(path.read_text("utf-8")) if path.is_file() else {}
+    done: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.is_file() else {}
     for number, (name, words) in enumerate(steps.items(), 1):
-        if name in done:
+        if name in done and done[name]["command"] == [*words]:
             continue
         console.print(f"{number} of {len(steps)}: {name}", highlight=False)
         began = time.perf_counter()
         subprocess.run([sys.executable, *words], check=True)
-        done[name] = round(time.perf_counter() - began, 1)
+        spent_s = round(time.perf_counter() - began, 1)
+        done[name] = {"seconds": spent_s, "command": [*words]}
         write_file(path, (json.dumps(done, indent=1) + "\n").encode())
     return done
 
@@ -158,7 +161,7 @@ def main() -> None:
             return
         chosen = {name: words for name, words in steps.items() if name in (given.only or steps)}
         done = run(given.out, chosen, console)
-        hours = sum(done.values()) / 3600.0
+        hours = sum(each["seconds"] for each in done.values()) / 3600.0
         console.print(f"{len(done)} of {len(steps)} steps have ended, in {hours:.2f} h of work")
 
 

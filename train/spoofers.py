@@ -70,8 +70,8 @@ class Settings:
     """Evaluation runs."""
     warm_pool: int | None = 256
     """Receivers that are warmed up once for what is learned from, see train.ppo_spoofer; None for
-    warm-ups of their own. Most decisions end in an alarm at first, and warm-ups take half the time.
-    """
+    warm-ups of their own. At first most episodes end at once by an alarm: warm-ups would take half
+    of the time."""
     further: str = "{}"
     """Further settings of train.ppo_spoofer for all of them, as JSON."""
 

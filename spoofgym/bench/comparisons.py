@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..spoofers.base import sees_statistics
 from .cells import Cell
 from .metrics import (
     NOTHING,
@@ -81,7 +82,7 @@ def _displacements(cells: Sequence[Cell], detector: str, control: str) -> list[d
         theirs = by_pair.get((control, spoofer))
         if label != detector or spoofer == "none" or theirs is None:
             continue
-        obeys = str(mine.head["knowledge"]["run_time"]).startswith("oracle")
+        obeys = sees_statistics(str(mine.head["knowledge"]["run_time"]))
         if obeys and "lottery" in (name_of(detector), name_of(control)):
             continue
         gap = mine.displacement_m - theirs.displacement_m

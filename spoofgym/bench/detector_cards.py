@@ -31,7 +31,7 @@ HEAD = (
 def classics_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
     """Detectors with a reference score: controls, the tests that do best in T3, and others.
 
-    Of what is calibrated in T3's world the rest lets a blind optimum within the budget beyond 40 m.
+    Against all others that are calibrated in T3's world a blind optimum gets beyond 40 m.
 
     At 0.2 false alarms an hour in the task's world; of solution separation the bank of the task.
     """

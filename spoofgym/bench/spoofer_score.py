@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..spoofers.base import sees_statistics
 from .metrics import Estimate, percentiles, resamples_of
 from .scores import clusters_of
 from .tables import interval
@@ -63,20 +64,19 @@ class Score:
     @property
     def oracle(self) -> bool:
         """Whether it sees the detector's statistics while it attacks, as nobody can in practice."""
-        return self.knowledge.startswith("oracle")
+        return sees_statistics(self.knowledge)
 
     def ratio_to(self, other: Score, *, oracles: bool = False) -> Estimate:
         """How many times as far as another spoofer on the same runs, with a paired 95 % interval.
 
-        Raises a ValueError where the runs are not the same ones, or where one of the two is an
-        oracle and the other is none, without `oracles`.
+        Raises a ValueError where the runs are not the same ones, or, without `oracles`, where just
+        one of the two is an oracle.
         """
         if self.oracle != other.oracle and not oracles:
             raise ValueError(
-                f"{self.spoofer} ({self.knowledge}) and {other.spoofer} ({other.knowledge}): an "
-                "oracle, which sees the detector's statistics while it attacks, is compared with "
-                "who does not only where that is asked for: `oracles=True`; say so beside the "
-                "figure"
+                f"{self.spoofer} ({self.knowledge}) and {other.spoofer} ({other.knowledge}): one "
+                "of them is an oracle, which sees the detector's statistics while it attacks; pass "
+                "`oracles=True` to compare them all the same, and say so beside the figure"
             )
         same = (self.task, self.detector, self.runs) == (other.task, other.detector, other.runs)
         if not same or not np.array_equal(self.counts, other.counts):

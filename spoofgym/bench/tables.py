@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from ..detectors.calibrated import NOISY_WARMUP
+from ..spoofers.base import sees_statistics
 from .bracket_text import ABOVE_BOUND, bound_cell, bracket_marks, floor_cell
 from .bracketed import HALF, STEALTHY, headline
 from .comparisons import CONTROLS, FREE, name_of
@@ -258,8 +259,8 @@ def mark_of(summary: dict[str, Any], detector: str) -> str:
 
 
 def titled(spoofer: str, knowledge: str) -> str:
-    """Name of a spoofer that stands among others, marked where it is an oracle."""
-    return spoofer + (ORACLE if knowledge.startswith("oracle") else "")
+    """Name of a spoofer in a table of several, marked where it is an oracle."""
+    return spoofer + (ORACLE if sees_statistics(knowledge) else "")
 
 
 def attack_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:

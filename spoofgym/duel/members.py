@@ -10,19 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..bench.entries import build_spoofer, detector_entry, refuse_oracles, spoofer_entry
+from ..bench.entries import (
+    build_spoofer,
+    detector_entry,
+    refuse_oracles,
+    spec_of_spoofer,
+    spoofer_entry,
+)
 from ..bench.evaluate import LiveEntry, entry_of
 from ..bench.specs import make_judge
 from ..detectors import Calibrated, Detector, LearnedDetector
 from ..detectors.pool import PooledDetector, checked_weights
 from ..simulators.splits import SPLITS
-from ..spoofers import OnnxPolicy, Scaled, Spoofer, card_of, shipped
+from ..spoofers import OnnxPolicy, Scaled, Spoofer, card_of, make_spoofer, shipped
+from ..spoofers.base import sees_statistics
 
 Seeds = frozenset[tuple[int, str]]
 """Entropy and split of runs."""
 SPOOFER, DETECTOR = "spoofer", "detector"
-STATISTICS = "oracle"
-"""What a spoofer's knowledge starts with where it observes the detector's statistics."""
 OUT = 1e-6
 """Probability below which a strategy is taken to be out of a mix."""
 
@@ -53,7 +58,7 @@ class Member:
     @property
     def sees_statistics(self) -> bool:
         """Whether the spoofer's commands depend on the detector."""
-        return self.knowledge.startswith(STATISTICS)
+        return sees_statistics(self.knowledge)
 
     def as_json(self) -> dict[str, Any]:
         """JSON-able."""
@@ -218,11 +223,11 @@ def member_of(
         When the name, a setting or a split is unknown, or a setting is still to be fitted.
     """
     seeds = frozenset((int(entropy), str(split)) for entropy, split in decided_on)
+    made = _member_of(given, side)
+    seeds |= made.decided_on
     for _, split in seeds:
         if split not in SPLITS:
             raise ValueError(f"unknown split {split!r}; valid: {', '.join(SPLITS)}")
-    made = _member_of(given, side)
-    seeds |= made.decided_on
     return Member(label or made.label, side, made.spec, made.knowledge, seeds, made.thing)
 
 
@@ -249,7 +254,7 @@ def _spoofer(given: Any) -> Member:
             f"`{entry.tuned or 'rates_mps'}` first, as by spoofgym.evaluate or best_response"
         )
     spoofer = build_spoofer(entry.spec)
-    seeds = _seeds_of_spoofer(given, spoofer)
+    seeds = _seeds_of_spoofer(spoofer)
     return Member(entry.label, SPOOFER, entry.spec, spoofer.knowledge, seeds)
 
 
@@ -263,19 +268,22 @@ def _detector(given: Any) -> Member:
             raise ValueError(
                 f"{type(given).__name__} is given what no receiver can know: no member of a game"
             ) from None
-        return Member(type(given).__name__, DETECTOR, None, thing=given)
+        seeds = _seeds_of_detector(given)
+        return Member(type(given).__name__, DETECTOR, None, decided_on=seeds, thing=given)
     refuse_oracles((entry,))
     seeds = _seeds_of_detector(make_judge(entry.spec))
     return Member(entry.label, DETECTOR, entry.spec, decided_on=seeds)
 
 
-def _seeds_of_spoofer(given: Any, spoofer: Spoofer) -> Seeds:
+def _seeds_of_spoofer(spoofer: Spoofer) -> Seeds:
     """Runs that decided on a spoofer, as far as its card says."""
-    name = given.get("name") if isinstance(given, Mapping) else given
     inner = spoofer.spoofer if isinstance(spoofer, Scaled) else spoofer
     if isinstance(inner, OnnxPolicy):
         return inner.card.decided_on
-    return card_of(name).decided_on if name in shipped() else frozenset()
+    name = inner.label  # of a shipped profile, which is no more than its settings
+    if name not in shipped() or spec_of_spoofer(inner) != spec_of_spoofer(make_spoofer(name)):
+        return frozenset()
+    return card_of(name).decided_on
 
 
 def _seeds_of_detector(detector: Detector) -> Seeds:

@@ -74,7 +74,7 @@ def detector(
         Of the statistic, in (0, 1]; by default none, and worlds look theirs up by a rate of false
         alarms, which ``spoofgym calibrate --detector NAME.onnx`` finds.
     training : mapping, optional
-        How it was made, JSON-able.
+        How it was made, JSON-able; ``"decided_on"`` as in `onnx`.
 
     Returns
     -------

@@ -64,7 +64,9 @@ def onnx(
     amplitude : float
         Factor on all commands, above 0, as `spoofgym.evaluate` fits it.
     training : mapping, optional
-        How it was made, JSON-able: further fields beside what a model says of itself.
+        How it was made, JSON-able: further fields beside what a model says of itself. Games of
+        populations read ``"decided_on"``, such as ``[[0, "training"]]``: entropy and split of the
+        runs that it was trained, fitted or chosen on, and refuse to score it on them.
     designed_on : str, optional
         What it was optimised on; by default the detector of the environment, by training.
 

@@ -6,9 +6,17 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, Protocol, Self
+from typing import Annotated, Any, ClassVar, NoReturn, Protocol, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PositiveInt,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 
 from .._describe import unlike
 from .._files import write_file
@@ -70,6 +78,7 @@ class PolicyFile(Record):
 DECIDED_ON = "decided_on"
 """Key of `training`: entropy and split of the runs that a policy was trained, fitted or chosen on.
 """
+PAIRS = TypeAdapter(list[tuple[Annotated[int, Field(strict=True, ge=0)], str]])
 
 
 class PolicyCard(Record):
@@ -85,8 +94,8 @@ class PolicyCard(Record):
         """Entropy and split of the runs that decided on the policy, as far as the card says."""
         found = getattr(self, "training", {}).get(DECIDED_ON, [])
         try:
-            return frozenset((int(entropy), str(split)) for entropy, split in found)
-        except (TypeError, ValueError):
+            return frozenset(PAIRS.validate_python(found))
+        except ValidationError:
             raise ValueError(
                 f"card of {self.name!r}: `training.{DECIDED_ON}` must be pairs of an entropy and a "
                 f'split, such as [[0, "training"]], got {found!r}'

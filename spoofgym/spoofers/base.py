@@ -24,6 +24,11 @@ KNOWLEDGE = (
 )
 
 
+def sees_statistics(knowledge: str) -> bool:
+    """Whether who observes this is an oracle: it has the victim's statistics, as nobody can."""
+    return knowledge.startswith("oracle")
+
+
 class Spoofer(Policy[SpooferContext]):
     """A spoofer with memory of B receivers.
 

@@ -322,6 +322,7 @@ def test_the_command_writes_a_card_that_makes_the_profile(tmp_path: Path) -> Non
     assert made.label == "quick"
     assert made.designed_on == card.knowledge.design_time != "nothing"
     assert card.training["generations"] == 1
+    assert card.decided_on == {(card.training["seed"], "training")}
     (score,) = card.scores
     assert score.alarm_rate <= 0.45
     assert score.counted is not None

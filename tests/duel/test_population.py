@@ -7,16 +7,18 @@ import json
 import numpy as np
 import pytest
 
-from spoofgym import duel_v0
+from spoofgym import duel_v0, spoofers
+from spoofgym.bench.cards import find_card
 from spoofgym.bench.run import displacement_of, play
 from spoofgym.bench.scores import counted
-from spoofgym.detectors import make_detector
+from spoofgym.detectors import make_detector, zoo
 from spoofgym.duel import population
 from spoofgym.duel.kept_entries import KeptEntries
 from spoofgym.duel.members import member_of, mixture, strategy_of
 from spoofgym.duel.payoff_matrix import RunPayoff
 from spoofgym.duel.population import Game
-from spoofgym.spoofers import Ramp, card_of
+from spoofgym.simulators.splits import SPLITS
+from spoofgym.spoofers import Ramp, card_of, make_spoofer
 from spoofgym.spoofers.model import ModelPolicy
 
 SHORT = {"warmup_s": 20.0, "live_s": 10.0, "attack_s": 15.0, "time_to_alert_s": 2.0}
@@ -217,12 +219,16 @@ def test_nobody_is_scored_on_runs_that_decided_on_it(played):
 
 def test_what_is_shipped_says_by_its_card_what_decided_on_it(played):
     found, _ = played
-    learned = member_of("solution-separation-ppo", "spoofer", decided_on=[(4, "search")])
+    learned = member_of("hidden-pool-ppo", "spoofer", decided_on=[(4, "search")])
     assert learned.decided_on == {(0, "training"), (4, "search")}
     with pytest.raises(ValueError, match="trained or chosen on the runs of the split 'training'"):
         found.on("training").matrix([learned], [CHI2])
-    for given in ("ewma-profile", {"name": "ewma-ppo", "amplitude": 0.5}):
+    profile = member_of("ewma-profile", "spoofer")
+    halved = {"name": "hidden-pool-ppo", "amplitude": 0.5}
+    for given in (profile.spec, make_spoofer("ewma-profile"), learned.spec, halved):
         assert member_of(given, "spoofer").decided_on == {(0, "training")}
+    other = {**profile.spec, "rates_mps": [0.0, 0.1]}
+    assert member_of(other, "spoofer").decided_on == frozenset()
     seeds = {(0, "dataset-train"), (0, "dataset-validation")}
     guard = {"name": "trolley-guard", "threshold": 0.5}
     for given in (guard, {"name": "pool", "members": [CHI2, guard]}):
@@ -230,12 +236,29 @@ def test_what_is_shipped_says_by_its_card_what_decided_on_it(played):
     assert member_of(CHI2, "detector").decided_on == frozenset()
 
 
-@pytest.mark.parametrize("wrong", [3, ["training"], [[0]], [["x", "training"]]])
+@pytest.mark.parametrize("name", [*spoofers.shipped(), *zoo.shipped()])
+def test_every_learned_card_names_runs_that_decided_on_it(name):
+    card = find_card(name)
+    assert card.decided_on
+    assert {split for _, split in card.decided_on} <= {*SPLITS}
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [3, ["training"], [[0]], [["x", "training"]], [[0.9, "training"]], [[-1, "training"]]],
+)
 def test_a_card_that_says_it_wrongly_is_refused(wrong):
     card = card_of("ewma-profile")
     told = card.model_copy(update={"training": {"decided_on": wrong}})
     with pytest.raises(ValueError, match=r"card of 'ewma-profile'.*pairs of an entropy"):
         _ = told.decided_on
+
+
+def test_an_unknown_split_on_a_card_is_refused(monkeypatch):
+    wrong = frozenset({(0, "trainig")})
+    monkeypatch.setattr(type(card_of("ewma-profile")), "decided_on", wrong)
+    with pytest.raises(ValueError, match="unknown split 'trainig'; valid: training"):
+        member_of("ewma-profile", "spoofer")
 
 
 def test_an_oracle_is_marked_and_not_compared_unasked(played):

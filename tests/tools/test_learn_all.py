@@ -37,6 +37,9 @@ def test_a_killed_run_goes_on_with_the_step_that_was_not_finished(tmp_path):
     assert first.read_text() == "x"
     assert last.read_text() == "xx"
     assert json.loads((tmp_path / MARKS).read_text()) == done
+    run(tmp_path, {"one": writing(last), "three": writing(last)}, QUIET)
+    assert first.read_text() == "x"
+    assert last.read_text() == "xxx"  # "one" has another command now
 
 
 def test_every_task_and_every_page_has_its_step(tmp_path):

@@ -77,6 +77,9 @@ def test_what_was_trained_is_a_detector_like_any_other(data: Path, tmp_path: Pat
     card = json.loads(file.with_suffix(".json").read_text())
     assert card["training"]["data"] == load(data).manifest["digest"]
     assert "quiet" in card["training"]["held_out"]
+    entropy = load(data).manifest["config"]["entropy"]
+    seeds = [[entropy, f"dataset-{part}"] for part in ("train", "validation")]
+    assert card["training"]["decided_on"] == seeds
     judge = make_detector({"name": str(file), "threshold": 0.5})
     world = setup().altered(detector=judge)
     seeds = seeds_of_runs(0, "training", world.name, range(4))

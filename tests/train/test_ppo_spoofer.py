@@ -105,6 +105,7 @@ def test_the_card_says_how_it_was_made(trained):
     args, _ = trained
     card = Card.load(args.out / "tiny.json")
     assert card.training["arguments"] == args.identity
+    assert card.decided_on == {(args.entropy, "training")}
     assert str(args.out.parent) not in json.dumps(card.model_dump(mode="json"))
     assert card.training["command"].startswith("python -m train.ppo_spoofer --out tiny --task T1")
     assert {"spoofgym", "torch", "stable-baselines3", "numpy"} <= set(card.versions)
