@@ -255,9 +255,9 @@ def test_a_card_that_says_it_wrongly_is_refused(wrong):
 
 
 def test_an_unknown_split_on_a_card_is_refused(monkeypatch):
-    wrong = frozenset({(0, "trainig")})
+    wrong = frozenset({(0, "trial")})
     monkeypatch.setattr(type(card_of("ewma-profile")), "decided_on", wrong)
-    with pytest.raises(ValueError, match="unknown split 'trainig'; valid: training"):
+    with pytest.raises(ValueError, match="unknown split 'trial'; valid: training"):
         member_of("ewma-profile", "spoofer")
 
 
