@@ -31,7 +31,7 @@ from spoofgym.bench.bracketed import bound_of
 from spoofgym.bench.entries import detector_entry
 from spoofgym.bench.evaluate import Evaluator
 from spoofgym.bench.spoofer_score import Score
-from spoofgym.bench.tables import interval, number
+from spoofgym.bench.tables import interval, number, titled
 from spoofgym.bench.versions import versions
 from spoofgym.cli.output import print_json, print_table, progress
 from spoofgym.tasks import task_of
@@ -161,7 +161,8 @@ def rows(label: str, found: dict[str, Any]) -> list[tuple[str, ...]]:
     for kind in (FEEDBACK, RIDER):
         own = found[kind]
         settings = f"{_words(own['settings'])}, amplitude {own['amplitude']:.4g}"
-        lines.append((label, blind, f"{kind} (oracle)", settings, marked(own), _ratio(own), bound))
+        who = titled(kind, own["knowledge"])
+        lines.append((label, blind, who, settings, marked(own), _ratio(own), bound))
     return lines
 
 

@@ -54,13 +54,8 @@ OWN = {
 """Settings of the recipe that single tasks have on docs/learned_spoofers.md."""
 FRESH = ("T1", "T2", "T3")
 """Tasks with other seeds and other runs on that page, too."""
-
-
-GUARDS = {
-    "guard": ("--seed", "3"),
-    **{f"guard-{seed}": ("--seed", str(seed)) for seed in (0, 1, 2, 4)},
-}
-"""The shipped detector, best of five seeds on validation runs, and the others."""
+GUARDS = {"guard": 3, "guard-0": 0, "guard-1": 1, "guard-2": 2, "guard-4": 4}
+"""Seeds of the shipped detector, which was best of five on validation runs, and of the others."""
 
 
 def steps_of(out: Path) -> dict[str, list[str]]:
@@ -87,7 +82,10 @@ def steps_of(out: Path) -> dict[str, list[str]]:
             *("--spoofer", "solution-separation-ppo", "--spoofer", "hidden-pool-ppo"),
         ],
         **{
-            name: ["train.detector", "--data", str(out / "data"), "--out", str(out / name), *seed]
+            name: [
+                *("train.detector", "--data", str(out / "data"), "--out", str(out / name)),
+                *("--seed", str(seed)),
+            ]
             for name, seed in GUARDS.items()
         },
         "threshold": [

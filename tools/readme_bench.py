@@ -22,6 +22,7 @@ from spoofgym.bench.bracketed import HALF, STEALTHY, headline
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.store import PICTURE, ResultsFolder
 from spoofgym.bench.summary import summarize
+from spoofgym.spoofers import Feedback
 from tools.headlines import KEPT as FULL
 from tools.pages import put_between
 
@@ -35,7 +36,7 @@ SPOOFERS = {
     "ramp": "ramp",
     "snapshot-chi2-profile": "profile",
     "blind-optimum": "blind optimum",
-    "feedback": "feedback (oracle)",
+    "feedback": tables.titled("feedback", Feedback.knowledge),
 }
 """Whose stealthy displacements are shown, and their headings."""
 DEFAULTS = ("snapshot-chi2", "windowed-chi2", "ewma", "joint-chart", "innovation-rate", "raim")

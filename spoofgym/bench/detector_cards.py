@@ -31,9 +31,8 @@ HEAD = (
 def classics_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
     """Detectors with a reference score: controls, the tests that do best in T3, and others.
 
-    Against all others that are calibrated in T3's world a blind optimum gets beyond 40 m.
-
     At 0.2 false alarms an hour in the task's world; of solution separation the bank of the task.
+    Against all others that are calibrated in T3's world a blind optimum gets beyond 40 m.
     """
     bank = next(each for each in task.task.detectors if each["name"] == "solution-separation")
     plain = {key: value for key, value in bank.items() if key != "false_alarms_per_hour"}
