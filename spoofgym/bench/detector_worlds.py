@@ -16,7 +16,7 @@ from ..detectors.calibrated import resolve
 from ..envs.spoofer_binding import spoofer_context
 from ..simulators.clean_runs import weighs
 from ..simulators.setup import Setup
-from .attack_suite import Member, fitting_members
+from .attack_suite import ORACLES, Member, fitting_members
 from .comparisons import CONTROLS
 from .detector_runs import NearAlarm, Panel, generators, in_any_world, numbers_of
 from .detector_search import AntennaEntry
@@ -42,7 +42,9 @@ class Defence(NamedTuple):
 
 def sharing(defences: Sequence[Defence], family: AttackFamily | None) -> list[list[Defence]]:
     """Groups of detectors that share their passes of a family; None for runs without an attack."""
-    alone = family is not None and ("e" in family.letters or family.onset == "chance-alarm")
+    alone = family is not None and (
+        not set(ORACLES).isdisjoint(family.letters) or family.onset == "chance-alarm"
+    )
     shared = [each for each in defences if each.passive and not alone]
     others = [[each] for each in defences if each not in shared]
     return [*([shared] if shared else []), *others]

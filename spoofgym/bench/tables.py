@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from ..detectors.calibrated import NOISY_WARMUP
 from ..spoofers.base import sees_statistics
+from .attack_suite import ORACLES
 from .bracket_text import ABOVE_BOUND, bound_cell, bracket_marks, floor_cell
 from .bracketed import HALF, STEALTHY, headline
 from .comparisons import CONTROLS, FREE, name_of
@@ -215,7 +216,12 @@ def _worst(found: dict[str, Any] | None) -> str:
     row = headline(found, 0.5)
     if row is None:
         return "-"
-    return f"({row['letter']}) {row['spoofer']}, {row['setting']}={row['at']:g}"
+    return f"{attack_of_suite(row)}, {row['setting']}={row['at']:g}"
+
+
+def attack_of_suite(row: dict[str, Any]) -> str:
+    """Letter and spoofer of an attack of the suite, marked where it is an oracle."""
+    return f"({row['letter']}) {row['spoofer']}{ORACLE if row['letter'] in ORACLES else ''}"
 
 
 def _optimum(reached: dict[str, Any] | None) -> str:

@@ -7,7 +7,7 @@ from importlib.resources import files
 from typing import Any
 
 from ..tasks import SUITE, TASKS
-from .tables import interval, number, titled
+from .tables import attack_of_suite, interval, number, titled
 
 FILE = "task_cards_v1.json"
 """Stored with this module; made by `tools.task_cards`."""
@@ -77,7 +77,7 @@ def score_rows() -> list[tuple[str, ...]]:
     for key, card in stored_cards().items():
         reached = (card["scores_m"].get(name) for name in SCORES)
         worst = card["protection_m"][card["detector"]]["0.5"]
-        named = f"{interval(worst)}, ({worst['letter']}) {worst['spoofer']}"
+        named = f"{interval(worst)}, {attack_of_suite(worst)}"
         rows.append((key, card["detector"], bracket_text(card), *map(_score, reached), named))
     return rows
 

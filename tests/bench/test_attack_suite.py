@@ -7,16 +7,19 @@ import pytest
 
 from spoofgym.bench.attack_suite import (
     FAMILIES,
+    ORACLES,
     fitting_members,
     grid_of,
     members_of,
     suite_digest,
 )
 from spoofgym.bench.decisions import make_bound_spoofer
+from spoofgym.bench.entries import build_spoofer
 from spoofgym.bench.victims import VICTIMS
 from spoofgym.envs.factory import make_setup
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.spoofers import SPOOFERS
+from spoofgym.spoofers.base import sees_statistics
 
 
 @pytest.mark.parametrize("env", VICTIMS)
@@ -36,6 +39,18 @@ def test_every_member_fits_every_victim_over_its_whole_range(env: str) -> None:
         assert grid == sorted(set(grid))
         for value in (grid[0], grid[-1]):
             make_bound_spoofer(member.entry.with_value(value), setup, 1)
+
+
+def test_letters_of_oracles_are_those_of_members_that_see_statistics() -> None:
+    setup = make_setup(VICTIMS["spoofgym/TightlyCoupled-v0"].setup, {"detector": "ewma"})
+    members = fitting_members(setup, spoofer_context(setup))
+    seeing = {
+        member.letter
+        for member in members
+        if sees_statistics(build_spoofer(member.entry.with_value(1.0)).knowledge)
+    }
+    assert seeing == set(ORACLES)
+    assert all("oracle" in FAMILIES[letter] for letter in ORACLES)
 
 
 def test_the_digest_follows_the_members() -> None:

@@ -222,6 +222,13 @@ def test_every_table_has_one_rate_and_thresholds_as_published_have_their_own(pla
     for cell in (told := copy.deepcopy(summary))["cells"]:
         cell["knowledge"]["run_time"] = "oracle+reported"
     assert [row[1] for row in attack_rows(told, group)] == [f"{row[1]} (oracle)" for row in rows]
+    for protection in told["protection"]:
+        for row in protection["exceeded"]:
+            row["letter"] = "e"
+    worst = DETECTORS_HEAD.index("worst attack")
+    marked = [row[worst] for row in detector_rows(told, group) if row[worst] != "-"]
+    assert marked
+    assert all(row.startswith("(e) ") and " (oracle), " in row for row in marked)
     rows = published_rows(summary)
     names = [row[1] for row in rows]
     assert names == sorted(names) == ["lottery", "snapshot-chi2", "toy"]
