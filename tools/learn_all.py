@@ -1,25 +1,33 @@
 """All trainings behind the pages, and their scores, by one command that goes on after a kill.
 
     python -m tools.learn_all --out runs/all                 # everything
+    python -m tools.learn_all --out runs/all --workers 8     # so many steps at a time
     python -m tools.learn_all --out runs/all --only ppo-T3   # one step, or several
     python -m tools.learn_all --out runs/all --list          # what there is, and what it runs
 
-Steps follow each other, each a command of its own in a folder of its own, which goes on where it
-was.  A step that has ended is not run again, unless its command is another one now; `steps.json`
-in the folder has the command of each of them, and the seconds that it took.  The last steps write
-tables and cards of the pages in docs/ and spoofgym/.
+Each step is a command of its own in a folder of its own, which goes on where it was, and begins
+when the steps that it needs have ended.  Several at a time share the processors, and write what
+they have to say to `NAME.log` in the folder.  A step that has ended is not run again, unless its
+command is another one now; `steps.json` in the folder has the command of each of them, and the
+seconds that it took.  Some steps write tables and cards of the pages in docs/ and spoofgym/.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack
 from dataclasses import dataclass
+from graphlib import TopologicalSorter
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from queue import SimpleQueue
+from typing import Any, NamedTuple
 
 import tyro
 from rich.console import Console
@@ -28,10 +36,13 @@ from agents.folder import error_lines
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
 from spoofgym.detector_tasks import DETECTOR_TASKS
+from spoofgym.simulators.engine import processors
 from spoofgym.tasks import TASKS
+from train.spoofers import DETECTORS, WORLDS
 
 MARKS = "steps.json"
-Steps = Mapping[str, Sequence[str]]
+MOST_WORKERS = 4
+"""By default: each of them takes up to two gigabytes."""
 GAME = (
     *("--iterations", "3", "--runs", "200", "--selection-runs", "64", "--sift-runs", "24"),
     *("--values", "6", "--search-runs", "48", "--generations", "4", "--detectors"),
@@ -58,8 +69,18 @@ GUARDS = {"guard": 3, "guard-0": 0, "guard-1": 1, "guard-2": 2, "guard-4": 4}
 """Seeds of the shipped detector, which was best of five on validation runs, and of the others."""
 
 
-def steps_of(out: Path) -> dict[str, list[str]]:
-    """Arguments of Python for every step, by its name, in their order."""
+class Step(NamedTuple):
+    """Arguments of Python, and names of the steps that have to end before."""
+
+    words: list[str]
+    after: tuple[str, ...] = ()
+
+
+Steps = Mapping[str, Step]
+
+
+def steps_of(out: Path) -> dict[str, Step]:
+    """Every step by its name, in the order in which they would run one by one."""
     recipes = {
         f"ppo-{key}": ["train.ppo_spoofer", "--task", key, *OWN.get(key, "").split()]
         for key in TASKS
@@ -67,11 +88,23 @@ def steps_of(out: Path) -> dict[str, list[str]]:
     fresh = ("--entropy", "1", "--seeds", "5", "6", "7", "8", "9")
     recipes |= {f"fresh-{key}": ["train.ppo_spoofer", "--task", key, *fresh] for key in FRESH}
     plain = {f"plain-{key}": ["train.plain_ppo", "--task", key] for key in ("T2", "T3", "T5")}
-    folders = [*recipes, *plain, "spoofers", "refits", "refits-more"]
+    sweep = {
+        f"spoofers-{world}-{detector}": ["train.spoofers", "--only", world, detector]
+        for world in WORLDS
+        for detector in DETECTORS
+    }
+    learners = recipes | plain | sweep
+    folders = (*learners, "refits", "refits-more")
     guard = str(out / "guard" / "guard.onnx")
     found = {
-        **{name: [*words, "--out", str(out / name)] for name, words in (recipes | plain).items()},
-        "spoofers": ["train.spoofers", "--out", str(out / "spoofers")],
+        **{
+            f"cards-{key}": [
+                *("tools.detector_cards", key, "--out", str(out / f"cards-{key}")),
+                *("--runs", "200", "--selection-runs", "48"),
+            ]
+            for key in DETECTOR_TASKS
+        },
+        **{name: [*words, "--out", str(out / name)] for name, words in learners.items()},
         "refits": ["tools.refits", "--out", str(out / "refits"), "--task", "T1", "T2"],
         "refits-more": [
             *("tools.refits", "--out", str(out / "refits-more"), "--task", "T2"),
@@ -100,15 +133,16 @@ def steps_of(out: Path) -> dict[str, list[str]]:
             *("--payoff", "hmi"),
         ],
         "page": ["tools.learned_page", *(str(out / name) for name in folders)],
-        **{
-            f"cards-{key}": [
-                *("tools.detector_cards", key, "--out", str(out / f"cards-{key}")),
-                *("--runs", "200", "--selection-runs", "48"),
-            ]
-            for key in DETECTOR_TASKS
-        },
     }
-    return {name: ["-m", *words] for name, words in found.items()}
+    cards = [f"cards-{key}" for key in DETECTOR_TASKS]
+    after: dict[str, tuple[str, ...]] = {
+        **dict.fromkeys(GUARDS, ("data",)),
+        "threshold": ("guard",),
+        "feedback-T2": ("feedback",),  # both write to one folder
+        "page": folders,
+        **{later: (sooner,) for sooner, later in pairwise(cards)},  # all write to one page
+    }
+    return {name: Step(["-m", *words], after.get(name, ())) for name, words in found.items()}
 
 
 @dataclass(frozen=True)
@@ -119,32 +153,81 @@ class Settings:
     """Folder of all results."""
     only: tuple[str, ...] = ()
     """Names of some steps, as `--list` has them; all by default."""
+    workers: int = min(MOST_WORKERS, processors())
+    """Steps at a time; each has its part of the processors."""
     list: bool = False
     """Print the steps, and run none."""
 
     def __post_init__(self) -> None:
-        """Check the names."""
+        """Check names and number."""
         for name in self.only:
             check_choice("step", name, [*steps_of(self.out)])
+        if self.workers < 1:
+            raise ValueError(f"`workers` must be at least 1, got {self.workers}")
 
 
-def run(out: Path, steps: Steps, console: Console) -> dict[str, Any]:
+def run(out: Path, steps: Steps, console: Console, workers: int = 1) -> dict[str, Any]:
     """Run what has not ended yet; seconds and command of every step that has, by its name.
 
-    Raises `subprocess.CalledProcessError` at the first command that fails.
+    Raises `subprocess.CalledProcessError` when a command fails.  Then no other one is begun, and
+    those that run go on to their end.
     """
     path = out / MARKS
     done: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.is_file() else {}
-    for number, (name, words) in enumerate(steps.items(), 1):
-        if name in done and done[name]["command"] == [*words]:
-            continue
-        console.print(f"{number} of {len(steps)}: {name}", highlight=False)
-        began = time.perf_counter()
-        subprocess.run([sys.executable, *words], check=True)
-        spent_s = round(time.perf_counter() - began, 1)
-        done[name] = {"seconds": spent_s, "command": [*words]}
-        write_file(path, (json.dumps(done, indent=1) + "\n").encode())
+    order = TopologicalSorter({name: {*step.after} & {*steps} for name, step in steps.items()})
+    order.prepare()
+    ready: list[str] = []
+    running: dict[Future[float], str] = {}
+    parts = _parts_of_processors(workers)
+    out.mkdir(parents=True, exist_ok=True)
+    with ThreadPoolExecutor(workers, initializer=_take_part, initargs=(parts,)) as pool:
+        while order.is_active():
+            ready += order.get_ready()
+            while ready and len(running) < workers:
+                name, words = ready[0], steps[ready.pop(0)].words
+                if name in done and done[name]["command"] == words:
+                    order.done(name)
+                    ready += order.get_ready()
+                else:
+                    log = None if workers == 1 else out / f"{name}.log"
+                    running[pool.submit(_run_step, name, words, log, console)] = name
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                name = running.pop(future)
+                done[name] = {"seconds": future.result(), "command": steps[name].words}
+                write_file(path, (json.dumps(done, indent=1) + "\n").encode())
+                order.done(name)
     return done
+
+
+def _take_part(parts: SimpleQueue[set[int]]) -> None:
+    """Leave this thread, and what it starts, a part of the processors, where the system can."""
+    if sys.platform == "linux":
+        os.sched_setaffinity(0, parts.get())
+
+
+def _parts_of_processors(workers: int) -> SimpleQueue[set[int]]:
+    """Processors of every worker, as equal in number as can be; shared where there are too few."""
+    parts: SimpleQueue[set[int]] = SimpleQueue()
+    if sys.platform == "linux":
+        own = sorted(os.sched_getaffinity(0))
+        for k in range(workers):
+            parts.put({*own[k::workers]} or {own[k % len(own)]})
+    return parts
+
+
+def _run_step(name: str, words: list[str], log: Path | None, console: Console) -> float:
+    """Run a command to its end; seconds that it took. `log`: file for what it says, or None."""
+    began = time.perf_counter()
+    console.print(f"{name} begins" + ("" if log is None else f", see {log}"), highlight=False)
+    with ExitStack() as stack:
+        file = None if log is None else stack.enter_context(log.open("w", encoding="utf-8"))
+        ended = subprocess.run([sys.executable, *words], stdout=file, stderr=file, check=False)
+    if ended.returncode != 0:
+        console.print(f"{name} has failed; what still runs goes on to its end", highlight=False)
+        ended.check_returncode()
+    spent_s = round(time.perf_counter() - began, 1)
+    console.print(f"{name} has ended after {spent_s / 60.0:.0f} min", highlight=False)
+    return spent_s
 
 
 def main() -> None:
@@ -154,11 +237,12 @@ def main() -> None:
         given = tyro.cli(Settings, description=__doc__)
         steps = steps_of(given.out)
         if given.list:
-            for name, words in steps.items():
-                console.print(f"{name}: python {' '.join(words)}", soft_wrap=True, highlight=False)
+            for name, step in steps.items():
+                command = f"{name}: python {' '.join(step.words)}"
+                console.print(command, soft_wrap=True, highlight=False)
             return
-        chosen = {name: words for name, words in steps.items() if name in (given.only or steps)}
-        done = run(given.out, chosen, console)
+        chosen = {name: step for name, step in steps.items() if name in (given.only or steps)}
+        done = run(given.out, chosen, console, given.workers)
         hours = sum(each["seconds"] for each in done.values()) / 3600.0
         console.print(f"{len(done)} of {len(steps)} steps have ended, in {hours:.2f} h of work")
 

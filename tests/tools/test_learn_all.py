@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import subprocess
+import sys
+from itertools import pairwise
 
 import pytest
 
@@ -16,19 +19,23 @@ from rich.console import Console
 
 from spoofgym.detector_tasks import DETECTOR_TASKS
 from spoofgym.tasks import TASKS
-from tools.learn_all import MARKS, Settings, run, steps_of
+from tools.learn_all import MARKS, Settings, Step, run, steps_of
 
 QUIET = Console(quiet=True)
 
 
 def writing(path):
     """A step that appends a line to a file."""
-    return ["-c", f"open({str(path)!r}, 'a').write('x')"]
+    return Step(["-c", f"open({str(path)!r}, 'a').write('x')"])
 
 
 def test_a_killed_run_goes_on_with_the_step_that_was_not_finished(tmp_path):
     first, last = tmp_path / "first", tmp_path / "last"
-    fails = {"one": writing(first), "two": ["-c", "raise SystemExit(3)"], "three": writing(last)}
+    fails = {
+        "one": writing(first),
+        "two": Step(["-c", "raise SystemExit(3)"]),
+        "three": writing(last),
+    }
     with pytest.raises(subprocess.CalledProcessError, match="status 3"):
         run(tmp_path, fails, QUIET)
     assert not last.exists()
@@ -45,15 +52,90 @@ def test_a_killed_run_goes_on_with_the_step_that_was_not_finished(tmp_path):
 def test_every_task_and_every_page_has_its_step(tmp_path):
     steps = steps_of(tmp_path)
     assert {f"ppo-{key}" for key in TASKS} | {f"cards-{key}" for key in DETECTOR_TASKS} <= {*steps}
-    for option, module, *_ in steps.values():
+    for (option, module, *_), _ in steps.values():
         assert option == "-m"
         assert importlib.util.find_spec(module) is not None
     names = [*steps]
-    assert names.index("data") < names.index("guard") < names.index("threshold")
-    page = names.index("page")
-    assert all(names.index(name) < page for name in ("spoofers", "refits", "fresh-T1", "plain-T2"))
+    for name, step in steps.items():
+        assert all(names.index(sooner) < names.index(name) for sooner in step.after)
+    assert steps["threshold"].after == ("guard",)
+    folders = {"spoofers-T5-aime", "refits", "fresh-T1", "plain-T2", "ppo-T6"}
+    assert folders <= {*steps["page"].after}
+    assert all(str(tmp_path / name) in steps["page"].words for name in steps["page"].after)
+
+
+def test_commands_that_write_to_the_same_place_wait_for_each_other(tmp_path):
+    steps = steps_of(tmp_path)
+    folders = {}
+    for name, step in steps.items():
+        if "--out" in step.words:
+            folders.setdefault(step.words[step.words.index("--out") + 1], []).append(name)
+    alike = [names for names in folders.values() if len(names) > 1]
+    assert alike == [["feedback", "feedback-T2"]]
+    cards = [name for name in steps if name.startswith("cards-")]
+    for sooner, later in [*map(tuple, alike), *pairwise(cards)]:
+        assert sooner in steps[later].after
+
+
+MEET = """
+import pathlib, sys, time
+mine, other = map(pathlib.Path, sys.argv[1:])
+mine.write_text("")
+until = time.monotonic() + 60
+while not other.exists() and time.monotonic() < until:
+    time.sleep(0.01)
+raise SystemExit(0 if other.exists() else 4)
+"""
+"""Ends well only where another one runs at the same time."""
+
+
+def test_workers_run_at_once_and_what_is_needed_ends_before(tmp_path):
+    one, two, seen = tmp_path / "one", tmp_path / "two", tmp_path / "seen"
+    last = f"import os; open({str(seen)!r}, 'w').write(str(os.path.exists({str(two)!r})))"
+    steps = {
+        "last": Step(["-c", last], ("first", "second")),
+        "first": Step(["-c", MEET, str(one), str(two)]),
+        "second": Step(["-c", MEET, str(two), str(one)]),
+    }
+    out = tmp_path / "out"
+    assert {*run(out, steps, QUIET, workers=2)} == {*steps}
+    assert seen.read_text() == "True"
+    assert {path.name for path in out.iterdir()} == {MARKS, *(f"{name}.log" for name in steps)}
+
+
+def test_what_runs_beside_a_failure_goes_on_and_nothing_else_begins(tmp_path):
+    never, beside = tmp_path / "never", tmp_path / "beside"
+    slow = f"import time; time.sleep(1.0); open({str(beside)!r}, 'w').write('x')"
+    said = "print('out'); import sys; sys.exit('the cause')"
+    steps = {
+        "fails": Step(["-c", said]),
+        "slow": Step(["-c", slow]),
+        "never": writing(never),
+    }
+    with pytest.raises(subprocess.CalledProcessError):
+        run(tmp_path, steps, QUIET, workers=2)
+    assert beside.exists()
+    assert not never.exists()
+    assert sorted((tmp_path / "fails.log").read_text().split("\n")) == ["", "out", "the cause"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system shares the processors itself")
+def test_workers_share_the_processors(tmp_path):
+    own, told = sorted(os.sched_getaffinity(0)), tmp_path / "told"
+    line = f"import os; open({str(told)!r}, 'a').write(repr(sorted(os.sched_getaffinity(0))))"
+    run(tmp_path, {"it": Step(["-c", line])}, QUIET)
+    assert told.read_text() == repr(own)
+    told.unlink()
+    run(tmp_path, {"that": Step(["-c", line])}, QUIET, workers=len(own))
+    assert told.read_text() == repr(own[:1])
+    assert sorted(os.sched_getaffinity(0)) == own
 
 
 def test_names_of_steps_are_checked(tmp_path):
     with pytest.raises(ValueError, match="unknown step 'ppo-T9'"):
         Settings(out=tmp_path, only=("ppo-T9",))
+
+
+def test_there_is_a_worker_at_least(tmp_path):
+    with pytest.raises(ValueError, match="`workers` must be at least 1, got 0"):
+        Settings(out=tmp_path, workers=0)
