@@ -14,6 +14,9 @@ from spoofgym.bench.tables import interval
 from spoofgym.spoofers.base import sees_statistics
 from spoofgym.spoofers.card import Card, Score
 
+LOUDEST = 1e5
+"""Largest amplitude that is tried of a network that has not learned, which hardly answers."""
+
 
 class Known(Protocol):
     """What says what it observes."""

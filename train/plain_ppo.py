@@ -24,7 +24,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.diverging import learn
 from agents.folder import error_lines, open_folder
-from agents.seeds import KIND_HEAD, kind_cells
+from agents.seeds import KIND_HEAD, LOUDEST, kind_cells
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
 from spoofgym.bench.evaluate import Evaluator
@@ -93,7 +93,7 @@ def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[S
         envs = VecNormalize(envs, gamma=1.0)
     given = PLAIN if kind == "plain" else {}
     model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **given)
-    untrained = judge.score(model, label="untrained")
+    untrained = judge.score(model, label="untrained", largest_amplitude=LOUDEST)
     watch = ScoreCallback(judge=judge, every=settings.steps // settings.scores, verbose=0)
     began = time.perf_counter()
     why = learn(model, settings.steps, callback=watch)

@@ -59,7 +59,7 @@ from agents.folder import command_of, error_lines, json_object, open_folder, use
 from agents.full_scale import for_learning
 from agents.price import LEAST, MOST, next_price, set_price
 from agents.record import TrainingRecord, read_record
-from agents.seeds import comparable, copy_policy, table_of
+from agents.seeds import LOUDEST, comparable, copy_policy, table_of
 from agents.spoofer_table import RIVALS
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
@@ -276,7 +276,8 @@ class Training:
         """Learn from where it is to the end, a checkpoint after every stage."""
         args = self.args
         if self.untrained is None:
-            self.untrained = self.judge.score(self.model, label="untrained").as_dict()
+            score = self.judge.score(self.model, label="untrained", largest_amplitude=LOUDEST)
+            self.untrained = score.as_dict()
         while self.stage < args.stages and self.watch.diverged is None:
             began, scores = time.perf_counter(), len(self.watch.history)
             chance = np.random.SeedSequence([self.seed, self.stage])

@@ -54,6 +54,11 @@ class Entry:
         return next((key for key, value in self.spec.items() if value == TUNED), None)
 
     @property
+    def largest(self) -> float | None:
+        """Largest value that is tried of that setting; None for the spoofer's own range."""
+        return None
+
+    @property
     def searched(self) -> bool:
         """Whether the spoofer's curve is to be searched for, too: a blind optimum."""
         return self.spec["name"] == "blind-optimum" and not self.spec["rates_mps"]

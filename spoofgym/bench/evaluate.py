@@ -13,7 +13,7 @@ from .._registry import check_finite, check_keywords, whole_number
 from ..simulators.clean_runs import Progress, Silent
 from ..spoofers import Spoofer
 from ..spoofers.model import ModelPolicy, trained_in
-from ..spoofers.scaled import AMPLITUDE, Scaled
+from ..spoofers.scaled import AMPLITUDE, SMALLEST, Scaled
 from ..tasks import task_of
 from .budget import BUDGET, fewest_runs
 from .campaign import search, start_of, with_rates
@@ -37,15 +37,24 @@ PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".joblib")
 
 @dataclass(frozen=True)
 class LiveEntry(Entry):
-    """A spoofer that is an object, which no text describes; its amplitude is fitted, or given."""
+    """A spoofer that is an object, which no text describes; its amplitude is fitted, or given.
+
+    `loudest`: largest amplitude that is tried; None for the usual one.
+    """
 
     spoofer: Spoofer
     fits: bool
+    loudest: float | None = None
 
     @property
     def tuned(self) -> str | None:
         """Setting that is to be searched for."""
         return AMPLITUDE if self.fits else None
+
+    @property
+    def largest(self) -> float | None:
+        """Largest amplitude that is tried."""
+        return self.loudest
 
     @property
     def searched(self) -> bool:
@@ -169,12 +178,13 @@ class Evaluator:
         amplitude: float | str | None = FITTED,
         knowledge: str | None = None,
         label: str | None = None,
+        largest_amplitude: float | None = None,
     ) -> Score:
         """Score of one spoofer.
 
         Parameters
         ----------
-        policy, amplitude, knowledge, label : optional
+        policy, amplitude, knowledge, label, largest_amplitude : optional
             As in `evaluate`.
 
         Returns
@@ -182,7 +192,7 @@ class Evaluator:
         Score
             Of the evaluation runs.
         """
-        entry = entry_of(policy, amplitude, knowledge, label)
+        entry = entry_of(policy, amplitude, knowledge, label, largest_amplitude)
         setting, spec, within, value = entry.tuned, entry.untuned, None, None
         if setting is not None:
             found = self._fitted(entry)
@@ -232,6 +242,7 @@ def evaluate(
     amplitude: float | str | None = FITTED,
     knowledge: str | None = None,
     label: str | None = None,
+    largest_amplitude: float | None = None,
     entropy: int = 0,
     threads: int | None = None,
     progress: Progress | None = None,
@@ -262,6 +273,9 @@ def evaluate(
         ``"blind"`` where none is known.
     label : str, optional
         Name of a model in the score.
+    largest_amplitude : float, optional
+        Of a model whose amplitude is fitted, the largest one that is tried; 10 by default.  A
+        network that has not learned answers by some hundredths, and needs a thousand.
     **world
         As in `Evaluator`.
 
@@ -299,21 +313,31 @@ def evaluate(
         progress=progress,
         **world,
     )
-    return judge.score(policy, amplitude=amplitude, knowledge=knowledge, label=label)
+    return judge.score(
+        policy,
+        amplitude=amplitude,
+        knowledge=knowledge,
+        label=label,
+        largest_amplitude=largest_amplitude,
+    )
 
 
 def entry_of(
-    policy: Any, amplitude: float | str | None, knowledge: str | None, label: str | None = None
+    policy: Any,
+    amplitude: float | str | None,
+    knowledge: str | None,
+    label: str | None = None,
+    largest: float | None = None,
 ) -> Entry:
-    """Entry of a spoofer of any form, and what of it is to be fitted."""
-    fits = amplitude == FITTED
-    if not fits and amplitude is not None:
-        if isinstance(amplitude, str):
-            raise ValueError(f"`amplitude` must be {FITTED!r}, a number or None, got {amplitude!r}")
-        check_finite("amplitude", amplitude, "> 0")
+    """Entry of a spoofer of any form, and what of it is to be fitted, up to which amplitude."""
+    fits = _is_fitted(amplitude, largest)
     if isinstance(policy, str | os.PathLike | Mapping):
         if knowledge is not None or label is not None:
             raise ValueError("`knowledge` and `label` are for models; this spoofer has its own")
+        if largest is not None:
+            raise ValueError(
+                "`largest_amplitude` is for models; this spoofer has a range of its own"
+            )
         spec = dict(policy) if isinstance(policy, Mapping) else {"name": os.fspath(policy)}
         _refuse_pickle(str(spec.get("name")))
         if not fits and amplitude is not None:
@@ -328,7 +352,24 @@ def entry_of(
         raise ValueError(f"{name} has an amplitude already, {spoofer.amplitude:g}: give None")
     if not fits and amplitude is not None:
         spoofer = Scaled(spoofer, float(amplitude))
-    return LiveEntry(name, {"name": name}, spoofer, fits and spoofer.transmits)
+    return LiveEntry(name, {"name": name}, spoofer, fits and spoofer.transmits, largest)
+
+
+def _is_fitted(amplitude: float | str | None, largest: float | None) -> bool:
+    """Whether an amplitude is to be fitted; raises where it, or the largest one, is none."""
+    fits = amplitude == FITTED
+    if isinstance(amplitude, str) and not fits:
+        raise ValueError(f"`amplitude` must be {FITTED!r}, a number or None, got {amplitude!r}")
+    if not fits and amplitude is not None:
+        check_finite("amplitude", amplitude, "> 0")
+    if largest is None:
+        return fits
+    check_finite("largest_amplitude", largest)
+    if largest <= SMALLEST:
+        raise ValueError(f"`largest_amplitude` must be above {SMALLEST:g}, got {largest!r}")
+    if not fits:
+        raise ValueError(f"`largest_amplitude` is for `amplitude={FITTED!r}`, got {amplitude!r}")
+    return fits
 
 
 def _refuse_pickle(path: str) -> None:

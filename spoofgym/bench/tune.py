@@ -172,6 +172,7 @@ def tune(
         raise ValueError(f"{entry.label!r} has no setting that is to be tuned")
     any_value = build_spoofer(entry.with_value(1.0))
     low, high = tuning_range_of(any_value, start.setup)
+    high = high if entry.largest is None else entry.largest
     grid = log_spaced(low, high, settings.values)
     everyone = start.receivers
     search = _Search(start, clean, entry, settings, tick)
