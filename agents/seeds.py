@@ -57,6 +57,18 @@ def spread(values: Sequence[float]) -> str:
     return f"{median(values):.1f} [{min(values):.1f}, {max(values):.1f}]"
 
 
+def reached_by(rows: Sequence[Mapping[str, Any]], key: str = "score") -> str:
+    """Median over the seeds, the least and largest of them, and how many are over the budget.
+
+    "-" where a seed lacks what is asked for.
+    """
+    if any(key not in row for row in rows):
+        return "-"
+    scores = [row[key] for row in rows]
+    over = sum(1 for score in scores if score and not keeps_budget(score))
+    return spread([value_of(score) for score in scores]) + (f", {over} over" if over else "")
+
+
 def middle_of(rows: Iterable[Mapping[str, Any]], rival: str) -> Mapping[str, Any]:
     """The seed whose ratio to a rival is the median one, the lower of two; 0 if it has no score."""
 
@@ -81,9 +93,9 @@ def kind_cells(
     ratio = interval(middle["ratios"]["ramp"], 2) if middle["score"] else "0"
     seeds = f"{len(rows)}, {lost} diverged" if lost else str(len(rows))
     return (
-        *(task, kind, seeds, spread([value_of(row["score"]) for row in rows])),
+        *(task, kind, seeds, reached_by(rows)),
         f"{ratio} of {value_of(ramp):.1f} m",
-        spread([value_of(row["untrained"]) for row in rows]),
+        reached_by(rows, "untrained"),
     )
 
 

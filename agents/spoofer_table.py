@@ -8,7 +8,7 @@ from typing import Any
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.tables import interval
 
-from .seeds import keeps_budget, marked, middle_of, spread, value_of
+from .seeds import marked, middle_of, reached_by
 
 KNOWLEDGE = ("blind", "blind+reported", "oracle")
 """What a trained spoofer observes, in the order of the columns."""
@@ -24,7 +24,7 @@ def page(table: Mapping[str, Any]) -> str:
     """
     heads = (
         *("world", "detector", *(_head(table, name) for name in RIVALS)),
-        *("PPO untrained (blind)", "PPO (blind)", f"of the {BEST}", "PPO (blind+reported)"),
+        *("PPO (blind)", f"of the {BEST}", "PPO (blind+reported)"),
         *(_head(table, FEEDBACK), "PPO (oracle)"),
     )
     rows = []
@@ -34,7 +34,7 @@ def page(table: Mapping[str, Any]) -> str:
         rows.append(
             (
                 *(*case.split("/"), *(_score(rivals.get(name)) for name in RIVALS)),
-                *(_seeds(blind, "untrained"), _seeds(blind), _ratio(blind), _seeds(reported)),
+                *(_seeds(blind), _ratio(blind), _seeds(reported)),
                 *(_score(rivals.get(FEEDBACK)), _seeds(oracle)),
             )
         )
@@ -53,13 +53,9 @@ def _score(score: Mapping[str, Any] | None) -> str:
     return marked(score) if score else "-"
 
 
-def _seeds(results: Mapping[str, Any] | None, key: str = "score") -> str:
-    """Median over the seeds, the least and largest of them, and how many are over the budget."""
-    if results is None:
-        return "-"
-    scores = [row[key] for row in results["seeds"]]
-    over = sum(1 for score in scores if score and not keeps_budget(score))
-    return spread([value_of(score) for score in scores]) + (f", {over} over" if over else "")
+def _seeds(results: Mapping[str, Any] | None) -> str:
+    """What the seeds have reached; "-" where there are none."""
+    return "-" if results is None else reached_by(results["seeds"])
 
 
 def _ratio(results: Mapping[str, Any] | None) -> str:

@@ -24,7 +24,7 @@ from agents.seeds import (
     kind_cells,
     marked,
     middle_of,
-    spread,
+    reached_by,
     value_of,
 )
 from agents.spoofer_table import RIVALS, page
@@ -53,14 +53,19 @@ CURVE_HEAD = ("task", "arguments", "thousands of steps: stealthy displacement")
 KINDS = {"plain": "five arguments", "defaults": "those of the library alone"}
 
 
-def taken(results: dict[str, Any], whom: Iterable[str] = RIVALS) -> dict[str, Any]:
-    """What the page needs of the results of `train.ppo_spoofer`; `whom`: of which rivals."""
+def taken(
+    results: dict[str, Any], whom: Iterable[str] = RIVALS, *, alone: bool = True
+) -> dict[str, Any]:
+    """What the page needs of the results of `train.ppo_spoofer`.
+
+    `whom`: of which rivals; `alone`: whether it is one of the recipe, and no cell of many.
+    """
     plain = ("command", "versions", "detector", "kept")
+    further = ("wall_s", "untrained") if alone else ("wall_s",)
     seeds = [
         {
             **{name: row[name] for name in ("seed", "steps", "chosen_at", "diverged")},
-            **{name: row[name] for name in ("wall_s",) if name in row},  # older ones have none
-            "untrained": row["untrained"],
+            **{name: row[name] for name in further if name in row},  # older ones have none
             "score": row["score"],
             "ratios": row.get("ratios", {}),
         }
@@ -114,9 +119,9 @@ def _task_cells(task: str, found: dict[str, Any]) -> tuple[str, ...]:
     return (
         *(task, f"`{found['detector'].partition('(')[0]}`"),
         *(marked(found["rivals"][name]) for name in RIVALS),
-        f"**{spread([value_of(row['score']) for row in found['seeds']])}**",
+        f"**{reached_by(found['seeds'])}**",
         f"{ratio} {bar}",
-        spread([value_of(row["untrained"]) for row in found["seeds"]]),
+        reached_by(found["seeds"], "untrained"),
     )
 
 
@@ -168,7 +173,7 @@ def main() -> None:
         if (folder / MANY).is_file():
             cells = json.loads((folder / MANY).read_text(encoding="utf-8"))
             kept["spoofers"] |= {
-                cell: taken(found, found["rivals"]) for cell, found in cells.items()
+                cell: taken(found, found["rivals"], alone=False) for cell, found in cells.items()
             }
             continue
         if (folder / REFITS).is_file():

@@ -18,7 +18,6 @@ def cell(*values, over=(), optimum=None):
     rows = [
         {
             "score": None if value is None else score(value, value not in over),
-            "untrained": score(0.5),
             "ratios": {"blind-optimum": {"value": (value or 0.0) / 10.0, "low": 0.0, "high": 2.0}},
         }
         for value in values

@@ -71,6 +71,17 @@ def test_a_function_is_fitted_to_the_budget_and_commands_along_the_target(judge)
     assert "mine (blind, amplitude" in str(fitted)
 
 
+def test_a_quiet_function_gets_as_far_as_a_loud_one_where_its_amplitude_may_be_large(judge):
+    loud = judge.score(constant(0.5))
+    quiet = judge.score(constant(1e-4), largest_amplitude=1e5)
+    assert quiet.value == pytest.approx(5000.0 * loud.value, rel=0.05)
+    assert quiet.ratio_to(loud).value == pytest.approx(1.0, abs=0.05)
+    assert quiet.keeps_budget
+    usual = judge.score(constant(1e-4))
+    assert usual.value == 10.0  # the largest one that is tried
+    assert usual.ratio_to(loud).value < 0.1
+
+
 def test_what_alarms_too_often_is_no_score(judge):
     found = judge.score(constant(1.0), amplitude=None)
     assert found.alarm_rate.value > 0.5
@@ -153,6 +164,15 @@ def test_the_policy_is_asked_and_not_copied(judge):
         (constant(), {"amplitude": -1.0}, ValueError, "`amplitude` must be finite and > 0, got -1"),
         (constant(), {"knowledge": "psychic"}, ValueError, "psychic"),
         ("ramp", {"knowledge": "blind"}, ValueError, "are for models"),
+        ("ramp", {"largest_amplitude": 1e4}, ValueError, "`largest_amplitude` is for models"),
+        (constant(), {"largest_amplitude": 1e-3}, ValueError, "must be above 0.001, got 0.001"),
+        (constant(), {"largest_amplitude": np.inf}, ValueError, "a finite number, got inf"),
+        (
+            constant(),
+            {"largest_amplitude": 1e4, "amplitude": 1.0},
+            ValueError,
+            "`largest_amplitude` is for `amplitude='fitted'`, got 1.0",
+        ),
         (
             make_spoofer({"name": "step", "amplitude": 0.5}),
             {},

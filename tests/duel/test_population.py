@@ -220,13 +220,15 @@ def test_nobody_is_scored_on_runs_that_decided_on_it(played):
 def test_what_is_shipped_says_by_its_card_what_decided_on_it(played):
     found, _ = played
     learned = member_of("hidden-pool-ppo", "spoofer", decided_on=[(4, "search")])
-    assert learned.decided_on == {(0, "training"), (4, "search")}
+    assert learned.decided_on == {(0, "training"), (0, "evaluation"), (4, "search")}
     with pytest.raises(ValueError, match="trained or chosen on the runs of the split 'training'"):
         found.on("training").matrix([learned], [CHI2])
     profile = member_of("ewma-profile", "spoofer")
     halved = {"name": "hidden-pool-ppo", "amplitude": 0.5}
-    for given in (profile.spec, make_spoofer("ewma-profile"), learned.spec, halved):
+    for given in (profile.spec, make_spoofer("ewma-profile")):
         assert member_of(given, "spoofer").decided_on == {(0, "training")}
+    for given in (learned.spec, halved):
+        assert member_of(given, "spoofer").decided_on == {(0, "training"), (0, "evaluation")}
     other = {**profile.spec, "rates_mps": [0.0, 0.1]}
     assert member_of(other, "spoofer").decided_on == frozenset()
     seeds = {(0, "dataset-train"), (0, "dataset-validation")}
