@@ -37,8 +37,24 @@ LARGEST_BYTES, MOST_OPERATORS, MOST_PARTS = 32 << 20, 5_000, 50_000
 tensors and types, in subgraphs, too."""
 MOST_ELEMENTS, MOST_IN_ALL, MOST_PRODUCTS = 4 << 20, 1 << 25, 1 << 28
 """Of any tensor between two operators, of all of them together, and multiplications of all products
-of matrices, convolutions and recurrent operators, for the observations that it is tried on."""
+of matrices, convolutions, pools and recurrent operators, for the observations it is tried on."""
 RECURRENT = ("GRU", "LSTM", "RNN")
+GROWING = frozenset(
+    {
+        *("AffineGrid", "CenterCropPad", "Col2Im", "ConstantOfShape", "Expand", "MaxUnpool"),
+        *("MelWeightMatrix", "OneHot", "Pad", "Range", "Resize", "Tile", "Upsample"),
+        *("BlackmanWindow", "HammingWindow", "HannWindow"),
+    }
+)
+"""Operators whose result is as large as some number says; that has to follow from the graph."""
+UNTOLD = frozenset(
+    {
+        *("DFT", "DeformConv", "Det", "ImageDecoder", "LRN", "MaxRoiPool", "NonMaxSuppression"),
+        *("RoiAlign", "STFT"),
+    }
+)
+"""Operators whose work no size tells, of which none is needed by a policy."""
+POOLS = ("AveragePool", "LpPool", "MaxPool")
 TRIED = 16
 """Observations that a network is tried on when it is loaded."""
 NEXT = "next_"
@@ -74,9 +90,10 @@ def _check_work(model: ModelProto, where: str) -> None:
     import onnx
 
     try:
-        inferred = onnx.shape_inference.infer_shapes(model, data_prop=True).graph
+        inferred = onnx.shape_inference.infer_shapes(_with_batch(model), data_prop=True).graph
     except (onnx.shape_inference.InferenceError, ValueError) as error:
         raise ValueError(f"{where} is no valid ONNX model: {error}") from error
+    _check_sizes_follow(inferred, where)
     shapes: dict[str, list[int]] = {
         tensor.name: list(tensor.dims) for tensor in inferred.initializer
     }
@@ -98,21 +115,66 @@ def _check_work(model: ModelProto, where: str) -> None:
             )
 
 
+def _with_batch(model: ModelProto) -> ModelProto:
+    """A copy for as many observations as it is tried on."""
+    import onnx
+
+    fixed = onnx.ModelProto()
+    fixed.CopyFrom(model)
+    del fixed.graph.value_info[:]  # all of it is inferred again
+    for values, size in ((fixed.graph.input, TRIED), (fixed.graph.output, None)):
+        for value in values:
+            for dim in value.type.tensor_type.shape.dim:
+                if not dim.HasField("dim_value"):
+                    dim.Clear()
+                    if size is not None:
+                        dim.dim_value = size
+    return fixed
+
+
+def _check_sizes_follow(graph: Any, where: str) -> None:
+    """Raise where the size of a result, or the work for it, is only known when it is run."""
+    known = {
+        value.name
+        for value in (*graph.value_info, *graph.output)
+        if value.type.tensor_type.HasField("shape")
+        and all(dim.HasField("dim_value") for dim in value.type.tensor_type.shape.dim)
+    }
+    for node in graph.node:
+        if node.op_type in UNTOLD:
+            raise ValueError(
+                f"{where} has the operator {node.op_type}, whose work can't be told in advance"
+            )
+        if node.op_type in GROWING and not known.issuperset(filter(None, node.output)):
+            raise ValueError(
+                f"{where} has the operator {node.op_type} with a result whose size is only known "
+                "when it is run; a policy may have none"
+            )
+
+
 def _products(node: Any, shapes: Mapping[str, Sequence[int]]) -> int:
     """Multiplications of an operator that has many for each element of its result."""
     first, *others = [shapes.get(name, []) for name in node.input] or [[]]
     results = _size(shapes.get(node.output[0], []))
+    if node.op_type in POOLS:
+        return results * _size([size for each in node.attribute for size in _kernel_of(each)])
     if not first or not others:
         return 0
-    if node.op_type in ("Gemm", "MatMul"):
+    if node.op_type in ("Gemm", "MatMul", "MatMulInteger", "QLinearMatMul"):
         return results * first[-1]
-    if node.op_type in ("Conv", "ConvTranspose"):  # (results, channels of each, ...) or turned
+    if node.op_type in ("Conv", "ConvInteger", "ConvTranspose"):  # (results, channels of each, ...)
         return results * _size(others[0][1:])
+    if node.op_type == "QLinearConv":  # behind scale and zero of the first
+        return results * _size(others[2][1:])
     if node.op_type in RECURRENT:  # (length, batch, inputs), and its weights at every step
         return _size(first[:2]) * sum(map(_size, others[:2]))
-    if node.op_type == "Einsum":  # at most all elements of one with all of the other
+    if node.op_type in ("Attention", "Einsum"):  # at most all elements of one with all of the other
         return _size(first) * _size(others[0])
     return 0
+
+
+def _kernel_of(attribute: Any) -> Sequence[int]:
+    return attribute.ints if attribute.name == "kernel_shape" else ()
 
 
 def _size(shape: Sequence[int]) -> int:

@@ -80,6 +80,7 @@ class OnnxModel:
         low, high = (np.clip(side, -WIDEST, WIDEST) for side in (space.low, space.high))
         rng = np.random.default_rng(0)
         seen = rng.uniform(low, high, (TRIED, len(low))).astype(np.float32)
+        seen[0] = np.clip(0.0, low, high)  # as at the start of an attack
         # half of the states are as at the start of an episode
         states = [np.zeros((TRIED, each.size), np.float32) for each in self.state]
         for each in states:

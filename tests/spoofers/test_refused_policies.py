@@ -325,9 +325,86 @@ def heavy(model: onnx.ModelProto) -> None:
     model.graph.initializer.append(numpy_helper.from_array(weight, "ballast"))
 
 
+def behind(*nodes: onnx.NodeProto, **tensors: Any) -> Edit:
+    """The mean of a result ``r``, cut, added to the actions; all of `tensors` by their names."""
+
+    def edit(model: onnx.ModelProto) -> None:
+        for name, value in tensors.items():
+            model.graph.initializer.append(numpy_helper.from_array(np.array(value), name))
+        del model.graph.node[-1]
+        model.graph.node.extend(nodes)
+        model.graph.node.append(helper.make_node("ReduceMean", ["r"], ["mean"], keepdims=0))
+        model.graph.node.append(helper.make_node("Clip", ["mean", "low", "high"], ["cut"]))
+        model.graph.node.append(helper.make_node("Add", ["z2", "cut"], ["action"]))
+        for name, bound in (("low", -0.1), ("high", 0.1)):
+            tensor = numpy_helper.from_array(np.array(bound, np.float32), name)
+            model.graph.initializer.append(tensor)
+
+    return edit
+
+
+def ramp_of(length: str) -> list[onnx.NodeProto]:
+    """As many numbers in a row as a scalar says."""
+    return [helper.make_node("Range", ["zero", length, "one"], ["r"])]
+
+
+LENGTHS = {"zero": np.float32(0.0), "one": np.float32(1.0)}
+GROWN = behind(
+    helper.make_node("ReduceMax", ["observation"], ["most"], keepdims=0),
+    helper.make_node("Mul", ["most", "zero"], ["none"]),
+    helper.make_node("Add", ["none", "many"], ["length"]),
+    *ramp_of("length"),
+    many=np.float32(2e9),
+    **LENGTHS,
+)
+FILLED = behind(
+    helper.make_node("Pow", ["side", "two"], ["shape"]),
+    helper.make_node("ConstantOfShape", ["shape"], ["r"]),
+    side=np.array([30_000], np.int64),
+    two=np.array([2], np.int64),
+)
+POOLED = behind(
+    helper.make_node("ConstantOfShape", ["shape"], ["whole"]),
+    helper.make_node("AveragePool", ["whole"], ["r"], kernel_shape=[1000, 1000]),
+    shape=np.array([1, 1, 2000, 2000], np.int64),
+)
+SQUARE = behind(
+    helper.make_node("ConstantOfShape", ["shape"], ["whole"]),
+    helper.make_node("Det", ["whole"], ["r"]),
+    shape=np.array([2000, 2000], np.int64),
+)
+
+
+def test_a_result_of_a_known_size_is_welcome(tmp_path: Path) -> None:
+    edit = behind(*ramp_of("many"), many=np.float32(5.0), **LENGTHS)
+    policy = OnnxPolicy(str(write_policy(tmp_path, model=edit)))
+    assert policy.model.act(np.zeros((2, 6), np.float32)).shape == (2, 2)
+
+
+def test_what_is_no_number_at_the_start_of_an_attack_is_refused(tmp_path: Path) -> None:
+    """0 / 0 at the observation of zeros alone."""
+
+    def edit(model: onnx.ModelProto) -> None:
+        del model.graph.node[-1]
+        model.graph.node.extend(
+            [
+                helper.make_node("ReduceSum", ["observation"], ["sum"], keepdims=1),
+                helper.make_node("Div", ["sum", "sum"], ["one"]),
+                helper.make_node("Mul", ["z2", "one"], ["action"]),
+            ]
+        )
+
+    with pytest.raises(ValueError, match="tried within the bounds on its card"):
+        OnnxPolicy(str(write_policy(tmp_path, model=edit)))
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
+        (GROWN, "the operator Range with a result whose size is only known when it is run"),
+        (FILLED, "the operator ConstantOfShape with a result whose size is only known"),
+        (POOLED, r"[\d,]+ multiplications in products of matrices"),
+        (SQUARE, "the operator Det, whose work can't be told in advance"),
         (branches, r"tiny\.onnx has the control flow If; export a network without branches"),
         (long, r"tiny\.onnx has 5,00\d operators; a policy may have 5,000"),
         (heavy, r"tiny\.onnx has 32.0 MiB; a policy may have 32 MiB"),
