@@ -196,6 +196,17 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(tmp_path):
         onnx(net, envs, tmp_path / "x.pt")
     with pytest.raises(ValueError, match="`amplitude` must be finite and > 0, got 0"):
         onnx(net, envs, tmp_path / "x.onnx", amplitude=0.0)
+    for training, message in (
+        ([1], r"`training` must be a mapping, got \[1\]"),
+        ({"decided_on": "x"}, "must be pairs of an entropy and a split"),
+        ({"decided_on": [[0, 5]]}, "must be pairs of an entropy and a split"),
+        ({"decided_on": [[0, "trial"]]}, "unknown split 'trial'; valid: calibration"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            onnx(net, envs, tmp_path / "x.onnx", training=training)
+    with pytest.raises(ValueError, match=r"card of .*x y\.onnx: `name`: ") as found:
+        onnx(net, envs, tmp_path / "x y.onnx")
+    assert "\n" not in str(found.value)
     own = make(observation=["own-command"])
     with pytest.raises(ValueError, match="`observation` of its own"):
         onnx(torch.nn.Linear(len(own.observation_names), 1), own, tmp_path / "x.onnx")
@@ -323,10 +334,22 @@ class Dice(Recurrent):
         (Recurrent(OBSERVED), {"state": {"hidden": 5}}, r"can't be run with \(B, 37\), \(B, 5\)"),
         (Recurrent(OBSERVED), {"state": {}}, r"can't be run with \(B, 37\), to return \(B, 1\)"),
         (Recurrent(OBSERVED), {"terms": ["inovation"]}, "did you mean 'innovation'"),
-        (Recurrent(OBSERVED), {"state": {"next hidden": 6}}, "name"),
+        (
+            Recurrent(OBSERVED),
+            {"state": {"next hidden": 6}},
+            "state 'next hidden' of size 6: `name`",
+        ),
+        (Recurrent(OBSERVED), {"state": {"hidden": -1}}, "state 'hidden' of size -1: `size`"),
+        (Recurrent(OBSERVED), {"state": {"action": 6}}, "can't have the name 'action'"),
+        (Recurrent(OBSERVED), {"state": [6]}, "`state` must be sizes by name"),
+        (Recurrent(OBSERVED), {"threshold": 2.0}, r"card of .*guard\.onnx: `threshold`"),
+        (Recurrent(OBSERVED), {"training": {"decided_on": [[0, "x"]]}}, "unknown split 'x'"),
         (Dice(OBSERVED), {}, "draws random numbers by RandomNormalLike"),
     ],
-    ids=["no state", "size", "observations", "state", "undeclared", "terms", "name", "chance"],
+    ids=[
+        *("no state", "size", "observations", "state", "undeclared", "terms", "name", "negative"),
+        *("taken", "no mapping", "threshold", "split", "chance"),
+    ],
 )
 def test_a_module_that_is_no_detector_is_refused_and_nothing_is_written(
     module, options, message, tmp_path

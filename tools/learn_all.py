@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import tyro
 from rich.console import Console
 
-from agents.folder import error_lines
+from agents.folder import error_lines, json_object
 from spoofgym._files import write_file
 from spoofgym._registry import check_choice
 from spoofgym.detector_tasks import DETECTOR_TASKS
@@ -173,7 +173,7 @@ def run(out: Path, steps: Steps, console: Console, workers: int = 1) -> dict[str
     those that run go on to their end.
     """
     path = out / MARKS
-    done: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.is_file() else {}
+    done = json_object(str(path), path.read_text("utf-8") if path.is_file() else "{}")
     order = TopologicalSorter({name: {*step.after} & {*steps} for name, step in steps.items()})
     order.prepare()
     ready: list[str] = []

@@ -32,6 +32,7 @@ import time
 from dataclasses import asdict, dataclass
 from io import BytesIO
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -172,7 +173,7 @@ class Trainer:
         return loss + self.given.emphasis * undetected(odds, moved, clean, epochs)
 
     def score(self, episodes: Episodes) -> Scored:
-        """Play some runs."""
+        """Play some runs; a network whose answers are not all finite has an infinite loss."""
         with torch.no_grad():
             odds = [
                 self.network.log_odds(torch.from_numpy(part.astype(np.float32))).numpy()
@@ -180,8 +181,11 @@ class Trainer:
                     episodes.observation, math.ceil(len(episodes.clean) / 64)
                 )
             ]
-        statistic = np.nan_to_num(statistic_of(np.concatenate(odds)), nan=1.0)
-        return scored(statistic, episodes, self.config, self.given.false_alarms_per_hour)
+        with np.errstate(invalid="ignore"):
+            raw = statistic_of(np.concatenate(odds))
+        statistic, rate = np.nan_to_num(raw, nan=1.0), self.given.false_alarms_per_hour
+        found = scored(statistic, episodes, self.config, rate)
+        return found if np.isfinite(raw).all() else found._replace(loss=math.inf)
 
     def keep(self, loss: float) -> None:
         """Keep the network if it is the best so far."""
@@ -198,11 +202,17 @@ class Trainer:
 
     def restore(self, path: Path) -> None:
         """Go on from a checkpoint; nothing but tensors and numbers is read."""
-        found = torch.load(path, weights_only=True)
-        for name in PARTS:
-            getattr(self, name).load_state_dict(found[name])
-        for name in COUNTS:
-            setattr(self, name, found[name])
+        try:
+            found = torch.load(path, weights_only=True)
+            for name in PARTS:
+                getattr(self, name).load_state_dict(found[name])
+            for name in COUNTS:
+                setattr(self, name, found[name])
+        except (EOFError, KeyError, RuntimeError, TypeError, UnpicklingError) as error:
+            first = str(error).strip().partition("\n")[0]
+            raise ValueError(
+                f"{path} is damaged ({first}): remove it, and the training begins anew"
+            ) from error
 
 
 PARTS, COUNTS = ("network", "optimizer", "schedule"), ("done", "best", "best_pass", "kept")
@@ -213,6 +223,7 @@ def train(given: Arguments, console: Console) -> Path:
     data = load(given.data)
     config = {**given.identity, "name": given.out.name, "data": data.manifest["digest"]}
     validation, episodes = data.episodes("validation"), data.episodes("train")
+    data.check("test")  # which is read in the end
     clean = int(validation.clean.sum())
     check_runs(given.false_alarms_per_hour, clean, window_s(data.config), tail=False)
     trainer, started = Trainer(given, data), time.monotonic()
@@ -251,7 +262,7 @@ def train(given: Arguments, console: Console) -> Path:
 def _export(trainer: Trainer, console: Console) -> Path:
     """Write the best network and its card, and play the test runs."""
     if not trainer.kept:
-        raise ValueError("training diverged in its first pass: there is nothing to keep")
+        raise ValueError("training diverged before any pass was good: there is nothing to keep")
     given, config = trainer.given, trainer.config
     trainer.network.load_state_dict(trainer.kept)
     episodes = trainer.data.episodes("test")

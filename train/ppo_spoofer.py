@@ -350,6 +350,8 @@ def train(args: Arguments, console: Console) -> dict[str, Any]:
     played = {name: getattr(args, name) for name in ("runs", "fit_runs", "entropy", "threads")}
     judge = Evaluator(**played, **args.world)
     args.make_envs().close()  # or what is wrong with them, before there is a folder
+    for name in args.rivals:
+        judge.check(name)
     open_folder(args.out, args.identity)
     trainings = []
     for seed in args.seeds:

@@ -173,8 +173,26 @@ class Dataset:
         shards = [self._shard(line) for line in self.manifest["shards"][part]]
         return Episodes(*(np.concatenate(arrays) for arrays in zip(*shards, strict=True)))
 
-    def _shard(self, line: Mapping[str, Any]) -> Episodes:
-        file = self.path / line["file"]
+    def check(self, part: str) -> None:
+        """Look whether all shards of a split are there and as they were written.
+
+        Parameters
+        ----------
+        part : str
+            As of `episodes`.
+
+        Raises
+        ------
+        ValueError
+            As of `episodes`.
+        """
+        check_choice("split of this data set", part, self.manifest["shards"])
+        for line in self.manifest["shards"][part]:
+            self._content(line)
+
+    def _content(self, line: Mapping[str, Any]) -> bytes:
+        """Bytes of a shard."""
+        file: Path = self.path / line["file"]
         if not file.is_file():
             raise ValueError(f"{file} is missing: write the data set again, which makes that shard")
         content = file.read_bytes()
@@ -183,11 +201,17 @@ class Dataset:
                 f"{file} is damaged: its SHA-256 is not that of the manifest; delete it and write "
                 "the data set again, which makes that shard"
             )
-        found = whole(content, self.manifest["digest"])
+        return content
+
+    def _shard(self, line: Mapping[str, Any]) -> Episodes:
+        found = whole(self._content(line), self.manifest["digest"])
         length = self.config["epochs"]["all"]
         shape = line["episodes"], length, len(self.names)
         if found is None or found.observation.shape != shape:
-            raise ValueError(f"{file} does not fit the manifest: it needs observations of {shape}")
+            raise ValueError(
+                f"{self.path / line['file']} does not fit the manifest: it needs observations of "
+                f"{shape}"
+            )
         return found
 
 

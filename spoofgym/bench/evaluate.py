@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ RUNS, FIT_RUNS = 400, 128
 """Evaluation runs and training runs by default."""
 SIFTED = 16
 """Share of the training runs that sift the amplitudes, as one in so many."""
-PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".joblib")
+PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".ckpt", ".pth.tar", ".joblib")
 """Files that run code of their author when they are opened."""
 
 
@@ -171,6 +172,21 @@ class Evaluator:
         """
         return self._fitted(entry_of(policy, FITTED, knowledge))
 
+    def check(self, policy: Any) -> None:
+        """Raise where a spoofer does not fit this world, before anything is played.
+
+        Parameters
+        ----------
+        policy : str or mapping
+            Its name, name and settings, or the path of an ``.onnx`` file.
+
+        Raises
+        ------
+        ValueError
+            When there is none of that name, or it needs another world.
+        """
+        replace(self.suite, spoofers=[entry_of(policy, FITTED, None).spec]).check_fit()
+
     def score(
         self,
         policy: Any,
@@ -230,6 +246,7 @@ class Evaluator:
             alarmed=alarmed,
             counts=counts,
             sky=np.asarray(sky),
+            twins=hashlib.sha256(twin.position.tobytes()).hexdigest(),
         )
 
 
@@ -374,7 +391,7 @@ def _is_fitted(amplitude: float | str | None, largest: float | None) -> bool:
 
 def _refuse_pickle(path: str) -> None:
     """Raise for a file that would have to be unpickled."""
-    if path.endswith(PICKLES):
+    if path.lower().endswith(PICKLES):
         raise ValueError(
             f"{path} is a pickled file, which is never opened, since it can run any code: load the "
             "model yourself and give the object, or export it by spoofgym.export.onnx"

@@ -34,7 +34,7 @@ class Score:
     - `fit_within_budget`: the same on the training runs, by the upper 95 % limit of the rate; None
       where nothing was fitted;
     - `displacement_m` (R,) of each run [m]; `counts` (R,) bool, whether it counts; `sky` (R,) under
-      which it flew; `alarmed` (R,) bool.
+      which it flew; `alarmed` (R,) bool; `twins`: digest of the same runs without an attack.
     """
 
     task: str | None
@@ -55,6 +55,7 @@ class Score:
     alarmed: NDArray[np.bool_] = field(repr=False, compare=False)
     counts: NDArray[np.bool_] = field(repr=False, compare=False)
     sky: NDArray[np.int64] = field(repr=False, compare=False)
+    twins: str = field(repr=False)
 
     @property
     def keeps_budget(self) -> bool:
@@ -78,11 +79,11 @@ class Score:
                 "of them is an oracle, which sees the detector's statistics while it attacks; pass "
                 "`oracles=True` to compare them all the same, and say so beside the figure"
             )
-        same = (self.task, self.detector, self.runs) == (other.task, other.detector, other.runs)
-        if not same or not np.array_equal(self.counts, other.counts):
+        if (self.detector, self.twins) != (other.detector, other.twins):
             raise ValueError(
                 f"{self.spoofer} and {other.spoofer} have not played the same runs: "
-                f"{self.detector}, {self.runs} runs and {other.detector}, {other.runs}"
+                f"{self.detector}, {self.runs} runs and {other.detector}, {other.runs}; detector, "
+                "world, their number and `entropy` must be the same"
             )
         mine, theirs = self.displacement_m[self.counts], other.displacement_m[self.counts]
         samples = resamples_of(clusters_of(self.sky)[self.counts])

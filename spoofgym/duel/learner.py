@@ -11,6 +11,7 @@ import gymnasium as gym
 
 from .._registry import check_choice
 from ..detector_tasks import DETECTOR_TASKS, detector_task_of
+from ..detectors.pool import checked_weights
 from ..envs.core import SpoofCore
 from ..envs.factory import CORE, make_core
 from ..envs.spoofer_binding import ENV_ID, SETUPS
@@ -99,6 +100,7 @@ class LearnersSide(NamedTuple):
         if self.pool is None or self.side == DETECTOR:
             return dict(self.settings)
         members = [self.pool] if isinstance(self.pool, str | Mapping) else list(self.pool)
+        checked_weights(len(members), self.weights)
         met: Any = members[0]
         if len(members) > 1:
             met = {"name": "pool", "members": members}

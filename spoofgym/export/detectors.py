@@ -15,7 +15,7 @@ from ..detectors.learned.agent import DetectorAgent, action_names
 from ..detectors.learned.card import DetectorCard, OnnxDetector, card_path
 from ..detectors.learned.detector import detector_card
 from ..detectors.learned.observer import DetectorObserver
-from ..policies.onnx_file import SUFFIX
+from .asked import check_training, checked_path, checked_states, one_line
 from .tracing import TOLERANCE, TRIED, evaluating, library_versions, traced
 
 EPOCHS = 4
@@ -89,11 +89,11 @@ def detector(
         When it does not take or return what it should, or the file does not act as the module
         does; nothing is written then.
     """
-    path, states = Path(path), dict(state or {})
-    if path.suffix != SUFFIX:
-        raise ValueError(f"`path` must end in {SUFFIX}, got {path}")
+    path = checked_path(path)
     if not isinstance(module, torch.nn.Module):
         raise TypeError(f"`module` must be a torch module, got {type(module).__name__}")
+    states = checked_states(state)
+    check_training(training, path.stem)
     agent = DetectorAgent(statistic, weighs, exclusion_s, terms=terms)
     observer = DetectorObserver(agent.observed, channels)
     size = len(observer.names)
@@ -104,17 +104,18 @@ def detector(
         with tempfile.TemporaryDirectory() as folder:
             trial = Path(folder) / path.name
             trial.write_bytes(content)
-            card = detector_card(
-                agent,
-                channels,
-                trial,
-                name=path.stem if name is None else name,
-                interval_s=interval_s,
-                quiet_epochs=quiet_epochs,
-                state=states,
-                threshold=threshold,
-                training={"versions": library_versions(), **(training or {})},
-            )
+            with one_line(f"card of {path}"):
+                card = detector_card(
+                    agent,
+                    channels,
+                    trial,
+                    name=path.stem if name is None else name,
+                    interval_s=interval_s,
+                    quiet_epochs=quiet_epochs,
+                    state=states,
+                    threshold=threshold,
+                    training={"versions": library_versions(), **(training or {})},
+                )
             card.save(card_path(trial))
             _compare_sequences(judge, OnnxDetector(trial), observer)
     write_file(path, content)
@@ -179,5 +180,6 @@ def _compare_sequences(judge: _Judge, policy: OnnxDetector, observer: DetectorOb
             if not apart <= TOLERANCE:
                 raise ValueError(
                     f"the exported file differs from the module by {apart:.2g} in {what}, more "
-                    f"than {TOLERANCE:g}; does it draw random numbers, or depend on the batch?"
+                    f"than {TOLERANCE:g}; does it draw random numbers, depend on the batch, or let "
+                    "rounding grow, as weights of too large a learning rate do?"
                 )

@@ -18,11 +18,12 @@ from ..bench.versions import versions
 from ..detectors.learned.card import OnnxDetector, card_path
 from ..duel.card import write_card
 from ..envs.spoofer_binding import spoofer_context
-from ..policies.onnx_file import SUFFIX, file_of
+from ..policies.onnx_file import file_of
 from ..spoofers.card import Card, Knowledge, fields_of
 from ..spoofers.learned import OnnxPolicy
 from ..spoofers.model import Normalization, function_of, inner_env, normalization_of
 from ..spoofers.scaled import own_columns
+from .asked import check_training, checked_path, one_line
 from .networks import Actor
 from .tracing import TOLERANCE, TRIED, evaluating, library_versions, traced
 
@@ -83,9 +84,8 @@ def onnx(
         When it is recurrent, its environment can't be written down, or normalizes otherwise than
         the model's own, or the file does not act as the model does; nothing is written then.
     """
-    path = Path(path)
-    if path.suffix != SUFFIX:
-        raise ValueError(f"`path` must end in {SUFFIX}, got {path}")
+    path = checked_path(path)
+    check_training(training, path.stem)
     check_finite("amplitude", amplitude, "> 0")
     env = model.get_env() if env is None and hasattr(model, "get_env") else env
     inner = inner_env(env)
@@ -151,17 +151,18 @@ def _card_of(
     env_id, env_kwargs = _named(inner)
     context = spoofer_context(core.setup, 1, core.observer, core.commands)
     met = designed_on or f"{_label(env_kwargs)} and its world, by training"
-    return Card(
-        name=path.stem,
-        kind="onnx-policy",
-        env_id=env_id,
-        env_kwargs=env_kwargs,
-        **fields_of(context),
-        knowledge=Knowledge(run_time=core.settings["knowledge"], design_time=met),
-        training=dict(training),
-        versions=versions() | library_versions(),
-        file=file_of(path.name, content),
-    )
+    with one_line(f"card of {path}"):
+        return Card(
+            name=path.stem,
+            kind="onnx-policy",
+            env_id=env_id,
+            env_kwargs=env_kwargs,
+            **fields_of(context),
+            knowledge=Knowledge(run_time=core.settings["knowledge"], design_time=met),
+            training=dict(training),
+            versions=versions() | library_versions(),
+            file=file_of(path.name, content),
+        )
 
 
 def _named(inner: Any) -> tuple[str, dict[str, Any]]:

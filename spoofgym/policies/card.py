@@ -81,6 +81,18 @@ DECIDED_ON = "decided_on"
 PAIRS = TypeAdapter(list[tuple[Annotated[int, Field(strict=True, ge=0)], str]])
 
 
+def seeds_in(training: Mapping[str, Any], name: str) -> frozenset[tuple[int, str]]:
+    """Runs that `training` of a policy says it was decided on, by entropy and split."""
+    found = training.get(DECIDED_ON, [])
+    try:
+        return frozenset(PAIRS.validate_python(found))
+    except ValidationError:
+        raise ValueError(
+            f"card of {name!r}: `training.{DECIDED_ON}` must be pairs of an entropy and a "
+            f'split, such as [[0, "training"]], got {found!r}'
+        ) from None
+
+
 class PolicyCard(Record):
     """Base of the cards of both sides; a subclass has the fields."""
 
@@ -92,14 +104,7 @@ class PolicyCard(Record):
     @property
     def decided_on(self) -> frozenset[tuple[int, str]]:
         """Entropy and split of the runs that decided on the policy, as far as the card says."""
-        found = getattr(self, "training", {}).get(DECIDED_ON, [])
-        try:
-            return frozenset(PAIRS.validate_python(found))
-        except ValidationError:
-            raise ValueError(
-                f"card of {self.name!r}: `training.{DECIDED_ON}` must be pairs of an entropy and a "
-                f'split, such as [[0, "training"]], got {found!r}'
-            ) from None
+        return seeds_in(getattr(self, "training", {}), self.name)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -115,12 +120,13 @@ class PolicyCard(Record):
             other = cls.other_kinds.get(_kind_of(text))
             if other is not None:
                 raise ValueError(f"card {path} is that of {other}") from error
-            raise ValueError(f"card {path}: {_text_of(error)}") from error
-        except ValueError as error:
+            raise ValueError(f"card {path}: {text_of(error)}") from error
+        except (ValueError, RecursionError) as error:
             raise ValueError(f"card {path} is not JSON: {error}") from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the card, whole or not at all."""
+        _ = self.decided_on  # or what is wrong with it, where it can still be mended
         try:
             text = json.dumps(self.model_dump(), indent=1, allow_nan=False)
         except (TypeError, ValueError) as error:
@@ -211,13 +217,13 @@ def _kind_of(text: str) -> str:
     """Kind of a card that may be damaged; empty where it has none."""
     try:
         card = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return ""
     kind = card.get("kind") if isinstance(card, dict) else None
     return kind if isinstance(kind, str) else ""
 
 
-def _text_of(error: ValidationError) -> str:
+def text_of(error: ValidationError) -> str:
     """What is wrong with which fields, in one line."""
     parts = []
     for item in error.errors():

@@ -160,6 +160,10 @@ def _of_stable_baselines(model: Any, policy: Any) -> Function:
     """Deterministic action of a policy, without what `predict` does anew at every call."""
     refuse_state(policy)
     torch: Any = sys.modules["torch"]
+    if not hasattr(policy.action_space, "low"):
+        raise ValueError(
+            f"actions must be a Box within -1 and 1, but the model's are {policy.action_space}"
+        )
     low = np.asarray(policy.action_space.low, dtype=np.float64)
     high = np.asarray(policy.action_space.high, dtype=np.float64)
     if not (np.allclose(low, -1.0) and np.allclose(high, 1.0)):
@@ -197,11 +201,17 @@ def _of_module(torch: Any, module: Any) -> Function:
         training = module.training
         if training:
             module.eval()
-        with torch.no_grad():
-            action = module(torch.as_tensor(seen)).cpu().numpy()
-        if training:
-            module.train()
-        return action
+        try:
+            with torch.no_grad():
+                return module(torch.as_tensor(seen)).cpu().numpy()
+        except RuntimeError as error:
+            first = str(error).strip().partition("\n")[0]
+            raise ValueError(
+                f"{name_of(module)} can't be run with {seen.shape[1]} observations: {first}"
+            ) from error
+        finally:
+            if training:
+                module.train()
 
     return act
 

@@ -256,8 +256,13 @@ def test_another_format_a_damaged_shard_and_a_strange_manifest_are_refused(tmp_p
     with pytest.raises(ValueError, match="does not fit the manifest"):
         load(tmp_path).episodes("train")
     shard.unlink()
-    with pytest.raises(ValueError, match="is missing"):
-        load(tmp_path).episodes("train")
+    for ask in (load(tmp_path).episodes, load(tmp_path).check):
+        with pytest.raises(ValueError, match="is missing"):
+            ask("train")
+    load(tmp_path).check("test")
+    (tmp_path / "test-0000.npz").write_bytes(b"x")
+    with pytest.raises(ValueError, match="SHA-256"):
+        load(tmp_path).check("test")
 
 
 def test_a_folder_of_something_else_is_left_alone(folder: Any, tmp_path: Any) -> None:

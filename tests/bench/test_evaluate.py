@@ -104,6 +104,30 @@ def test_ratios_are_paired_and_have_an_interval(judge):
         half.ratio_to(other)
 
 
+def test_runs_of_another_seed_or_world_are_not_the_same_ones_though_all_count():
+    few = {"runs": 8, "fit_runs": FIT}
+    score, other, elsewhere = (
+        Evaluator(**{**WORLD, **few, **more}).score(constant(0.05), amplitude=None)
+        for more in ({}, {"entropy": 1}, {"scenario": "groves"})
+    )
+    assert score.counts.all()
+    assert score.ratio_to(score).value == pytest.approx(1.0)
+    for one in (other, elsewhere):
+        assert one.counts.all()
+        with pytest.raises(ValueError, match="world, their number and `entropy` must be the same"):
+            one.ratio_to(score)
+
+
+def test_whether_a_spoofer_fits_is_told_before_anything_is_played(judge, monkeypatch):
+    monkeypatch.setattr("spoofgym.bench.evaluate.start_of", None)
+    for fits in ("ramp", {"name": "step"}, "blind-optimum"):
+        judge.check(fits)
+    with pytest.raises(ValueError, match="does not fit this attack"):
+        judge.check("hidden-pool-ppo")
+    with pytest.raises(ValueError, match="unknown spoofer 'nobody'"):
+        judge.check("nobody")
+
+
 def test_an_oracle_is_compared_with_others_only_where_that_is_asked_for(judge):
     blind = judge.score(constant(0.05), amplitude=None)
     oracle = judge.score("feedback", amplitude=0.5)
@@ -145,6 +169,7 @@ def test_the_policy_is_asked_and_not_copied(judge):
     [
         (3, {}, TypeError, "a policy must be a model of stable-baselines3"),
         ("model.zip", {}, ValueError, "model.zip is a pickled file, which is never opened"),
+        ("a.PKL", {}, ValueError, "a.PKL is a pickled file"),
         ("nobody", {}, ValueError, "unknown spoofer 'nobody'; valid: "),
         ("nobody.onnx", {}, ValueError, "there is no ONNX file nobody.onnx"),
         (

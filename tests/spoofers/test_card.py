@@ -108,6 +108,7 @@ def test_what_is_wrong_is_named(made: dict[str, Any], message: str, tmp_path: Pa
         ('{"format": 1, "na', "is not JSON: "),
         ('{"training": {"loss": NaN}}', "is not JSON: NaN is no number"),
         ("[1, 2]", "Input should be an object"),
+        ("[" * 100_000, "is not JSON: .*recursion"),
         ("\udcff", "is not JSON: .*decode"),
     ],
 )

@@ -136,6 +136,12 @@ def test_names_of_steps_are_checked(tmp_path):
         Settings(out=tmp_path, only=("ppo-T9",))
 
 
+def test_damaged_marks_are_named(tmp_path):
+    (tmp_path / MARKS).write_text("{")
+    with pytest.raises(ValueError, match=r"steps\.json` is not JSON"):
+        run(tmp_path, {}, QUIET)
+
+
 def test_there_is_a_worker_at_least(tmp_path):
     with pytest.raises(ValueError, match="`workers` must be at least 1, got 0"):
         Settings(out=tmp_path, workers=0)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import shutil
 import sys
 from dataclasses import replace
 from io import StringIO
@@ -196,6 +198,38 @@ def test_the_best_is_kept_where_training_diverges(
     monkeypatch.setattr(Trainer, "_loss", never)
     with pytest.raises(ValueError, match="nothing to keep"):
         train(arguments(data, tmp_path / "none"), quiet())
+
+
+def test_a_network_whose_answers_are_not_finite_is_not_kept(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trainer = Trainer(arguments(data, tmp_path / "guard"), load(data))
+    validation = trainer.data.episodes("validation")
+    assert math.isfinite(trainer.score(validation).loss)
+    monkeypatch.setattr(
+        trainer.network, "log_odds", lambda seen: torch.full(seen.shape[:2], torch.inf)
+    )
+    found = trainer.score(validation)
+    assert found.loss == math.inf
+    trainer.keep(found.loss)
+    assert not trainer.kept
+
+
+def test_a_damaged_test_split_and_a_damaged_checkpoint_are_told_at_once(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = arguments(data, tmp_path / "guard", passes=1)
+    train(given, quiet())
+    (tmp_path / "guard" / CHECKPOINT).write_bytes(b"no checkpoint")
+    with pytest.raises(ValueError, match=r"checkpoint\.pt is damaged .*: remove it"):
+        train(given, quiet())
+    copy = tmp_path / "copy"
+    shutil.copytree(data, copy)
+    next(copy.glob("test-*.npz")).unlink()
+    monkeypatch.setattr(Trainer, "learn", None)
+    with pytest.raises(ValueError, match=r"test-\d+\.npz is missing"):
+        train(arguments(copy, tmp_path / "late"), quiet())
+    assert not (tmp_path / "late").exists()
 
 
 def test_a_folder_of_another_training_is_refused(data: Path, tmp_path: Path) -> None:

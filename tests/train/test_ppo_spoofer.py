@@ -309,6 +309,13 @@ def test_the_price_follows_the_amplitude_and_is_kept(tmp_path):
         (("--settings", '{"widow_s": 5}'), "widow_s"),
         (("--detector", "nobody"), "unknown detector 'nobody'"),
         (("--rivals", "nobody"), "nobody"),
+        (
+            (
+                *("--detector", QUICK["detector"], "--settings", json.dumps(WORLD)),
+                *("--rivals", "hidden-pool-ppo"),
+            ),
+            "does not fit this attack",
+        ),
     ],
 )
 def test_bad_input_is_refused_at_once(refused, tmp_path, given, message):

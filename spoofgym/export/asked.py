@@ -1,0 +1,59 @@
+"""What an export is asked for, looked at before anything is traced."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from .._registry import check_choice
+from ..policies.card import State, seeds_in, text_of
+from ..policies.onnx_file import SUFFIX
+from ..simulators.splits import SPLITS
+
+OWN_NAMES = ("observation", "action")
+"""Names of the first input and output of a file, which no state may have."""
+
+
+def checked_path(path: str | Path) -> Path:
+    """Path of an ONNX file; a ValueError where it has another ending."""
+    path = Path(path)
+    if path.suffix != SUFFIX:
+        raise ValueError(f"`path` must end in {SUFFIX}, got {path}")
+    return path
+
+
+def check_training(training: Any, name: str) -> None:
+    """Raise unless `training` is a mapping, and names runs that there are."""
+    if training is None:
+        return
+    if not isinstance(training, Mapping):
+        raise ValueError(f"`training` must be a mapping, got {training!r}")
+    for _, split in sorted(seeds_in(training, name)):
+        check_choice("split", split, SPLITS)
+
+
+def checked_states(state: Any) -> dict[str, int]:
+    """Size of each state by its name; a ValueError where one can't be."""
+    if state is None:
+        return {}
+    if not isinstance(state, Mapping):
+        raise ValueError(f"`state` must be sizes by name, such as {{'hidden': 32}}, got {state!r}")
+    for name, size in state.items():
+        with one_line(f"state {name!r} of size {size!r}"):
+            State(name=name, size=size)
+        if name in OWN_NAMES:
+            raise ValueError(f"a state can't have the name {name!r}, which the file has already")
+    return {str(name): int(size) for name, size in state.items()}
+
+
+@contextmanager
+def one_line(what: str) -> Iterator[None]:
+    """Say in one line what is wrong with a part of a card."""
+    try:
+        yield
+    except ValidationError as error:
+        raise ValueError(f"{what}: {text_of(error)}") from error
