@@ -440,6 +440,9 @@ def test_a_side_or_a_pool_alone_chooses_the_view():
         ({"pool": ["never"], "detector": "ewma"}, ValueError, "two detectors are set at once"),
         ({"pool": ["never"], "foo": 1}, TypeError, "has no argument 'foo'"),
         ({"pool": ["nobody"]}, ValueError, "nobody"),
+        ({"pool": []}, ValueError, "`pool` must have at least one opponent, got none"),
+        ({"seed": -1}, ValueError, "`seed` must be a whole number of at least 0, got -1"),
+        ({"seed": 1.5}, ValueError, "`seed` must be a whole number of at least 0, got 1.5"),
         ({"side": "detector", "foo": 1}, TypeError, "has no argument 'foo'"),
     ],
 )

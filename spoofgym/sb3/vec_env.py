@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from .._registry import whole_number
 from ..duel.learner import LearnersSide
 from ..envs.factory import signature_of
 from ..envs.options import (
@@ -120,6 +121,8 @@ class SpoofVecEnv(VecEnv):
         **settings: Any,
     ) -> None:
         check_vector_settings(num_envs, None)
+        if seed is not None:
+            seed = whole_number("`seed`", seed)
         if torch_threads is not None:
             if torch_threads < 1:
                 raise ValueError(f"`torch_threads` must be at least 1, got {torch_threads}")
