@@ -58,12 +58,7 @@ def spread(values: Sequence[float]) -> str:
 
 
 def reached_by(rows: Sequence[Mapping[str, Any]], key: str = "score") -> str:
-    """Median over the seeds, the least and largest of them, and how many are over the budget.
-
-    "-" where a seed lacks what is asked for.
-    """
-    if any(key not in row for row in rows):
-        return "-"
+    """Median over the seeds, the least and largest of them, and how many are over the budget."""
     scores = [row[key] for row in rows]
     over = sum(1 for score in scores if score and not keeps_budget(score))
     return spread([value_of(score) for score in scores]) + (f", {over} over" if over else "")

@@ -43,7 +43,7 @@ class Defence(NamedTuple):
 def sharing(defences: Sequence[Defence], family: AttackFamily | None) -> list[list[Defence]]:
     """Groups of detectors that share their passes of a family; None for runs without an attack."""
     alone = family is not None and (
-        not set(ORACLES).isdisjoint(family.letters) or family.onset == "chance-alarm"
+        any(letter in ORACLES for letter in family.letters) or family.onset == "chance-alarm"
     )
     shared = [each for each in defences if each.passive and not alone]
     others = [[each] for each in defences if each not in shared]

@@ -40,22 +40,17 @@ PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".ckpt", ".pth.tar", ".jobl
 class LiveEntry(Entry):
     """A spoofer that is an object, which no text describes; its amplitude is fitted, or given.
 
-    `loudest`: largest amplitude that is tried; None for the usual one.
+    `largest`: largest amplitude that is tried; None for the usual one.
     """
 
     spoofer: Spoofer
     fits: bool
-    loudest: float | None = None
+    largest: float | None = None
 
     @property
     def tuned(self) -> str | None:
         """Setting that is to be searched for."""
         return AMPLITUDE if self.fits else None
-
-    @property
-    def largest(self) -> float | None:
-        """Largest amplitude that is tried."""
-        return self.loudest
 
     @property
     def searched(self) -> bool:

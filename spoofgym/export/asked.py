@@ -4,26 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from .._registry import check_choice
 from ..policies.card import State, seeds_in, text_of
-from ..policies.onnx_file import SUFFIX
 from ..simulators.splits import SPLITS
 
 OWN_NAMES = ("observation", "action")
 """Names of the first input and output of a file, which no state may have."""
-
-
-def checked_path(path: str | Path) -> Path:
-    """Path of an ONNX file; a ValueError where it has another ending."""
-    path = Path(path)
-    if path.suffix != SUFFIX:
-        raise ValueError(f"`path` must end in {SUFFIX}, got {path}")
-    return path
 
 
 def check_training(training: Any, name: str) -> None:

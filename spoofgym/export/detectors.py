@@ -15,7 +15,8 @@ from ..detectors.learned.agent import DetectorAgent, action_names
 from ..detectors.learned.card import DetectorCard, OnnxDetector, card_path
 from ..detectors.learned.detector import detector_card
 from ..detectors.learned.observer import DetectorObserver
-from .asked import check_training, checked_path, checked_states, one_line
+from ..policies.onnx_file import checked_path
+from .asked import check_training, checked_states, one_line
 from .tracing import TOLERANCE, TRIED, evaluating, library_versions, traced
 
 EPOCHS = 4

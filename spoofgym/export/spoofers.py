@@ -18,12 +18,12 @@ from ..bench.versions import versions
 from ..detectors.learned.card import OnnxDetector, card_path
 from ..duel.card import write_card
 from ..envs.spoofer_binding import spoofer_context
-from ..policies.onnx_file import file_of
+from ..policies.onnx_file import checked_path, file_of
 from ..spoofers.card import Card, Knowledge, fields_of
 from ..spoofers.learned import OnnxPolicy
 from ..spoofers.model import Normalization, function_of, inner_env, normalization_of
 from ..spoofers.scaled import own_columns
-from .asked import check_training, checked_path, one_line
+from .asked import check_training, one_line
 from .networks import Actor
 from .tracing import TOLERANCE, TRIED, evaluating, library_versions, traced
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,13 +48,13 @@ GROWING = frozenset(
     }
 )
 """Operators whose result is as large as some number says; that has to follow from the graph."""
-UNTOLD = frozenset(
+UNBOUNDED = frozenset(
     {
         *("DFT", "DeformConv", "Det", "ImageDecoder", "LRN", "MaxRoiPool", "NonMaxSuppression"),
         *("RoiAlign", "STFT"),
     }
 )
-"""Operators whose work no size tells, of which none is needed by a policy."""
+"""Operators whose cost does not follow from shapes; a policy needs none of them."""
 POOLS = ("AveragePool", "LpPool", "MaxPool")
 TRIED = 16
 """Observations that a network is tried on when it is loaded."""
@@ -141,9 +142,10 @@ def _check_sizes_follow(graph: Any, where: str) -> None:
         and all(dim.HasField("dim_value") for dim in value.type.tensor_type.shape.dim)
     }
     for node in graph.node:
-        if node.op_type in UNTOLD:
+        if node.op_type in UNBOUNDED:
             raise ValueError(
-                f"{where} has the operator {node.op_type}, whose work can't be told in advance"
+                f"{where} has the operator {node.op_type}, whose cost does not follow from its "
+                "shapes"
             )
         if node.op_type in GROWING and not known.issuperset(filter(None, node.output)):
             raise ValueError(
@@ -236,6 +238,14 @@ def file_of(name: str, content: bytes) -> PolicyFile:
     model = read_model(content, name)
     digest = hashlib.sha256(content).hexdigest()
     return PolicyFile(name=name, sha256=digest, bytes=len(content), opset=opset_of(model))
+
+
+def checked_path(path: str | Path) -> Path:
+    """Path of an ONNX file; a ValueError where it has another ending."""
+    path = Path(path)
+    if path.suffix != SUFFIX:
+        raise ValueError(f"`path` must end in {SUFFIX}, got {path}")
+    return path
 
 
 def opset_of(model: ModelProto) -> int:

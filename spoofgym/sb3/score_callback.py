@@ -15,6 +15,7 @@ from ..bench.evaluate import FIT_RUNS, Evaluator
 from ..bench.tune import TuningResult
 from ..policies.card import DECIDED_ON
 from ..policies.contract import NotFinite
+from ..policies.onnx_file import checked_path
 from ..simulators.clean_runs import Progress
 from ..spoofers.model import finite
 from .average import WeightAverage
@@ -92,9 +93,7 @@ class ScoreCallback(BaseCallback):
         if judge is not None and (task is not None or world):
             raise ValueError("`judge` decides the world: no task and no settings can be given")
         self.every = whole_number("`every`", every, 1)
-        self.path = None if path is None else Path(path)
-        if self.path is not None and self.path.suffix != ".onnx":
-            raise ValueError(f"`path` must end in .onnx, got {path}")
+        self.path = None if path is None else checked_path(path)
         check_finite("average", average)
         if not 0.0 <= average < 1.0:
             raise ValueError(f"`average` must be in [0, 1), got {average}")

@@ -404,7 +404,7 @@ def test_what_is_no_number_at_the_start_of_an_attack_is_refused(tmp_path: Path) 
         (GROWN, "the operator Range with a result whose size is only known when it is run"),
         (FILLED, "the operator ConstantOfShape with a result whose size is only known"),
         (POOLED, r"[\d,]+ multiplications in products of matrices"),
-        (SQUARE, "the operator Det, whose work can't be told in advance"),
+        (SQUARE, "the operator Det, whose cost does not follow from its shapes"),
         (branches, r"tiny\.onnx has the control flow If; export a network without branches"),
         (long, r"tiny\.onnx has 5,00\d operators; a policy may have 5,000"),
         (heavy, r"tiny\.onnx has 32.0 MiB; a policy may have 32 MiB"),
