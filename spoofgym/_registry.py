@@ -14,6 +14,8 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 T = TypeVar("T")
+PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".ckpt", ".pth.tar", ".joblib")
+"""Endings of files of models that would have to be unpickled."""
 
 
 def check_choice(
@@ -22,6 +24,11 @@ def check_choice(
     """Raise unless a name is one of the valid ones; `renamed`: new names by old ones."""
     names = sorted(valid)
     if value not in names:
+        if str(value).lower().endswith(PICKLES):
+            raise ValueError(
+                f"{value} is a pickled file, which is never opened, since it can run any code: "
+                "export the model by spoofgym.export, or load it yourself and give the object"
+            )
         if renamed and value in renamed:
             raise ValueError(f"{word} {value!r} is now called {renamed[value]!r}")
         near = difflib.get_close_matches(str(value), names, n=1)

@@ -105,7 +105,7 @@ def test_list_names_all_there_is() -> None:
     assert {row["name"] for row in found["detectors"]} == {*DETECTORS, *learned()}
     assert {row["name"] for row in found["spoofers"]} == set(SPOOFERS)
     assert "spoofgym/TightlyCoupled-v0" in {row["name"] for row in found["envs"]}
-    assert [row["name"] for row in found["shipped"]] == list(shipped())
+    assert [row["name"] for row in found["shipped"]] == [*shipped(), *learned()]
     for rows in found.values():
         assert all(row["summary"] for row in rows)
     (ramp,) = [row for row in found["spoofers"] if row["name"] == "ramp"]

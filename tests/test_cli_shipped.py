@@ -27,7 +27,7 @@ def test_list_and_card_show_what_is_shipped(
 ) -> None:
     use_zoo(zoo_folder, monkeypatch)
     rows = json.loads(call("list", "shipped", "--json").stdout)["shipped"]
-    assert [row["name"] for row in rows] == ["curve", "push", "track"]
+    assert [row["name"] for row in rows] == ["curve", "push", "track", "trolley-guard"]
     assert (rows[2]["knowledge"], rows[2]["designed_on"]) == ("tracking", "ewma, by hand")
     assert rows[2]["scores"][0]["undetected_displacement_m"] == 12.5
     table = " ".join(call("list").output.split())
@@ -41,7 +41,8 @@ def test_list_and_card_show_what_is_shipped(
     assert "rates_mps" in call("card", "curve").output
     wrong = " ".join(refused("card", "pull").split())
     assert "unknown shipped spoofer or detector 'pull'; valid: curve, push, track" in wrong
-    assert "there is no card nowhere.json" in refused("card", "nowhere.onnx")
+    assert "there is no ONNX file nowhere.onnx" in refused("card", "nowhere.onnx")
+    assert "there is no card nowhere.json" in refused("card", "nowhere.json")
 
 
 def test_a_card_of_a_detector_is_shown_by_name_and_by_file() -> None:
@@ -52,6 +53,10 @@ def test_a_card_of_a_detector_is_shown_by_name_and_by_file() -> None:
         for part in ("detector-policy", "hidden (32)", "12 slots, epochs of 0.5 s", "best_pass"):
             assert part in found.output
         assert json.loads(call("card", name, "--json").stdout)["statistic"] == "receiver"
+    card = file.with_suffix(".json").read_text().replace('"channels": 12', '"channels": 13')
+    Path("other.json").write_text(card.replace(file.name, "other.onnx"))
+    Path("other.onnx").write_bytes(file.read_bytes()[:-8])
+    assert "other.onnx has" in refused("card", "other.onnx")
     damaged = Path("damaged.json")
     damaged.write_text('{"kind": "detector-policy"}')
     assert "card damaged.json" in refused("card", "damaged.json")

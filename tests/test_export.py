@@ -228,6 +228,25 @@ def test_a_recurrent_policy_is_refused(tmp_path):
         Evaluator(**WORLD, runs=2, fit_runs=80).score(model)
 
 
+def test_a_module_with_a_state_is_refused_in_one_line():
+    module = torch.nn.LSTM(len(make().observation_names), 1)
+    evaluator = Evaluator(**WORLD, runs=2, fit_runs=80)
+    with pytest.raises(ValueError, match="LSTM must return actions, a tensor, got tuple"):
+        evaluator.score(module, knowledge="blind")
+
+
+class Endless(torch.nn.Module):
+    def forward(self, seen):
+        return seen[:, :1] / 0.0
+
+
+def test_an_error_names_the_users_file_and_not_the_trial_of_it(tmp_path):
+    with pytest.raises(ValueError, match="not finite|NaN|inf") as found:
+        onnx(Endless(), make(), tmp_path / "mine.onnx")
+    assert str(tmp_path / "mine.onnx") in str(found.value)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_file_that_acts_otherwise_is_not_written(tmp_path, monkeypatch):
     envs = make()
     net = torch.nn.Linear(len(envs.observation_names), 1)

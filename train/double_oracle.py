@@ -43,7 +43,8 @@ from spoofgym._files import write_file
 from spoofgym._registry import check_choice, whole_number
 from spoofgym.bench.blind_optimum import BlindSearch
 from spoofgym.bench.specs import make_judge, parse_spec
-from spoofgym.detectors import DETECTORS
+from spoofgym.bench.standard import everyone_in, in_order
+from spoofgym.bench.victims import CONTROLS
 from spoofgym.detectors.asked import ASKED
 from spoofgym.detectors.calibrated import STANDARD_RATE
 from spoofgym.duel.best_response import (
@@ -56,8 +57,8 @@ from spoofgym.duel.best_response import (
 from spoofgym.duel.members import DETECTOR, SPOOFER, Member, Mixture, member_of, mixture
 from spoofgym.duel.payoff_matrix import PAYOFFS, PayoffMatrix
 from spoofgym.duel.population import Game
-from spoofgym.simulators.calibration import calibrate, suitable_detectors
-from spoofgym.tasks import RANGE_RATE_TESTS, task_of
+from spoofgym.simulators.calibration import calibrate
+from spoofgym.tasks import task_of
 
 RESULTS, PAGE = "results.json", "game.md"
 RESPONSES = ("none", "learned")
@@ -234,9 +235,8 @@ class DoubleOracle:
         rate = {"false_alarms_per_hour": self.args.false_alarms_per_hour}
         specs: list[dict[str, Any]] = [parse_spec(text) for text in self.args.detectors]
         if not specs:
-            names = {kind: name for name, kind in DETECTORS.items()}
-            specs = [{"name": names[type(each)]} for each in suitable_detectors(self.game.setup)]
-            specs = [*map(dict, RANGE_RATE_TESTS), *specs]
+            everyone = in_order(everyone_in(self.game.setup, rescaled=True))
+            specs = [each for each in everyone if each not in CONTROLS]
         members, left_out = [], []
         for spec in specs:
             asks = any(key in spec for key in ASKED)

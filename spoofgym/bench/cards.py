@@ -8,9 +8,11 @@ from typing import Any
 
 from .._registry import check_choice
 from ..detectors import zoo
-from ..detectors.learned.card import DetectorCard, card_path
+from ..detectors.learned.card import DetectorCard, OnnxDetector, card_path
 from ..policies.card import PolicyFile, kind_at
+from ..policies.onnx_file import SUFFIX
 from ..spoofers.card import Card
+from ..spoofers.learned import OnnxPolicy
 from ..spoofers.zoo import card_of, shipped
 
 SCORES_HEAD = (
@@ -27,12 +29,15 @@ SHOWN = 60
 
 
 def find_card(name: str) -> Card | DetectorCard:
-    """Card by the name of a shipped spoofer or detector, or by a file."""
+    """Card by the name of a shipped spoofer or detector, or by a file, which has to fit it."""
     path = Path(name)
-    if path.suffix in {".json", ".onnx"}:
+    is_network = path.suffix == SUFFIX
+    if is_network or path.suffix == ".json":
         path = path.with_suffix(".json")
-        kind = DetectorCard if kind_at(path) == "detector-policy" else Card
-        return kind.load(path)
+        judges = kind_at(path) == "detector-policy"
+        if is_network:  # which has to fit its card
+            return OnnxDetector(name).card if judges else OnnxPolicy(name).card
+        return (DetectorCard if judges else Card).load(path)
     check_choice("shipped spoofer or detector", name, [*shipped(), *zoo.shipped()])
     if name in zoo.shipped():
         return DetectorCard.load(card_path(zoo.path_of(name)))

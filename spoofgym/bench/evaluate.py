@@ -32,8 +32,6 @@ RUNS, FIT_RUNS = 400, 128
 """Evaluation runs and training runs by default."""
 SIFTED = 16
 """Share of the training runs that sift the amplitudes, as one in so many."""
-PICKLES = (".zip", ".pkl", ".pickle", ".pt", ".pth", ".ckpt", ".pth.tar", ".joblib")
-"""Files that run code of their author when they are opened."""
 
 
 @dataclass(frozen=True)
@@ -351,7 +349,6 @@ def entry_of(
                 "`largest_amplitude` is for models; this spoofer has a range of its own"
             )
         spec = dict(policy) if isinstance(policy, Mapping) else {"name": os.fspath(policy)}
-        _refuse_pickle(str(spec.get("name")))
         if not fits and amplitude is not None:
             spec = {**spec, AMPLITUDE: amplitude}
         return spoofer_entry(fitted(spec) if fits else spec)
@@ -382,12 +379,3 @@ def _is_fitted(amplitude: float | str | None, largest: float | None) -> bool:
     if not fits:
         raise ValueError(f"`largest_amplitude` is for `amplitude={FITTED!r}`, got {amplitude!r}")
     return fits
-
-
-def _refuse_pickle(path: str) -> None:
-    """Raise for a file that would have to be unpickled."""
-    if path.lower().endswith(PICKLES):
-        raise ValueError(
-            f"{path} is a pickled file, which is never opened, since it can run any code: load the "
-            "model yourself and give the object, or export it by spoofgym.export.onnx"
-        )

@@ -12,7 +12,7 @@ from ..detectors.zoo import shipped as shipped_detectors
 from ..sim.scenario import SCENARIOS
 from ..spoofers import SPOOFERS
 from ..spoofers.zoo import card_of, shipped
-from .cards import score_text
+from .cards import find_card, score_text
 from .specs import describe, settings_of
 
 
@@ -114,6 +114,15 @@ def _shipped() -> list[dict[str, Any]]:
                 "scores": [score.model_dump() for score in card.scores],
             }
         )
+    detector: dict[str, Any] = {
+        "summary": "learned detector",
+        "kind": "detector-policy",
+        "scores": [],
+    }
+    for name in shipped_detectors():
+        known = {"knowledge": "innovations of its receiver"}
+        learned_on = f"attacks in {find_card(name).training['task']}"
+        rows.append({"name": name, **detector, **known, "designed_on": learned_on})
     return rows
 
 

@@ -12,7 +12,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..detectors.calibrated import STANDARD_RATE
+from ..simulators.calibration import suitable_detectors
+from ..simulators.setup import Setup
 from ..tasks import RANGE_RATE_TESTS, SUITE, task_of
+from .specs import spec_of_judge
 from .suite import Suite
 from .victims import CONTROLS
 
@@ -26,6 +29,18 @@ SPOOFERS = ("ramp", "accelerating-ramp", "snapshot-chi2-profile", "blind-optimum
 """Each is fitted to the alarm budget."""
 SIZES = {"seeds": 400, "training_seeds": 128, "selection_seeds": 48}
 """Evaluation, training and selection runs, where no others are given."""
+
+
+def everyone_in(setup: Setup, rescaled: bool = False) -> list[dict[str, Any]]:
+    """The controls and all classics that suit a world; `rescaled`: also with their innovations."""
+    found = [dict(each) for each in CONTROLS]
+    for each in suitable_detectors(setup):
+        own = {"name": spec_of_judge(each)["name"]}
+        if own not in found:
+            found.append(own)
+        if rescaled and each.drifts:
+            found.append({**own, "thresholds": "rescaled"})
+    return found
 
 
 def in_order(everyone: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ..bench.specs import Spec
     from ..bench.suite import Suite, Tuning
     from ..sim.scenario import Scenario
-    from ..simulators.setup import Setup
 
 OPTIONS_OF = {
     "scenario": ("scenario", "errors", "imu", "track", "ephemeris"),
@@ -144,12 +143,12 @@ def standard_players(
 
 def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) -> Suite:
     """The standard suite, with all detectors, or with those that are given and the controls."""
-    from ..bench.standard import RATE, in_order, standard_kwargs, standard_world
+    from ..bench.standard import RATE, everyone_in, in_order, standard_kwargs, standard_world
     from ..bench.suite import Suite
     from ..bench.victims import CONTROLS
 
     if detectors is None:
-        whom = in_order(_everyone(standard_world().world, rescaled=True))
+        whom = in_order(everyone_in(standard_world().world, rescaled=True))
     else:
         given = specs_of(detectors)
         names = {spec["name"] for spec in given}
@@ -196,6 +195,7 @@ def _with_controls(
     `rescaled`: whether tests with a drift term are among all a second time, rescaled.
     """
     from .._registry import check_choice
+    from ..bench.standard import everyone_in
     from ..bench.victims import CONTROLS, VICTIMS
 
     check_choice("environment of the benchmark", world.env, VICTIMS)
@@ -205,24 +205,8 @@ def _with_controls(
         return specs
     named = [spec for spec in specs if spec["name"] != "all"]
     given = {spec["name"] for spec in named}
-    found = _everyone(world_of(world).world, rescaled)
+    found = everyone_in(world_of(world).world, rescaled)
     return [*named, *(spec for spec in found if spec["name"] not in given)]
-
-
-def _everyone(setup: Setup, rescaled: bool) -> list[dict[str, Any]]:
-    """The controls and all detectors that suit a world; `rescaled` as of `_with_controls`."""
-    from ..bench.specs import spec_of_judge
-    from ..bench.victims import CONTROLS
-    from ..simulators.calibration import suitable_detectors
-
-    found = [dict(each) for each in CONTROLS]
-    for each in suitable_detectors(setup):
-        own = {"name": spec_of_judge(each)["name"]}
-        if own not in found:
-            found.append(own)
-        if rescaled and each.drifts:
-            found.append({**own, "thresholds": "rescaled"})
-    return found
 
 
 def calibrate_with_progress(

@@ -65,7 +65,7 @@ class RunPayoff:
         return np.asarray(np.where(alarmed, 0.0, part))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PayoffMatrix:
     """Payoffs of rows, spoofers, against columns, detectors; all on the same runs.
 
@@ -86,6 +86,11 @@ class PayoffMatrix:
     counts: NDArray[np.bool_]
     sky: NDArray[np.int64]
     seeds: tuple[int, str]
+
+    def __repr__(self) -> str:
+        """Who plays whom, and on which runs; not the runs themselves."""
+        who, whom = ([each.label for each in side] for side in (self.spoofers, self.detectors))
+        return f"PayoffMatrix({who} x {whom}, {len(self.sky)} runs of {self.seeds})"
 
     @property
     def values(self) -> FloatArray:

@@ -378,5 +378,5 @@ def _check_oracles(spoofers: Sequence[Member]) -> None:
         raise ValueError(
             f"{', '.join(seeing)}: an oracle, which observes the detector's statistics while it "
             f"attacks; it is not compared with {others[0].label} ({others[0].knowledge}) unless "
-            "that is asked for: `oracles=True`; tables say what each of them observes"
+            "that is asked for (`oracles=True`, --oracles); tables say what each of them observes"
         )

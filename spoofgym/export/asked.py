@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from .._registry import check_choice
 from ..policies.card import State, seeds_in, text_of
+from ..policies.contract import NotFinite
 from ..simulators.splits import SPLITS
 
 OWN_NAMES = ("observation", "action")
@@ -38,6 +41,20 @@ def checked_states(state: Any) -> dict[str, int]:
         if name in OWN_NAMES:
             raise ValueError(f"a state can't have the name {name!r}, which the file has already")
     return {str(name): int(size) for name, size in state.items()}
+
+
+@contextmanager
+def trial_of(path: Path) -> Iterator[Path]:
+    """Path of a trial in a folder of its own; what is wrong with it is said of `path`."""
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Path(folder) / path.name
+        try:
+            yield trial
+        except ValueError as error:
+            if folder not in str(error):
+                raise
+            kind = NotFinite if isinstance(error, NotFinite) else ValueError
+            raise kind(str(error).replace(folder, str(path.parent))) from error
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from ..detectors.learned.card import DetectorCard, OnnxDetector, card_path
 from ..detectors.learned.detector import detector_card
 from ..detectors.learned.observer import DetectorObserver
 from ..policies.onnx_file import checked_path
-from .asked import check_training, checked_states, one_line
+from .asked import check_training, checked_states, one_line, trial_of
 from .tracing import TOLERANCE, TRIED, evaluating, library_versions, traced
 
 EPOCHS = 4
@@ -102,8 +101,7 @@ def detector(
     with evaluating(judge):
         _check_states(judge, size, len(action_names(statistic, weighs, channels)), states)
         content = traced(judge, size, states)
-        with tempfile.TemporaryDirectory() as folder:
-            trial = Path(folder) / path.name
+        with trial_of(path) as trial:
             trial.write_bytes(content)
             with one_line(f"card of {path}"):
                 card = detector_card(

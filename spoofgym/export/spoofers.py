@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from ..spoofers.card import Card, Knowledge, fields_of
 from ..spoofers.learned import OnnxPolicy
 from ..spoofers.model import Normalization, function_of, inner_env, normalization_of
 from ..spoofers.scaled import own_columns
-from .asked import check_training, one_line
+from .asked import check_training, one_line, trial_of
 from .networks import Actor
 from .tracing import TOLERANCE, TRIED, evaluating, library_versions, traced
 
@@ -105,8 +104,7 @@ def onnx(
     if judges:
         return _write_detector(model, normalization, inner, path, content, details)
     card = _card_of(inner, path, content, details, designed_on)
-    with tempfile.TemporaryDirectory() as folder:
-        trial = Path(folder) / path.name
+    with trial_of(path) as trial:
         _write(trial, content, card)
         _compare(model, normalization, OnnxPolicy(str(trial)).model.act, low, high, amplitude, own)
     _write(path, content, card)
@@ -218,8 +216,7 @@ def _write_detector(
 ) -> Any:
     """Write a detector policy, once a trial of it acts as the model does."""
     low, high = inner.core.bounds
-    with tempfile.TemporaryDirectory() as folder:
-        trial = Path(folder) / path.name
+    with trial_of(path) as trial:
         trial.write_bytes(content)
         write_card(trial, inner, name=path.stem, training=training)
         _compare(model, normalization, OnnxDetector(trial).model.act, low, high, 1.0, [])

@@ -170,7 +170,9 @@ def _products(node: Any, shapes: Mapping[str, Sequence[int]]) -> int:
         return results * _size(others[2][1:])
     if node.op_type in RECURRENT:  # (length, batch, inputs), and its weights at every step
         return _size(first[:2]) * sum(map(_size, others[:2]))
-    if node.op_type in ("Attention", "Einsum"):  # at most all elements of one with all of the other
+    if node.op_type == "Einsum":  # at most all elements of each with all of the others
+        return int(np.prod([_size(each) for each in (first, *others)], dtype=object))
+    if node.op_type == "Attention":
         return _size(first) * _size(others[0])
     return 0
 

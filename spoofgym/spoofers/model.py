@@ -203,7 +203,7 @@ def _of_module(torch: Any, module: Any) -> Function:
             module.eval()
         try:
             with torch.no_grad():
-                return module(torch.as_tensor(seen)).cpu().numpy()
+                answer = module(torch.as_tensor(seen))
         except RuntimeError as error:
             first = str(error).strip().partition("\n")[0]
             raise ValueError(
@@ -212,6 +212,12 @@ def _of_module(torch: Any, module: Any) -> Function:
         finally:
             if training:
                 module.train()
+        if not isinstance(answer, torch.Tensor):
+            raise ValueError(
+                f"{name_of(module)} must return actions, a tensor, got {type(answer).__name__}; a "
+                "network with a state needs a function or an ONNX file around it"
+            )
+        return answer.cpu().numpy()
 
     return act
 

@@ -270,7 +270,7 @@ def test_an_oracle_is_marked_and_not_compared_unasked(played):
         *["blind"] * 3,
         "oracle",
     ]
-    with pytest.raises(ValueError, match=r"feedback: an oracle.*oracles=True"):
+    with pytest.raises(ValueError, match=r"feedback: an oracle.*oracles=True`, --oracles"):
         found.matrix(SPOOFERS, [CHI2])
     assert found.matrix(["none", "feedback"], [CHI2]).values.shape == (2, 1)
 
@@ -289,6 +289,9 @@ def test_an_oracle_is_marked_and_not_compared_unasked(played):
         (["blind-optimum"], [CHI2], "fit"),
         ([RAMP], ["oracle-ramp"], "oracle"),
         ([RAMP], ["no-such.onnx"], "no-such.onnx"),
+        (["ramp.pkl"], [CHI2], "ramp.pkl is a pickled file, which is never opened"),
+        ([RAMP], ["guard.pt"], "guard.pt is a pickled file"),
+        ([RAMP], [{"name": "pool", "members": [CHI2, "guard.zip"]}], "guard.zip is a pickled file"),
     ],
 )
 def test_bad_members_are_named(spoofers, detectors, words):
@@ -303,6 +306,13 @@ def test_two_members_of_one_name_are_refused():
         game().matrix([one, other], [CHI2])
     with pytest.raises(ValueError, match="is a spoofer, and no detector"):
         game().matrix([RAMP], [one])
+
+
+def test_a_matrix_shows_who_plays_and_not_the_runs(played):
+    shown = repr(played[1])
+    assert "'feedback'" in shown
+    assert f"{RUNS} runs of (0, 'game')" in shown
+    assert "array" not in shown
 
 
 def test_a_detector_that_leaves_no_run_has_no_payoff():

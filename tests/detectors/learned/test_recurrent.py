@@ -314,6 +314,13 @@ def products_of_all():
     return nodes, tensor("x", "batch", 4096), tensor("y", "batch", 512), [zeros("w", 4096, 512)]
 
 
+def products_of_three():
+    """Each pair is small; what is summed over is as large as all of them together."""
+    names = ["x", "x", "w", "w", "w"]
+    nodes = [helper.make_node("Einsum", names, ["y"], equation="ij,kl,ax,bx,cx->abc")]
+    return nodes, tensor("x", "batch", 8), tensor("y", 8, 8, 8), [zeros("w", 8, 1500)]
+
+
 def many_roots():
     nodes = [helper.make_node("Exp", [f"h{k}"], [f"h{k + 1}"]) for k in range(40)]
     return nodes, tensor("h0", "batch", 60_000), tensor("h40", "batch", 60_000), []
@@ -325,6 +332,7 @@ def many_roots():
         (long_convolution, "multiplications in products of matrices"),
         (long_memory, "multiplications in products of matrices"),
         (products_of_all, "multiplications in products of matrices"),
+        (products_of_three, "multiplications in products of matrices"),
         (many_roots, "results of 38,400,000 elements"),
     ],
 )
