@@ -1,55 +1,126 @@
-"""The page of a game of populations: matrix, mixes, and how far they can be exploited."""
+"""The page of a game of populations: who plays whom, mixes, and how far they can be exploited."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from typing import Any
 
+from spoofgym.bench.report import markdown_table
 from spoofgym.bench.tables import interval
+from spoofgym.detectors import DETECTORS
+from spoofgym.spoofers.base import sees_statistics
+
+HEAD = (
+    *("iteration", "value, {runs} runs of `game`", "value on fresh runs"),
+    *("gain of a spoofer, from below", "from above", "gain of a detector, from below"),
+)
 
 
 def page_of(results: dict[str, Any]) -> str:
-    """Results as a page: matrix, mixes, both ends of the exploitability."""
-    last, config = results["iterations"][-1], results["config"]
-    lines = [f"# The game in the world of {config['task']}", ""]
+    """Results as a page of their own."""
+    found = taken(results)
+    pure = found["final"]["pure"]
+    answer = "A single detector solves this game" if pure else "No single detector solves it"
+    value = interval(found["iterations"][-1]["spread"], 3)
+    why = [f"- {each}" for each in found["left_out"]]
+    title = [f"# The game in the world of {found['config']['task']}", "", f"{answer}: {value}.", ""]
+    left = ["", "Left out, and why:", "", *why] if why else []
+    return "\n".join([*title, shown(found), *left]) + "\n"
+
+
+def taken(results: dict[str, Any]) -> dict[str, Any]:
+    """What the page needs of `results.json`."""
+    last = results["iterations"][-1]["matrix"]
+    who, whom = ([each["label"] for each in last[f"{side}s"]] for side in ("spoofer", "detector"))
+    iterations = []
+    for found in results["iterations"]:
+        spread, matrix, ends = found["spread"], found["matrix"], found["exploitability"]
+        mixes = {
+            side: {
+                each["label"]: p
+                for each, p in zip(matrix[f"{side}s"], spread[side], strict=True)
+                if p["high"]
+            }
+            for side in ("spoofer", "detector")
+        }
+        told = {name: ends[name] for name in ("value", "spoofer", "detector")}
+        pool = pool_of(found["detectors_mix"])
+        iterations.append({"spread": spread["value"], "mixes": mixes, "ends": told, "pool": pool})
     final = results["final"]
-    mixed = "A single detector solves this game" if last["pure"] else "No single detector solves it"
-    lines += [
-        f"{mixed}: its value is {interval(last['spread']['value'], 3)}. On fresh runs the best "
-        f"response to the mix of detectors gets {interval(final['mix'], 3)}, and that to "
-        f"{final['single']} alone {interval(final['alone'], 3)}: mixing saves "
-        f"{interval(final['gain_of_mixing'], 3)}.",
-        "",
-        *matrix_table(last),
-        "",
-        "| iteration | value | gain of a spoofer, from below | from above | gain of a detector, "
-        "from below | both, from below |",
-        "|---|---|---|---|---|---|",
+    kept = ("pure", "single", "mix", "alone", "gain_of_mixing")
+    return {
+        "config": results["config"],
+        "left_out": results["left_out"],
+        "knowledge": {each["label"]: each["knowledge"] for each in last["spoofers"]},
+        "detectors": whom,
+        "values": {name: row for name, row in zip(who, last["values"], strict=True)},
+        "iterations": iterations,
+        "final": {name: final[name] for name in kept} | {"pool": pool_of(final["detectors_mix"])},
+    }
+
+
+def pool_of(mix: dict[str, Any]) -> dict[str, Any]:
+    """A mix of detectors as a pool, without the settings that are defaults."""
+    members = [_short(each["spec"]) for each in mix["members"]]
+    return {"name": "pool", "members": members, "weights": [round(w, 4) for w in mix["weights"]]}
+
+
+def _short(spec: dict[str, Any]) -> dict[str, Any]:
+    kind: Any = DETECTORS.get(spec["name"])
+    usual = {each.name: each.default for each in dataclasses.fields(kind)} if kind else {}
+    return {key: x for key, x in spec.items() if key not in usual or usual[key] != x}
+
+
+def shown(kept: dict[str, Any]) -> str:
+    """Tables of the page: who plays whom, the iterations, and the mixes as pools."""
+    first, last = kept["iterations"][0], kept["iterations"][-1]
+    knowledge, turns = kept["knowledge"], len(kept["iterations"]) - 1
+    who = sorted(kept["values"], key=lambda name: sees_statistics(knowledge[name]))
+    mixes = [(f"mix, iteration {k}", found) for k, found in ((0, first), (turns, last))]
+    head = ("detector", *(name for name, _ in mixes), *who)
+    rows = [("**observes**", "", "", *(knowledge[name] for name in who))]
+    for name, found in mixes:
+        cells = (_probability(found["mixes"]["spoofer"].get(each)) for each in who)
+        rows.append((f"**{name}**", "", "", *cells))
+    for j, detector in enumerate(kept["detectors"]):
+        own = (_probability(found["mixes"]["detector"].get(detector)) for _, found in mixes)
+        rows.append((detector, *own, *(f"{kept['values'][name][j]:.2f}" for name in who)))
+    ends = [
+        (
+            *(str(k), interval(found["spread"], 3), interval(found["ends"]["value"], 3)),
+            f"{interval(found['ends']['spoofer']['below'], 3)}, "
+            f"{found['ends']['spoofer']['member']}",
+            _above(found["ends"]["spoofer"]["above"]),
+            f"{interval(found['ends']['detector']['below'], 3)}, "
+            f"{found['ends']['detector']['member']}",
+        )
+        for k, found in enumerate(kept["iterations"])
     ]
-    for k, each in enumerate(results["iterations"]):
-        ends = each["exploitability"]
-        above = ends["spoofer"]["above"]
-        shown = f"{'none' if above is None else f'{above:.3f}'}: {ends['spoofer']['why']}"
-        cells = [
-            interval(each["spread"]["value"], 3),
-            f"{interval(ends['spoofer']['below'], 3)}, {ends['spoofer']['member']}",
-            shown,
-            f"{interval(ends['detector']['below'], 3)}, {ends['detector']['member']}",
-            interval(ends["below"], 3),
-        ]
-        lines.append(f"| {k} | {' | '.join(cells)} |")
+    titles = tuple(each.format(runs=kept["config"]["runs"]) for each in HEAD)
+    final = kept["final"]
+    lines = [
+        *markdown_table(head, rows),
+        "",
+        *markdown_table(titles, ends),
+        "",
+        f"On fresh runs the best response to the last mix of detectors gets "
+        f"{interval(final['mix'], 3)}, and that to {final['single']} alone "
+        f"{interval(final['alone'], 3)}: mixing saves {interval(final['gain_of_mixing'], 3)}.",
+        "",
+        "The mixes of detectors as pools, of iteration 0 and the last one:",
+        "",
+        "```json",
+        json.dumps(first["pool"]),
+        json.dumps(final["pool"]),
+        "```",
+    ]
     return "\n".join(lines) + "\n"
 
 
-def matrix_table(found: dict[str, Any]) -> list[str]:
-    """Table of a matrix, with what each spoofer observes, and the mixes of both sides."""
-    matrix, spread = found["matrix"], found["spread"]
-    names = [each["label"] for each in matrix["detectors"]]
-    lines = [
-        f"| spoofer | observes | mix | {' | '.join(names)} |",
-        "|---|---|---|" + "---|" * len(names),
-        f"| **mix** | | | {' | '.join(interval(p, 2) for p in spread['detector'])} |",
-    ]
-    for who, p, row in zip(matrix["spoofers"], spread["spoofer"], matrix["values"], strict=True):
-        cells = " | ".join(f"{value:.3f}" for value in row)
-        lines.append(f"| {who['label']} | {who['knowledge']} | {interval(p, 2)} | {cells} |")
-    return lines
+def _probability(estimate: dict[str, Any] | None) -> str:
+    return "" if estimate is None else interval(estimate, 2)
+
+
+def _above(limit: float | None) -> str:
+    return "none" if limit is None else f"{limit:.3f}"

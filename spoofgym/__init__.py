@@ -23,7 +23,8 @@ bench      campaigns: detectors x spoofers x paired seeds, and their scores
 sb3        the vector environment of stable-baselines3, and a callback that scores
 export     from a model to an ONNX file with its card
 testing    check_detector, check_attack, check_spoofer
-cli        spoofgym list | calibrate | run | tune | bench | protect | perf | report | warmup
+limits     how far any attack can go unseen: bounds, floors, the blind optimum
+cli        the command line: `spoofgym --help`
 
 `spoofgym.evaluate` scores any spoofer by the rule of the benchmark, and
 `spoofgym.evaluate_detector` any detector.

@@ -28,6 +28,7 @@ from spoofgym.bench.bracket_text import floor_notes
 from spoofgym.bench.bracketed import bracket_of
 from spoofgym.bench.report import markdown_table
 from spoofgym.cli.suites import LEFT_OUT, standard_suite
+from spoofgym.spoofers.base import sees_statistics
 from tools.pages import put_between
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -132,6 +133,7 @@ def _lines(world: dict[str, Any]) -> Iterator[str]:
     columns = [name for name in columns if limits["floor"] or "floor" not in name]
     met = {_plain(cell): cell["knowledge"]["run_time"] for cell in world["cells"]}
     spoofers = [name for name in SPOOFERS if name in met]
+    spoofers.sort(key=lambda name: sees_statistics(met[name]))  # oracles come last
     head = [*columns, *(f"{tables.titled(name, met[name])} [m]" for name in spoofers), "mark"]
     for group in tables.groups(world):
         yield from markdown_table(head, list(_rows(world, group, columns, spoofers)))

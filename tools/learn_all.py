@@ -45,16 +45,7 @@ MOST_WORKERS = 4
 """By default: each of them takes up to two gigabytes."""
 GAME = (
     *("--iterations", "3", "--runs", "200", "--selection-runs", "64", "--sift-runs", "24"),
-    *("--values", "6", "--search-runs", "48", "--generations", "4", "--detectors"),
-    "solution-separation",
-    *(
-        f"{name}:signals=range_rate"
-        for name in (
-            *("aime", "cumulative-bank", "cusum", "fma", "sequential-chi2", "shewhart"),
-            *("snapshot-chi2", "windowed-chi2"),
-        )
-    ),
-    "snapshot-chi2",
+    *("--values", "6", "--search-runs", "48", "--generations", "4", "--ppo-steps", "60000"),
 )
 """Settings of the game on docs/game.md."""
 
@@ -88,6 +79,10 @@ def steps_of(out: Path) -> dict[str, Step]:
     fresh = ("--entropy", "1", "--seeds", "5", "6", "7", "8", "9")
     recipes |= {f"fresh-{key}": ["train.ppo_spoofer", "--task", key, *fresh] for key in FRESH}
     plain = {f"plain-{key}": ["train.plain_ppo", "--task", key] for key in ("T2", "T3", "T5")}
+    plain |= {
+        f"plain-fresh-{key}": ["train.plain_ppo", "--task", key, "--kinds", "plain", *fresh]
+        for key in ("T2", "T3", "T5")
+    }
     sweep = {
         f"spoofers-{world}-{detector}": ["train.spoofers", "--only", world, detector]
         for world in WORLDS
@@ -132,6 +127,7 @@ def steps_of(out: Path) -> dict[str, Step]:
             *("train.double_oracle", "--task", "T3", "--out", str(out / "game-hmi"), *GAME),
             *("--payoff", "hmi"),
         ],
+        "game-page": ["tools.game_page", str(out / "game")],
         "page": ["tools.learned_page", *(str(out / name) for name in folders)],
     }
     cards = [f"cards-{key}" for key in DETECTOR_TASKS]
@@ -139,6 +135,7 @@ def steps_of(out: Path) -> dict[str, Step]:
         **dict.fromkeys(GUARDS, ("data",)),
         "threshold": ("guard",),
         "feedback-T2": ("feedback",),  # both write to one folder
+        "game-page": ("game",),
         "page": folders,
         **{later: (sooner,) for sooner, later in pairwise(cards)},  # all write to one page
     }

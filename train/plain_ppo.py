@@ -5,7 +5,8 @@
 `plain` has the five arguments of `PLAIN`, `defaults` those of the library alone.  Both are scored
 while they learn, and at the end on evaluation runs, beside the tuned ramps of the same runs and
 beside the same network before it learned; every amplitude is fitted to the alarm budget on training
-runs.  Each seed is kept as soon as it is finished, so that the same command goes on after a kill.
+runs.  Each seed is kept as soon as it is finished, so that the same command goes on after a kill;
+what is lost is the seed that was learning, a few minutes.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from agents.diverging import learn
 from agents.folder import error_lines, open_folder
 from agents.seeds import KIND_HEAD, LOUDEST, kind_cells
 from spoofgym._files import write_file
-from spoofgym._registry import check_choice
+from spoofgym._registry import check_choice, whole_number
 from spoofgym.bench.evaluate import Evaluator
 from spoofgym.bench.report import markdown_table
 from spoofgym.bench.spoofer_score import Score
@@ -62,6 +63,8 @@ class Settings:
     """Training runs, on which amplitudes are fitted."""
     runs: int = 400
     """Evaluation runs."""
+    entropy: int = 0
+    """Seed of training and evaluation runs; trials of recipes have played those of 0."""
     num_envs: int | None = None
     """Receivers side by side; 64, and 8 for the defaults, unless given."""
 
@@ -69,16 +72,15 @@ class Settings:
         """Check names and numbers."""
         for kind in self.kinds:
             check_choice("kind", kind, NUM_ENVS)
-        for name in ("steps", "scores", "fit_runs", "runs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {getattr(self, name)}")
+        for name in ("steps", "scores", "fit_runs", "runs", "entropy"):
+            whole_number(f"`{name}`", getattr(self, name), 0 if name == "entropy" else 1)
         if self.scores > self.steps:
             raise ValueError(f"`scores` must be in [1, {self.steps}], the steps, got {self.scores}")
 
     @property
     def identity(self) -> dict[str, Any]:
         """What all seeds of a folder share, JSON-able."""
-        own = ("task", "steps", "scores", "fit_runs", "runs", "num_envs")
+        own = ("task", "steps", "scores", "fit_runs", "runs", "entropy", "num_envs")
         return {name: getattr(self, name) for name in own}
 
 
@@ -109,7 +111,8 @@ def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[S
 
 def play(settings: Settings, console: Console) -> dict[str, Any]:
     """Train what is missing; the results, JSON-able."""
-    judge = Evaluator(settings.task, runs=settings.runs, fit_runs=settings.fit_runs)
+    played = {name: getattr(settings, name) for name in ("runs", "fit_runs", "entropy")}
+    judge = Evaluator(settings.task, **played)
     open_folder(settings.out, settings.identity)
     ramps = {name: judge.score(name) for name in ("ramp", "accelerating-ramp")}
     rows: dict[str, list[Any]] = {}
@@ -127,7 +130,8 @@ def play(settings: Settings, console: Console) -> dict[str, Any]:
                 console.print(f"{kind}, seed {seed}: {score or more['diverged']}", soft_wrap=True)
             rows.setdefault(kind, []).append(json.loads(path.read_text(encoding="utf-8")))
     rivals = {name: ramp.as_dict() for name, ramp in ramps.items()}
-    return {"task": settings.task, "steps": settings.steps, "ramps": rivals, "kinds": rows}
+    told = {name: getattr(settings, name) for name in ("task", "steps", "entropy")}
+    return {**told, "ramps": rivals, "kinds": rows}
 
 
 def table_of(results: dict[str, Any]) -> str:

@@ -55,8 +55,10 @@ def test_bad_input_is_refused(tmp_path):
         Settings(out=tmp_path, kinds=("fancy",))
     with pytest.raises(ValueError, match=r"`scores` must be in \[1, 3\], the steps, got 4"):
         Settings(out=tmp_path, steps=3, scores=4)
-    with pytest.raises(ValueError, match="`steps` must be at least 1, got 0"):
+    with pytest.raises(ValueError, match="`steps` must be a whole number of at least 1, got 0"):
         Settings(out=tmp_path, steps=0)
+    with pytest.raises(ValueError, match="`entropy` must be a whole number of at least 0, got -1"):
+        Settings(out=tmp_path, entropy=-1)
 
 
 def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypatch):
