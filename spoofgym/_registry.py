@@ -66,7 +66,7 @@ def build(
         )
     settings = dict(spec)
     name = settings.pop("name")
-    check_choice(word, name, kinds)
+    check_choice(word, name, {*kinds, *more})
     known = dataclasses.fields(kinds[name])  # type: ignore[arg-type]
     valid = [field.name for field in known]
     for setting in settings:

@@ -20,14 +20,15 @@ from spoofgym._files import write_file
 from spoofgym.bench.calibrations import calibrate_suite, missing_runs
 from spoofgym.bench.comparisons import CONTROLS, name_of
 from spoofgym.bench.detector_cards import (
+    CARD_HEAD,
     FILE,
-    HEAD,
+    card_rows,
     classics_of,
     family_rows,
     learned_of,
     missing,
-    score_rows,
     stored_cards,
+    unplayed,
 )
 from spoofgym.bench.detector_score import DetectorScore
 from spoofgym.bench.entries import detector_entry
@@ -47,25 +48,26 @@ RUNS, SELECTION_RUNS = 200, 64
 def played(
     task: DetectorTask, out: Path, runs: int, selection_runs: int, only: list[str] | None
 ) -> dict[str, Any]:
-    """Play a task, and return its card; `only` some detectors, by their names."""
+    """Play a task, and return its card; `only` some detectors, by their names or labels."""
     everyone = (*classics_of(task), *learned_of(task))
-    chosen = [each for each in everyone if only is None or each["name"] in only]
+    chosen = [
+        each
+        for each in everyone
+        if only is None or {each["name"], detector_entry(each).label} & {*only}
+    ]
     evaluator = DetectorEvaluator(
         task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1
     )
     suite = evaluator.suite_of(chosen)
-    refused: dict[str, str] = {}
-    unplayed = [detector_entry(each).label for each in everyone if each not in chosen]
-    if left := missing_runs(suite):
-        labels = [each.label for each in suite.detector_entries]
-        with progress(left) as bar:
-            refused = calibrate_suite(suite, progress=bar, optional=labels)
+    labels = [each.label for each in suite.detector_entries]
+    with progress(missing_runs(suite)) as bar:
+        refused = calibrate_suite(suite, progress=bar, optional=labels)
     entries = zip(suite.detector_entries, chosen, strict=True)
     whom = [spec for entry, spec in entries if entry.label not in refused]
     with progress(evaluator.expected_work(whom)) as bar:
         evaluator.progress = bar
         scores = evaluator.scores(whom)
-    return {**card_of(scores), "left_out": {**refused, **dict.fromkeys(unplayed, "not played")}}
+    return {**card_of(scores), "left_out": refused}
 
 
 def card_of(scores: list[DetectorScore]) -> dict[str, Any]:
@@ -98,24 +100,27 @@ def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str
     if rows[best] != old[best]:
         return card
     kept = [each for name, each in old.items() if name not in rows]
-    found = [*card["detectors"], *kept]
-    names = {each["detector"] for each in found}
-    left = {name: why for name, why in card["left_out"].items() if name not in names}
-    return {**card, "detectors": found, "left_out": left}
+    left = {name: why for name, why in stored["left_out"].items() if name not in rows}
+    return {
+        **card,
+        "detectors": [*card["detectors"], *kept],
+        "left_out": {**left, **card["left_out"]},
+    }
 
 
 def shown() -> str:
     """Tables of the page."""
     cards = stored_cards()
-    lines = [*markdown_table(HEAD, score_rows(cards)), ""]
+    lines = [*markdown_table(CARD_HEAD, card_rows(cards)), ""]
     for key, card in cards.items():
         head, rows = family_rows(card)
         lines += [f"{key}: P(HMI) by family [%], {card['runs']} evaluation runs of each, attacks "]
         lines[-1] += f"chosen on {card['selection_runs']} others."
         lines += ["", *markdown_table(head, rows), ""]
-        if card["left_out"]:
-            named = (f"{name} ({why})" for name, why in card["left_out"].items())
-            lines += [f"Without a score in {key} as yet: {', '.join(named)}.", ""]
+        for name, why in card["left_out"].items():
+            lines += [f"{name} has no score in {key}: {why.partition(', so that')[0]}.", ""]
+        if waiting := unplayed(DETECTOR_TASKS[key], card):
+            lines += [f"Not played in {key} as yet: {', '.join(waiting)}.", ""]
     absent = [f"{key}: `{command}`" for key, command in missing().items()]
     if absent:
         lines += [f"Not played yet, and how to: {'; '.join(absent)}.", ""]
@@ -129,7 +134,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--out", type=Path, default=Path("results/detectors"))
     parser.add_argument("--runs", type=int, default=RUNS, help="evaluation runs of every family")
     parser.add_argument("--selection-runs", type=int, default=SELECTION_RUNS)
-    parser.add_argument("--only", nargs="+", help="by their names; others keep stored scores")
+    parser.add_argument("--only", nargs="+", help="names or labels; others keep their scores")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)
     for key in () if given.tables_only else given.tasks or DETECTOR_TASKS:

@@ -42,6 +42,7 @@ BEGIN, END = "<!-- learned:begin -->", "<!-- learned:end -->"
 FRESH_BEGIN, FRESH_END = "<!-- fresh:begin -->", "<!-- fresh:end -->"
 MANY_BEGIN, MANY_END = "<!-- spoofers:begin -->", "<!-- spoofers:end -->"
 PLAIN_BEGIN, PLAIN_END = "<!-- plain:begin -->", "<!-- plain:end -->"
+PLAIN_FRESH_BEGIN, PLAIN_FRESH_END = "<!-- plain-fresh:begin -->", "<!-- plain-fresh:end -->"
 REFITS_BEGIN, REFITS_END = "<!-- refits:begin -->", "<!-- refits:end -->"
 MANY = "spoofers.json"
 """Results of `train.spoofers` in their folder."""
@@ -165,6 +166,7 @@ def main() -> None:
     """Take the results of the folders that are given, and write the page."""
     kept = {
         "fresh": {},
+        "plain_fresh": {},
         "spoofers": {},
         "refits": {},
         **json.loads(KEPT.read_text(encoding="utf-8")),
@@ -182,9 +184,10 @@ def main() -> None:
         results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
         if "kinds" in results:
             found = taken_of_plain(results)
-            before = kept["plain"].get(results["task"], found)
+            part = kept["plain_fresh" if results["entropy"] else "plain"]
+            before = part.get(results["task"], found)
             found["kinds"] = {**before["kinds"], **found["kinds"]}  # played in several parts
-            kept["plain"][results["task"]] = found
+            part[results["task"]] = found
             continue
         config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
         task = config["arguments"]["task"]
@@ -199,6 +202,7 @@ def main() -> None:
     put_between(PAGE, BEGIN, END, shown(kept["recipe"]))
     put_between(PAGE, FRESH_BEGIN, FRESH_END, shown_of_tasks(kept["fresh"]))
     put_between(PAGE, PLAIN_BEGIN, PLAIN_END, shown_of_plain(kept["plain"]))
+    put_between(PAGE, PLAIN_FRESH_BEGIN, PLAIN_FRESH_END, shown_of_plain(kept["plain_fresh"]))
     put_between(PAGE, REFITS_BEGIN, REFITS_END, table_of_refits(kept["refits"]))
     put_between(PAGE, MANY_BEGIN, MANY_END, page(kept["spoofers"]))
 

@@ -9,12 +9,16 @@ from typing import Any
 from ..detector_tasks import DETECTOR_TASKS, DetectorTask
 from ..detectors import zoo
 from ..detectors.learned.card import DetectorCard, card_path
-from ..tasks import RANGE_RATE_TESTS, SUITE, task_of
+from ..tasks import SUITE, task_of
+from .specs import label_of
+from .standard import everyone_in, in_order
+from .suite import Suite
 from .tables import interval
 
 FILE = "detector_cards_v1.json"
 """Stored with this module; made by `tools.detector_cards`."""
 COMMAND = "python -m tools.detector_cards {}"
+NOBODY: dict[str, Any] = {"detectors": ["never"], "spoofers": []}
 HEAD = (
     "task",
     "detector",
@@ -28,19 +32,27 @@ HEAD = (
 )
 
 
+CARD_HEAD = (*HEAD, "less the best classic, paired [% of runs]")
+
+
 def classics_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
-    """Detectors with a reference score: controls, the tests that do best in T3, and others.
+    """Detectors with a reference score: both controls, and all classics that suit the world.
 
     At 0.2 false alarms an hour in the task's world; of solution separation the bank of the task.
-    Against all others that are calibrated in T3's world a blind optimum gets beyond 40 m.
+    Tests of range rates are there a second time where their defaults test pseudoranges, or both,
+    and tests with a drift term with rescaled innovations.
     """
     bank = next(each for each in task.task.detectors if each["name"] == "solution-separation")
     plain = {key: value for key, value in bank.items() if key != "false_alarms_per_hour"}
-    named = ("aime", "cumulative-bank", "sequential-chi2", "windowed-chi2", "shewhart")
-    tests = (each for each in RANGE_RATE_TESTS if each["name"] in named)
-    others = ("snapshot-chi2", "innovation-rate", "raim", "ewma")
-    controls = {"name": "never"}, {"name": "lottery"}
-    return (*controls, plain, *tests, *({"name": name} for name in others))
+    everyone = in_order(everyone_in(Suite(**task.task.world_kwargs, **NOBODY).world, rescaled=True))
+    return tuple(plain if each["name"] == plain["name"] else each for each in everyone)
+
+
+def unplayed(task: DetectorTask, card: dict[str, Any]) -> list[str]:
+    """Labels of detectors that a card has no score of, and does not refuse, as yet."""
+    known = {*(each["detector"] for each in card["detectors"]), *card["left_out"]}
+    everyone = (label_of(each, None) for each in (*classics_of(task), *learned_of(task)))
+    return [label for label in everyone if label not in known]
 
 
 def learned_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
@@ -94,6 +106,15 @@ def score_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
         (key, *_row(score))
         for key, card in cards.items()
         for score in sorted(card["detectors"], key=_hazard)
+    ]
+
+
+def card_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Rows of `score_rows`, each with its paired difference to the best classic of the task."""
+    scores = (each for card in cards.values() for each in sorted(card["detectors"], key=_hazard))
+    return [
+        (*row, _percent(score["less_best"], bounds=True))
+        for row, score in zip(score_rows(cards), scores, strict=True)
     ]
 
 

@@ -81,7 +81,7 @@ def tasks(as_json: opt.Json = False) -> None:
     ]
     print_table(f"{SUITE}, for detectors", head, defended)
     cards = detector_cards.stored_cards()
-    print_table("protection", detector_cards.HEAD, detector_cards.score_rows(cards))
+    print_table("protection", detector_cards.CARD_HEAD, detector_cards.card_rows(cards))
     print_lines(
         f"{key} has no reference scores yet: {command}"
         for key, command in detector_cards.missing().items()

@@ -33,6 +33,7 @@ from .shewhart import Shewhart
 from .snapshot_chi2 import SnapshotChi2
 from .solution_separation import SolutionSeparation
 from .windowed_chi2 import WindowedChi2
+from .zoo import shipped
 
 __all__ = [
     "DETECTORS",
@@ -166,4 +167,4 @@ def detector_in_world(spec: str | Mapping[str, Any] | Detector) -> Detector:
 
 
 def _built(spec: Any) -> Detector:
-    return build("detector", DETECTORS, Detector, spec)
+    return build("detector", DETECTORS, Detector, spec, more=shipped())

@@ -109,6 +109,8 @@ class Detector(ABC):
         the filter believes; the innovations of such a test can be rescaled (`Calibrated`).
     calibrates : bool
         Whether thresholds scale its alarms at all; not that of a detector that never alarms.
+    has_nominal : bool
+        Whether it has thresholds of its own, as published or on its card.
     draws : bool
         Whether the last bits of its innovations decide its statistic, which is another one then, as
         good, on another kind of processor: runs of its calibrations are not replayed.
@@ -134,6 +136,7 @@ class Detector(ABC):
     oracle: ClassVar[bool] = False
     drifts: ClassVar[bool] = False
     calibrates: ClassVar[bool] = True
+    has_nominal: ClassVar[bool] = True
     draws: ClassVar[bool] = False
     label: ClassVar[str | None] = None
     silent_epochs: int = 0

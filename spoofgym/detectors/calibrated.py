@@ -244,10 +244,13 @@ class Calibrated(Detector):
         if near is not None and near[1]:
             seen = f" The nearest one, {near[0]}, differs in {'; '.join(near[1][:4])}."
         nominal = {**shown, "thresholds": "nominal"}
+        other = f"take its nominal thresholds: {json.dumps(nominal)}"
+        if not self.detector.has_nominal:
+            other = f"give one: {json.dumps({**shown, 'threshold': 0.9})}"
         return (
             f"there is no calibration of {shown['name']} in {conditions.label} to set its "
-            f"thresholds for {rate} false alarms an hour by. Make one with {line}, or take its "
-            f"nominal thresholds: {json.dumps(nominal)}.{seen}"
+            f"thresholds for {rate} false alarms an hour by. Make one with {line}, or "
+            f"{other}.{seen}"
         )
 
     def _asked_settings(self) -> dict[str, Any]:

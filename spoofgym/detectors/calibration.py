@@ -244,10 +244,10 @@ class Calibration:
     runs: int
     entropy: int
     seed_name: str
-    ranks: tuple[int, ...]
-    largest: tuple[float, ...]
-    before: tuple[tuple[int, float], ...]
-    witnesses: tuple[tuple[int, float, float], ...]
+    ranks: tuple[int, ...] = field(repr=False)
+    largest: tuple[float, ...] = field(repr=False)
+    before: tuple[tuple[int, float], ...] = field(repr=False)
+    witnesses: tuple[tuple[int, float, float], ...] = field(repr=False)
     rescale: tuple[float, ...] | None = None
     bisected: bool = False
     path: Path | None = field(default=None, compare=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .._registry import build, check_choice
+from .._registry import build
 from ..policies.onnx_file import SUFFIX
 from .accelerating_ramp import AcceleratingRamp
 from .base import KNOWLEDGE, ScriptedSpoofer, Spoofer, SpooferContext
@@ -134,8 +134,5 @@ def make_spoofer(spec: str | dict[str, Any] | Spoofer) -> Spoofer:
     """
     plain, amplitude = split_amplitude(spec)
     resolved = resolve(plain)
-    name = resolved.get("name") if isinstance(resolved, Mapping) else resolved
-    if isinstance(name, str):
-        check_choice("spoofer", name, [*SPOOFERS, *shipped()])
     made = build("spoofer", SPOOFERS, Spoofer, resolved, more=shipped())
     return with_amplitude(made, amplitude)
