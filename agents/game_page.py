@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from typing import Any
 
 from spoofgym.bench.report import markdown_table
+from spoofgym.bench.specs import describe, settings_of
 from spoofgym.bench.tables import interval
 from spoofgym.detectors import DETECTORS
 from spoofgym.spoofers.base import sees_statistics
@@ -46,7 +46,8 @@ def taken(results: dict[str, Any]) -> dict[str, Any]:
         }
         told = {name: ends[name] for name in ("value", "spoofer", "detector")}
         pool = pool_of(found["detectors_mix"])
-        iterations.append({"spread": spread["value"], "mixes": mixes, "ends": told, "pool": pool})
+        known = {"spread": spread["value"], "pure": spread["pure"]}
+        iterations.append({**known, "mixes": mixes, "ends": told, "pool": pool})
     final = results["final"]
     kept = ("pure", "single", "mix", "alone", "gain_of_mixing")
     return {
@@ -68,7 +69,7 @@ def pool_of(mix: dict[str, Any]) -> dict[str, Any]:
 
 def _short(spec: dict[str, Any]) -> dict[str, Any]:
     kind: Any = DETECTORS.get(spec["name"])
-    usual = {each.name: each.default for each in dataclasses.fields(kind)} if kind else {}
+    usual = {} if kind is None else {key: describe(x) for key, x in settings_of(kind).items()}
     return {key: x for key, x in spec.items() if key not in usual or usual[key] != x}
 
 
@@ -85,7 +86,7 @@ def shown(kept: dict[str, Any]) -> str:
         rows.append((f"**{name}**", "", "", *cells))
     for j, detector in enumerate(kept["detectors"]):
         own = (_probability(found["mixes"]["detector"].get(detector)) for _, found in mixes)
-        rows.append((detector, *own, *(f"{kept['values'][name][j]:.2f}" for name in who)))
+        rows.append((detector, *own, *(_payoff(kept["values"][name][j]) for name in who)))
     ends = [
         (
             *(str(k), interval(found["spread"], 3), interval(found["ends"]["value"], 3)),
@@ -104,7 +105,7 @@ def shown(kept: dict[str, Any]) -> str:
         "",
         *markdown_table(titles, ends),
         "",
-        f"On fresh runs the best response to the last mix of detectors gets "
+        f"On fresh runs the response that a last search chose to the last mix of detectors gets "
         f"{interval(final['mix'], 3)}, and that to {final['single']} alone "
         f"{interval(final['alone'], 3)}: mixing saves {interval(final['gain_of_mixing'], 3)}.",
         "",
@@ -120,6 +121,10 @@ def shown(kept: dict[str, Any]) -> str:
 
 def _probability(estimate: dict[str, Any] | None) -> str:
     return "" if estimate is None else interval(estimate, 2)
+
+
+def _payoff(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
 
 
 def _above(limit: float | None) -> str:

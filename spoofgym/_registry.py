@@ -24,16 +24,20 @@ def check_choice(
     """Raise unless a name is one of the valid ones; `renamed`: new names by old ones."""
     names = sorted(valid)
     if value not in names:
-        if str(value).lower().endswith(PICKLES):
-            raise ValueError(
-                f"{value} is a pickled file, which is never opened, since it can run any code: "
-                "export the model by spoofgym.export, or load it yourself and give the object"
-            )
         if renamed and value in renamed:
             raise ValueError(f"{word} {value!r} is now called {renamed[value]!r}")
         near = difflib.get_close_matches(str(value), names, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise ValueError(f"unknown {word} {value!r}; valid: {', '.join(names)}{hint}")
+
+
+def refuse_pickle(name: Any) -> None:
+    """Raise where what is named is a file that would have to be unpickled."""
+    if str(name).lower().endswith(PICKLES):
+        raise ValueError(
+            f"{name} is a pickled file, which is never opened, since it can run any code: export "
+            "the model by spoofgym.export, or load it yourself and give the object"
+        )
 
 
 def _article(word: str) -> str:
@@ -66,7 +70,9 @@ def build(
         )
     settings = dict(spec)
     name = settings.pop("name")
-    check_choice(word, name, {*kinds, *more})
+    if name not in kinds:
+        refuse_pickle(name)
+        check_choice(word, name, {*kinds, *more} - {name})
     known = dataclasses.fields(kinds[name])  # type: ignore[arg-type]
     valid = [field.name for field in known]
     for setting in settings:

@@ -241,7 +241,7 @@ class Endless(torch.nn.Module):
 
 
 def test_an_error_names_the_users_file_and_not_the_trial_of_it(tmp_path):
-    with pytest.raises(ValueError, match=r"not finite|NaN|inf") as found:
+    with pytest.raises(ValueError, match=r"returned (NaN|inf|-inf)") as found:
         onnx(Endless(), make(), tmp_path / "mine.onnx")
     assert str(tmp_path / "mine.onnx") in str(found.value)
     assert list(tmp_path.iterdir()) == []

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from spoofgym._files import write_file
+from spoofgym._registry import check_choice
 from spoofgym.bench.calibrations import calibrate_suite, missing_runs
 from spoofgym.bench.comparisons import CONTROLS, name_of
 from spoofgym.bench.detector_cards import (
@@ -31,9 +32,9 @@ from spoofgym.bench.detector_cards import (
     unplayed,
 )
 from spoofgym.bench.detector_score import DetectorScore
-from spoofgym.bench.entries import detector_entry
 from spoofgym.bench.evaluate_detector import DetectorEvaluator
 from spoofgym.bench.report import markdown_table
+from spoofgym.bench.specs import label_of
 from spoofgym.cli.output import progress
 from spoofgym.detector_tasks import DETECTOR_TASKS, DetectorTask, detector_task_of
 from spoofgym.detectors import zoo
@@ -48,13 +49,12 @@ RUNS, SELECTION_RUNS = 200, 64
 def played(
     task: DetectorTask, out: Path, runs: int, selection_runs: int, only: list[str] | None
 ) -> dict[str, Any]:
-    """Play a task, and return its card; `only` some detectors, by their names or labels."""
-    everyone = (*classics_of(task), *learned_of(task))
-    chosen = [
-        each
-        for each in everyone
-        if only is None or {each["name"], detector_entry(each).label} & {*only}
-    ]
+    """Play a task, and return its card; `only` some detectors, and the best classic stored."""
+    everyone = {label_of(each, None): each for each in (*classics_of(task), *learned_of(task))}
+    for label in only or ():
+        check_choice("detector of this task", label, everyone)
+    best = stored_cards().get(task.key, {}).get("best_classic")  # others are compared with it
+    chosen = [x for label, x in everyone.items() if only is None or label in {*only, best}]
     evaluator = DetectorEvaluator(
         task.key, runs=runs, selection_runs=selection_runs, folder=out, threads=1
     )
@@ -99,7 +99,7 @@ def with_others(card: dict[str, Any], stored: dict[str, Any] | None) -> dict[str
     best = card["best_classic"]
     if rows[best] != old[best]:
         return card
-    kept = [each for name, each in old.items() if name not in rows]
+    kept = [each for name, each in old.items() if name not in rows and name not in card["left_out"]]
     left = {name: why for name, why in stored["left_out"].items() if name not in rows}
     return {
         **card,
@@ -112,6 +112,7 @@ def shown() -> str:
     """Tables of the page."""
     cards = stored_cards()
     lines = [*markdown_table(CARD_HEAD, card_rows(cards)), ""]
+    waiting: dict[str, list[str]] = {}
     for key, card in cards.items():
         head, rows = family_rows(card)
         lines += [f"{key}: P(HMI) by family [%], {card['runs']} evaluation runs of each, attacks "]
@@ -119,8 +120,10 @@ def shown() -> str:
         lines += ["", *markdown_table(head, rows), ""]
         for name, why in card["left_out"].items():
             lines += [f"{name} has no score in {key}: {why.partition(', so that')[0]}.", ""]
-        if waiting := unplayed(DETECTOR_TASKS[key], card):
-            lines += [f"Not played in {key} as yet: {', '.join(waiting)}.", ""]
+        if left := unplayed(DETECTOR_TASKS[key], card):
+            waiting.setdefault(", ".join(left), []).append(key)
+    for labels, keys in waiting.items():
+        lines += [f"Not played in {', '.join(keys)} as yet: {labels}.", ""]
     absent = [f"{key}: `{command}`" for key, command in missing().items()]
     if absent:
         lines += [f"Not played yet, and how to: {'; '.join(absent)}.", ""]
@@ -134,7 +137,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--out", type=Path, default=Path("results/detectors"))
     parser.add_argument("--runs", type=int, default=RUNS, help="evaluation runs of every family")
     parser.add_argument("--selection-runs", type=int, default=SELECTION_RUNS)
-    parser.add_argument("--only", nargs="+", help="names or labels; others keep their scores")
+    parser.add_argument("--only", nargs="+", help="as the page has them; others keep their scores")
     parser.add_argument("--tables-only", action="store_true", help="play nothing")
     given = parser.parse_args(arguments)
     for key in () if given.tables_only else given.tasks or DETECTOR_TASKS:

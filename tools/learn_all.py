@@ -78,7 +78,7 @@ def steps_of(out: Path) -> dict[str, Step]:
     }
     fresh = ("--entropy", "1", "--seeds", "5", "6", "7", "8", "9")
     recipes |= {f"fresh-{key}": ["train.ppo_spoofer", "--task", key, *fresh] for key in FRESH}
-    plain = {f"plain-{key}": ["train.plain_ppo", "--task", key] for key in ("T2", "T3", "T5")}
+    plain = {f"plain-{key}": ["train.plain_ppo", "--task", key] for key in ("T2", "T3")}
     plain |= {
         f"plain-fresh-{key}": ["train.plain_ppo", "--task", key, "--kinds", "plain", *fresh]
         for key in ("T2", "T3")
@@ -123,10 +123,6 @@ def steps_of(out: Path) -> dict[str, Step]:
         "feedback": ["tools.feedback_gain", "--out", str(out / "feedback")],
         "feedback-T2": ["tools.feedback_gain", "--task", "T2", "--out", str(out / "feedback")],
         "game": ["train.double_oracle", "--task", "T3", "--out", str(out / "game"), *GAME],
-        "game-hmi": [
-            *("train.double_oracle", "--task", "T3", "--out", str(out / "game-hmi"), *GAME),
-            *("--payoff", "hmi"),
-        ],
         "game-page": ["tools.game_page", str(out / "game")],
         "page": ["tools.learned_page", *(str(out / name) for name in folders)],
     }

@@ -3,8 +3,9 @@
     python -m tools.learned_page runs/ppo-T3 runs/ppo-T5 runs/plain-T3 runs/spoofers runs/refits
 
 takes the results of these folders into `docs/learned_spoofers.json`, those of `train.ppo_spoofer`
-with their pictures, those of `train.plain_ppo`, `train.spoofers` and `tools.refits`, and writes the
-tables of the page; without a folder it writes the tables again.  Trainings with an `--entropy` of
+with their pictures, those of `train.plain_ppo`, `train.spoofers` and `tools.refits`, and what
+`tools.transfer --json` has written to a file, such as runs/transfer.json, and writes the tables of
+the page; without a folder it writes the tables again.  Trainings with an `--entropy` of
 their own, on other runs, have a table apart.  Cells of `train.spoofers` and
 tasks of `tools.refits` that a folder lacks stay as they are.
 """
@@ -50,7 +51,9 @@ TASK_HEAD = (
     *("task", "detector", "ramp [m]", "accelerating ramp [m]", "blind optimum [m]"),
     *("PPO, median and range of the seeds [m]", "of the best of the three", "untrained [m]"),
 )
+TRANSFER_BEGIN, TRANSFER_END = "<!-- transfer:begin -->", "<!-- transfer:end -->"
 CURVE_HEAD = ("task", "arguments", "thousands of steps: stealthy displacement")
+TRANSFERRED = ("as fitted at home", "refitted")
 KINDS = {"plain": "five arguments", "defaults": "those of the library alone"}
 
 
@@ -162,6 +165,32 @@ def _curve(rows: list[dict[str, Any]]) -> str:
     )
 
 
+def taken_of_transfer(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """What the page needs of `tools.transfer --json`: by spoofer and home, by world."""
+    found: dict[str, Any] = {}
+    parts = ("stealthy_displacement_m", "within_budget", "fit_within_budget", "alarm_rate")
+    for row in rows:
+        name = f"`{row['spoofer']}` | {row['home']}"
+        found.setdefault(name, {})[row["world"]] = {
+            how: {part: row[how][part] for part in parts} for how in TRANSFERRED
+        }
+    return found
+
+
+def shown_of_transfer(kept: dict[str, Any]) -> str:
+    """Table of transfer: a line for each spoofer and its home, a column for each world."""
+    worlds = list(next(iter(kept.values()), {}))
+    rows = [
+        (
+            *name.split(" | "),
+            *("; ".join(marked(cells[world][how]) for how in TRANSFERRED) for world in worlds),
+        )
+        for name, cells in kept.items()
+    ]
+    head = ("spoofer", "trained on", *(f"`{world}` [m]" for world in worlds))
+    return "\n".join(markdown_table(head, rows)) + "\n"
+
+
 def main() -> None:
     """Take the results of the folders that are given, and write the page."""
     kept = {
@@ -169,9 +198,14 @@ def main() -> None:
         "plain_fresh": {},
         "spoofers": {},
         "refits": {},
+        "transfer": {},
         **json.loads(KEPT.read_text(encoding="utf-8")),
     }
     for folder in map(Path, sys.argv[1:]):
+        if folder.suffix == ".json":
+            rows = json.loads(folder.read_text(encoding="utf-8"))
+            kept["transfer"] = taken_of_transfer(rows)
+            continue
         if (folder / MANY).is_file():
             cells = json.loads((folder / MANY).read_text(encoding="utf-8"))
             kept["spoofers"] |= {
@@ -184,7 +218,7 @@ def main() -> None:
         results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
         if "kinds" in results:
             found = taken_of_plain(results)
-            part = kept["plain_fresh" if results["entropy"] else "plain"]
+            part = kept["plain_fresh" if results.get("entropy") else "plain"]
             before = part.get(results["task"], found)
             found["kinds"] = {**before["kinds"], **found["kinds"]}  # played in several parts
             part[results["task"]] = found
@@ -204,6 +238,7 @@ def main() -> None:
     put_between(PAGE, PLAIN_BEGIN, PLAIN_END, shown_of_plain(kept["plain"]))
     put_between(PAGE, PLAIN_FRESH_BEGIN, PLAIN_FRESH_END, shown_of_plain(kept["plain_fresh"]))
     put_between(PAGE, REFITS_BEGIN, REFITS_END, table_of_refits(kept["refits"]))
+    put_between(PAGE, TRANSFER_BEGIN, TRANSFER_END, shown_of_transfer(kept["transfer"]))
     put_between(PAGE, MANY_BEGIN, MANY_END, page(kept["spoofers"]))
 
 

@@ -236,7 +236,7 @@ class DoubleOracle:
         specs: list[dict[str, Any]] = [parse_spec(text) for text in self.args.detectors]
         if not specs:
             everyone = in_order(everyone_in(self.game.setup, rescaled=True))
-            specs = [each for each in everyone if each not in CONTROLS]
+            specs = [{**rate, **each} for each in everyone if each not in CONTROLS]
         members, left_out = [], []
         for spec in specs:
             asks = any(key in spec for key in ASKED)

@@ -6,7 +6,7 @@
 while they learn, and at the end on evaluation runs, beside the tuned ramps of the same runs and
 beside the same network before it learned; every amplitude is fitted to the alarm budget on training
 runs.  Each seed is kept as soon as it is finished, so that the same command goes on after a kill;
-what is lost is the seed that was learning, a few minutes.
+what is lost is the seed that was learning, up to a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -80,8 +80,9 @@ class Settings:
     @property
     def identity(self) -> dict[str, Any]:
         """What all seeds of a folder share, JSON-able."""
-        own = ("task", "steps", "scores", "fit_runs", "runs", "entropy", "num_envs")
-        return {name: getattr(self, name) for name in own}
+        own = ("task", "steps", "scores", "fit_runs", "runs", "num_envs")
+        told = {name: getattr(self, name) for name in own}
+        return told | ({"entropy": self.entropy} if self.entropy else {})  # older folders have 0
 
 
 def train(settings: Settings, kind: str, seed: int, judge: Evaluator) -> tuple[Score | None, Any]:

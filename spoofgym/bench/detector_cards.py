@@ -111,10 +111,10 @@ def score_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
 
 def card_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
     """Rows of `score_rows`, each with its paired difference to the best classic of the task."""
-    scores = (each for card in cards.values() for each in sorted(card["detectors"], key=_hazard))
     return [
-        (*row, _percent(score["less_best"], bounds=True))
-        for row, score in zip(score_rows(cards), scores, strict=True)
+        (key, *_row(score), _percent(score["less_best"], bounds=True))
+        for key, card in cards.items()
+        for score in sorted(card["detectors"], key=_hazard)
     ]
 
 

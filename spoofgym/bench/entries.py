@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from .._registry import check_choice
 from ..detectors import DETECTORS, Calibrated, Detector, LearnedDetector
 from ..detectors.asked import asked_by_default
 from ..spoofers import SPOOFERS, Spoofer, resolve, shipped
@@ -77,10 +76,7 @@ def build_spoofer(spec: Any) -> Spoofer:
     """Spoofer of a campaign, not bound yet."""
     plain, amplitude = split_amplitude(spec)
     resolved = resolve(plain)
-    name = resolved["name"] if isinstance(resolved, Mapping) and "name" in resolved else resolved
-    if isinstance(name, str) and ":" not in name:
-        check_choice("spoofer", name, [*SPOOFERS, *shipped()])
-    spoofer: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolved)
+    spoofer: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolved, shipped())
     return with_amplitude(spoofer, amplitude)
 
 

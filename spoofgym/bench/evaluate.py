@@ -258,7 +258,7 @@ def evaluate(
     progress: Progress | None = None,
     **world: Any,
 ) -> Score:
-    """Score a spoofer by the rule of the benchmark, on runs that this decides nothing on.
+    """Score a spoofer by the rule of the benchmark, on runs that the call decides nothing on.
 
     A policy that is shipped, or another one in a file, may have been chosen with these very runs in
     view; its card says so (``decided_on``, `spoofgym card`).  Then take another `entropy`.

@@ -121,7 +121,7 @@ def _shipped() -> list[dict[str, Any]]:
     }
     for name in shipped_detectors():
         known = {"knowledge": "innovations of its receiver"}
-        learned_on = f"attacks in {find_card(name).training['task']}"
+        learned_on = f"attacks in {find_card(name).training.get('task', 'a world of its own')}"
         rows.append({"name": name, **detector, **known, "designed_on": learned_on})
     return rows
 

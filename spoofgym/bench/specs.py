@@ -6,15 +6,15 @@ import importlib
 import inspect
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import PurePath
 from typing import Any, TypeVar, cast
 
 from .._describe import describe as describe
 from .._describe import digest_of as digest_of
-from .._registry import build
-from ..detectors import DETECTORS, Detector, LearnedDetector, calibrated
+from .._registry import build, refuse_pickle
+from ..detectors import DETECTORS, Detector, LearnedDetector, calibrated, zoo
 from ..detectors.asked import made_by, spec_with_thresholds
 from ..policies.onnx_file import SUFFIX
 
@@ -120,13 +120,21 @@ def load_class(path: str, base: Callable[..., T]) -> type[T]:
     return found
 
 
-def make(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: Any) -> T:
+def make(
+    word: str,
+    kinds: Mapping[str, type[T]],
+    base: Callable[..., T],
+    spec: Any,
+    more: Iterable[str] = (),
+) -> T:
     """Object by name and settings; the name may be ``module:Class``.
 
-    `spec`: as `parse_spec` returns it, or an object, which is copied.
+    `spec`: as `parse_spec` returns it, or an object, which is copied; `more`: other valid names.
     """
     if isinstance(spec, str):
         spec = {"name": spec}
+    if isinstance(spec, Mapping):
+        refuse_pickle(spec.get("name"))
     if isinstance(spec, Mapping) and ":" in str(spec.get("name", "")):
         settings = dict(spec)
         kind = load_class(settings.pop("name"), base)
@@ -134,7 +142,7 @@ def make(word: str, kinds: Mapping[str, type[T]], base: Callable[..., T], spec: 
             return kind(**settings)
         except TypeError as error:
             raise ValueError(f"{word} {spec['name']!r}: {error}") from error
-    return build(word, kinds, base, spec)
+    return build(word, kinds, base, spec, more=more)
 
 
 def make_judge(spec: Any) -> Detector:
@@ -142,7 +150,7 @@ def make_judge(spec: Any) -> Detector:
 
     One that asks for nothing has those of the default rate.
     """
-    made = partial(make, "detector", DETECTORS, Detector)
+    made = partial(make, "detector", DETECTORS, Detector, more=zoo.shipped())
     return made_by(made, spec, calibrated.DEFAULT_RATE)
 
 

@@ -246,7 +246,7 @@ class Calibrated(Detector):
         nominal = {**shown, "thresholds": "nominal"}
         other = f"take its nominal thresholds: {json.dumps(nominal)}"
         if not self.detector.has_nominal:
-            other = f"give one: {json.dumps({**shown, 'threshold': 0.9})}"
+            other = f"give a threshold: {json.dumps({**shown, 'threshold': 0.9})}"
         return (
             f"there is no calibration of {shown['name']} in {conditions.label} to set its "
             f"thresholds for {rate} false alarms an hour by. Make one with {line}, or "

@@ -160,6 +160,8 @@ def _products(node: Any, shapes: Mapping[str, Sequence[int]]) -> int:
     results = _size(shapes.get(node.output[0], []))
     if node.op_type in POOLS:
         return results * _size([size for each in node.attribute for size in _kernel_of(each)])
+    if node.op_type == "Einsum":  # at most all elements of each with all of the others
+        return int(np.prod([_size(each) for each in (first, *others)], dtype=object))
     if not first or not others:
         return 0
     if node.op_type in ("Gemm", "MatMul", "MatMulInteger", "QLinearMatMul"):
@@ -170,8 +172,6 @@ def _products(node: Any, shapes: Mapping[str, Sequence[int]]) -> int:
         return results * _size(others[2][1:])
     if node.op_type in RECURRENT:  # (length, batch, inputs), and its weights at every step
         return _size(first[:2]) * sum(map(_size, others[:2]))
-    if node.op_type == "Einsum":  # at most all elements of each with all of the others
-        return int(np.prod([_size(each) for each in (first, *others)], dtype=object))
     if node.op_type == "Attention":
         return _size(first) * _size(others[0])
     return 0

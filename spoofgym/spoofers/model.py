@@ -217,7 +217,7 @@ def _of_module(torch: Any, module: Any) -> Function:
                 f"{name_of(module)} must return actions, a tensor, got {type(answer).__name__}; a "
                 "network with a state needs a function or an ONNX file around it"
             )
-        return answer.cpu().numpy()
+        return answer.detach().cpu().numpy()
 
     return act
 

@@ -170,6 +170,7 @@ def test_the_policy_is_asked_and_not_copied(judge):
         (3, {}, TypeError, "a policy must be a model of stable-baselines3"),
         ("model.zip", {}, ValueError, "model.zip is a pickled file, which is never opened"),
         ("a.PKL", {}, ValueError, "a.PKL is a pickled file"),
+        ("C:/models/a.zip", {}, ValueError, "C:/models/a.zip is a pickled file"),
         ("nobody", {}, ValueError, "unknown spoofer 'nobody'; valid: "),
         ("nobody.onnx", {}, ValueError, "there is no ONNX file nobody.onnx"),
         (

@@ -25,10 +25,13 @@ from tools.learned_page import (
     PLAIN_FRESH_END,
     REFITS_BEGIN,
     REFITS_END,
+    TRANSFER_BEGIN,
+    TRANSFER_END,
     bar_of,
     shown,
     shown_of_plain,
     shown_of_tasks,
+    shown_of_transfer,
     taken,
 )
 from tools.pages import part_between
@@ -48,6 +51,9 @@ def test_the_page_has_the_tables_of_the_kept_results(kept):
     assert part_between(page, BEGIN, END) == f"\n{shown(kept['recipe'])}"
     assert part_between(page, FRESH_BEGIN, FRESH_END) == f"\n{shown_of_tasks(kept['fresh'])}"
     assert part_between(page, PLAIN_BEGIN, PLAIN_END) == f"\n{shown_of_plain(kept['plain'])}"
+    assert part_between(page, TRANSFER_BEGIN, TRANSFER_END) == (
+        f"\n{shown_of_transfer(kept['transfer'])}"
+    )
     fresh = part_between(page, PLAIN_FRESH_BEGIN, PLAIN_FRESH_END)
     assert fresh == f"\n{shown_of_plain(kept['plain_fresh'])}"
     assert part_between(page, REFITS_BEGIN, REFITS_END) == f"\n{table_of_refits(kept['refits'])}"

@@ -90,3 +90,8 @@ def test_a_seed_that_diverges_has_no_score_and_stops_no_other(settings, monkeypa
     assert "| T1 | plain | 3, 2 diverged | 0.0 [" in table_of(results)
     page = shown_of_plain({"T1": taken_of_plain(results)})
     assert "| 0: " in page
+
+
+def test_results_on_other_runs_say_so_and_have_a_folder_of_their_own(tmp_path):
+    here, there = (Settings(out=tmp_path, entropy=entropy).identity for entropy in (0, 1))
+    assert there == {**here, "entropy": 1}

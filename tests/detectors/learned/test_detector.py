@@ -92,6 +92,10 @@ def test_no_file_is_without_a_threshold_by_accident(tmp_path):
         with pytest.raises(ValueError, match=r"fresh\.onnx has no threshold on its card: ask for"):
             make_detector(spec)
     check_detector(str(fresh))  # which is not about thresholds
+    asked = {"name": str(fresh), "false_alarms_per_hour": RATE}
+    with pytest.raises(ValueError, match=r'or give a threshold: .*"threshold": 0\.9') as told:
+        gym.make(ID, detector=asked, timeline=FAST)
+    assert "nominal" not in str(told.value)
 
 
 def test_environments_take_a_file_and_their_spec_is_json(guard):

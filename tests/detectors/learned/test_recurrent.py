@@ -321,6 +321,12 @@ def products_of_three():
     return nodes, tensor("x", "batch", 8), tensor("y", 8, 8, 8), [zeros("w", 8, 1500)]
 
 
+def products_after_a_number():
+    nodes = [helper.make_node("Einsum", ["n", "w", "w", "w"], ["y"], equation=",ax,by,cz->abc")]
+    weights = [zeros("n"), zeros("w", 8, 1500)]
+    return nodes, tensor("x", "batch", 8), tensor("y", 8, 8, 8), weights
+
+
 def many_roots():
     nodes = [helper.make_node("Exp", [f"h{k}"], [f"h{k + 1}"]) for k in range(40)]
     return nodes, tensor("h0", "batch", 60_000), tensor("h40", "batch", 60_000), []
@@ -333,6 +339,7 @@ def many_roots():
         (long_memory, "multiplications in products of matrices"),
         (products_of_all, "multiplications in products of matrices"),
         (products_of_three, "multiplications in products of matrices"),
+        (products_after_a_number, "multiplications in products of matrices"),
         (many_roots, "results of 38,400,000 elements"),
     ],
 )
