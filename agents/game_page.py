@@ -55,7 +55,7 @@ def taken(results: dict[str, Any]) -> dict[str, Any]:
         "left_out": results["left_out"],
         "knowledge": {each["label"]: each["knowledge"] for each in last["spoofers"]},
         "detectors": whom,
-        "values": {name: row for name, row in zip(who, last["values"], strict=True)},
+        "values": dict(zip(who, last["values"], strict=True)),
         "iterations": iterations,
         "final": {name: final[name] for name in kept} | {"pool": pool_of(final["detectors_mix"])},
     }

@@ -11,14 +11,12 @@ from ..detectors import zoo
 from ..detectors.learned.card import DetectorCard, card_path
 from ..tasks import SUITE, task_of
 from .specs import label_of
-from .standard import everyone_in, in_order
-from .suite import Suite
+from .standard import everyone_in, in_order, nobody_in
 from .tables import interval
 
 FILE = "detector_cards_v1.json"
 """Stored with this module; made by `tools.detector_cards`."""
 COMMAND = "python -m tools.detector_cards {}"
-NOBODY: dict[str, Any] = {"detectors": ["never"], "spoofers": []}
 HEAD = (
     "task",
     "detector",
@@ -44,7 +42,7 @@ def classics_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
     """
     bank = next(each for each in task.task.detectors if each["name"] == "solution-separation")
     plain = {key: value for key, value in bank.items() if key != "false_alarms_per_hour"}
-    everyone = in_order(everyone_in(Suite(**task.task.world_kwargs, **NOBODY).world, rescaled=True))
+    everyone = in_order(everyone_in(nobody_in(task.task.world_kwargs).world, rescaled=True))
     return tuple(plain if each["name"] == plain["name"] else each for each in everyone)
 
 
@@ -102,11 +100,7 @@ def listed() -> list[dict[str, Any]]:
 
 def score_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
     """Rows of the table of scores, in the order of `HEAD`, the best detector of a task first."""
-    return [
-        (key, *_row(score))
-        for key, card in cards.items()
-        for score in sorted(card["detectors"], key=_hazard)
-    ]
+    return [(key, *_row(score)) for key, card in cards.items() for score in _ranked(card)]
 
 
 def card_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
@@ -114,19 +108,24 @@ def card_rows(cards: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
     return [
         (key, *_row(score), _percent(score["less_best"], bounds=True))
         for key, card in cards.items()
-        for score in sorted(card["detectors"], key=_hazard)
+        for score in _ranked(card)
     ]
 
 
 def family_rows(card: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Head and rows of P(HMI) by family [%], the best detector first."""
-    scores = sorted(card["detectors"], key=_hazard)
+    scores = _ranked(card)
     names = [each["family"] for each in scores[0]["families"]]
     rows = [
         (score["detector"], *(_percent(each["p_hmi"]) for each in score["families"]))
         for score in scores
     ]
     return ("detector", *names), rows
+
+
+def _ranked(card: dict[str, Any]) -> list[dict[str, Any]]:
+    """Scores of a card, the best detector first."""
+    return sorted(card["detectors"], key=_hazard)
 
 
 def _hazard(score: dict[str, Any]) -> float:

@@ -133,10 +133,9 @@ def make(
     """
     if isinstance(spec, str):
         spec = {"name": spec}
-    if isinstance(spec, Mapping):
-        refuse_pickle(spec.get("name"))
     if isinstance(spec, Mapping) and ":" in str(spec.get("name", "")):
         settings = dict(spec)
+        refuse_pickle(spec["name"])
         kind = load_class(settings.pop("name"), base)
         try:
             return kind(**settings)

@@ -60,4 +60,9 @@ def standard_kwargs() -> dict[str, Any]:
 
 def standard_world() -> Suite:
     """The suite with nobody in it, for what suits its world."""
-    return Suite(**standard_kwargs(), detectors=["never"], spoofers=[])
+    return nobody_in(standard_kwargs())
+
+
+def nobody_in(settings: Mapping[str, Any]) -> Suite:
+    """A suite for its world alone, by keyword arguments of a `Suite`: nobody plays."""
+    return Suite(**{**settings, "detectors": ["never"], "spoofers": []})

@@ -159,13 +159,13 @@ def standard_suite(detectors: Sequence[str] | None, settings: dict[str, Any]) ->
 
 def world_of(world: World, task: str | None = None) -> Suite:
     """A suite for its world, or that of a task, alone: nothing is looked up, and nobody plays."""
-    from ..bench.suite import Suite
+    from ..bench.standard import nobody_in
     from ..tasks import task_of
 
     if task is None:
         return uncalibrated(world, ["never"], spoofers=[])[0]
     refuse_decided(world, "--task", World.__dataclass_fields__)
-    return Suite(**{**task_of(task).suite_kwargs, "detectors": ["never"]}, spoofers=[])
+    return nobody_in(task_of(task).suite_kwargs)
 
 
 def at_rate(false_alarms_per_hour: float | None) -> Spec | None:

@@ -136,9 +136,9 @@ class Detector(ABC):
     oracle: ClassVar[bool] = False
     drifts: ClassVar[bool] = False
     calibrates: ClassVar[bool] = True
-    has_nominal: ClassVar[bool] = True
     draws: ClassVar[bool] = False
     label: ClassVar[str | None] = None
+    has_nominal: bool = True
     silent_epochs: int = 0
     memory_epochs: int = 0
     memory: Memory

@@ -75,7 +75,7 @@ class LearnedDetector(Detector):
         # these differ from file to file, so that they are the object's, not the class's
         self.label = self.card.name  # type: ignore[misc]
         self.scope, self.needs = self.judge_by.scope, self.judge_by.needs  # type: ignore[misc]
-        self.has_nominal = self.card.threshold is not None  # type: ignore[misc]
+        self.has_nominal = self.card.threshold is not None
 
     def identity(self) -> dict[str, Any]:
         """What its calibration belongs to: the content of the file, and settings, not its path."""
