@@ -175,3 +175,8 @@ def test_rows_and_figures_are_made_of_what_the_parts_return(tmp_path):
     pictures = shadmehri2025.figures(data, tmp_path)
     assert len(pictures) == 5
     assert all(path.stat().st_size > 10_000 for path in pictures)
+
+
+@pytest.mark.usefixtures("default_rate")
+def test_its_thresholds_are_the_paper_s_where_users_have_others():
+    assert play({}, {}, 2.0, 2, seed=0, attack_s=1.0, after_s=0.0).statistic.shape == (10, 2)

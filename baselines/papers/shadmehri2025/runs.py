@@ -29,7 +29,7 @@ STRETCHES_S = (5.0, 20.0, 35.0, 55.0)
 """Edges of the stretches of a clean run in which alarms are counted, after its start."""
 STATED_SD = (3.7, 6.0)
 THRESHOLD = float(stats.chi2.isf(FALSE_ALARM, 3))
-WATCHER = {"name": "windowed-chi2", "window": 1}
+WATCHER = {"name": "windowed-chi2", "window": 1, "thresholds": "nominal"}
 
 MARKOV = {"horizontal_sd_m": 1.6, "vertical_sd_m": 3.0, "decay": 0.999}
 WHITE = {"horizontal_sd_m": 3.7, "vertical_sd_m": 6.0, "decay": 0.0}
