@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 
 from spoofgym.bench.dataset import load
+from spoofgym.detectors import Calibration
+from spoofgym.detectors.calibration import FOLDER_VARIABLE
+from spoofgym.simulators import calibration
 from spoofgym.tasks import TASKS
 
 from .command_line import SHORT, call, refused
@@ -54,6 +57,29 @@ def test_the_world_of_a_task_has_its_detector_and_its_optima(monkeypatch):
     assert config["length_m"] == TASKS["T3"].alert_limit_m
     assert {"feedback", "blind-optimum"} <= {*config["families"]}
     assert config["detector"]["name"] == "snapshot-chi2"
+
+
+@pytest.fixture
+def few(tmp_path, monkeypatch):
+    """A calibration takes 60 runs, into a folder of its own."""
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "own"))
+    monkeypatch.setattr(calibration, "PASSIVE_RUNS", 60)
+
+
+def test_a_calibration_that_is_missing_is_made(few, tmp_path):
+    line = ["dataset", "data", *SHORT, *SMALL, "--scenario", "trolley", "--tuning", "matched"]
+    line += ["--detector", "snapshot-chi2:false_alarms_per_hour=20"]
+    made = call(*line)
+    assert made.exit_code == 0, made.output
+    (file,) = (tmp_path / "own").rglob("snapshot-chi2-*.json")
+    (threshold,) = load("data").config["threshold"]
+    assert threshold[0] == Calibration.load(file).point(20.0).scale
+
+
+def test_who_can_not_be_watched_is_refused_before_anything_is_calibrated(few, tmp_path):
+    line = ["dataset", "data", *SHORT, *SMALL, "--detector", "ewma:false_alarms_per_hour=20"]
+    assert "must be passive" in refused(*line)
+    assert not (tmp_path / "own").exists()
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from ..detectors.calibrated import factors_of
 from ..detectors.learned.agent import DetectorAgent
 from ..detectors.learned.observer import make_detector_terms, written_terms
 from ..simulators.base import Simulator, run_serially
+from ..simulators.calibration import inner_detectors
 from ..simulators.clean_runs import weighs
 from ..simulators.monitors import PassiveDetectors
 from ..simulators.setup import Setup
@@ -113,7 +114,8 @@ class Plan:
         if self.families is None:
             found = tuple(name for name in FAMILIES if not missing.get(name))
             object.__setattr__(self, "families", found)
-        if self.detector is not None and weighs(self.setup, self.judge):
+        # whatever its thresholds, which may still be to be calibrated
+        if any(weighs(self.setup, each) for each in inner_detectors(self.judge)):
             raise ValueError(
                 "the detector that feedback sees must be passive, since the receiver that learns "
                 f"has another one in its place, but {self.detector!r} de-weights"

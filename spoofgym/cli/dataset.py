@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +11,7 @@ import typer
 from . import options as opt
 from .options import World, with_world
 from .output import print_json, print_table, progress
-from .suites import specs_of, world_of
+from .suites import calibrate_with_progress, specs_of, world_of
 
 if TYPE_CHECKING:
     from ..bench.dataset import Plan
@@ -81,7 +82,7 @@ def dataset(
     chosen["spoofers"] = specs_of(spoofer or ())
     if term:
         chosen["terms"] = specs_of(term)
-    plan = _plan(world, detector, alert_limit_m, chosen)
+    plan = _plan(world, detector, alert_limit_m, chosen, threads)
     make_room(out, plan, overwrite=overwrite)
     with progress(sum(plan.runs.values())) as bar:
         manifest = write(out, plan, threads=threads, progress=bar)
@@ -99,9 +100,13 @@ def dataset(
 
 
 def _plan(
-    world: World, detector: str | None, alert_limit_m: float | None, chosen: dict[str, Any]
+    world: World,
+    detector: str | None,
+    alert_limit_m: float | None,
+    chosen: dict[str, Any],
+    threads: int | None,
 ) -> Plan:
-    """The plan of the options; `chosen`: what it takes as it is."""
+    """The plan of the options, its detector calibrated; `chosen`: what it takes as it is."""
     from .._registry import check_finite
     from ..bench.dataset import Plan
     from ..bench.task_cards import optima_of
@@ -116,7 +121,10 @@ def _plan(
         check_finite("alert_limit_m", alert_limit_m, "> 0")
     limit = suite.alert_limit_m if alert_limit_m is None else alert_limit_m
     optima = optima_of(task) if task else ()
-    return Plan(suite.world, limit, detector=guard, optima=optima, **chosen)
+    plan = Plan(suite.world, limit, detector=guard, optima=optima, **chosen)
+    if guard is not None:
+        calibrate_with_progress(replace(suite, detectors=[guard]), threads)
+    return plan
 
 
 def _summary(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
