@@ -82,6 +82,7 @@ def _env_kwargs(run: ProfileRun) -> dict[str, Any]:
         **describe(suite.given),
         "detector": run.detector.spec,
         "attack": dict(suite.config["attack"]),
+        "action": {"name": "full-command"},  # of any rate that the attack allows
         "timeline": {k: v for k, v in suite.config["timeline"].items() if k != "kind"},
         "knowledge": "blind",
         "target_heading_deg": run.settings.search.heading_deg,

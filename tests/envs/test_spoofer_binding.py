@@ -201,15 +201,12 @@ def test_a_shipped_profile_is_compared_by_its_card(
 def test_a_shipped_spoofer_plays_the_environment_of_its_card(name: str) -> None:
     """Also where that looks its thresholds up by a rate of false alarms."""
     card = card_of(name)
-    # some profiles ask for more than the default action, a rate of up to 1 m/s, can command
-    action = {"action": "full-command"} if card.kind == "profile" else {}
-    settings = {**action, **card.env_kwargs}
-    envs = gym.make_vec(card.env_id, num_envs=2, **settings)
+    envs = gym.make_vec(card.env_id, num_envs=2, **card.env_kwargs)
     spoofer = attach(name, envs)
     observation, _ = envs.reset(seed=1)
     assert envs.action_space.contains(spoofer.act(observation).astype(np.float32))
     envs.close()
-    other = {**settings, "detector": {"name": "cusum", "thresholds": "nominal"}}
+    other = {**card.env_kwargs, "detector": {"name": "cusum", "thresholds": "nominal"}}
     with pytest.raises(ValueError, match="detector"):
         attach(name, gym.make_vec(card.env_id, num_envs=2, **other))
 
