@@ -61,6 +61,9 @@ class World(Protocol):
     def conditions(self) -> Conditions:
         """What a clean run depends on."""
 
+    def check_fit(self, detector: Detector) -> None:
+        """Raise a ValueError where a detector, with any thresholds, can't judge here."""
+
 
 @dataclass
 class Calibrated(Detector):
@@ -344,11 +347,18 @@ def identity_of(detector: Detector) -> dict[str, Any]:
 
 
 def resolve(detector: Detector, world: World) -> None:
-    """Look up the factors of a detector, or of the members of a pool, that are not known yet."""
+    """Look up the factors of a detector, or of the members of a pool, that are not known yet.
+
+    Where there are none, that it can't judge here at all is the first thing to be said.
+    """
     parts = detector.judges if isinstance(detector, PooledDetector) else (detector,)
     for part in parts:
         if isinstance(part, Calibrated) and part.is_unknown_in(world):
-            part.look_up(world)
+            try:
+                part.look_up(world)
+            except ValueError:
+                world.check_fit(part.detector)
+                raise
 
 
 def factors_of(detector: Detector) -> list[tuple[float | None, tuple[float, ...] | None]]:

@@ -315,6 +315,11 @@ class Setup(ABC):
     def simulator(self, receivers: int, run: Run) -> Any:
         """`Simulator` of B receivers of this victim, not begun yet."""
 
+    def check_fit(self, detector: Detector) -> None:
+        """Raise a ValueError where a detector can't judge this victim."""
+        fitted = self.altered(detector=detector, monitors=())
+        fitted.simulator(1, lambda work, receivers: work(0, receivers))
+
     def command(
         self, before: FloatArray, action: FloatArray, epoch: int | NDArray[np.int64]
     ) -> FloatArray:

@@ -354,3 +354,19 @@ def test_the_default_detector_of_each():
         "WheeledRobot": "Acna",
     }
     assert made["LooselyCoupled"].detector.window == LOOSE["window"]
+
+
+@pytest.mark.usefixtures("default_rate")
+@pytest.mark.parametrize(
+    ("detector", "message"),
+    [
+        ("raim", "Raim measures satellites, but the receiver measures position"),
+        ({"name": "pool", "members": ["raim", "ewma"]}, "Raim measures satellites"),
+        ("rio", "Rio needs .*, which a snapshot receiver does not have"),
+        ({"name": "windowed-chi2", "window": 900}, "shorten its windows"),
+    ],
+)
+def test_who_can_not_judge_is_not_told_to_be_calibrated(detector, message):
+    name = "Snapshot" if detector == "rio" else "LooselyCoupled"
+    with pytest.raises(ValueError, match=message):
+        gym.make(f"spoofgym/{name}-v0", detector=detector)
