@@ -24,7 +24,7 @@ tests_ray := tests/envs tests/duel tests/test_sb3.py tests/docs/test_duel.py tes
 .DEFAULT_GOAL := help
 bench_detectors = $(addprefix --detector ,solution-separation aime:signals=range_rate \
 	sequential-chi2:signals=range_rate snapshot-chi2 ewma)
-.PHONY: help venv bench test test-cpus test-ray check docs perf benchmarks train learn
+.PHONY: help venv bench test test-nightly test-cpus test-ray check docs perf benchmarks train learn
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile
@@ -36,6 +36,9 @@ bench: $(VENV)/.installed-bench ## play a part of the standard suite and write i
 
 test: $(VENV)/.installed-test ## run all tests; a part of them with ARGS="-k word"
 	$(python) -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
+
+test-nightly: $(VENV)/.installed-test ## the long lists, with all that the pages let one run; hours
+	$(python) -m pytest -n $(WORKERS) -m nightly $(ARGS)
 
 test-cpus: $(VENV)/.installed-test ## test on other kinds of processors that the same bits come out; some with ARGS="haswell znver4"
 	$(python) -m tests.cpus $(ARGS)

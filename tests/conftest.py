@@ -50,8 +50,9 @@ os.environ["MPLBACKEND"] = WINDOW
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Let one try more moments than usual at which a campaign is interrupted."""
+    """Let one try more moments of an interrupt than usual, and the long lists."""
     parser.addoption("--interrupts", type=int, default=20, help="moments of an interrupt")
+    parser.addoption("--nightly", action="store_true", help="also the long lists, marked nightly")
 
 
 @pytest.fixture(autouse=True)
@@ -127,8 +128,15 @@ def place_of(item: pytest.Item) -> int:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Order the files, and mark the users of `data_folder` before -m selects by marker."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Order the files, mark the users of `data_folder` before -m selects, leave nightly tests out.
+
+    They are in where ``--nightly`` is given, or -m names them; another -m does not bring them in.
+    """
+    if not (config.getoption("nightly") or "nightly" in config.getoption("markexpr")):
+        nightly = [item for item in items if item.get_closest_marker("nightly")]
+        config.hook.pytest_deselected(items=nightly)
+        items[:] = [item for item in items if item not in nightly]
     items.sort(key=place_of)  # and else as they were found
     for item in items:
         if "data_folder" in getattr(item, "fixturenames", ()):

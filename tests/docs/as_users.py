@@ -1,0 +1,129 @@
+"""What the pages let their reader run, in the order of a page, and what of it is made smaller."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from .pages import ROOT
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+COMMANDS, CODE = ("console", "bash", "sh"), "python"
+SHOWN = {
+    "text": "a drawing",
+    "json": "a result",
+    "{eval-rst}": "`make docs` builds them",
+}
+"""Languages of blocks that are nothing to run, and what they are."""
+NEEDS = {"ray": "`make test-ray` runs them, in an environment of its own"}
+"""What blocks of Python need that the environment of the tests can't have, and who runs them."""
+CODE_FIRST = {"docs/catalogue.md": "its commands play the file that its code writes"}
+BESIDE = {
+    "docs/train_your_own.md": [
+        "spoofgym run --scenario trolley --tuning matched --detector snapshot-chi2 "
+        "--spoofer runs/my-first/my-first.onnx --out runs/my-first/elsewhere.png"
+    ]
+}
+"""Commands that a page gives but for the words that do not change."""
+LEARNING = "--steps 200 --num-envs 4 --batch-size 400 --stages 1 --fit-runs 80 --runs 20 --rivals"
+CAMPAIGN = "--seeds 8 --training-seeds 80 --selection-seeds 12"
+SMALLER: dict[str, tuple[str | None, str]] = {
+    r"pip install ": (None, "the tests' environment has them; test_readme compares the extras"),
+    r"make test$": (None, "the other list, which is run beside this one"),
+    r"python -m tools\.frozen ": (None, "needs a commit; tests/tools has tests of it"),
+    r"python -m tools\.transfer ": (
+        None,
+        "asks for two calibrations first, and takes 14 minutes; tests/tools has tests of it",
+    ),
+    r"python -m tools\.learned_page ": (
+        None,
+        "its tables are those of hours of training; tests/tools has tests of it",
+    ),
+    r"python -m tools\.game_page ": (None, "as that"),
+    r"python -m train\.double_oracle ": (
+        "--iterations 1 --runs 24 --selection-runs 16 --sift-runs 8 --values 2 --search-runs 0 "
+        "--generations 1 --ppo-steps 0",
+        "36 minutes",
+    ),
+    r"python -m train\.ppo_spoofer ": (f"{LEARNING} --seeds 0", "12 to 35 minutes each"),
+    r"python -m train\.plain_ppo ": (
+        "--steps 400 --stages 1 --fit-runs 80 --runs 20 --seeds 0",
+        "a quarter of an hour a seed",
+    ),
+    r"python -m train\.spoofers ": (None, "180 trainings; tests/train plays it small"),
+    r"python -m tools\.refits ": (None, "hours; tests/tools plays it small"),
+    r"python -m tools\.task_cards ": (None, "hours; tests/tools plays it small"),
+    r"python -m tools\.detector_cards ": (None, "over an hour; tests/tools plays it small"),
+    r"spoofgym bench --detector all ": (CAMPAIGN, "1000 runs against every detector"),
+    r"spoofgym bench --suite standard$": (CAMPAIGN, "searches against every detector"),
+}
+"""How commands begin that would take more than some ten minutes or can't run here; with what
+options they run instead, None where they do not; and why."""
+SPAN = re.compile(r"(?<!`)`((?:spoofgym|python -m|make) [^`\n]* ?--[^`\n]*)`(?!`)")
+"""A command within a sentence, with options: one without is the name of a program."""
+PLACEHOLDER = re.compile(r"\b(NAME|COMMIT|KEY)\b")
+PART = re.compile(
+    r"(?:<!-- needs (?P<needs>\w+) -->\n)?^ *```(?P<language>[^`\s]+)\n(?P<text>.*?)^ *```$"
+    r"|Saved as `(?P<saved>\w+\.py)`"
+    rf"|{SPAN.pattern}",
+    flags=re.DOTALL | re.MULTILINE,
+)
+
+
+class Step(NamedTuple):
+    """A command or a block of code of a page, or a file that its reader saves."""
+
+    kind: str
+    text: str
+    needs: str = ""
+
+
+def name_of(page: Path) -> str:
+    """A page's path in the checkout."""
+    return page.relative_to(ROOT).as_posix()
+
+
+def languages_of(page: Path) -> set[str]:
+    """Languages of a page's blocks."""
+    return {found["language"] for found in PART.finditer(page.read_text()) if found["language"]}
+
+
+def steps_of(page: Path) -> list[Step]:
+    """Everything that a page has one run, as it stands there."""
+    found: list[Step] = []
+    for part in PART.finditer(page.read_text()):
+        if part["saved"]:
+            code = next(step.text for step in reversed(found) if step.kind == CODE)
+            found.append(Step(part["saved"], code))
+        elif part["language"] == CODE:
+            found.append(Step(CODE, part["text"], part["needs"] or ""))
+        elif part["language"] in COMMANDS:
+            found += [Step("command", line) for line in lines_of(part["text"])]
+        elif not part["language"] and not PLACEHOLDER.search(part[0]):
+            found.append(Step("command", part[0].strip("`")))
+    found += [Step("command", line) for line in BESIDE.get(name_of(page), ())]
+    first = name_of(page) in CODE_FIRST
+    return sorted(found, key=lambda step: step.kind == "command") if first else found
+
+
+def lines_of(block: str) -> list[str]:
+    """Commands of a block, without their comments."""
+    lines = re.sub(r"\\\n\s*", "", block).splitlines()
+    return [bare for line in lines if (bare := re.sub(r"(^|\s+)# .*", "", line).strip())]
+
+
+def form_of(command: str) -> str | None:
+    """What is run of a command, None for nothing."""
+    plain = command.removeprefix(".venv/bin/")
+    for begin, (options, _) in SMALLER.items():
+        if re.match(begin, plain):
+            return None if options is None else with_options(command, options)
+    return command
+
+
+def with_options(command: str, options: str) -> str:
+    """A command with these options in place of those that it has."""
+    for flag in re.findall(r"--[a-z-]+", options):
+        command = re.sub(rf" {flag}(?: (?!--)\S+)*", "", command)
+    return f"{command} {options}"
