@@ -52,6 +52,7 @@ os.environ["MPLBACKEND"] = WINDOW
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let one try more moments than usual at which a campaign is interrupted."""
     parser.addoption("--interrupts", type=int, default=20, help="moments of an interrupt")
+    parser.addoption("--nightly", action="store_true", help="run the tests marked nightly, too")
 
 
 @pytest.fixture(autouse=True)
@@ -133,6 +134,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "data_folder" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.data)
+    if not items or items[0].config.getoption("--nightly"):
+        return
+    nightly = [item for item in items if item.get_closest_marker("nightly")]
+    if nightly:
+        items[:] = [item for item in items if not item.get_closest_marker("nightly")]
+        nightly[0].config.hook.pytest_deselected(items=nightly)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -5,17 +5,12 @@ runner     what is missing, computed here, in processes, or on a cluster
 identity   what results depend on besides settings: code, versions, files
 """
 
-from .runner import Context, Experiment, Interrupted, parse_shard, run
-from .store import Cell, Reader, Result, Store
-
-__all__ = [
-    "Cell",
-    "Context",
-    "Experiment",
-    "Interrupted",
-    "Reader",
-    "Result",
-    "Store",
-    "parse_shard",
-    "run",
-]
+from .runner import Context as Context
+from .runner import Experiment as Experiment
+from .runner import Interrupted as Interrupted
+from .runner import parse_shard as parse_shard
+from .runner import run as run
+from .store import Cell as Cell
+from .store import Reader as Reader
+from .store import Result as Result
+from .store import Store as Store

@@ -10,6 +10,7 @@ leaves all of them to one shard.
 
 from __future__ import annotations
 
+import asyncio
 import heapq
 import importlib
 import os
@@ -104,29 +105,11 @@ def run(
     shard: tuple[int, int] | None = None,
     progress: ProgressBar | None = None,
 ) -> Reader:
-    """Compute the cells that are not finished, and return all that are.
+    """Compute the cells that are not finished; results of all cells, other shards' too.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        What is run.
-    store : Store
-        Opened here, if it is not yet.
-    jobs : int
-        Processes of this machine; 1 computes here.
-    backend : str
-        ``"local"``, ``"dask"`` or ``"ray"``; with ``":address"`` on a cluster that runs already.
-    threads : int, optional
-        Threads of the engine in each process.
-    shard : tuple of int, optional
-        (i, n): the i-th of n parts of all cells, from 1 on.
-    progress : callable, optional
-        Opens a bar for an amount of work, such as `show_progress`.
-
-    Returns
-    -------
-    Reader
-        Of all cells, other shards' too.
+    `jobs`: processes of this machine, 1 computes here; `backend`: "local", "dask" or "ray", with
+    ":address" on a cluster that runs already; `threads`: of the engine in each process; `shard`:
+    (i, n), the i-th of n parts from 1 on; `progress`: opens a bar, such as `show_progress`.
     """
     jobs = whole_number("`jobs`", jobs, 1)
     kind = backend.partition(":")[0]
@@ -393,15 +376,22 @@ def _dask(work: Send, address: str, jobs: int, threads: int) -> Iterator[_Worker
                 n_workers=jobs, threads_per_worker=1, dashboard_address=None, memory_limit=None
             )
             stack.enter_context(where)
-        try:
-            client = distributed.Client(where, timeout=CONNECT_S, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise _no_answer("dask", address) from error
+        else:  # a client would wait for minutes
+            try:
+                asyncio.run(_reach(distributed.comm.connect, address))
+            except (OSError, ValueError, TimeoutError) as error:
+                raise _no_answer("dask", address) from error
+        client = distributed.Client(where, set_as_default=False)
         stack.enter_context(client)
         pool = client.get_executor(pure=False)
         died = distributed.scheduler.KilledWorker, distributed.CancelledError
         slots = lambda: max(1, len(client.nthreads()))  # noqa: E731
         yield _Workers(lambda task, _: pool.submit(work, task), slots, died)
+
+
+async def _reach(connect: Any, address: str) -> None:
+    comm = await asyncio.wait_for(connect(address, timeout=CONNECT_S), CONNECT_S)
+    comm.abort()
 
 
 @contextmanager

@@ -127,7 +127,7 @@ def test_progress_adds_up_to_the_work_that_is_left(tmp_path: Path) -> None:
 
 def test_processes_leave_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
     seen: list = []
-    run(Numbers(), Store(tmp_path), jobs=3, threads=2, progress=lambda _: bar_of(seen))
+    run(Numbers(), Store(tmp_path), jobs=2, threads=2, progress=lambda _: bar_of(seen))
     assert content(tmp_path) == whole
     assert sum(amount for amount, _ in seen) == sum(cell.work for cell in Numbers().cells())
 
@@ -261,7 +261,7 @@ def test_a_killed_worker_is_one_line_and_the_same_command_goes_on(
     assert "a worker was killed" in line
     assert "draw-1" in line
     assert content(out).items() < whole.items()
-    subprocess.run(command, check=True)
+    run(Numbers(kills=str(kill)), Store(out))
     assert content(out) == whole
 
 
@@ -289,7 +289,7 @@ def test_ctrl_c_keeps_what_is_finished_and_ends_the_workers(
     assert f"in {tmp_path}; the same command goes on" in line
     with pytest.raises(ProcessLookupError):  # no worker is left
         wait_for_group(process.pid)
-    assert {} < content(tmp_path) < whole if False else len(content(tmp_path)) < len(whole)
+    assert content(tmp_path).items() < whole.items()
     run(Numbers(), Store(tmp_path))
     assert content(tmp_path) == whole
 
