@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import hashlib
 import inspect
@@ -20,6 +21,7 @@ LIBRARIES = {"spoofgym", "numpy", "pandas", *sys.stdlib_module_names}
 """Packages that versions and digests of their own stand for."""
 OMITTED = {"omitted": True}
 """Metadata of a field whose default is not written down, since records are older than it."""
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 INSTALLED = {"site-packages", "dist-packages"}
 
 
@@ -112,7 +114,22 @@ def _within(value: Any) -> Iterator[Any]:
 
 
 def _digest_of_file(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    content = path.read_bytes()
+    return digest_of_code(content) if path.suffix == ".py" else digest_of_bytes(content)
+
+
+def digest_of_bytes(content: bytes) -> str:
+    """Digest of the content of a file."""
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def digest_of_code(source: bytes) -> str:
+    """Digest of what Python source does: neither comments nor docstrings nor layout count."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
+            node.body = node.body[1:] or [ast.Pass()]
+    return digest_of_bytes(ast.dump(tree).encode())
 
 
 def _is_outside(module: str, kind: type) -> bool:

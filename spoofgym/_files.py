@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import re
+import time
 import uuid
 import zlib
 from collections.abc import Iterator
@@ -12,6 +13,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _PART = re.compile(r"spoofgym-([0-9a-f]{8})-(\d+)-[0-9a-f]{32}\.part")
+STALE_S = 7 * 86_400.0
+"""Age at which a temporary file counts as left behind, also by another machine."""
 
 
 def write_file(path: Path, content: bytes, *, exclusive: bool = False) -> None:
@@ -49,15 +52,31 @@ def _link(part: Path, path: Path) -> None:
         raise
     except OSError:  # a file system without hard links
         with path.open("xb") as file:
-            file.write(part.read_bytes())
+            try:
+                file.write(part.read_bytes())
+            except BaseException:
+                path.unlink(missing_ok=True)
+                raise
 
 
 def remove_stale_parts(folder: Path) -> None:
-    """Remove temporary files of processes of this machine that have died."""
+    """Remove temporary files of dead processes of this machine, and of any where they are old."""
     for part in folder.glob("spoofgym-*.part"):
         found = _PART.fullmatch(part.name)
-        if found and found[1] == _machine() and not _may_live(int(found[2])):
+        if found and (_is_dead(found[1], int(found[2])) or _is_old(part)):
             part.unlink(missing_ok=True)
+
+
+def _is_dead(machine: str, process: int) -> bool:
+    return machine == _machine() and not _may_live(process)
+
+
+def _is_old(part: Path) -> bool:
+    """Whether a file was written so long ago that no writer can still be at it."""
+    try:
+        return time.time() - part.stat().st_mtime > STALE_S
+    except FileNotFoundError:  # its writer has finished
+        return False
 
 
 def _machine() -> str:

@@ -14,9 +14,25 @@ campaign   all cells, each kept as soon as it is finished
 summary    the scores of a campaign, read from its folder
 """
 
-from .campaign import run_campaign
-from .store import ResultsFolder
-from .suite import Suite, Tuning
-from .summary import summarize
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .campaign import run_campaign
+    from .store import ResultsFolder
+    from .suite import Suite, Tuning
+    from .summary import summarize
 
 __all__ = ["ResultsFolder", "Suite", "Tuning", "run_campaign", "summarize"]
+
+_PLACES = {
+    **{"ResultsFolder": "store", "Suite": "suite", "Tuning": "suite"},
+    **{"run_campaign": "campaign", "summarize": "summary"},
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import on demand: a worker that only needs a store loads nothing else."""
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)

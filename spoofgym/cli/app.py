@@ -47,6 +47,11 @@ def clear_errors(function: Callable[P, R]) -> Callable[P, R]:
                 text = f"{error.filename}: {error.strerror}"
             typer.echo(f"spoofgym: error: {text}", err=True)
             raise typer.Exit(2) from error
+        except KeyboardInterrupt as error:
+            if not str(error):
+                raise
+            typer.echo(f"spoofgym: {error}", err=True)  # what is finished
+            raise typer.Exit(INTERRUPTED) from error
 
     return wrapped
 

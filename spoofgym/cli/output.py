@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import json
-import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
 
 import typer
 
-from .. import _threads
+from .._progress import ProgressCallback, show_progress
 from .app import signals
-
-if TYPE_CHECKING:
-    from ..bench.campaign import Progress
 
 
 def print_json(value: Any) -> None:
@@ -51,52 +45,7 @@ def print_table(
     console.print(table)
 
 
-REFRESH_S = 0.1
-"""How often the time in a progress bar is drawn anew."""
-
-
-@dataclass(frozen=True)
-class _Bar:
-    """Progress of a campaign on the terminal, by `update` of its task."""
-
-    update: Callable[..., None]
-
-    def advance(self, amount: float, now: str) -> None:
-        """Show it; end here where an interrupt was lost, as in a destructor."""
-        if signals:
-            raise KeyboardInterrupt
-        if amount > 0.0:
-            self.update(advance=amount, description=now)
-
-
-@contextmanager
-def progress(total: float) -> Iterator[Progress]:
+def progress(total: float) -> AbstractContextManager[ProgressCallback]:
     """Show how far a command is, until it ends."""
-    import rich.progress as bars
-    from rich.console import Console
-
-    shown = bars.Progress(
-        bars.TextColumn("{task.description}"),
-        bars.BarColumn(),
-        bars.TextColumn("{task.percentage:3.0f} %"),
-        bars.TimeElapsedColumn(),
-        bars.TextColumn("left"),
-        bars.TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        auto_refresh=False,  # its thread is one that nobody waits for
-    )
-    task = shown.add_task("compiling, a minute the first time", total=max(total, 1e-9))
-    over = threading.Event()
-
-    def refresh() -> None:
-        while not over.wait(REFRESH_S):
-            shown.refresh()
-
-    with shown:
-        thread = _threads.start(refresh, over.set, "spoofgym-progress")
-        try:
-            yield _Bar(functools.partial(shown.update, task))
-        finally:
-            over.set()
-            thread.join()
+    start = "compiling, a minute the first time"
+    return show_progress(total, start=start, interrupted=lambda: signals)

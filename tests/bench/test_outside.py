@@ -84,13 +84,13 @@ def suites() -> dict[str, Suite]:
 
 @pytest.mark.parametrize(
     "edit",
-    [{"detector": DETECTOR + "\n# another\n"}, {"helper": "SCALE = 2.0\n"}],
+    [{"detector": DETECTOR + "\nANOTHER = 1\n"}, {"helper": "SCALE = 2.0\n"}],
     ids=["its file", "what it imports"],
 )
 def test_an_edited_class_is_another_campaign(folder: Path, edit: dict[str, str]) -> None:
     for name, suite in suites().items():
         ResultsFolder(folder / name).open(suite)
-    forget()
+    write(folder, DETECTOR + "\n# a comment\n")
     for name, suite in suites().items():
         ResultsFolder(folder / name).open(suite)
     write(folder, **edit)

@@ -1,0 +1,75 @@
+"""What results depend on besides their settings: the code that computes, versions, and files."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import platform
+from collections.abc import Iterable
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+
+from ..._describe import digest_of, digest_of_bytes, digest_of_code
+from ..._files import write_file
+from ..._jit import cache_parent
+
+PACKAGES = ("numpy", "scipy", "numba", "onnxruntime")
+NOT_COMPUTING = {"cli", "report", "testing", "__main__", "_progress", "_files", "runner"}
+"""Names of packages and modules that no number depends on."""
+LIBRARY = Path(__file__).parents[2]
+KNOWN, MOST_KNOWN = "sources.json", 5_000
+"""File of digests by the bytes of their source, in the cache folder, and how many it keeps."""
+
+
+def code_identity(packages: Iterable[str] = (), sources: Iterable[Path] = ()) -> dict[str, str]:
+    """Digest of the library's code, and versions; of further packages and folders, where given.
+
+    Comments, docstrings and layout do not count, nor does what is `NOT_COMPUTING`.
+    """
+    return {
+        "sources": digest_of_sources(LIBRARY, *sources),
+        "python": platform.python_version(),
+        **{name: version(name) for name in (*PACKAGES, *packages)},
+    }
+
+
+@functools.cache
+def digest_of_sources(*folders: Path) -> str:
+    """Digest of the code in some folders; as it was at the first call in this process."""
+    known = _known()
+    before = len(known)
+    found = [
+        (folder.name, path.relative_to(folder).as_posix(), _digest_of_module(path, known))
+        for folder in folders
+        for path in sorted(folder.rglob("*.py"))
+        if not NOT_COMPUTING & {*path.relative_to(folder).with_suffix("").parts}
+    ]
+    if len(known) > before:
+        text = json.dumps(dict([*known.items()][-MOST_KNOWN:]))
+        with suppress(OSError):  # it only saves the time to parse
+            write_file(cache_parent() / KNOWN, text.encode())
+    return digest_of(found)
+
+
+def _known() -> dict[str, str]:
+    """Digests that were computed before; parsing all of the library takes seconds."""
+    try:
+        found = json.loads((cache_parent() / KNOWN).read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _digest_of_module(path: Path, known: dict[str, str]) -> str:
+    content = path.read_bytes()
+    key = f"{platform.python_version()} {hashlib.sha256(content).hexdigest()}"
+    if key not in known:
+        known[key] = digest_of_code(content)
+    return known[key]
+
+
+def file_identity(*paths: Path) -> dict[str, str]:
+    """Digests of files that are read, by name."""
+    return {path.name: digest_of_bytes(path.read_bytes()) for path in paths}

@@ -1,0 +1,329 @@
+"""Results of an experiment in a folder: one file a cell, complete or absent.
+
+The bytes of a file are a function of the cell and of what it has returned alone.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import shutil
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from ..._describe import differences, digest_of
+from ..._files import remove_stale_parts, write_file
+from .identity import code_identity
+
+FORMAT = 1
+CONFIG, CELLS = "config.json", "cells"
+HEAD, RECORD, ARRAY, FILES = "head.json", "record.json", ".npy", "files/"
+"""Members of a cell's file: what it is of, what is no array, arrays as in any .npz, and files."""
+DATE = (1980, 1, 1, 0, 0, 0)
+LONGEST_NAME, SHOWN = 100, 5
+DAMAGED = (
+    *(ValueError, KeyError, TypeError, EOFError, NotImplementedError, RuntimeError),
+    *(zipfile.BadZipFile, zlib.error, struct.error),
+)
+
+
+class Cell(NamedTuple):
+    """A part of an experiment that is computed and kept as one.
+
+    - `key`: its name in the experiment;
+    - `identity`: all that its result depends on and `config` of the experiment doesn't say, JSON;
+    - `work`: how long it takes, in a unit of the experiment's; not of what is finished;
+    - `after`: keys of cells that have to be finished before, whose results it may read;
+    - `group`: cells of one group are computed in one call, such as detectors in one pass.
+    """
+
+    key: str
+    identity: Mapping[str, Any]
+    work: float = 1.0
+    after: tuple[str, ...] = ()
+    group: str = ""
+
+
+class Result(NamedTuple):
+    """What a cell has returned: arrays, a record that is JSON, and files, by name.
+
+    Nothing in it may depend on the time, the machine or the cells that are computed with it.
+    """
+
+    arrays: Mapping[str, NDArray[Any]] = {}  # never written to
+    record: Any = None
+    files: Mapping[str, bytes] = {}
+    deflated: bool = False
+
+
+class Store:
+    """A folder of results, opened for one experiment; it can be pickled."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._config: dict[str, Any] | None = None
+
+    def open(
+        self,
+        experiment: str,
+        config: Mapping[str, Any],
+        *,
+        outputs: Sequence[str] = (),
+        overwrite: bool = False,
+    ) -> None:
+        """Start an experiment in the folder, or go on with it; raise where it holds another.
+
+        `outputs`: names of what is written there besides cells; `overwrite` removes them, too.
+        """
+        if self.path.exists() and not self.path.is_dir():
+            raise ValueError(f"{self.path} is not a folder; choose another one")
+        for folder in (self.path, self.path / CELLS):
+            remove_stale_parts(folder)
+        mine = {"experiment": experiment, "format": FORMAT, "code": code_identity()}
+        mine = json.loads(_json({**mine, "config": config}, f"config of {experiment}"))
+        if (self.path / CONFIG).is_file():
+            if overwrite:
+                self._found()
+                self._remove(outputs)
+        elif strange := self._content():
+            raise ValueError(
+                f"{self.path} is not empty and holds no {CONFIG} of an experiment "
+                f"({', '.join(strange[:SHOWN])}); choose another folder"
+            )
+        try:
+            self._write(self.path / CONFIG, _json(mine, CONFIG, indent=1), exclusive=True)
+        except FileExistsError:
+            self._check_config(mine)
+        self._config = mine
+
+    def _content(self) -> list[str]:
+        items = self.path.iterdir() if self.path.is_dir() else ()
+        return sorted(item.name for item in items if not item.name.endswith(".part"))
+
+    def _found(self) -> dict[str, Any]:
+        """Configuration in the folder, of this format."""
+        path = self.path / CONFIG
+        try:
+            found = json.loads(path.read_bytes())
+        except ValueError as error:
+            raise ValueError(f"{path} is damaged ({error}); choose another folder") from error
+        if not isinstance(found, dict) or not {"experiment", "format", "config"} <= {*found}:
+            raise ValueError(
+                f"{path} is of an older format, or of another program; choose another folder"
+            )
+        if found["format"] != FORMAT:
+            raise ValueError(
+                f"{path} has the format {found['format']!r}, and this version of spoofgym reads "
+                f"{FORMAT}; choose another folder"
+            )
+        return found
+
+    def _check_config(self, mine: Mapping[str, Any]) -> None:
+        found = self._found()
+        if found["experiment"] != mine["experiment"]:
+            raise ValueError(
+                f"{self.path} holds the experiment {found['experiment']!r} and not "
+                f"{mine['experiment']!r}; choose another folder"
+            )
+        if found != mine:
+            raise ValueError(
+                f"{self.path} holds other results ({_unlike(found, mine)}); choose another folder, "
+                "or overwrite them"
+            )
+
+    def _remove(self, outputs: Iterable[str]) -> None:
+        """Remove what an experiment writes, and nothing else; what says whose it is comes last."""
+        if (self.path / CELLS).is_dir():
+            shutil.rmtree(self.path / CELLS)
+        for name in (*outputs, CONFIG):
+            (self.path / name).unlink(missing_ok=True)
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """What the folder was opened for: experiment, format, code, and the experiment's config."""
+        if self._config is None:
+            raise ValueError(f"{self.path} has not been opened for an experiment")
+        return self._config
+
+    def check_code(self) -> None:
+        """Raise where this process has other code or versions than the one that opened it."""
+        if unlike := _unlike(code_identity(), self.config["code"]):
+            raise ValueError(f"a worker has other code than {self.path}: {unlike}")
+
+    def path_of(self, key: str) -> Path:
+        """File of a cell."""
+        name = re.sub(r"[^A-Za-z0-9._=]+", "-", key).strip("-.")[:LONGEST_NAME]
+        whole = name if name == key else f"{name}--{digest_of(key)[:8]}"
+        return self.path / CELLS / f"{whole}.npz"
+
+    def has(self, cell: Cell) -> bool:
+        """Whether a cell is finished; raises where its file is of something else."""
+        return self._read(cell, whole=False) is not None
+
+    def get(self, cell: Cell) -> Result | None:
+        """Result of a cell; None where it is not finished."""
+        return self._read(cell, whole=True)
+
+    def _read(self, cell: Cell, *, whole: bool) -> Result | None:
+        path = self.path_of(cell.key)
+        try:
+            with zipfile.ZipFile(path) as file:
+                head = json.loads(file.read(HEAD))
+                members = head.pop("members")
+                unlisted = sorted({*file.namelist()} ^ {HEAD, *members})
+                content = {name: file.read(name) for name in members if whole and not unlisted}
+            result = _unpacked(content)
+        except FileNotFoundError:
+            return None
+        except DAMAGED as error:
+            raise ValueError(f"{path} is damaged ({error}); delete it and run again") from error
+        if unlisted:
+            raise ValueError(
+                f"{path} has other arrays than its head says ({', '.join(unlisted[:SHOWN])}); "
+                "delete it and run again"
+            )
+        mine = json.loads(_json(self._head(cell), cell.key))
+        if head != mine:
+            raise ValueError(
+                f"{path} is another cell than the one requested ({_unlike(head, mine)}); delete it "
+                "and run again, or choose another folder"
+            )
+        return result
+
+    def _head(self, cell: Cell) -> dict[str, Any]:
+        """What a cell's file is of."""
+        return {
+            "format": FORMAT,
+            "experiment": self.config["experiment"],
+            "config": digest_of(self.config),
+            "key": cell.key,
+            "identity": cell.identity,
+        }
+
+    def put(self, cell: Cell, result: Result) -> None:
+        """Write a finished cell."""
+        content = _packed(self._head(cell), result, f"cell {cell.key!r}")
+        if self._found() != self.config:
+            raise ValueError(
+                f"{self.path} has been taken by another experiment meanwhile; choose another folder"
+            )
+        self._write(self.path_of(cell.key), content)
+
+    def write(self, name: str, content: bytes) -> Path:
+        """Write a report or another output."""
+        self._write(self.path / name, content)
+        return self.path / name
+
+    def _write(self, path: Path, content: bytes, *, exclusive: bool = False) -> None:
+        """Write a file; errors name it, and not the temporary one."""
+        try:
+            write_file(path, content, exclusive=exclusive)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+class Reader(Mapping[str, Result]):
+    """Results of the finished ones of some cells, by key."""
+
+    def __init__(self, store: Store, cells: Iterable[Cell]) -> None:
+        self.store = store
+        self.cells = {cell.key: cell for cell in cells}
+
+    def __getitem__(self, key: str) -> Result:
+        """Read one; a KeyError says whether it is unknown here, or not finished."""
+        if key not in self.cells:
+            raise KeyError(f"{key!r} is not among the cells that may be read: {[*self.cells]}")
+        result = self.store.get(self.cells[key])
+        if result is None:
+            raise KeyError(f"{key!r} is not finished in {self.store.path}")
+        return result
+
+    def __contains__(self, key: object) -> bool:
+        """Whether a cell is finished."""
+        return key in self.cells and self.store.has(self.cells[str(key)])
+
+    def __iter__(self) -> Iterator[str]:
+        """Keys of finished cells, in the order of the experiment."""
+        return (key for key, cell in self.cells.items() if self.store.has(cell))
+
+    def __len__(self) -> int:
+        """Count finished cells."""
+        return sum(1 for _ in self)
+
+    @property
+    def missing(self) -> list[str]:
+        """Keys of cells that are not finished."""
+        return [key for key, cell in self.cells.items() if not self.store.has(cell)]
+
+
+def _packed(head: Mapping[str, Any], result: Result, name: str) -> bytes:
+    """Content of a cell's file."""
+    parts = {RECORD: _json(result.record, f"record of {name}")}
+    for key, array in result.arrays.items():
+        if key.startswith(FILES):
+            raise ValueError(f"{name} returns an array {key!r}: no name may start with {FILES!r}")
+        buffer = io.BytesIO()
+        try:
+            npy.write_array(buffer, np.asarray(array, order="C"), allow_pickle=False)
+        except ValueError as error:
+            raise ValueError(f"{name} returns {key!r}, which can't be stored: {error}") from error
+        parts[f"{key}{ARRAY}"] = buffer.getvalue()
+    parts |= {f"{FILES}{key}": content for key, content in result.files.items()}
+    parts = {HEAD: _json({**head, "members": [*parts]}, name), **parts}
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as file:
+        for member, data in parts.items():
+            info = zipfile.ZipInfo(member, DATE)
+            info.create_system, info.external_attr = 3, 0o600 << 16
+            info.compress_type = zipfile.ZIP_DEFLATED if result.deflated else zipfile.ZIP_STORED
+            file.writestr(info, data)
+    return content.getvalue()
+
+
+def _unpacked(parts: Mapping[str, bytes]) -> Result:
+    """Result in a file's members; empty without any."""
+    arrays, files = {}, {}
+    for name, data in parts.items():
+        if name.startswith(FILES):
+            files[name.removeprefix(FILES)] = data
+        elif name != RECORD:
+            stream = io.BytesIO(data)
+            arrays[name.removesuffix(ARRAY)] = npy.read_array(stream, allow_pickle=False)
+    return Result(arrays, json.loads(parts.get(RECORD, b"null")), files)
+
+
+def _json(value: Any, name: str, indent: int | None = None) -> bytes:
+    """JSON of a value; an error names what it is of."""
+    try:
+        return json.dumps(value, indent=indent, allow_nan=False, default=_plain).encode()
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{name} can't be written as JSON: {error}") from error
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and arrays of NumPy as JSON has them."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    raise TypeError(f"a {type(value).__name__} is no JSON")
+
+
+def _unlike(found: Mapping[str, Any], mine: Mapping[str, Any]) -> str:
+    """What differs, in a few words."""
+    lines = [f"{name}: {_short(a)}, not {_short(b)}" for name, a, b in differences(found, mine)]
+    more = f"; and {len(lines) - SHOWN} more" if len(lines) > SHOWN else ""
+    return "; ".join(lines[:SHOWN]) + more
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 50 else f"{text[:47]}..."

@@ -1,0 +1,348 @@
+"""Order, processes, clusters, shards and ends of an experiment: always the same bytes."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from spoofgym.bench.experiments import (
+    Cell,
+    Context,
+    Result,
+    Store,
+    parse_shard,
+    run,
+    runner,
+)
+
+from .support import Numbers, content, expected
+
+COMMAND = [sys.executable, "-m", "tests.bench.experiments.support"]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    return expected(tmp_path_factory.mktemp("whole"))
+
+
+@dataclass(frozen=True)
+class Listed(Numbers):
+    """Cells of a list, and the order in which they were computed."""
+
+    listed: tuple[Cell, ...] = ()
+    order: list = field(default_factory=list)
+
+    def cells(self):
+        return self.listed
+
+    def run(self, cell, results, context):
+        self.order.append(cell.key)
+        return Result(record=[*results])
+
+
+def listed(*cells: Cell) -> Listed:
+    return Listed(listed=cells)
+
+
+@contextmanager
+def bar_of(seen: list):
+    class Bar:
+        def advance(self, amount: float, now: str) -> None:
+            seen.append((amount, now))
+
+    yield Bar()
+
+
+def test_the_largest_that_is_ready_comes_first_and_sees_what_it_comes_after(tmp_path: Path) -> None:
+    cells = (
+        Cell("small", {}, 1.0),
+        Cell("last", {}, 9.0, after=("middle", "small")),
+        Cell("middle", {}, 2.0),
+        Cell("large", {}, 3.0),
+    )
+    experiment = listed(*cells)
+    results = run(experiment, Store(tmp_path))
+    assert experiment.order == ["large", "middle", "small", "last"]
+    assert results["last"].record == ["middle", "small"]
+    run(experiment, Store(tmp_path))
+    assert len(experiment.order) == 4
+
+
+def test_a_group_is_one_call_of_what_is_unfinished(tmp_path: Path) -> None:
+    calls = []
+
+    class Grouped(Listed):
+        def run_group(self, cells, results, context):
+            calls.append([cell.key for cell in cells])
+            return super().run_group(cells, results, context)
+
+    cells = tuple(Cell(key, {}, group="g") for key in "abc")
+    store = Store(tmp_path)
+    run(Grouped(listed=cells), store)
+    store.path_of("b").unlink()
+    run(Grouped(listed=cells), store)
+    assert calls == [["a", "b", "c"], ["b"]]
+
+
+@pytest.mark.parametrize(
+    ("cells", "said"),
+    [
+        ((Cell("a", {}), Cell("a", {})), "two cells .* 'a'"),
+        ((Cell("a", {}), Cell("A", {})), "two cells .* 'a'"),
+        ((Cell("a", {}, after=("b",)),), "cell before 'a'.*'b'"),
+        ((Cell("a", {}, after=("b",)), Cell("b", {}, after=("a",))), "after one another: .*cell a"),
+    ],
+)
+def test_cells_that_make_no_sense_are_named(tmp_path: Path, cells, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        run(listed(*cells), Store(tmp_path))
+
+
+def test_progress_adds_up_to_the_work_that_is_left(tmp_path: Path) -> None:
+    seen, totals = [], []
+
+    def bar(total: float):
+        totals.append(total)
+        return bar_of(seen)
+
+    run(Numbers(), Store(tmp_path), progress=bar)
+    assert totals == [sum(cell.work for cell in Numbers().cells())]
+    assert sum(amount for amount, _ in seen) == pytest.approx(totals[0])
+    Store(tmp_path).path_of("draw-2").unlink()
+    run(Numbers(), Store(tmp_path), progress=bar)
+    run(Numbers(), Store(tmp_path), progress=bar)
+    assert totals[1:] == [3.0, 0.0]
+
+
+def test_processes_leave_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    seen: list = []
+    run(Numbers(), Store(tmp_path), jobs=2, threads=2, progress=lambda _: bar_of(seen))
+    assert content(tmp_path) == whole
+    assert sum(amount for amount, _ in seen) == sum(cell.work for cell in Numbers().cells())
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_shards_are_parts_that_need_no_other(
+    tmp_path: Path, whole: dict[str, bytes], order: tuple[int, int]
+) -> None:
+    done = []
+    for i in order:
+        results = run(Numbers(), Store(tmp_path), shard=(i, 2))
+        done.append({*results})
+    assert done[0] < done[1]
+    assert 2 <= len(done[0]) <= 6
+    assert not results.missing
+    assert content(tmp_path) == whole
+    for i in (1, 2, 3, 4, 5):
+        run(Numbers(), Store(tmp_path.with_name("five")), shard=(i, 5))
+    assert content(tmp_path.with_name("five")) == whole
+
+
+def test_shards_at_once_leave_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    threads = [
+        threading.Thread(target=run, args=(Numbers(), Store(tmp_path)), kwargs={"shard": (i, 2)})
+        for i in (1, 2)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert content(tmp_path) == whole
+
+
+def test_connected_cells_share_a_shard_and_shards_the_work(tmp_path: Path) -> None:
+    cells = [Cell(f"{k}", {}, work=10.0 - k) for k in range(8)]
+    cells += [Cell(f"after {k}", {}, 1.0, after=(f"{k}",)) for k in range(8)]
+    sums = []
+    for i in (1, 2, 3):
+        experiment = listed(*cells)
+        run(experiment, Store(tmp_path / str(i)), shard=(i, 3))
+        own = {*experiment.order}
+        assert all((f"{k}" in own) == (f"after {k}" in own) for k in range(8))
+        sums.append(sum(cell.work for cell in cells if cell.key in own))
+    assert sum(sums) == sum(cell.work for cell in cells)
+    assert max(sums) - min(sums) <= 5.0
+
+
+def test_a_shard_is_read_from_text() -> None:
+    assert parse_shard("1/2") == (1, 2)
+    assert parse_shard("4/4") == (4, 4)
+    for text in ("0/4", "5/4"):
+        with pytest.raises(ValueError, match=f"{text} .*1/4 to 4/4"):
+            parse_shard(text)
+    for text in ("1/0", "1", "a/b", "-1/4", "1/2/3", "", "1.5/2"):
+        with pytest.raises(ValueError, match="shard"):
+            parse_shard(text)
+
+
+@pytest.mark.parametrize(("jobs", "backend"), [(0, "local"), (1.5, "local"), (1, "slurm")])
+def test_wrong_settings_are_named_before_anything_is_written(tmp_path, jobs, backend) -> None:
+    with pytest.raises(ValueError, match=f"{jobs}|{backend}"):
+        run(Numbers(), Store(tmp_path / "out"), jobs=jobs, backend=backend)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("kind", "extra"), [("dask", "dask"), ("ray", "ray-campaign")])
+def test_a_backend_that_is_not_installed_says_what_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, extra: str
+) -> None:
+    def missing(name: str) -> None:
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr(importlib, "import_module", missing)
+    with pytest.raises(ImportError, match=rf"python -m pip install 'spoofgym\[{extra}\]'"):
+        run(Numbers(), Store(tmp_path / "out"), backend=kind)
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_cannot_be_pickled_is_named(tmp_path: Path) -> None:
+    experiment = listed(Cell("a", {}), Cell("b", {}))
+    experiment.order.append(threading.Lock())
+    with pytest.raises(TypeError, match=r"numbers can't be sent to a worker: .*lock"):
+        run(experiment, Store(tmp_path), jobs=2)
+
+
+def test_a_worker_with_other_code_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(tmp_path)
+    store.open("numbers", {"size": 3})
+    store.check_code()
+    store.config["code"]["numpy"] = "1.0"
+    with pytest.raises(ValueError, match=r"other code than .* numpy: '.*', not '1.0'"):
+        store.check_code()
+
+
+def test_an_error_of_a_cell_comes_through_and_the_rest_stays(tmp_path: Path) -> None:
+    class Wrong(Listed):
+        def run(self, cell, results, context):
+            if cell.key == "b":
+                raise ValueError("b is wrong")
+            return Result()
+
+    cells = Cell("a", {}, 2.0), Cell("b", {}, 1.0)
+    for jobs in (1, 2):
+        with pytest.raises(ValueError, match="b is wrong"):
+            run(Wrong(listed=cells), Store(tmp_path / str(jobs)), jobs=jobs)
+    assert Store(tmp_path / "1").path_of("a").is_file()
+
+
+def test_contexts_last_from_cell_to_cell(tmp_path: Path) -> None:
+    caches = []
+
+    class Caching(Listed):
+        def run(self, cell, results, context: Context):
+            caches.append(context.cache)
+            assert context.threads == 3
+            return Result()
+
+    run(Caching(listed=(Cell("a", {}), Cell("b", {}))), Store(tmp_path), threads=3)
+    assert caches[0] is caches[1]
+
+
+def test_a_killed_worker_is_one_line_and_the_same_command_goes_on(
+    tmp_path: Path, whole: dict[str, bytes]
+) -> None:
+    out, kill = tmp_path / "out", tmp_path / "kill"
+    command = [*COMMAND, str(out), "0.05", "2", str(kill)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1
+    assert kill.exists()
+    (line,) = ended.stderr.splitlines()
+    assert "a worker was killed" in line
+    assert "draw-1" in line
+    assert content(out).items() < whole.items()
+    run(Numbers(kills=str(kill)), Store(out))
+    assert content(out) == whole
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_ctrl_c_keeps_what_is_finished_and_ends_the_workers(
+    jobs: str, tmp_path: Path, whole: dict[str, bytes]
+) -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen(
+            [*COMMAND, str(tmp_path), "0.2", jobs],
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    while not list((tmp_path / "cells").glob("*.npz")) and process.poll() is None:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, said = process.communicate(timeout=20.0)
+    assert process.returncode == 1
+    (line,) = said.splitlines()
+    assert "of 8 cells are finished" in line
+    assert f"in {tmp_path}; the same command goes on" in line
+    with pytest.raises(ProcessLookupError):  # no worker is left
+        wait_for_group(process.pid)
+    assert content(tmp_path).items() < whole.items()
+    run(Numbers(), Store(tmp_path))
+    assert content(tmp_path) == whole
+
+
+def wait_for_group(number: int) -> None:
+    for _ in range(100):
+        os.killpg(number, 0)
+        time.sleep(0.05)
+
+
+def test_workers_end_with_a_killed_parent(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    command = [*COMMAND, str(tmp_path), "0.2", "2"]
+    process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
+    while not list((tmp_path / "cells").glob("*.npz")) and process.poll() is None:
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    with pytest.raises(ProcessLookupError):
+        wait_for_group(process.pid)
+    run(Numbers(), Store(tmp_path))
+    assert content(tmp_path) == whole
+
+
+@pytest.mark.filterwarnings("default")  # of dask's own
+def test_dask_leaves_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=2, dashboard_address=None, memory_limit=None
+    ) as cluster:
+        run(Numbers(), Store(tmp_path / "remote"), backend=f"dask:{cluster.scheduler_address}")
+    assert content(tmp_path / "remote") == whole
+
+
+@pytest.mark.filterwarnings("default")  # of dask's own
+@pytest.mark.parametrize("answers", [True, False])
+def test_an_address_that_does_not_answer(tmp_path, monkeypatch, answers: bool) -> None:
+    monkeypatch.setattr(runner, "CONNECT_S", 1.0)
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        if answers:
+            listening.listen()
+        address = f"127.0.0.1:{listening.getsockname()[1]}"
+        begun = time.monotonic()
+        with pytest.raises(ConnectionError, match=f"no dask cluster answers at '{address}'"):
+            run(Numbers(), Store(tmp_path), backend=f"dask:{address}")
+    assert time.monotonic() - begun < 5.0
+
+
+@pytest.mark.nightly
+@pytest.mark.filterwarnings("default")
+def test_ray_leaves_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    run(Numbers(), Store(tmp_path), jobs=2, threads=1, backend="ray")
+    assert content(tmp_path) == whole
+    with pytest.raises(ConnectionError, match="no ray cluster answers"):
+        run(Numbers(), Store(tmp_path / "none"), backend="ray:127.0.0.1:1")
