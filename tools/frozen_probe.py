@@ -105,7 +105,7 @@ COMMANDS = {
         "spoofgym protect --json --task D1 --detector snapshot-chi2 --family dashes --seeds 4 "
         "--selection-seeds 4 --out results"
     ),
-    ("paper", ""): "baselines.papers song2021 --quick --json --out results",
+    ("paper", ""): "baselines.papers wu2024 --quick --json --out results",
 }
 """Command lines that print JSON, by id and form; they run where users have calibrated nothing."""
 CELLS = (".jsonl", ".npz")
