@@ -102,7 +102,7 @@ COMMANDS = {
         "--spoofer ramp:rate_mps=0.2 --runs 4 --out results"
     ),
     ("protect", ""): (
-        "spoofgym protect --json --task D1 --detector snapshot-chi2 --family dashes --seeds 4 "
+        "spoofgym protect --json --task D1 --detector snapshot-chi2 --family dashes --seeds 2 "
         "--selection-seeds 4 --out results"
     ),
     ("paper", ""): "baselines.papers wu2024 --quick --json --out results",
@@ -118,7 +118,6 @@ CALLS: dict[tuple[str, str], tuple[str, dict[str, Any]]] = {
         {"detector": PUBLISHED, "timeline": SHORT, "runs": 6, "fit_runs": 64},
     ),
     ("evaluate", "shipped"): ("solution-separation-ppo", {"task": "T3", "runs": 4, "fit_runs": 59}),
-    ("evaluate_detector", ""): ("snapshot-chi2", {"task": "D1", **FEW}),
     ("evaluate_detector", "shipped"): ("trolley-guard", {"task": "D1", **FEW}),
 }
 """Functions of the package, by id and form: what they are asked about, and how."""
