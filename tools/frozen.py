@@ -1,9 +1,9 @@
 """Whether this working tree behaves, to the last bit, as an older commit does, and how fast it is.
 
-``python -m tools.frozen --against COMMIT`` plays every id in every form in both trees on this
-machine, and compares all that they return.  What has another name now is in ``frozen_names.toml``.
-What the commit did is kept in the user's cache folder, so that the next comparison with it plays
-the working tree alone.
+``python -m tools.frozen --against COMMIT`` plays every id in every form, and runs the command
+lines, in both trees on this machine, and compares all that they return.  What has another name now,
+and what is not compared, is in ``frozen_names.toml``.  What the commit did is kept in the user's
+cache folder, so that the next comparison with it plays the working tree alone.
 
 ``--tolerance 1e-9`` lets numbers of floating point differ by that part of the largest absolute
 value of their column; what is counted, flagged or named has to be equal, and so do the steps at
@@ -51,7 +51,7 @@ KEPT_RESULTS = 4
 ROUNDS = 15
 FLOAT32 = np.dtype(np.float32)
 QUICK_FORMS = (("single", None), ("same_step", 3))
-"""What ``--quick`` plays of every id; of the main one, and of the duel, it plays all."""
+"""What ``--quick`` plays of every id; of the main one, and of what is no id, it plays more."""
 ELEMENTS = {"final_obs": "observation", "terminal_observation": "observation"}
 """Keys whose elements have the names of another."""
 PARTS = "\x1f"
@@ -73,6 +73,7 @@ class Names:
     renamed: dict[str, dict[str, str]] = field(default_factory=dict)
     added: dict[str, dict[str, str]] = field(default_factory=dict)
     dropped: dict[str, dict[str, str]] = field(default_factory=dict)
+    volatile: dict[str, dict[str, str]] = field(default_factory=dict)
 
     @classmethod
     def load(cls, file: Path) -> Names:
@@ -83,7 +84,7 @@ class Names:
         for table in given:
             if table not in valid:
                 raise ValueError(f"{file.name} has the table {table!r}; valid: {', '.join(valid)}")
-        for table in ("added", "dropped"):
+        for table in ("added", "dropped", "volatile"):
             for scope, keys in given.get(table, {}).items():
                 for key, reason in keys.items():
                     if not (isinstance(reason, str) and reason.strip()):
@@ -102,7 +103,7 @@ class Names:
                 if fnmatch.fnmatchcase(base, scope)
                 for key, value in keys.items()
             }
-            for table in (self.renamed, self.added, self.dropped)
+            for table in (self.renamed, self.added, self.dropped, self.volatile)
         ]
         return Scope(*tables)
 
@@ -114,6 +115,7 @@ class Scope:
     renamed: dict[str, str] = field(default_factory=dict)
     added: dict[str, str] = field(default_factory=dict)
     dropped: dict[str, str] = field(default_factory=dict)
+    volatile: dict[str, str] = field(default_factory=dict)
 
     def rename(self, path: tuple[str, ...]) -> tuple[str, ...]:
         """Path in the new tree."""
@@ -129,6 +131,10 @@ class Scope:
     def is_dropped(self, path: tuple[str, ...]) -> bool:
         """Whether the old tree alone has it."""
         return _holds(path, self.dropped)
+
+    def is_volatile(self, path: tuple[str, ...]) -> bool:
+        """Whether it may have another value at every run, whatever its name."""
+        return _holds(path, self.volatile) or _holds(self.rename(path), self.volatile)
 
 
 def _holds(path: tuple[str, ...], keys: dict[str, str]) -> bool:
@@ -270,6 +276,7 @@ def compare(
 ) -> list[Difference]:
     """All columns that differ, those first that do so first."""
     found: list[Difference] = []
+    old, new = ({p: c for p, c in each.items() if not scope.is_volatile(p)} for each in (old, new))
 
     def differs(step: int | None, key: str, was: Any, is_: Any, places: int = 1) -> None:
         found.append(Difference(*case, step, key, str(was), str(is_), places))
@@ -475,16 +482,15 @@ def file_of(folder: Path, case: Case) -> Path:
     return folder / f"{case.name.replace('/', '--')}.npz"
 
 
-def is_wanted(case: Case, quick: bool, only: str | None) -> bool:
+def is_wanted(case: Case, quick: bool, only: Sequence[str] = ()) -> bool:
     """Whether a case is asked for."""
-    if only is not None:
-        return fnmatch.fnmatchcase(case.name, only)
-    if not quick:
-        return True
+    if only:
+        return any(fnmatch.fnmatchcase(case.name, each) for each in only)
     return (
-        (case.form, case.batch) in QUICK_FORMS
+        not quick
+        or (case.form, case.batch) in (*QUICK_FORMS, ("shipped", None))
         or (case.id == MAIN and case.batch in (None, 3))
-        or case.id in ("duel_v0", "list", "bench")
+        or not (case.id.startswith("spoofgym/") or "+" in case.id)
     )
 
 
@@ -610,11 +616,14 @@ app = typer.Typer(add_completion=False, context_settings={"help_option_names": [
 def main(
     against: Annotated[str, typer.Option(help="Commit whose behaviour is to be kept.")],
     quick: Annotated[
-        bool, typer.Option("--quick", help="Play a part of it, without speed: under a minute.")
+        bool, typer.Option("--quick", help="Play a part of it, without speed: some minutes.")
     ] = False,
     only: Annotated[
-        str | None,
-        typer.Option(help="Only cases like this, such as 'Snapshot-v0/*' or '*/sb3/17'."),
+        list[str] | None,
+        typer.Option(
+            help="Only cases like this, such as 'Snapshot-v0/*', '*/sb3/17' or 'evaluate*'; may be "
+            "repeated."
+        ),
     ] = None,
     tolerance: Annotated[
         float,
@@ -650,7 +659,7 @@ def main(
     """Compare what this working tree does with what a commit did; exit with 1 if it differs."""
     commit = git("rev-parse", "--verify", f"{against}^{{commit}}")
     console = Console(stderr=True, quiet=json_)
-    timed = (not quick and only is None) if speed is None else speed
+    timed = not (quick or only) if speed is None else speed
     speeds = [what for what in SPEEDS if fnmatch.fnmatchcase(what, speed_of or "*")]
     if not speeds:
         raise typer.BadParameter(
@@ -662,7 +671,7 @@ def main(
             report = examine(
                 commit,
                 Names.load(NAMES),
-                None if speed_of else lambda case: is_wanted(case, quick, only),
+                None if speed_of else lambda case: is_wanted(case, quick, only or ()),
                 tolerance=Tolerance(tolerance, absolute),
                 keep=keep,
                 speeds=speeds if timed or speed_of else (),
@@ -673,7 +682,7 @@ def main(
         print(error, file=sys.stderr)
         raise typer.Exit(2) from error
     if not (report.cases or report.differences or speed_of):
-        raise typer.BadParameter(f"no case is like {only!r}", param_hint="--only")
+        raise typer.BadParameter(f"no case is like {', '.join(only or ())!r}", param_hint="--only")
     if json_:
         print(json.dumps(asdict(report), indent=2))
     else:

@@ -1,8 +1,8 @@
 """What a tree of spoofgym does, recorded to the last bit: the child process of `tools.frozen`.
 
 It runs with ``PYTHONPATH`` at the tree to be probed, reads one JSON request per line and answers
-with one JSON line.  Only the public surface is used, so that the same file probes trees of
-different insides.
+with one JSON line.  Only the public surface is used, and what is imported goes through the name
+map, so that the same file probes trees of different insides; what is not there is an error.
 
 A record has a column for every leaf of what a step returns.  The path of a column is a tuple of
 keys, such as ``("info", "final_info", "cost")``; what a reset returns is under ``"reset"``.
@@ -13,6 +13,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -20,6 +21,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,16 +61,68 @@ IMPORTS = {
     "aec": "spoofgym.duel_v0:env",
     "parallel": "spoofgym.duel_v0:parallel_env",
     "register": "spoofgym:__name__",
+    "evaluate": "spoofgym:evaluate",
+    "evaluate_detector": "spoofgym:evaluate_detector",
+    "default_rate": "spoofgym.detectors.calibrated:DEFAULT_RATE",
+    "own_calibrations": "spoofgym.detectors.calibration:FOLDER_VARIABLE",
 }
-"""What is imported, by use; the name map may give other names in the new tree."""
-CLI = {
-    "list": "list --json",
-    "bench": (
-        "bench --json --seeds 20 --training-seeds 16 --warmup-s 20 --live-s 10 --attack-s 20 "
-        "--time-to-alert-s 5 --detector snapshot-chi2 --detector ewma --spoofer none "
-        "--spoofer step:size_m=30 --spoofer ramp:rate_mps=tuned --out results"
+"""What is imported or patched, by use; the name map may give other places in the new tree."""
+TIMES = "--warmup-s 20 --live-s 10 --attack-s 20 --time-to-alert-s 5"
+BENCH = (
+    f"spoofgym bench --json --training-seeds 16 --budget 0.25 --selection-seeds 0 {TIMES} "
+    "--nominal --detector ewma --spoofer none --spoofer ramp:rate_mps=tuned --out results"
+)
+COMMANDS = {
+    ("list", ""): "spoofgym list --json",
+    ("bench", ""): f"{BENCH} --seeds 20 --detector snapshot-chi2 --spoofer step:size_m=30",
+    ("bench", "killed"): f"{BENCH} --seeds 8",
+    ("bench", "shipped"): (
+        "spoofgym bench --json --seeds 4 --training-seeds 16 --budget 0.25 --selection-seeds 0 "
+        "--detector ewma --spoofer none --spoofer ramp:rate_mps=0.2 --out results"
     ),
+    ("run", ""): (
+        f"spoofgym run --json --no-picture {TIMES} --spoofer step "
+        "--detector snapshot-chi2:thresholds=nominal"
+    ),
+    ("run", "shipped"): "spoofgym run --json --no-picture --spoofer ewma-ppo --detector ewma",
+    ("calibrate", ""): (
+        f"spoofgym calibrate --json {TIMES} --false-alarms-per-hour 20 --detector snapshot-chi2 "
+        "--detector cusum --runs 40 --hold-out 40 --transfer groves --check"
+    ),
+    ("dataset", ""): (
+        f"spoofgym dataset data --json {TIMES} --train 3 --validation 2 --test 2 --shard 2 "
+        "--term innovation --term in-view"
+    ),
+    ("limits", ""): (
+        f"spoofgym limits --json {TIMES} --set domain={{}} --nominal --detector snapshot-chi2 "
+        "--detector raim --spoofer ramp"
+    ),
+    ("game", ""): (
+        "spoofgym game --json --task T3 --detector snapshot-chi2 --detector ewma --spoofer none "
+        "--spoofer ramp:rate_mps=0.2 --runs 4 --out results"
+    ),
+    ("protect", ""): (
+        "spoofgym protect --json --task D1 --detector snapshot-chi2 --family dashes --seeds 2 "
+        "--selection-seeds 4 --out results"
+    ),
+    ("paper", ""): "baselines.papers wu2024 --quick --json --out results",
 }
+"""Command lines that print JSON, by id and form; they run where users have calibrated nothing."""
+CELLS = (".jsonl", ".npz")
+"""Suffixes of the files of finished cells."""
+PUBLISHED = {"name": "snapshot-chi2", "thresholds": "nominal"}
+FEW = {"runs": 4, "selection_runs": 4, "families": ["dashes"]}
+CALLS: dict[tuple[str, str], tuple[str, dict[str, Any]]] = {
+    ("evaluate", ""): (
+        "ramp",
+        {"detector": PUBLISHED, "timeline": SHORT, "runs": 6, "fit_runs": 64},
+    ),
+    ("evaluate", "shipped"): ("solution-separation-ppo", {"task": "T3", "runs": 4, "fit_runs": 59}),
+    ("evaluate_detector", "shipped"): ("trolley-guard", {"task": "D1", **FEW}),
+}
+"""Functions of the package, by id and form: what they are asked about, and how."""
+SHIPPED = (MAIN, "spoofgym/BenchT3-v1")
+"""Ids that are played with the thresholds that users have, too; else they are as published."""
 Array = np.ndarray[Any, Any]
 Path_ = tuple[str, ...]
 
@@ -104,7 +158,8 @@ def cases_of(ids: list[str]) -> list[Case]:
         made += [Case(f"{MAIN}+{name}", form) for form in ("single",)]
         made += [Case(f"{MAIN}+{name}", form, 3) for form in ("same_step", "sb3")]
     made += [Case(f"duel_v0{name}", form) for name in DUELS for form in ("parallel", "aec")]
-    return [*made, *(Case(name, "") for name in CLI)]
+    made += [Case(name, "shipped") for name in SHIPPED]
+    return [*made, *(Case(*each) for each in (*COMMANDS, *CALLS))]
 
 
 # --- records ---------------------------------------------------------------------------------
@@ -122,6 +177,8 @@ class Record:
 
     def add(self, step: int, path: Path_, value: Any) -> None:
         """Keep a value, or the leaves of a mapping or a list of other things than numbers."""
+        if is_dataclass(value):
+            value = {each.name: getattr(value, each.name) for each in fields(value)}
         if isinstance(value, Mapping):
             for key, part in value.items():
                 self.add(step, (*path, str(key)), part)
@@ -171,6 +228,15 @@ def _labelled(values: Any) -> Iterator[tuple[str, Any]]:
 # --- play ------------------------------------------------------------------------------------
 
 
+def place(name: str) -> tuple[Any, str]:
+    """Module and attribute of a ``module:attribute``; an error where it is not there."""
+    module, _, attribute = name.partition(":")
+    owner = importlib.import_module(module)
+    if not hasattr(owner, attribute):
+        raise AttributeError(f"there is no {name}: say in [imports] of the name map where it is")
+    return owner, attribute
+
+
 class Player:
     """Actions of one case, and its record."""
 
@@ -181,8 +247,7 @@ class Player:
 
     def load(self, use: str) -> Any:
         """Something of the package, by its use."""
-        module, _, name = self.imports[use].partition(":")
-        return getattr(importlib.import_module(module), name)
+        return getattr(*place(self.imports[use]))
 
     def action(self, step: int, shape: tuple[int, ...], turn: int = 0) -> Array:
         """Receivers take turns: a whole mild episode then a hard push, random, pushes in between.
@@ -230,11 +295,19 @@ class Player:
             "sb3": self.sb3,
             "parallel": self.parallel,
             "aec": self.aec,
-            "": self.command,
             **dict.fromkeys(MODES, self.vector),
         }
         self.load("register")
-        plays[self.case.form]()
+        key = self.case.id, self.case.form
+        usual = key in COMMANDS or key in CALLS or key[1] == "shipped"
+        set_thresholds(self.imports, usual=usual)
+        if key in COMMANDS:
+            self.command(COMMANDS[key])
+        elif key in CALLS:
+            what, settings = CALLS[key]
+            self.record.add(-1, ("score",), self.load(key[0])(what, **settings))
+        else:
+            plays.get(key[1], self.single)()
         return self.record
 
     def single(self) -> None:
@@ -337,14 +410,51 @@ class Player:
                 for bound in ("low", "high"):
                     self.record.add(-1, ("space", agent, name, bound), getattr(space, bound))
 
-    def command(self) -> None:
-        """Run the command line, which prints JSON."""
+    def command(self, line: str) -> None:
+        """Run a command line, which prints JSON; of a data set, keep what its files hold."""
         with tempfile.TemporaryDirectory() as folder:
-            command = [sys.executable, "-m", "spoofgym", *CLI[self.case.id].split()]
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise RuntimeError(f"{' '.join(command[1:])} exits {done.returncode}: {done.stderr}")
-        self.record.add(-1, ("json",), json.loads(done.stdout))
+            printed = self.finish(self.start(line, Path(folder, "whole")))
+            if self.case.form == "killed":
+                again = Path(folder, "again")
+                self.kill(self.start(line, again), again / "results")
+                resumed = self.finish(self.start(line, again))
+                if resumed != printed:
+                    raise RuntimeError("killed and resumed, it prints another JSON than at once")
+            self.record.add(-1, ("json",), json.loads(printed.replace(folder, "")))
+            if self.case.id == "dataset":
+                for i, file in enumerate(sorted(Path(folder).rglob("*.npz"))):
+                    with np.load(file) as members:
+                        self.record.add(-1, ("npz", f"[{i}]"), dict(members))
+
+    def start(self, line: str, folder: Path) -> subprocess.Popen[str]:
+        """Start a command in a folder, without calibrations of the user's own."""
+        folder.mkdir(exist_ok=True)
+        return subprocess.Popen(
+            [sys.executable, "-m", *line.split()],
+            cwd=folder,
+            env={**os.environ, self.load("own_calibrations"): str(folder / "own")},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def finish(self, child: subprocess.Popen[str]) -> str:
+        """What a command prints."""
+        printed, told = child.communicate()
+        if child.returncode:
+            raise RuntimeError(f"{self.case.name} exits with {child.returncode}: {told}")
+        return printed
+
+    def kill(self, child: subprocess.Popen[str], results: Path) -> None:
+        """Kill a command as soon as a finished cell is there."""
+        while child.poll() is None and not any(file.suffix in CELLS for file in results.rglob("*")):
+            time.sleep(0.002)
+        if child.poll() is None:
+            os.killpg(child.pid, signal.SIGKILL)
+        _, told = child.communicate()
+        if child.returncode != -signal.SIGKILL:
+            raise RuntimeError(f"{self.case.name} ended before it was killed: {told}")
 
 
 # --- speed -----------------------------------------------------------------------------------
@@ -423,7 +533,8 @@ class Stopwatch:
         action = np.zeros(env.action_space.shape, dtype=np.float32)
         step: Callable[[], Any] = lambda: env.step(action)  # noqa: E731
         if speed.kind == "engine":
-            engine, command = _engine(env, speed.batch or 1)
+            engine = env.core.engine
+            command = np.zeros((speed.batch or 1, len(env.core.setup.action_names)))
             step = lambda: engine.step(command)  # noqa: E731
         wall = cpu = 0.0
         for episode in range(speed.episodes):
@@ -440,45 +551,41 @@ class Stopwatch:
         return {"wall": wall / count, "cpu": cpu / count}
 
 
-def _engine(env: Any, receivers: int) -> tuple[Any, Any]:
-    """Engine of an environment of any tree, and a command that moves nothing."""
-    if hasattr(env, "game"):  # as it was before the house was rebuilt
-        command = np.zeros((receivers, len(env.action_names)))
-        return env.game.engine, env.game.actor.command(command)
-    return env.core.engine, np.zeros((receivers, len(env.core.setup.action_names)))
-
-
 # --- requests --------------------------------------------------------------------------------
 
 
 def answer(request: dict[str, Any], stopwatch: Stopwatch) -> dict[str, Any]:
     """Answer to one request."""
+    imports = {**IMPORTS, **request["imports"]}
     if request["do"] == "cases":
         import gymnasium as gym
 
-        package = importlib.import_module(
-            request["imports"].get("register", "spoofgym:").split(":")[0]
-        )
+        package, _ = place(imports["register"])
         ids = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
         return {"cases": cases_of(ids), "package": package.__file__}
     if request["do"] == "run":
-        case = Case(*request["case"])
-        take_thresholds_as_published()
         start = time.perf_counter()
-        record = Player(case, request["imports"]).play()
+        record = Player(Case(*request["case"]), imports).play()
         record.save(Path(request["out"]))
         return {"ends": record.ends, "seconds": time.perf_counter() - start}
-    take_thresholds_as_published()
+    set_thresholds(imports, usual=False)
     return stopwatch.round(request["what"])
 
 
-def take_thresholds_as_published() -> None:
-    """Let no tree calibrate detectors that are asked for by their names alone."""
-    try:
-        calibrated = importlib.import_module("spoofgym.detectors.calibrated")
-    except ModuleNotFoundError:  # a tree from before there were rates
-        return
-    calibrated.DEFAULT_RATE = None  # type: ignore[attr-defined]
+USUAL: dict[str, Any] = {}
+"""What has been replaced, by its place."""
+
+
+def set_thresholds(imports: Mapping[str, str], *, usual: bool) -> None:
+    """Let detectors without a word on their thresholds have those as published, or the usual ones.
+
+    The usual ones are those that are shipped, as the folder of the user's own is an empty one.
+    """
+    where = imports["default_rate"]
+    owner, attribute = place(where)
+    rate = USUAL.setdefault(where, getattr(owner, attribute))
+    setattr(owner, attribute, rate if usual else None)
+    os.environ[getattr(*place(imports["own_calibrations"]))] = str(Path.cwd() / "own")
 
 
 def main() -> None:

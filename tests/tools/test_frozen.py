@@ -1,12 +1,17 @@
 """The comparison of two trees finds what differs, and nothing else."""
 
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tools import frozen
+from tools import frozen, frozen_probe
 from tools.frozen import Case, Names, Scope, Tolerance
-from tools.frozen_probe import STEPS, Player, Record, cases_of
+from tools.frozen_probe import CALLS, COMMANDS, IMPORTS, STEPS, Player, Record, cases_of
 
 CASE = Case("spoofgym/Snapshot-v0", "same_step", 3)
 
@@ -262,7 +267,11 @@ def test_an_error_of_either_tree_is_a_difference():
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("[rename]\n", "'rename'"), ('[dropped."*"]\nkey = ""\n', r"dropped \* key needs a reason")],
+    [
+        ("[rename]\n", "'rename'"),
+        ('[dropped."*"]\nkey = ""\n', r"dropped \* key needs a reason"),
+        ('[volatile.bench]\nkey = ""\n', "volatile bench key needs a reason"),
+    ],
 )
 def test_the_name_map_is_checked(tmp_path, text, message):
     file = tmp_path / "names.toml"
@@ -271,11 +280,77 @@ def test_the_name_map_is_checked(tmp_path, text, message):
         Names.load(file)
 
 
-def test_the_name_map_of_the_repository_can_be_read():
-    scope = Names.load(frozen.NAMES).of("bench")
-    assert scope.is_added(("json", "campaign"))
-    assert scope.is_dropped(("json", "campaign"))
-    assert not scope.is_added(("json", "cells", "[0]", "runs"))
+def test_what_is_volatile_in_the_repository_is_the_digests_and_nothing_beside():
+    names = Names.load(frozen.NAMES)
+    assert names.of("bench").is_volatile(("json", "campaign"))
+    assert not names.of("bench").is_volatile(("json", "cells", "[0]", "runs"))
+    assert not names.of("evaluate").volatile
+    assert {use for use in names.imports} <= {*IMPORTS}
+
+
+def test_what_is_volatile_is_not_compared_in_either_tree(tmp_path):
+    scope = Scope({"count": "number"}, volatile={"number": "the clock's"})
+    new = [
+        {**{key: x for key, x in step.items() if key != "count"}, "number": 9.0} for step in steps()
+    ]
+    assert differences(tmp_path, new, scope) == []
+    for step in new:
+        del step["number"]
+    assert differences(tmp_path, new, scope) == []
+    new[3]["cost"] = one_bit(new[3]["cost"])
+    (found,) = differences(tmp_path, new, scope)
+    assert found.key == "info/cost[2]"
+
+
+@pytest.mark.parametrize("use", ["default_rate", "own_calibrations"])
+@pytest.mark.parametrize("at", ["spoofgym.nowhere:RATE", "spoofgym.detectors:NO_SUCH_RATE"])
+def test_what_is_patched_has_to_be_there(use, at):
+    error = ModuleNotFoundError if "nowhere" in at else AttributeError
+    with pytest.raises(error, match=at.partition(":")[2] if error is AttributeError else "nowhere"):
+        frozen_probe.set_thresholds({**IMPORTS, use: at}, usual=False)
+
+
+def test_thresholds_are_as_published_or_those_that_users_have(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    owner, rate = frozen_probe.place(IMPORTS["default_rate"])
+    variable = getattr(*frozen_probe.place(IMPORTS["own_calibrations"]))
+    monkeypatch.setattr(owner, rate, 0.2)
+    monkeypatch.setattr(frozen_probe, "USUAL", {})
+    monkeypatch.setenv(variable, "those of a user")
+    for usual, expected in ((True, 0.2), (False, None), (True, 0.2)):
+        frozen_probe.set_thresholds(IMPORTS, usual=usual)
+        assert getattr(owner, rate) == expected
+        assert os.environ[variable] == str(tmp_path / "own")
+
+
+def test_a_score_is_recorded_by_its_fields(tmp_path):
+    @dataclass
+    class Score:
+        value: float
+        runs: object
+
+    record = Record()
+    record.add(-1, ("score",), Score(1.5, [Score(2.5, np.arange(3))]))
+    record.save(tmp_path / "record.npz")
+    columns = frozen.load_record(tmp_path / "record.npz")
+    assert columns[("score", "value")].values.tolist() == [1.5]
+    assert columns[("score", "runs", "[0]", "runs")].values.tolist() == [[0, 1, 2]]
+
+
+def test_a_killed_command_has_to_be_killed_while_it_works(tmp_path):
+    player = Player(Case("bench", "killed"), {})
+
+    def started(code):
+        done = [sys.executable, "-c", code]
+        return subprocess.Popen(
+            done, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+
+    with pytest.raises(RuntimeError, match="ended before it was killed"):
+        player.kill(started("pass"), tmp_path / "results")
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "cell.npz").touch()
+    player.kill(started("import time; time.sleep(600)"), tmp_path / "results")
 
 
 def test_every_id_has_every_form():
@@ -287,7 +362,19 @@ def test_every_id_has_every_form():
     assert forms == {("single", None), *modes}
     assert len({case.name for case in cases}) == len(cases)
     for case in cases:
-        assert frozen.is_wanted(case, quick=False, only=None)
+        assert frozen.is_wanted(case, quick=False)
+
+
+def test_the_quick_ones_have_every_command_every_score_and_the_default_of_users():
+    cases = [each for each in cases_of(["spoofgym/BenchT3-v1"]) if frozen.is_wanted(each, True)]
+    assert {(case.id, case.form) for case in cases} >= {*COMMANDS, *CALLS}
+    usual = {case.name for case in cases if case.form == "shipped"}
+    assert usual == {
+        *("TightlyCoupled-v0/shipped", "BenchT3-v1/shipped", "bench/shipped", "run/shipped"),
+        *("evaluate/shipped", "evaluate_detector/shipped"),
+    }
+    assert frozen.is_wanted(Case("evaluate", "shipped"), False, ["bench", "evaluate*"])
+    assert not frozen.is_wanted(Case("evaluate", "shipped"), True, ["bench", "evaluate"])
 
 
 def test_actions_are_mild_random_and_pushes():
