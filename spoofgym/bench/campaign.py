@@ -32,7 +32,6 @@ from .tune import TuningResult, tune
 from .work import (
     WARMUP_SHARE,
     left_of,
-    left_of_published,
     protection_work,
     search_work,
     work_of,
@@ -72,8 +71,6 @@ def run_campaign(
             player.play(detector, shown)
     else:
         _in_processes(suite, folder, threads, jobs, shown)
-    for detector in suite.published_entries:
-        _published(suite, folder, detector, threads, shown)
     player.limits(shown)
 
 
@@ -369,15 +366,3 @@ def _protection(
     counts = counted(start.warmup_alarm, twin.first_alarm)
     sky = twin.onset // start.setup.epochs_each
     return Protection(head, tuple(winners), counts, sky, worst.skies)
-
-
-def _published(
-    suite: Suite, folder: ResultsFolder, detector: Entry, threads: int | None, progress: Progress
-) -> None:
-    """Play a detector with its thresholds as published, without attack and against one ramp."""
-    left = left_of_published(suite, folder, detector)
-    if not left:
-        return
-    start, twin = start_of(suite, detector, "evaluation", suite.runs, threads, progress)
-    for entry in left:
-        folder.put_cell(_cell(suite, detector, entry, entry.spec, None, start, twin, progress))

@@ -101,20 +101,6 @@ def detector_entry(spec: str | Mapping[str, Any] | Detector) -> Entry:
     return Entry(label_of(full, default), full)
 
 
-def nominal_entry(entry: Entry) -> Entry | None:
-    """A calibrated detector with its thresholds as published; None for one that is not."""
-    judge = make_judge(entry.spec)
-    if not isinstance(judge, Calibrated):
-        return None
-    spec = spec_of_judge(judge.detector)
-    if isinstance(judge.detector, LearnedDetector):
-        if judge.detector.card.threshold is None:
-            return None
-        spec = {**judge.detector.spec, "thresholds": "nominal"}
-    plain = detector_entry(spec).label
-    return Entry(f"{plain}, as published", spec)
-
-
 def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
     """Spoofer of a campaign."""
     settings: Any = dict(spec) if isinstance(spec, Mapping) else spec

@@ -11,12 +11,6 @@ from .attack_suite import FAMILIES
 from .bracket_text import bracket_section
 from .tuning_table import tuning_head, tuning_rows
 
-PUBLISHED_NOTE = (
-    "Thresholds as the papers or their defaults have them. The rates of false alarms differ, so "
-    "that nothing here compares one detector with another; by name, no one is the best. The ramp "
-    "is the same for all, and fitted to nobody."
-)
-
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table."""
@@ -43,10 +37,6 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
             lines += ["### Stealthy attacks", ""]
             lines += [*markdown_table(tables.ATTACKS_HEAD, attacks), ""]
         lines += ["### Price", "", *markdown_table(tables.CLEAN_HEAD, clean), ""]
-    if summary["published"]:
-        lines += ["## As published", ""]
-        lines += markdown_table(tables.PUBLISHED_HEAD, tables.published_rows(summary))
-        lines += ["", PUBLISHED_NOTE, ""]
     lines += ["## The bracket", "", *bracket_section(summary)]
     lines += ["## How to read it", "", *_reading(config, summary), ""]
     if summary["comparisons"]:

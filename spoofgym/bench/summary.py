@@ -58,9 +58,8 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
     dict
         JSON-able: ``scenario``, ``runs``, ``detectors`` (rates of false alarms, price,
         ``bracket``), ``cells`` (spoofers), ``protection`` (detectors), ``comparisons``
-        (detectors with the negative controls at the same rate, run by run), ``published``
-        (nominal thresholds), ``limits`` (``floor`` of the world, ``zero_alarm`` bounds by
-        detector), ``tuning``, ``missing`` (cells).
+        (detectors with the negative controls at the same rate, run by run), ``limits`` (``floor``
+        of the world, ``zero_alarm`` bounds by detector), ``tuning``, ``missing`` (cells).
 
     Raises
     ------
@@ -118,7 +117,6 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
         "comparisons": compare(
             list(cells.values()), known, {k: p["footing"] for k, p in points.items()}
         ),
-        "published": _published(folder, config, limits),
         "limits": bracket,
         "tuning": tuned,
         "missing": [
@@ -269,21 +267,3 @@ def _attack(winner: Winner) -> dict[str, Any]:
     """Which attack it was."""
     named = {"letter": winner.letter, "spoofer": winner.spoofer}
     return {**named, "setting": winner.setting, "at": winner.value}
-
-
-def _published(
-    folder: ResultsFolder,
-    config: dict[str, Any],
-    limits: Sequence[float],
-) -> list[dict[str, Any]]:
-    """Detectors with thresholds as published, by name."""
-    found = []
-    for entry in sorted(config["published"]["detectors"], key=lambda each: each["label"]):
-        names = [each["label"] for each in config["published"]["spoofers"]]
-        cells = [
-            folder.cell(entry["label"], n) for n in names if folder.has_cell(entry["label"], n)
-        ]
-        if len(cells) == len(names):
-            scores = [score_cell(cell, limits, 1.0) for cell in cells[1:]]
-            found.append({**score_detector(cells[0]), "attacks": scores})
-    return found

@@ -51,14 +51,6 @@ CLEAN_HEAD = (
     "navigation error, RMS [m]",
     "largest while coasting [m]",
 )
-PUBLISHED_HEAD = (
-    "clean runs with an alarm [%]",
-    "detector",
-    "per hour",
-    "runs with an alarm before the onset [%]",
-    "P(alarm | silent twin) [%]",
-    "displacement by a ramp [m]",
-)
 ORACLE = " (oracle)"
 """Behind the name of a spoofer that sees the detector's statistics, as nobody can in practice."""
 KNOWLEDGE_HEAD = ("spoofer", "knows at run time", "was designed on")
@@ -308,24 +300,6 @@ def clean_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:
         )
         for row in _of(summary["detectors"], group)
     ]
-
-
-def published_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of thresholds as published, in the order of `PUBLISHED_HEAD`."""
-    rows: list[tuple[str, ...]] = []
-    for row in summary["published"]:
-        (attack,) = row["attacks"]
-        rows.append(
-            (
-                percent(row["false_alarm_per_run"]),
-                row["detector"].removesuffix(", as published"),
-                interval(row["false_alarms_per_hour"]),
-                percent(row["warmup_alarm_per_run"]),
-                percent(attack["alarm_rate"]),
-                interval(attack["stealthy_displacement_m"]),
-            )
-        )
-    return rows
 
 
 def knowledge_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:

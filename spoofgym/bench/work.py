@@ -12,11 +12,7 @@ WARMUP_SHARE = 1.0
 
 def expected_work(suite: Suite, folder: ResultsFolder) -> float:
     """Work that is left, roughly."""
-    total = sum(work_of(suite, folder, detector) for detector in suite.detector_entries)
-    for published in suite.published_entries:
-        left = left_of_published(suite, folder, published)
-        total += suite.runs * (2.0 + WARMUP_SHARE) if left else 0.0
-    return total
+    return sum(work_of(suite, folder, detector) for detector in suite.detector_entries)
 
 
 def work_of(suite: Suite, folder: ResultsFolder, detector: Entry) -> float:
@@ -61,9 +57,3 @@ def left_of(
     ]
     protect = suite.selection is not None and folder.protection(detector.label) is None
     return cells, searches, protect
-
-
-def left_of_published(suite: Suite, folder: ResultsFolder, detector: Entry) -> list[Entry]:
-    """Spoofers of the table `as published` whose cell is not finished."""
-    entries = suite.published_spoofers
-    return [entry for entry in entries if not folder.has_cell(detector.label, entry.label)]
