@@ -100,7 +100,6 @@ class Player:
             self.bound(detector, progress)
 
     def floor(self, progress: Progress) -> None:
-        """Compute the floor of the world."""
         if self.folder.limits(None) is None:
             progress.advance(0.0, "floor")
             self.folder.put_limits(None, self.brackets.floor())
@@ -195,10 +194,8 @@ def start_of(
     progress: Progress,
     spoofers: Sequence[Entry] | None = None,
 ) -> tuple[WarmStart, Runs]:
-    """Runs of a split at the onset, and what they do without attack.
-
-    `spoofers`: who is to play them, all of the suite's by default.
-    """
+    """Runs of a split at the onset, and what they do without attack. `spoofers`: who is to play
+    them, all of the suite's by default."""
     now = f"{detector.label}: {split} runs"
     progress.advance(0.0, now)
     start = WarmStart(
@@ -215,13 +212,11 @@ class Left:
         self._progress, self._left, self._now = progress, expected, now
 
     def tick(self, amount: float) -> None:
-        """Show it."""
         amount = min(amount, self._left)
         self._left -= amount
         self._progress.advance(amount, self._now)
 
     def end(self) -> None:
-        """Show what is left."""
         self.tick(self._left)
 
 
@@ -325,7 +320,6 @@ def _cell(
     twin: Runs,
     progress: Progress,
 ) -> Cell:
-    """Play one cell."""
     now = f"{detector.label}: {entry.label}"
     attacked = twin
     if entry.label != "none":

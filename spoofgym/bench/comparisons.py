@@ -62,7 +62,6 @@ def controls(footings: Footings) -> list[str]:
 
 
 def name_of(label: str) -> str:
-    """Name of a detector without its settings."""
     return label.partition("(")[0]
 
 
@@ -75,7 +74,6 @@ def comparable(footings: Footings, detector: str, other: str) -> bool:
 
 
 def _displacements(cells: Sequence[Cell], detector: str, control: str) -> list[dict[str, Any]]:
-    """Stealthy displacement, by spoofer."""
     by_pair = {(cell.detector, cell.spoofer): cell for cell in cells}
     found = []
     for (label, spoofer), mine in by_pair.items():

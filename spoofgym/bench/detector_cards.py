@@ -54,10 +54,8 @@ def unplayed(task: DetectorTask, card: dict[str, Any]) -> list[str]:
 
 
 def learned_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
-    """Shipped detectors that have learned in this world, and so from no family held out here.
-
-    A world whose counterfeit is another one holds out what they have learned from.
-    """
+    """Shipped detectors that have learned in this world, and so from no family held out here. A
+    world whose counterfeit is another one holds out what they have learned from."""
     return tuple({"name": name} for name in zoo.shipped() if _learned_in(name, task))
 
 

@@ -17,11 +17,9 @@ NOMINAL = "nominal"
 
 
 def operating_point(config: dict[str, Any], detector: str) -> dict[str, Any]:
-    """What a detector was asked for: ``claimed``, and the ``footing`` on which it is compared.
-
-    The footing is the rate; ``"nominal"`` where none was asked for, and ``"any"`` of a detector
-    that never alarms.
-    """
+    """What a detector was asked for: ``claimed``, and the ``footing`` on which it is compared. The
+    footing is the rate; ``"nominal"`` where none was asked for, and ``"any"`` of a detector that
+    never alarms."""
     found = config["calibrations"].get(detector, [])
     rates = {point["false_alarms_per_hour"] for point in found}
     claimed = None

@@ -13,18 +13,15 @@ from .tuning_table import tuning_head, tuning_rows
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return lines + ["| " + " | ".join(map(_cell, row)) + " |" for row in rows]
 
 
 def _cell(text: str) -> str:
-    """Text that stays within its cell."""
     return " ".join(text.split()).replace("|", "\\|")
 
 
 def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
-    """Report of a campaign."""
     lines = [f"# Campaign: {summary['scenario']}", "", *_setting(config, summary), ""]
     if summary["missing"]:
         lines += [f"**Not finished**: {', '.join(summary['missing'])}.", ""]
@@ -53,7 +50,6 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
 
 
 def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
-    """What was run."""
     line, attack = config["timeline"], config["attack"]
     by = attack["control"]
     kinds = sorted({cell["attack"] for cell in summary["cells"]})
@@ -75,7 +71,6 @@ def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
 
 
 def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
-    """World and receiver."""
     if "settings" in config:
         given = {k: json.dumps(x) for k, x in config["settings"].items() if x is not None}
         own = ", ".join(f"{k}={text}" for k, text in given.items())
@@ -93,7 +88,6 @@ def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
 
 
 def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
-    """How the numbers are meant."""
     alert, budget = config["timeline"]["time_to_alert_s"], 100 * summary["budget"]
     lines = [
         "In brackets: 95 % intervals. A run *counts* where nothing but the attack can have raised "
@@ -150,7 +144,6 @@ def _comparisons(summary: dict[str, Any]) -> list[str]:
 
 
 def _tunings(searches: list[dict[str, Any]]) -> list[str]:
-    """What was tried to find the settings."""
     lines = []
     for search in searches:
         runs, name = search["runs"], search["setting"]

@@ -129,7 +129,6 @@ class Suite:
     selection: Selection | None = None
 
     def __post_init__(self) -> None:
-        """Check names and settings; no receiver is simulated yet."""
         check_choice("environment of the benchmark", self.env, VICTIMS)
         valid = [name for name in settings_of(VICTIMS[self.env].setup) if name != "detector"]
         for name in self.given:
@@ -195,10 +194,8 @@ class Suite:
         return self._shipped[1] if self.spoofers is None else ()
 
     def check_fit(self) -> None:
-        """Raise where a detector or a spoofer does not fit, before anything is played.
-
-        Spoofers that ignore a target direction that is drawn are warned of.
-        """
+        """Raise where a detector or a spoofer does not fit, before anything is played. Spoofers
+        that ignore a target direction that is drawn are warned of."""
         for entry in self.detector_entries:
             try:
                 self.setup(entry).simulator(1, run_serially)
@@ -231,9 +228,7 @@ class Suite:
 
     def setup(self, detector: Entry, spoofers: Sequence[Entry] | None = None) -> Setup:
         """What all receivers share, with one of the detectors; world and all else are the same.
-
-        `spoofers`: who plays, all of the suite's by default; what they observe is watched.
-        """
+        `spoofers`: who plays, all of the suite's by default; what they observe is watched."""
         watched = self._watched if spoofers is None else self.watched_for(spoofers)
         return self._setup.altered(detector=make_judge(detector.spec), monitors=watched)
 
@@ -282,12 +277,9 @@ class Suite:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """Everything that the results depend on, JSON-able.
-
-        What comes from outside of spoofgym is there by digests of its sources.  Where one can't be
-        read, a number of this suite alone is in its place, so that no other one takes up its
-        results; this is warned of.
-        """
+        """Everything that the results depend on, JSON-able. What comes from outside of spoofgym is
+        there by digests of its sources. Where one can't be read, a number of this suite alone is in
+        its place, so that no other one takes up its results; this is warned of."""
         setup = self._setup
         judges = [make_judge(entry.spec) for entry in self.detector_entries]
         players = [build_spoofer(entry.untuned) for entry in self.spoofer_entries]

@@ -215,12 +215,9 @@ def _median(x: NDArray[Any], clusters: NDArray[np.int64]) -> Estimate:
 
 
 def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, Any]:
-    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack).
-
-    The worst of all winners counts, whatever each was chosen for, so that P(HMI | attack) never
-    grows with the limit, nor does what is exceeded with the share, and neither contradicts the
-    other.
-    """
+    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack). The worst of
+    all winners counts, whatever each was chosen for, so that P(HMI | attack) never grows with the
+    limit, nor does what is exceeded with the share, and neither contradicts the other."""
     aims = [aim for winner in found.winners for aim in winner.aims]
     searched = sorted({aim.limit_m for aim in aims if aim.limit_m is not None} & set(limits))
     skies = None if found.skies is None else len(found.skies)
@@ -264,6 +261,5 @@ def _hazardous(found: Protection, measure: str, limit: float) -> dict[str, Any]:
 
 
 def _attack(winner: Winner) -> dict[str, Any]:
-    """Which attack it was."""
     named = {"letter": winner.letter, "spoofer": winner.spoofer}
     return {**named, "setting": winner.setting, "at": winner.value}

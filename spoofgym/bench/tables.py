@@ -67,7 +67,6 @@ class Group(NamedTuple):
 
     @property
     def title(self) -> str:
-        """At which rate."""
         if not self.rate:
             return "with nominal thresholds, whose rates of false alarms differ"
         return f"at {self.rate} false alarms an hour"
@@ -94,11 +93,8 @@ def percent(estimate: dict[str, Any]) -> str:
 
 
 def interval(estimate: dict[str, Any], digits: int | None = None) -> str:
-    """Number with its interval.
-
-    `estimate`: ``value``, ``low``, ``high``; None where unknown; `digits`: after the point; as many
-    as suit the size by default.
-    """
+    """Number with its interval. `estimate`: ``value``, ``low``, ``high``; None where unknown;
+    `digits`: after the point; as many as suit the size by default."""
     value, low, high = (estimate[key] for key in ("value", "low", "high"))
     if value is None:
         return "-"
@@ -119,7 +115,6 @@ def _digits(size: float) -> int:
 
 
 def setting_of(cell: dict[str, Any]) -> str:
-    """What a spoofer was set to."""
     parts = [
         _setting(key, value)
         for key, value in cell["spoofer_settings"].items()
@@ -141,11 +136,9 @@ def _setting(key: str, value: Any) -> str:
 
 
 def made_for(cell: dict[str, Any]) -> str:
-    """Which detector a spoofer was made for.
-
-    Returns its label, marked where this is another detector, receiver, scenario, timeline or
-    attack; what the spoofer says of itself where that is all there is; ``-`` for none.
-    """
+    """Which detector a spoofer was made for. Returns its label, marked where this is another
+    detector, receiver, scenario, timeline or attack; what the spoofer says of itself where that is
+    all there is; ``-`` for none."""
     knowledge = cell["knowledge"]
     if knowledge["detector"] is None:
         return "-" if knowledge["design_time"] == "nothing" else str(knowledge["design_time"])
@@ -184,7 +177,6 @@ def detector_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]
 
 
 def _of(rows: list[dict[str, Any]], group: Group) -> list[dict[str, Any]]:
-    """Rows of the detectors of a group, in its order."""
     order = {label: k for k, label in enumerate(group.detectors)}
     return sorted(
         (row for row in rows if row["detector"] in order), key=lambda row: order[row["detector"]]

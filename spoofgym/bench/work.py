@@ -11,12 +11,10 @@ WARMUP_SHARE = 1.0
 
 
 def expected_work(suite: Suite, folder: ResultsFolder) -> float:
-    """Work that is left, roughly."""
     return sum(work_of(suite, folder, detector) for detector in suite.detector_entries)
 
 
 def work_of(suite: Suite, folder: ResultsFolder, detector: Entry) -> float:
-    """Work that is left of one detector, roughly."""
     total = 0.0
     cells, searches, protect = left_of(suite, folder, detector)
     if cells or protect:
@@ -29,7 +27,6 @@ def work_of(suite: Suite, folder: ResultsFolder, detector: Entry) -> float:
 
 
 def search_work(suite: Suite) -> float:
-    """Work of one search, roughly."""
     settings = suite.tuning
     return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
 

@@ -117,7 +117,6 @@ def asks(spec: Mapping[str, Any]) -> bool:
 
 
 def _members_asked(pool: Mapping[str, Any], asked: Asked) -> Any:
-    """Members of a pool, each with what is asked of all."""
     members = pool.get("members", PooledDetector.members)
     if asked == Asked() or isinstance(members, str | Mapping) or not isinstance(members, Sequence):
         return members

@@ -106,7 +106,6 @@ class CumulativeBank(InnovationTest):
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         self.windows_s = checked_windows(self.windows_s)
         super().__post_init__()
 

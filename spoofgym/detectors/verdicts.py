@@ -63,12 +63,9 @@ def undeclared(detector: Detector, epoch: TracedEpoch) -> str:
 
 
 def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
-    """Check the verdict of a bound detector.
-
-    A `TypeError` (no `Verdict`, a part that is no array of the right type) or `ValueError` (a wrong
-    shape, a value not finite, a weight not within 0 and 1) names the detector, the time of the
-    epoch, the receiver, what came and what is valid.
-    """
+    """Check the verdict of a bound detector. A `TypeError` (no `Verdict`, a part that is no array
+    of the right type) or `ValueError` (a wrong shape, a value not finite, a weight not within 0 and
+    1) names the detector, the time of the epoch, the receiver, what came and what is valid."""
     # one compiled pass over what has the usual form; words are only looked for where it fails
     if type(verdict) is Verdict:
         statistic, threshold, alarm, weights = verdict

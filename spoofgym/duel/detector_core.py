@@ -121,7 +121,6 @@ class DetectorCore:
         return self.duel.observe_detector()
 
     def reset_info(self) -> Info:
-        """Information of a reset."""
         delay = np.full(self.receivers, self.duel.decision_delay)
         return {"time_s": self.duel.time_s(), "decision_delay": delay}
 

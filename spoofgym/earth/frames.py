@@ -70,15 +70,9 @@ def ecef_to_geodetic(
 
 
 def dcm_e_from_n(latitude: ArrayLike, longitude: ArrayLike) -> NDArray[np.float64]:
-    """Direction cosine matrix `C_en`, to ECEF from north-east-down axes.
-
-    `latitude`, `longitude`: geodetic latitude and longitude [rad], any shape S; returns (S, 3, 3);
-    its columns are the north, east and down unit vectors in ECEF axes.
-
-    Notes
-    -----
-    Transpose of Groves (2013), eq. 2.150.
-    """
+    """Direction cosine matrix `C_en`, to ECEF from north-east-down axes. `latitude`, `longitude`:
+    geodetic latitude and longitude [rad], any shape S; returns (S, 3, 3); its columns are the
+    north, east and down unit vectors in ECEF axes. Transpose of Groves (2013), eq. 2.150."""
     latitude, longitude = np.broadcast_arrays(latitude, longitude)
     sl, cl = np.sin(latitude), np.cos(latitude)
     so, co = np.sin(longitude), np.cos(longitude)

@@ -57,11 +57,9 @@ class DisplacementScore:
             setattr(self, name, view)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All without the views, which a copy makes of its own bytes."""
         return {name: value for name, value in self.__dict__.items() if name not in _VIEWS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over the bytes, and name their arrays."""
         self.__dict__.update(state)
         self._name_arrays()
 
@@ -194,10 +192,8 @@ PLAY = SequelKernel(
 
 class ScoredStep:
     """`FusedStep` as the sequel of an epoch, in one kernel with it where the simulator can.
-
     `origin` (B, 2) where displacement is counted from [m]; `run_hold` runs the time to alert;
-    `result`, `seen` (B o,), set before every step: what it is written to.
-    """
+    `result`, `seen` (B o,), set before every step: what it is written to."""
 
     result: StepResult
     seen: NDArray[np.float32]
@@ -208,7 +204,6 @@ class ScoredStep:
         self._known = 0, 0
 
     def __getstate__(self) -> dict[str, Any]:
-        """All without the table of addresses."""
         return {**self.__dict__, "_table": None}
 
     def arrays(self, simulator: TightlyCoupledSimulator) -> tuple[NDArray[Any], ...]:

@@ -121,19 +121,15 @@ class OnnxModel:
         return np.hstack([action, *now])
 
     def act(self, observation: Float32Array) -> FloatArray:
-        """Action of every receiver, of a network without states.
-
-        `observation` (B, o); returns (B, a) in [-1, 1].
-        """
+        """Action of every receiver, of a network without states. `observation` (B, o); returns (B,
+        a) in [-1, 1]."""
         return self.step(observation, ())[0]
 
     def step(
         self, observation: Float32Array, states: Sequence[Float32Array]
     ) -> tuple[FloatArray, list[Float32Array]]:
-        """Action of every receiver, and the states of the next decision.
-
-        `observation` (B, o); `states`: (B, s) of each; returns (B, a) in [-1, 1], and as many.
-        """
+        """Action of every receiver, and the states of the next decision. `observation` (B, o);
+        `states`: (B, s) of each; returns (B, a) in [-1, 1], and as many."""
         if self._session is None or self._process != os.getpid():  # or in a forked child
             self._session, self._process = make_session(self.content), os.getpid()
         given = {self._given: np.ascontiguousarray(observation, dtype=np.float32)}
@@ -160,7 +156,6 @@ class OnnxModel:
             raise NotFinite(f"{what} with a value that is not finite for receiver {row}")
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the session, which neither pickles nor copies."""
         return {**self.__dict__, "_session": None}
 
 

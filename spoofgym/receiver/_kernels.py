@@ -92,10 +92,8 @@ def _put(x, row, now, a, b, c):
 @njit
 def mechanize(x, base, samples, dt, count, active, force):
     """Run the samples of one interval through the strapdown, in the lanes that are `active`.
-
     `samples`: rows c count + i for sensor c and sample i; `dt`: lengths [s]; `active`: one row, 1
-    or 0; `force`: three rows, written: last bias-corrected specific force, body axes [m/s^2].
-    """
+    or 0; `force`: three rows, written: last bias-corrected specific force, body axes [m/s^2]."""
     C = (
         load(x, base + C_EB),
         load(x, base + C_EB + 1),
@@ -147,10 +145,8 @@ def mechanize(x, base, samples, dt, count, active, force):
 
 @njit
 def propagate(x, base, assumed, first, force, tau, terms, product):
-    """Propagate a group's covariance over one interval.
-
-    `assumed`, `first`: lane array and first row of what the group assumes.
-    """
+    """Propagate a group's covariance over one interval. `assumed`, `first`: lane array and first
+    row of what the group assumes."""
     C = (
         load(x, base + C_EB),
         load(x, base + C_EB + 1),
@@ -170,10 +166,8 @@ def propagate(x, base, assumed, first, force, tau, terms, product):
 
 @njit
 def innovate(x, base, n, tau, sky):
-    """Propagate the clock, and write lines of sight, and innovations in place of measurements.
-
-    All are 0 where a satellite is invisible.
-    """
+    """Propagate the clock, and write lines of sight, and innovations in place of measurements. All
+    are 0 where a satellite is invisible."""
     drift = load(x, base + CLOCK + 1)
     clock = load(x, base + CLOCK) + drift * tau
     store(x, base + CLOCK, clock)
@@ -400,11 +394,9 @@ def show_transition(terms, tau, index, Phi):
 
 @njit
 def sample(a, w, group, epoch, measured, base):
-    """Measure a group's inertial samples of one interval, and mechanize them.
-
-    Rows 1 and 2 of `w.index` say where in `run` each lane's interval begins, and how many samples
-    it has; lanes with as many go together.  Where `measured`, `run` has what the sensors gave.
-    """
+    """Measure a group's inertial samples of one interval, and mechanize them. Rows 1 and 2 of
+    `w.index` say where in `run` each lane's interval begins, and how many samples it has; lanes
+    with as many go together. Where `measured`, `run` has what the sensors gave."""
     first, counts, start = w.index[1], w.index[2], w.index[3]
     lanes, size = counts.shape[0], a.rules[3]
     sensor_base, key_row = group * (SENSOR_CHANNELS + 2 * a.visible.shape[1]), group * KEYS
@@ -512,13 +504,11 @@ def name_scratch(a, work):
 
 @inlined
 def assumed_row(a, group):
-    """First row of what a group assumes."""
     return group * (VARIANCE + 2 * a.visible.shape[1]) % a.assumed.shape[0]
 
 
 @inlined
 def constant_row(a, group):
-    """First row of a group's constants."""
     return group * CONSTANT_ROWS % a.constants.shape[0]
 
 

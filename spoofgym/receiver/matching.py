@@ -94,11 +94,8 @@ LEAST_SD = 1e-4
 
 
 class Motion(NamedTuple):
-    """How much a vehicle manoeuvres.
-
-    `turning`: squared rotation by time [rad^2/s]; `forcing`: squared change of the specific force
-    by time [m^2/s^5].
-    """
+    """How much a vehicle manoeuvres. `turning`: squared rotation by time [rad^2/s]; `forcing`:
+    squared change of the specific force by time [m^2/s^5]."""
 
     turning: float = 0.0
     forcing: float = 0.0

@@ -42,8 +42,6 @@ class InertialErrors:
     - `velocity_mps`: initial velocity of every axis;
     - `horizontal_m`, `vertical_m`: initial position to the east and north, and upwards.
 
-    Notes
-    -----
     The defaults are what the filter of `shadmehri2025` assumes of its sensors (section 4.2), before
     the factor of 3 of its initial covariance.
     """
@@ -59,7 +57,6 @@ class InertialErrors:
     vertical_m: float = 6.0
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for name, value in vars(self).items():
             if not (math.isfinite(value) and value >= 0.0):
                 raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
@@ -118,7 +115,6 @@ class LooseWorld:
 
 
 def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
-    """World of a trajectory."""
     step = trajectory.step
     each = round(interval_s / step)
     if each < 1 or abs(each * step - interval_s) > _GRID:

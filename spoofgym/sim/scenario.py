@@ -69,7 +69,6 @@ class Scenario:
     events: BenignEvents | None = field(default=None, metadata=OMITTED)
 
     def __post_init__(self) -> None:
-        """Check the names."""
         if isinstance(self.flight, str):
             check_choice("flight", self.flight, FLIGHTS)
         if isinstance(self.errors, str):
@@ -104,7 +103,6 @@ class Scenario:
 
     @property
     def assumed_errors(self) -> GnssErrors:
-        """Errors that a matched receiver assumes."""
         if self.assumed is None:
             return self.gnss_errors
         return ERRORS[self.assumed] if isinstance(self.assumed, str) else self.assumed

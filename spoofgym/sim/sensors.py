@@ -115,12 +115,9 @@ class SensorBuffers:
             self.authentic[to] = other.authentic[rows]
 
     def draw_keys(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
-        """Take the keys of a new episode.
-
-        `rngs`: one per row.  Its seed sequence spawns one child an episode, and that gives every
-        source a key, so that no source depends on how much another draws, or on when the last
-        episode ended.
-        """
+        """Take the keys of a new episode. `rngs`: one per row. Its seed sequence spawns one child
+        an episode, and that gives every source a key, so that no source depends on how much another
+        draws, or on when the last episode ended."""
         spawned = [rng.bit_generator.seed_seq.spawn(1) for rng in rngs]  # type: ignore[attr-defined]
         self.put_keys(rows, [episode for (episode,) in spawned])
 
@@ -130,7 +127,6 @@ class SensorBuffers:
         episodes: Sequence[np.random.SeedSequence],
         sources: Sequence[str] = SOURCES,
     ) -> None:
-        """Take the keys of some sources from the seeds of episodes."""
         drawn = keys_of(episodes)
         for source in sources:
             self.words.put(source, rows, drawn[source])

@@ -314,11 +314,9 @@ REPORTS = 0xAD5B
 
 @njit
 def latest_reports(epochs, onset, keys, every, latency, out):
-    """Epoch of the newest report that has arrived by the epochs (B,): `out` (B,), written.
-
-    `keys` (B, 2) of the episodes; a report of every `every` epochs counted from the onset, with a
-    latency of its own between 0 and `latency` epochs, drawn by its key and its epoch.
-    """
+    """Epoch of the newest report that has arrived by the epochs (B,): `out` (B,), written. `keys`
+    (B, 2) of the episodes; a report of every `every` epochs counted from the onset, with a latency
+    of its own between 0 and `latency` epochs, drawn by its key and its epoch."""
     for b in range(out.shape[0]):
         newest = epochs[b] - (epochs[b] - onset[b]) % every
         while True:

@@ -11,11 +11,9 @@ FloatArray = NDArray[np.float64]
 
 
 class SkyData(NamedTuple):
-    """The satellites over one receiver, by slot (n,).
-
-    Angles in radians; `spoofed` where the spoofer changes the signal; `weight` of the pseudorange
-    in the receiver, 0 where the detector excludes it; `names` is ``""`` for an empty slot.
-    """
+    """The satellites over one receiver, by slot (n,). Angles in radians; `spoofed` where the
+    spoofer changes the signal; `weight` of the pseudorange in the receiver, 0 where the detector
+    excludes it; `names` is ``""`` for an empty slot."""
 
     names: tuple[str, ...]
     azimuth: FloatArray
@@ -42,11 +40,8 @@ class FrameData(NamedTuple):
 
 
 class EpisodeLayout(NamedTuple):
-    """What stays the same in a picture for a whole episode.
-
-    `track_ne` (K, 2) is the true ground track from the onset to the end of the time to alert [m];
-    `onset_s` the time of the onset.
-    """
+    """What stays the same in a picture for a whole episode. `track_ne` (K, 2) is the true ground
+    track from the onset to the end of the time to alert [m]; `onset_s` the time of the onset."""
 
     title: str
     track_ne: FloatArray

@@ -39,11 +39,8 @@ class Conditions(Record):
 
 
 class Knowledge(Record):
-    """What a spoofer knows.
-
-    `run_time`: what it observes during an attack; `design_time`: what it was optimised on before:
-    detector, receiver, scenario.
-    """
+    """What a spoofer knows. `run_time`: what it observes during an attack; `design_time`: what it
+    was optimised on before: detector, receiver, scenario."""
 
     run_time: Literal[
         "blind",
@@ -183,10 +180,8 @@ class Card(PolicyCard):
 
 
 def fields_of(context: SpooferContext) -> dict[str, Any]:
-    """Fields of a card that follow from the context of a spoofer.
-
-    Returns ``observation`` (None without names or bounds), ``action`` and ``conditions``.
-    """
+    """Fields of a card that follow from the context of a spoofer. Returns ``observation`` (None
+    without names or bounds), ``action`` and ``conditions``."""
     return {**spaces_of(context), "conditions": _conditions_of(context)}
 
 

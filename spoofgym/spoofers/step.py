@@ -45,16 +45,12 @@ class Step(ScriptedSpoofer):
     tunable: ClassVar[str | None] = "size_m"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_finite("size_m", self.size_m)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch.
-
-        `step`, `rate`, `displacement` (B,) so far; returns (B,) the largest from which the
-        displacement is not overshot [m/s].
-        """
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) the largest from which the displacement is not overshot [m/s]."""
         interval = self.context.interval_s
         rest = self.size_m - displacement
         if self.context.control == "rate":

@@ -110,11 +110,9 @@ def project(
     projection: FloatArray,
     order: NDArray[np.int64],
 ) -> None:
-    """Projections of the residual vectors, and their order.
-
-    `lines`, `residual` (N, 3), (N,) g and r [m]; `vectors` (V, 4) search vectors; `projection`
-    (N,), written [m]; `order` (N,), written: rows by falling projection, equal ones by index.
-    """
+    """Projections of the residual vectors, and their order. `lines`, `residual` (N, 3), (N,) g and
+    r [m]; `vectors` (V, 4) search vectors; `projection` (N,), written [m]; `order` (N,), written:
+    rows by falling projection, equal ones by index."""
     for i in range(n):
         along = vectors[v, 3]
         for j in range(3):
@@ -137,11 +135,9 @@ def grow(
     first: int,
     sums: FloatArray,
 ) -> tuple[bool, int, int]:
-    """Test a seed, let it grow, and test what is left.
-
-    `table` (N + 1, PRODUCTS) products; `limit`: limit of s^2 by number of satellites [m^2]; `order`
-    (N,) rows by projection; `sums` (1, PRODUCTS) scratch.
-    """
+    """Test a seed, let it grow, and test what is left. `table` (N + 1, PRODUCTS) products; `limit`:
+    limit of s^2 by number of satellites [m^2]; `order` (N,) rows by projection; `sums` (1,
+    PRODUCTS) scratch."""
     sums[:] = 0.0
     mask = 0
     for k in range(first, first + SEED):
@@ -275,10 +271,8 @@ class SrvRaim(ConsistencyTest):
     paper: ClassVar[str] = "wu2024"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_choice("frame", self.frame, FRAMES)
 
     def search(self, data: SearchData) -> None:
-        """Search two groups."""
         search_all(data, self._limit, SEARCH_VECTORS)

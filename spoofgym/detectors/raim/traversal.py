@@ -209,10 +209,8 @@ class TraversalRaim(ConsistencyTest):
     paper: ClassVar[str] = "wu2024"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_largest_group(self.largest_group)
 
     def search(self, data: SearchData) -> None:
-        """Search the smallest group to leave out."""
         search_all(data, self._limit, self.largest_group)

@@ -73,11 +73,9 @@ def whitened_response(
 def changed_rows(
     transition: FloatArray, kept: int, rows: IntArray, ends: IntArray, at: IntArray, of: FloatArray
 ) -> int:
-    """Find the rows of the first `kept` states of a transition that are not the identity's.
-
-    `rows`, `ends` (d,) written: their numbers, and where each ends in `at`, `of` (d * d,): places
-    and values of what is not 0; returns how many rows.
-    """
+    """Find the rows of the first `kept` states of a transition that are not the identity's. `rows`,
+    `ends` (d,) written: their numbers, and where each ends in `at`, `of` (d * d,): places and
+    values of what is not 0; returns how many rows."""
     count, size = 0, 0
     for i in range(kept):
         before, same = size, transition[i, i] == 1.0
@@ -293,9 +291,7 @@ def whiten_bank(
     whitened: FloatArray,
 ) -> None:
     """Horizontal parts of all solutions with the covariance of the identity, so that q = |w|^2.
-
-    `whitened` (B, J, 2) written, 0 where `judge_bank` does not judge.
-    """
+    `whitened` (B, J, 2) written, 0 where `judge_bank` does not judge."""
     receivers, bank = len(separation), separation.shape[2]
     for b in range(receivers):
         north, east = horizontal_axes(position_e[b])
