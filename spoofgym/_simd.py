@@ -586,14 +586,10 @@ _READ = tuple(
 
 
 class ArrayTable:
-    """Addresses and sizes of C-contiguous arrays, which a kernel takes as one argument.
-
-    To hand an array to compiled code costs as much as some hundred operations; `floats_at` and the
-    others make it of its address there.  The table keeps the arrays alive; each has to stay where
-    it is.
-
-    `entries` (2 k,) int64, address and number of elements of each.
-    """
+    """Addresses and sizes of C-contiguous arrays, which a kernel takes as one argument. To hand an
+    array to compiled code costs as much as some hundred operations; `floats_at` and the others make
+    it of its address there. The table keeps the arrays alive; each has to stay where it is.
+    `entries` (2 k,) int64, address and number of elements of each."""
 
     def __init__(self, arrays: Sequence[np.ndarray[Any, Any]]) -> None:
         for array in arrays:

@@ -199,11 +199,9 @@ def displaced_ranges(
     hi,
 ):
     """Add to all receivers' offsets those of antennas that are displaced from the true ones.
-
     `shift` (B, 6) displacement and its rate, ECEF [m], [m/s]; `epochs` (B,) epoch that each
     receiver is at; the next one is measured; `captured` (n,) bool, which channels are the
-    spoofer's; `d_range`, `d_rate` (B, n), added to [m], [m/s].
-    """
+    spoofer's; `d_range`, `d_rate` (B, n), added to [m], [m/s]."""
     work = np.empty((8, LANES))
     for b in range(lo, hi):
         k = epochs[b] + 1

@@ -85,11 +85,9 @@ class Meaconer(Attack):
         hi: int,
     ) -> None:
         """Take one command, and write what it adds to the measurements of the coming epoch.
-
         `action` (B, 1) in [-1, 1]; None holds the rate, until the delay would fall below zero;
         `epochs` (B,) the epoch that each receiver is at; `d_range`, `d_rate` (B, n), written [m],
-        [m/s].
-        """
+        [m/s]."""
         world, memory = self.world, self.memory
         self._prepare(epochs, lo, hi)
         if self.follows:

@@ -41,12 +41,10 @@ def compare(
     protections: Sequence[Protection],
     footings: Footings,
 ) -> list[dict[str, Any]]:
-    """Paired differences, detector less control, over the runs that count for both.
-
-    Returns a row for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``,
-    ``difference_m``, ``above`` where its interval lies above 0, ``below`` where it lies below by
-    more than `ALIKE` of what the control lets through.
-    """
+    """Paired differences, detector less control, over the runs that count for both. Returns a row
+    for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``, ``difference_m``,
+    ``above`` where its interval lies above 0, ``below`` where it lies below by more than `ALIKE` of
+    what the control lets through."""
     found = []
     for control in controls(footings):
         for detector in footings:

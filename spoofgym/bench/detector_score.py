@@ -141,11 +141,9 @@ class DetectorScore:
 
     def difference_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
         """P(HMI | attack) less that of another detector, paired by skies, with a 95 % interval.
-
-        Both have the same runs, but in ``chance-alarm``, where each has its own.  By the worst
-        family of each, or by one family.  Raises a ValueError where they have not met
-        the same attacks on the same runs.
-        """
+        Both have the same runs, but in ``chance-alarm``, where each has its own. By the worst
+        family of each, or by one family. Raises a ValueError where they have not met the same
+        attacks on the same runs."""
         mine, theirs = self._samples(family), other._samples(family)
         self._check_paired(other)
         return percentiles(mine[0] - theirs[0], mine[1] - theirs[1])

@@ -35,12 +35,10 @@ def operating_point(config: dict[str, Any], detector: str) -> dict[str, Any]:
 
 
 def score_detector(clean: Cell) -> dict[str, Any]:
-    """False alarms of a detector and their price, from its runs without attack.
-
-    Per run, per hour, and per epoch of the window, which is the availability that is lost; in the
-    warm-up; satellites that are blamed though nobody attacks, in satellite seconds an hour, None
-    where channels are not judged; RMS distance from the truth, and the largest while coasting.
-    """
+    """False alarms of a detector and their price, from its runs without attack. Per run, per hour,
+    and per epoch of the window, which is the availability that is lost; in the warm-up; satellites
+    that are blamed though nobody attacks, in satellite seconds an hour, None where channels are not
+    judged; RMS distance from the truth, and the largest while coasting."""
     records, window_s = clean.records, clean.window * clean.interval_s
     warm = int(records["warmup_alarm"].sum())
     per_run = clopper_pearson(int(clean.alarmed.sum()), clean.runs)

@@ -67,14 +67,10 @@ class Runs(NamedTuple):
 
 
 class WarmStart:
-    """Receivers at the onset of the attack, after one warm-up that all spoofers start from.
-
-    The warm-up is clean, so that it is the same for every spoofer: a run from here has the same
-    bits as one with a warm-up of its own.
-
-    `setup`: world, victim, attack, detector and timeline; `warmup_alarm` (R,) bool, false alarms
-    before the attack.
-    """
+    """Receivers at the onset of the attack, after one warm-up that all spoofers start from. The
+    warm-up is clean, so that it is the same for every spoofer: a run from here has the same bits as
+    one with a warm-up of its own. `setup`: world, victim, attack, detector and timeline;
+    `warmup_alarm` (R,) bool, false alarms before the attack."""
 
     def __init__(
         self, setup: Setup, rngs: Sequence[np.random.Generator], *, threads: int | None = None

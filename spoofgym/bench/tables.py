@@ -218,13 +218,10 @@ def _optimum(reached: dict[str, Any] | None) -> str:
 
 
 def mark_of(summary: dict[str, Any], detector: str) -> str:
-    """What is to be known of a detector.
-
-    Whether and where it is worse than one that never alarms, or by chance; whether the worst attack
-    comes as far as against one that never alarms; whether it alarms before the onset in more runs
-    than a calibration can stand for; whether the search for attacks has failed, and which attacks
-    are above its zero-alarm bound.
-    """
+    """What is to be known of a detector. Whether and where it is worse than one that never alarms,
+    or by chance; whether the worst attack comes as far as against one that never alarms; whether it
+    alarms before the onset in more runs than a calibration can stand for; whether the search for
+    attacks has failed, and which attacks are above its zero-alarm bound."""
     bracket = next(row["bracket"] for row in summary["detectors"] if row["detector"] == detector)
     if name_of(detector) in CONTROLS:
         return "; ".join(["control", *bracket_marks(bracket)])

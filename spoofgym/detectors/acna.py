@@ -134,12 +134,10 @@ def judge_fixes(
     statistic: FloatArray,
     weights: FloatArray,
 ) -> None:
-    """Judge one fix of every receiver.
-
-    `run`, `window`, `passes` (B, n_j), (B, n_s), (B, n_r) memory, overwritten; `outage`, `missing`,
-    `excluded` (B,) time without a believed fix, time without any, and time of the present exclusion
-    (-1 for none) [s], overwritten; `statistic` (B, 1), written; `weights` (B, m), written: 0 or 1.
-    """
+    """Judge one fix of every receiver. `run`, `window`, `passes` (B, n_j), (B, n_s), (B, n_r)
+    memory, overwritten; `outage`, `missing`, `excluded` (B,) time without a believed fix, time
+    without any, and time of the present exclusion (-1 for none) [s], overwritten; `statistic` (B,
+    1), written; `weights` (B, m), written: 0 or 1."""
     for b in range(statistic.shape[0]):
         drift = drift_of(gnss_position[b], predicted_position[b], design[b])
         statistic[b, 0] = 0.0

@@ -74,12 +74,10 @@ def judge_channels(
     threshold: FloatArray,
     weights: FloatArray,
 ) -> None:
-    """Advance all charts by one epoch.
-
-    `innovation`, `innovation_variance`, `visible` (B, 2n), (B, 2n), (B, n), of the epoch;
-    `average`, `decay` (B, n) memory, overwritten; `size`, `threshold` (B, n), written: statistic
-    and threshold [m]; `weights` (B, 2n), written: IGG-III for pseudoranges, 1 for range rates.
-    """
+    """Advance all charts by one epoch. `innovation`, `innovation_variance`, `visible` (B, 2n), (B,
+    2n), (B, n), of the epoch; `average`, `decay` (B, n) memory, overwritten; `size`, `threshold`
+    (B, n), written: statistic and threshold [m]; `weights` (B, 2n), written: IGG-III for
+    pseudoranges, 1 for range rates."""
     for b in range(visible.shape[0]):
         for j in range(visible.shape[1]):
             if visible[b, j]:

@@ -174,13 +174,10 @@ def scan_channels(
     statistic: FloatArray,
     threshold: FloatArray,
 ) -> None:
-    """Take in one epoch, and look for changes.
-
-    `window` W; `quantiles` (n+1,) thresholds by the number of visible satellites; `scratch` (5, W),
-    overwritten; `sums` (B, signals * n, 2 L), `areas` (B, signals * n, 2 W + 2) as
-    `largest_evidence` reads them, `count` (B, n) int64, memory, overwritten; `statistic`,
-    `threshold` (B, n), written.
-    """
+    """Take in one epoch, and look for changes. `window` W; `quantiles` (n+1,) thresholds by the
+    number of visible satellites; `scratch` (5, W), overwritten; `sums` (B, signals * n, 2 L),
+    `areas` (B, signals * n, 2 W + 2) as `largest_evidence` reads them, `count` (B, n) int64,
+    memory, overwritten; `statistic`, `threshold` (B, n), written."""
     channels = visible.shape[1]
     baseline = sums.shape[2] // 2 - window - 1
     factors, scratch = scratch[:3], scratch[3:]

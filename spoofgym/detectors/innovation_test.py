@@ -137,11 +137,9 @@ def cholesky_of_rows(
     factor: FloatArray,
 ) -> int:
     """Cholesky's factor of the rows of one receiver that take part, with inverted diagonal.
-
     `innovation_cov` (2n, 2n) S; `rows` (last - first,) written: rows that take part, in their
     order; `factor` (last - first, last - first), written in its first rows and columns; returns how
-    many rows take part; -1 where S is not positive definite.
-    """
+    many rows take part; -1 where S is not positive definite."""
     n = judged.shape[0]
     count = 0
     for r in range(first, last):
@@ -204,12 +202,10 @@ def remember_squares(
     counts: FloatArray,
     place: NDArray[np.int64],
 ) -> None:
-    """Write the sum of squares of an epoch into a ring of the last W epochs.
-
-    `white` (B, r) whitened innovations; `judged` (B, n) bool; `each`: rows of a satellite;
-    `squares`, `counts` (B, W) memory, overwritten: sums of squares, and rows in them; `place` (B,)
-    memory, overwritten: where the next epoch goes.
-    """
+    """Write the sum of squares of an epoch into a ring of the last W epochs. `white` (B, r)
+    whitened innovations; `judged` (B, n) bool; `each`: rows of a satellite; `squares`, `counts` (B,
+    W) memory, overwritten: sums of squares, and rows in them; `place` (B,) memory, overwritten:
+    where the next epoch goes."""
     window = squares.shape[1]
     for b in range(white.shape[0]):
         k = place[b]

@@ -78,11 +78,9 @@ def limit_exclusions(
     weights: FloatArray,
 ) -> None:
     """Readmit satellites whose pseudoranges have been left out for too long, or are too few.
-
     `statistic`, `threshold` (B, n) of the epoch; `visible` (B, n) bool; `longest`: maximum
     exclusion time [epochs]; `excluded` (B, n) memory: epochs that each satellite has had weight 0
-    without an alarm; overwritten; `weights` (B, 2n), pseudoranges first, overwritten.
-    """
+    without an alarm; overwritten; `weights` (B, 2n), pseudoranges first, overwritten."""
     n = visible.shape[1]
     for b in range(visible.shape[0]):
         used = 0

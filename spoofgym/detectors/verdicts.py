@@ -21,12 +21,10 @@ FLOAT, BOOL = np.dtype(np.float64), np.dtype(np.bool_)
 
 
 def judged(detector: Detector, epoch: Epoch, rows: NDArray[np.intp] | None = None) -> Verdict:
-    """Let a bound detector judge an epoch, and check its verdict as `checked` does.
-
-    `rows`: `Detector.judged_rows`.  A new victim asks its detector through this function alone.
-    Where the detector fails, and reads
-    a field that is None since it isn't declared, an `UndeclaredFieldError` says so.
-    """
+    """Let a bound detector judge an epoch, and check its verdict as `checked` does. `rows`:
+    `Detector.judged_rows`. A new victim asks its detector through this function alone. Where the
+    detector fails, and reads a field that is None since it isn't declared, an
+    `UndeclaredFieldError` says so."""
     detector.judged_rows = rows
     try:
         return checked(detector.judge(epoch), detector, epoch)

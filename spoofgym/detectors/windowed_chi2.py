@@ -95,13 +95,10 @@ def window_sum(
     total: FloatArray,
     degrees: NDArray[np.int64],
 ) -> None:
-    """Put an epoch into the windows, and sum them up where they are full.
-
-    `nis`, `rows` (B,) of the epoch: normalized innovation squared, and rows measured; `past`,
-    `past_rows` (B, N) memory, overwritten; `seen` (B,) memory, overwritten: epochs so far; `total`
-    (B,), written: the sum, 0 where there is no verdict yet; `degrees` (B,), written: degrees of
-    freedom in the window.
-    """
+    """Put an epoch into the windows, and sum them up where they are full. `nis`, `rows` (B,) of the
+    epoch: normalized innovation squared, and rows measured; `past`, `past_rows` (B, N) memory,
+    overwritten; `seen` (B,) memory, overwritten: epochs so far; `total` (B,), written: the sum, 0
+    where there is no verdict yet; `degrees` (B,), written: degrees of freedom in the window."""
     length = past.shape[1]
     for b in range(nis.shape[0]):
         slot = seen[b] % length

@@ -37,12 +37,10 @@ class Played(NamedTuple):
 
 @dataclass(frozen=True)
 class RunPayoff:
-    """What a run is worth to the spoofer, in [0, 1].
-
-    `kind`: the undetected displacement in parts of the alert limit, at most 1, and 0 in a run with
-    an alarm from the onset to the end of the time to alert; or whether the undetected displacement
-    exceeds the limit, also where an alarm follows later; `limit_m`: alert limit, or a length [m].
-    """
+    """What a run is worth to the spoofer, in [0, 1]. `kind`: the undetected displacement in parts
+    of the alert limit, at most 1, and 0 in a run with an alarm from the onset to the end of the
+    time to alert; or whether the undetected displacement exceeds the limit, also where an alarm
+    follows later; `limit_m`: alert limit, or a length [m]."""
 
     kind: str = "stealth"
     limit_m: float = 40.0
@@ -106,7 +104,6 @@ class PayoffMatrix:
         return resamples_of(clusters_of(self.sky), count)
 
     def solve(self) -> Equilibrium:
-        """Equilibrium of the matrix."""
         return solve(self._finite())
 
     def spread(self, count: int = RESAMPLES) -> Spread:

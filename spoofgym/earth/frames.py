@@ -44,14 +44,10 @@ def geodetic_to_ecef(
 def ecef_to_geodetic(
     position_e: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Geodetic coordinates from a position in ECEF axes.
-
-    Bowring's closed form followed by two fixed-point steps; exact to rounding between the
-    surface and satellite orbits, poles included.
-
+    """Geodetic coordinates from a position in ECEF axes. Bowring's closed form followed by two
+    fixed-point steps; exact to rounding between the surface and satellite orbits, poles included.
     `position_e` (..., 3) position, ECEF [m]; returns `latitude`, `longitude`, `height` [rad],
-    [rad], [m]; shape of the leading axes.
-    """
+    [rad], [m]; shape of the leading axes."""
     x, y, z = np.moveaxis(np.asarray(position_e, dtype=np.float64), -1, 0)
     p = np.hypot(x, y)
     ratio = np.sqrt(1.0 - ECCENTRICITY_SQUARED)

@@ -298,12 +298,10 @@ def finish(
     flags,
     seen,
 ):
-    """Score an epoch unless `scored`, settle it and observe; True if nothing is settled yet.
-
-    To hand over an array costs as much as all that this does for one receiver, so most of them
-    come several in one: `raw` of `DisplacementScore`, `rules` of `FusedStep`, `numbers` and `flags`
-    of `StepResult`; `seen` (B o,) float32 is written, or has no element where nothing is observed.
-    """
+    """Score an epoch unless `scored`, settle it and observe; True if nothing is settled yet. To
+    hand over an array costs as much as all that this does for one receiver, so most of them come
+    several in one: `raw` of `DisplacementScore`, `rules` of `FusedStep`, `numbers` and `flags` of
+    `StepResult`; `seen` (B o,) float32 is written, or has no element where nothing is observed."""
     receivers = epochs.shape[0]
     values = numbers.reshape((numbers.shape[0] // receivers, receivers))
     marks = flags.reshape((flags.shape[0] // receivers, receivers))
@@ -366,11 +364,9 @@ def play(
     hi,
 ):
     """An epoch of receivers lo to hi, and all that follows it: displacement, score, observation.
-
     `entries`: table of what is named above; `numbers`, `flags`, `seen` as in `finish`, written; all
     others as `run_epochs` takes them, which does it all without `SCORE`; returns what it found, or
-    `HOLDS` where receivers have to run the time to alert before their step is settled.
-    """
+    `HOLDS` where receivers have to run the time to alert before their step is settled."""
     found = run_epochs(
         table,
         memories,

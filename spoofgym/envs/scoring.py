@@ -95,12 +95,10 @@ class DisplacementScore:
 
 
 class FusedStep:
-    """An epoch's score, information, reward and simple observation in one kernel.
-
-    `worst` says that displacement counts in any direction; `parts` are the keys of the rewards that
-    `shares` (r, 4) give as in `reward.shares_of`; `table`, `command` and `per_rate` are those of
-    `Observer`; an episode ends after `window` epochs.
-    """
+    """An epoch's score, information, reward and simple observation in one kernel. `worst` says that
+    displacement counts in any direction; `parts` are the keys of the rewards that `shares` (r, 4)
+    give as in `reward.shares_of`; `table`, `command` and `per_rate` are those of `Observer`; an
+    episode ends after `window` epochs."""
 
     def __init__(
         self,
@@ -143,11 +141,9 @@ class FusedStep:
         hold: Hold,
     ) -> None:
         """Score an epoch whose displacement is in `result`, and write all that is reported of it.
-
         `alarm` (B, c) of the verdict; `early` (B,) bool, for whom this was the last command before
         the end of the window; `seen` (B o,) is observed, unless it has no element; `hold` runs the
-        time to alert of those that have given the last command without an alarm.
-        """
+        time to alert of those that have given the last command without an alarm."""
         given = (
             *self._fixed,
             np.ascontiguousarray(alarm),

@@ -94,12 +94,10 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        """Start an episode in every receiver, or in some.
-
-        `options`: ``reset_mask``, (B,) bool, which receivers to reset, at least one (all by default
-        and at the first reset); ``domain``, circumstances not to be drawn, each one value or (B,)
-        of them, see `spoofgym.simulators.domain.CHOICES`.  Returns `observation` (B, o) float32.
-        """
+        """Start an episode in every receiver, or in some. `options`: ``reset_mask``, (B,) bool,
+        which receivers to reset, at least one (all by default and at the first reset); ``domain``,
+        circumstances not to be drawn, each one value or (B,) of them, see
+        `spoofgym.simulators.domain.CHOICES`. Returns `observation` (B, o) float32."""
         warn_unknown(options, ("domain", RESET_MASK))
         mask = mask_of(options, self.num_envs)
         if mask is None:

@@ -62,13 +62,10 @@ def late_positions(time: Floats) -> Mask:
 
 
 def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) -> Mask:
-    """Rows on the line between their neighbours, at the time that interpolation gives.
-
-    Of a run of equal displacements, only the fix at each end was ever observed.
-
-    `time` (n,) time of the positions [s], rising; `latitude`, `longitude` (n,) geodetic [rad];
-    returns (n,) True where a position is interpolated.
-    """
+    """Rows on the line between their neighbours, at the time that interpolation gives. Of a run of
+    equal displacements, only the fix at each end was ever observed. `time` (n,) time of the
+    positions [s], rising; `latitude`, `longitude` (n,) geodetic [rad]; returns (n,) True where a
+    position is interpolated."""
     north = EQUATORIAL_RADIUS * off_line(time, latitude[:, None])
     east = EQUATORIAL_RADIUS * np.cos(latitude) * off_line(time, np.unwrap(longitude)[:, None])
     between = np.hypot(north, east) < INTERPOLATION_TOLERANCE

@@ -28,12 +28,10 @@ BoolArray = NDArray[np.bool_]
 
 
 class Timing(NamedTuple):
-    """When a detector was switched on.
-
-    `interval_s`: time between epochs [s]; `live`: epochs without attack for which the detector has
-    been live at the first epoch of the run; the satellites in view are taken to be those of that
-    epoch; `onset_s`: time of that first epoch, which tests with a start of their own go by [s].
-    """
+    """When a detector was switched on. `interval_s`: time between epochs [s]; `live`: epochs
+    without attack for which the detector has been live at the first epoch of the run; the
+    satellites in view are taken to be those of that epoch; `onset_s`: time of that first epoch,
+    which tests with a start of their own go by [s]."""
 
     interval_s: float
     live: int = 0

@@ -31,12 +31,10 @@ _consistent: set[tuple[str, tuple[float, ...], tuple[float, ...]]] = set()
 
 
 class OnnxModel:
-    """The network of one file; it pickles and copies, without the session of onnxruntime.
-
-    `file`: what the card has of it; `observation`, `action`: the spaces of the card; `sha256`: a
-    digest that the file must have, besides that of the card; `state`: what a recurrent network
-    hands on.  A ValueError says what does not fit.
-    """
+    """The network of one file; it pickles and copies, without the session of onnxruntime. `file`:
+    what the card has of it; `observation`, `action`: the spaces of the card; `sha256`: a digest
+    that the file must have, besides that of the card; `state`: what a recurrent network hands on. A
+    ValueError says what does not fit."""
 
     def __init__(
         self,

@@ -217,11 +217,9 @@ def innovate(x, base, n, tau, sky):
 @njit
 def correct(x, base, assumed, first, n, weights, rules, work, precision):
     """Update a group's state and covariance; lanes with too few satellites stay as they are.
-
     `assumed`, `first`: as in `propagate`; `weights`: 2 n rows; `rules`: covariance update, fewest
     satellites, and whether to re-orthonormalize; `work`, `precision`: scratch memory of
-    `kalman.WORK` and 2 n rows; returns which lanes have satellites enough.
-    """
+    `kalman.WORK` and 2 n rows; returns which lanes have satellites enough."""
     c = base + CHANNELS
     seen = splat(0.0, x)
     for s in range(n):
@@ -514,12 +512,10 @@ def constant_row(a, group):
 
 @njit
 def predict_group(a, w, group, what):
-    """First half of an epoch of one group: measure, mechanize, propagate, innovate.
-
-    With `PREDICT` the group moves on to its next epoch, `MEASURE` alone measures where it is, and
-    without `MEASURE` `run` and the receivers have what has been measured; with `SHOW` the epoch is
-    written to where detectors look at it.
-    """
+    """First half of an epoch of one group: measure, mechanize, propagate, innovate. With `PREDICT`
+    the group moves on to its next epoch, `MEASURE` alone measures where it is, and without
+    `MEASURE` `run` and the receivers have what has been measured; with `SHOW` the epoch is written
+    to where detectors look at it."""
     receivers, n = a.visible.shape
     lanes, x = lanes_of(a.x), a.x
     base, c = group * (CHANNELS + ALL * n), group * (CHANNELS + ALL * n) + CHANNELS

@@ -231,12 +231,10 @@ def iterate(
     distances: FloatArray,
     sums: FloatArray,
 ) -> int:
-    """Fix of one receiver; it keeps position and clock where there is none.
-
-    `pseudorange`, `satellites`, `weights` (n,), (n, 3), (n,); what isn't finite has no weight;
-    `position`, `clock` (3,) ECEF and (1,) [m], guess, overwritten by the fix; `lines`, `distances`
-    (n, 3), (n,) scratch; `sums` (2, PRODUCTS) scratch.
-    """
+    """Fix of one receiver; it keeps position and clock where there is none. `pseudorange`,
+    `satellites`, `weights` (n,), (n, 3), (n,); what isn't finite has no weight; `position`, `clock`
+    (3,) ECEF and (1,) [m], guess, overwritten by the fix; `lines`, `distances` (n, 3), (n,)
+    scratch; `sums` (2, PRODUCTS) scratch."""
     r, step = position.copy(), np.zeros(4)
     bias, used = clock[0], 0
     for j in range(pseudorange.shape[0]):

@@ -152,13 +152,10 @@ def first_errors(
     initial: FloatArray,
     error: FloatArray,
 ) -> None:
-    """Draw what an episode starts with.
-
-    `keys` (B, 3, 2) key of every source; `initial_sd`, `position_sd` (15,) and (3,), of the state
-    and of the GNSS position; `deviates` (64,) scratch memory; `initial` (B, 15), written: errors
-    of the first estimate, then sensor biases; `error` (B, 3), written: GNSS position errors, east,
-    north, up [m].
-    """
+    """Draw what an episode starts with. `keys` (B, 3, 2) key of every source; `initial_sd`,
+    `position_sd` (15,) and (3,), of the state and of the GNSS position; `deviates` (64,) scratch
+    memory; `initial` (B, 15), written: errors of the first estimate, then sensor biases; `error`
+    (B, 3), written: GNSS position errors, east, north, up [m]."""
     for b in range(keys.shape[0]):
         normals(keys[b, INITIAL, 0], keys[b, INITIAL, 1], 0, deviates)
         for i in range(15):

@@ -362,11 +362,9 @@ def ke2022() -> Flight:
 
 def shadmehri2025() -> Flight:
     """Flight of shadmehri2025: an airliner for a minute, 200 m/s eastwards and 50 m/s northwards.
-
-    The paper takes a recorded flight that it does not name, and gives these two velocities and
-    the rate of the inertial sensors, 160 Hz.  Here the manoeuvres are mild: 6 deg to the right, a
-    climb of 30 m, and 6 deg back, which ends after the paper's onset at 20 s.
-    """
+    The paper takes a recorded flight that it does not name, and gives these two velocities and the
+    rate of the inertial sensors, 160 Hz. Here the manoeuvres are mild: 6 deg to the right, a climb
+    of 30 m, and 6 deg back, which ends after the paper's onset at 20 s."""
     return fly(
         [
             Until(2.0),
@@ -412,12 +410,10 @@ def airway() -> Flight:
 
 
 def approach() -> Flight:
-    """Flight of ten minutes that ends on an approach: downwind, two turns, down the glide path.
-
-    No paper's flight.  A jet flies downwind at 90 m/s and 1500 m, descends by 300 m, turns left by
-    90 deg onto base at 230 s and again onto final at 275 s, slows down to 75 m/s, and goes down a
-    path of 3 deg to 300 m: an attack of 150 s after a warm-up of 200 s meets both turns.
-    """
+    """Flight of ten minutes that ends on an approach: downwind, two turns, down the glide path. No
+    paper's flight. A jet flies downwind at 90 m/s and 1500 m, descends by 300 m, turns left by 90
+    deg onto base at 230 s and again onto final at 275 s, slows down to 75 m/s, and goes down a path
+    of 3 deg to 300 m: an attack of 150 s after a warm-up of 200 s meets both turns."""
     return fly(
         [
             Until(100.0),

@@ -141,12 +141,10 @@ class SensorBuffers:
         interval_s: float = 0.0,
         drawn: bool = False,
     ) -> None:
-        """Draw the errors of a new episode, by its keys.
-
-        `bias_sd` (n,) standard deviation of the satellite biases [m]; `interval_s` between epochs,
-        for errors of signals; `drawn`: whether the inertial sensors' constants are others in every
-        episode, as large as those of the grade.
-        """
+        """Draw the errors of a new episode, by its keys. `bias_sd` (n,) standard deviation of the
+        satellite biases [m]; `interval_s` between epochs, for errors of signals; `drawn`: whether
+        the inertial sensors' constants are others in every episode, as large as those of the
+        grade."""
         clock, n = errors.clock, len(bias_sd)
         constants: dict[str, Any] = {
             "accel_bias": grade.accel_bias,

@@ -26,13 +26,10 @@ MASK_DEG = 5.0
 
 
 class Sky(NamedTuple):
-    """Where vehicle and satellites are.
-
-    `time`: (K,) [s]; `position_e`, `velocity_e`: (K, 3), (3,) of the vehicle, ECEF [m], [m/s];
-    `C_en`: (3, 3) to ECEF from north-east-down axes at the start; `satellite_position_e`,
-    `satellite_velocity_e`: (K, n, 3) ECEF [m], [m/s]; `satellite_ids`: (n,) in the order of the
-    slots.
-    """
+    """Where vehicle and satellites are. `time`: (K,) [s]; `position_e`, `velocity_e`: (K, 3), (3,)
+    of the vehicle, ECEF [m], [m/s]; `C_en`: (3, 3) to ECEF from north-east-down axes at the start;
+    `satellite_position_e`, `satellite_velocity_e`: (K, n, 3) ECEF [m], [m/s]; `satellite_ids`: (n,)
+    in the order of the slots."""
 
     time: FloatArray
     position_e: FloatArray

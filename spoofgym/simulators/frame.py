@@ -24,13 +24,10 @@ class SkyData(NamedTuple):
 
 
 class FrameData(NamedTuple):
-    """One receiver at one instant.
-
-    `position_ne` (2,) true position from that at the onset, `error_ne` (2,) estimate minus truth,
-    `displacement_ne` (2,) commanded, None where the spoofer commands no position [m]; `ratio` the
-    largest statistic over its threshold, NaN before the first verdict; `sky` None where the
-    receiver takes positions.
-    """
+    """One receiver at one instant. `position_ne` (2,) true position from that at the onset,
+    `error_ne` (2,) estimate minus truth, `displacement_ne` (2,) commanded, None where the spoofer
+    commands no position [m]; `ratio` the largest statistic over its threshold, NaN before the first
+    verdict; `sky` None where the receiver takes positions."""
 
     position_ne: FloatArray
     error_ne: FloatArray

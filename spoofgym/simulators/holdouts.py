@@ -219,14 +219,10 @@ def check(
     *,
     threads: int | None = None,
 ) -> None:
-    """Replay the first runs of calibrations, and raise where a maximum is another one.
-
-    Not those of a detector that draws by the last bits of innovations, which differ between kinds
-    of processors: its runs are others there, and its rate is the same.
-
-    `calibrations`: in the order of the detectors; `detectors`: as `calibrate` takes them;
-    `threads`: as in `calibrate`.
-    """
+    """Replay the first runs of calibrations, and raise where a maximum is another one. Not those of
+    a detector that draws by the last bits of innovations, which differ between kinds of processors:
+    its runs are others there, and its rate is the same. `calibrations`: in the order of the
+    detectors; `detectors`: as `calibrate` takes them; `threads`: as in `calibrate`."""
     parts = inner_detectors(detectors)
     pairs = list(zip(calibrations, parts, strict=True))
     for calibration, detector in pairs:

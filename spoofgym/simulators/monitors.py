@@ -63,11 +63,9 @@ class Monitor(ABC):
 
 class PassiveDetectors(Monitor):
     """Detectors that judge the same epochs as the one in the loop; their weights are not used.
-
     `names`: name of each in ``info``: its `label`, or that of its class in `DETECTORS`, numbered
     where it is not alone; `memory`: ``alarmed`` (B, w) bool, whether each has alarmed since it was
-    last set to False; ``ratio`` (B, w) largest statistic over threshold at the last epoch.
-    """
+    last set to False; ``ratio`` (B, w) largest statistic over threshold at the last epoch."""
 
     def __init__(self, detectors: Sequence[Detector]) -> None:
         self.detectors = [copy.deepcopy(detector) for detector in detectors]

@@ -76,12 +76,10 @@ class Group:
 
 
 class NextEpisodes:
-    """Receivers that wait at the onset of their next episodes.
-
-    `waiting` has `STOCK` times the B receivers of the engine, in slots ``row`` and ``row + B`` in
-    turn.  ``warm_up(rngs)`` makes a batch, and stops between pieces of its warm-up.  Threads do no
-    more than such pieces; the books are the owner's alone.
-    """
+    """Receivers that wait at the onset of their next episodes. `waiting` has `STOCK` times the B
+    receivers of the engine, in slots ``row`` and ``row + B`` in turn. ``warm_up(rngs)`` makes a
+    batch, and stops between pieces of its warm-up. Threads do no more than such pieces; the books
+    are the owner's alone."""
 
     def __init__(self, waiting: Simulator, warm_up: WarmUp, workers: Workers) -> None:
         self._waiting, self._warm_up, self._workers = waiting, warm_up, workers

@@ -24,11 +24,9 @@ NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 
 class Conditions(Record):
     """What an attack has to be like for the actions to mean what they meant.
-
     `acceleration_limit_mps2`, `rate_limit_mps`: of the attack; with control by rate the first one
     does not matter, and may be None; `setpoint_mps`: rate that an action of 1 asks for, with
-    control by set-point.
-    """
+    control by set-point."""
 
     interval_s: PositiveFloat
     steps: PositiveInt

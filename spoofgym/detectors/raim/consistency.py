@@ -142,13 +142,10 @@ def line_up(
     lines: FloatArray,
     offsets: FloatArray,
 ) -> int:
-    """Rows of the satellites that one receiver can use.
-
-    `pseudorange`, `satellite_position`, `visible` (n,), (n, 3), (n,) of an epoch; `position` (3,)
-    predicted, ECEF [m]; `axes` (3, 3) from the frame of the test to ECEF; `slots` (n,), written:
-    slot of each row; `lines`, `offsets` (n, 3), (n,), written: g in the frame of the test, and y
-    [m].
-    """
+    """Rows of the satellites that one receiver can use. `pseudorange`, `satellite_position`,
+    `visible` (n,), (n, 3), (n,) of an epoch; `position` (3,) predicted, ECEF [m]; `axes` (3, 3)
+    from the frame of the test to ECEF; `slots` (n,), written: slot of each row; `lines`, `offsets`
+    (n, 3), (n,), written: g in the frame of the test, and y [m]."""
     count = 0
     for j in range(visible.shape[0]):
         if not visible[j]:

@@ -178,13 +178,10 @@ def search(
     order: NDArray[np.int64],
     scratch: FloatArray,
 ) -> tuple[bool, int, int]:
-    """Search two groups that agree.
-
-    `n`: number of satellites, at least 5, of a geometry that isn't singular; `limit` (N + 1,) limit
-    of s^2 by number of satellites [m^2]; `vectors` (V, 4) search vectors; `order` (N,) scratch;
-    `scratch` (3, at least N and PRODUCTS) scratch; returns `positionings`: number of fits, that of
-    all in view included.
-    """
+    """Search two groups that agree. `n`: number of satellites, at least 5, of a geometry that isn't
+    singular; `limit` (N + 1,) limit of s^2 by number of satellites [m^2]; `vectors` (V, 4) search
+    vectors; `order` (N,) scratch; `scratch` (3, at least N and PRODUCTS) scratch; returns
+    `positionings`: number of fits, that of all in view included."""
     projection, solution, sums = scratch[0], scratch[1], scratch[2:]
     solve(table, table.shape[0] - 1, solution)
     for i in range(n):
@@ -224,13 +221,10 @@ def search_all(data: SearchData, limit: FloatArray, vectors: FloatArray) -> None
 def srv_raim(
     line_of_sight: ArrayLike, offset: ArrayLike, sigma_m: float, confidence: float = 0.95
 ) -> Partition:
-    """Two groups of satellites that each agree, by their residual vectors.
-
-    `line_of_sight` (n, 3) unit vectors to the satellites, in the axes that the search vectors
-    belong to; `offset` (n,) pseudorange minus predicted range [m]; what isn't finite is left out;
-    `sigma_m`: noise of a pseudorange [m]; `confidence`: probability that satellites that agree pass
-    for it, in (0, 1).
-    """
+    """Two groups of satellites that each agree, by their residual vectors. `line_of_sight` (n, 3)
+    unit vectors to the satellites, in the axes that the search vectors belong to; `offset` (n,)
+    pseudorange minus predicted range [m]; what isn't finite is left out; `sigma_m`: noise of a
+    pseudorange [m]; `confidence`: probability that satellites that agree pass for it, in (0, 1)."""
     check_test(sigma_m, confidence)
     data, _ = checked_rows(line_of_sight, offset)
     limit = fit_thresholds(sigma_m, 1.0 - confidence, data.slots.shape[1])

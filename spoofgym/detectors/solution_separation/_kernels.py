@@ -165,12 +165,10 @@ def advance_bank(
     separation: FloatArray,
     covariance: FloatArray,
 ) -> None:
-    """Move all solutions of some receivers on by one epoch.
-
-    `receivers` (r,): which ones; `fewest`: satellites for an update; `spacing`: D; `epochs` (B,),
-    `separation` (B, d, J), `covariance` (B, d, d, J) memory, overwritten: epochs so far, s and V.
-    Where S is not positive definite, s is infinite.
-    """
+    """Move all solutions of some receivers on by one epoch. `receivers` (r,): which ones; `fewest`:
+    satellites for an update; `spacing`: D; `epochs` (B,), `separation` (B, d, J), `covariance` (B,
+    d, d, J) memory, overwritten: epochs so far, s and V. Where S is not positive definite, s is
+    infinite."""
     m, (kept, bank) = innovation.shape[1], separation.shape[1:]
     scratch, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
     A, y = np.empty((m, kept)), np.empty(m)
@@ -253,11 +251,9 @@ def judge_bank(
     statistic: FloatArray,
 ) -> None:
     """Compare the horizontal part of all solutions of some receivers with its covariance.
-
     `receivers` (r,): which ones; `largest_sd` (B, J) memory, overwritten: root of the largest
     eigenvalue of V_h [m], infinite where a solution is not judged; `statistic` (B,) written:
-    largest q.
-    """
+    largest q."""
     bank = separation.shape[2]
     for b in receivers:
         north, east = horizontal_axes(position_e[b])
