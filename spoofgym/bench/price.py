@@ -56,7 +56,6 @@ def score_detector(clean: Cell) -> dict[str, Any]:
         "warmup_alarm_per_run": clopper_pearson(warm, clean.runs).as_json(),
         "blamed_s_per_hour": round(blamed, 4) if clean.head["judges_channels"] else None,
         "navigation_rms_m": float(np.sqrt(np.mean(records["navigation_rms_m"] ** 2)).round(4)),
-        "coasting_runs": float(coasting.mean().round(6)),
         "coasting_error_m": mean_of(records["coasting_error_m"][coasting]),
     }
 

@@ -21,7 +21,7 @@ from .metrics import (
     resamples_of,
     wilson,
 )
-from .price import mean_of, number, operating_point, score_detector
+from .price import number, operating_point, score_detector
 from .protection import Aim, Protection, Winner
 from .scores import (
     ALIKE,
@@ -36,13 +36,6 @@ from .suite import FORMAT
 
 SURVIVAL_TIMES = 8
 """At how many times the share of undetected attacks is told."""
-FURTHER = (
-    "undetected_along_m",
-    "undetected_vertical_m",
-    "undetected_total_m",
-    "undetected_total_vertical_m",
-)
-"""Other displacements whose means are told."""
 
 
 def summarize(folder: ResultsFolder) -> dict[str, Any]:
@@ -153,9 +146,6 @@ def score_cell(cell: Cell, limits: Sequence[float], budget: float) -> dict[str, 
         "stealthy_displacement_m": bootstrap_mean(kept, samples).as_json(),
         "median_m": number(np.median(kept)) if len(kept) else None,
         "alarmed_as_0_m": bootstrap_mean(zeroed, samples).as_json(),
-        "further_m": {
-            name: mean_of(cell.records[name][counts]) for name in FURTHER if name in cell.records
-        },
         "largest_error_m": float(cell.records["largest_error_m"].mean().round(4)),
         "p_hmi": [
             {"alert_limit_m": limit, **estimate.as_json()}

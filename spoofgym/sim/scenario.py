@@ -19,7 +19,7 @@ from .constellation import (
 )
 from .flight import Flight, turned
 from .gnss import ERRORS, RENAMED, GnssErrors
-from .imu import IMU_GRADES, ImuGrade
+from .imu import IMU_GRADES
 from .manoeuvres import FLIGHTS
 from .trajectory import trajectory_at
 from .world import CHANNELS, MASK_DEG, World, build_world
@@ -106,11 +106,6 @@ class Scenario:
         if self.assumed is None:
             return self.gnss_errors
         return ERRORS[self.assumed] if isinstance(self.assumed, str) else self.assumed
-
-    @property
-    def imu_grade(self) -> ImuGrade:
-        """Errors of the inertial sensors."""
-        return IMU_GRADES[self.imu]
 
     def world(self) -> World:
         """Compute the truth; the last few named flights are remembered."""
