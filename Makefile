@@ -65,7 +65,7 @@ learn: $(VENV)/.installed-learn ## all trainings behind the pages again, with th
 	$(python) -m tools.learn_all --out runs/all $(ARGS)
 
 perf: $(VENV)/.installed-bench ## measure the speed of this machine, part by part
-	$(VENV)/bin/spoofgym perf $(ARGS)
+	$(python) -m benchmarks.perf $(ARGS)
 
 benchmarks: $(VENV)/.installed-test ## time kernels, detectors, environments and starts, by pytest-benchmark
 	$(python) -m pytest benchmarks $(ARGS)

@@ -1,1 +1,1 @@
-"""Speed, by pytest-benchmark: ``make benchmarks``; `spoofgym perf` has the breakdown of a step."""
+"""Speed, by pytest-benchmark: ``make benchmarks``; `perf` has the breakdown of a step."""

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import spoofgym  # noqa: F401  (registers the ids)
-from spoofgym.bench.perf import ENV, SETTINGS
+
+from .perf import ENV, SETTINGS
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from spoofgym.bench import perf
+from . import perf
 
 
 @pytest.fixture(scope="module", params=[1, 64, 256])

@@ -77,7 +77,7 @@ if TYPE_CHECKING:
     from .bench.evaluate import evaluate as evaluate
     from .bench.evaluate_detector import evaluate_detector as evaluate_detector
 
-__version__ = "0.1.0"
+__version__ = "0.1.0.dev0"
 
 register(
     id="spoofgym/TightlyCoupled-v0",

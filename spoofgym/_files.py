@@ -26,10 +26,8 @@ def write_file(path: Path, content: bytes, *, exclusive: bool = False) -> None:
 @contextmanager
 def whole_file(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
     """Temporary file in the folder of `path`, which takes its name when the block has ended well.
-
-    The folder is made where it is missing.  A file of that name is replaced, or, if `exclusive`,
-    is left and raises FileExistsError.
-    """
+    The folder is made where it is missing. A file of that name is replaced, or, if `exclusive`, is
+    left and raises FileExistsError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"spoofgym-{_machine()}-{os.getpid()}-{uuid.uuid4().hex}.part")
     try:
@@ -45,7 +43,6 @@ def whole_file(path: Path, *, exclusive: bool = False) -> Iterator[Path]:
 
 
 def _link(part: Path, path: Path) -> None:
-    """Give a file a name that nobody has."""
     try:
         os.link(part, path)
     except FileExistsError:

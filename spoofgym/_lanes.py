@@ -89,7 +89,6 @@ class LaneFields:
         self._grouped[0, rows] = values[0][:, None]
 
     def __setitem__(self, name: str, values: Any) -> None:
-        """Write a quantity of all receivers."""
         self.put(name, slice(None), values)
 
     def copy_rows(self, to: NDArray[np.intp], other: LaneFields, rows: NDArray[np.intp]) -> None:
@@ -115,7 +114,6 @@ class LaneFields:
         return memory if self.lanes == 1 else memory.reshape(rows, self.lanes)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over the state, with the data aligned again."""
         self.__dict__.update(state)
         data = self.data
         self.data = _aligned(data.size, data.dtype.type).reshape(data.shape)

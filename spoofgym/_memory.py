@@ -39,7 +39,6 @@ class Memory(dict[str, NDArray[Any]]):
         self._initial: dict[str, NDArray[Any]] = {}
 
     def __setitem__(self, name: str, array: NDArray[Any]) -> None:
-        """Assign an array."""
         super().__setitem__(name, array)
         self.stamp = next(_STAMPS)
 
@@ -70,10 +69,8 @@ class Memory(dict[str, NDArray[Any]]):
                 self[name] = restored
 
     def copy_rows(self, to: NDArray[np.intp], other: Memory, rows: NDArray[np.intp]) -> None:
-        """Take over rows of another memory of the same names.
-
-        `to`: rows of this memory that are overwritten.
-        """
+        """Take over rows of another memory of the same names. `to`: rows of this memory that are
+        overwritten."""
         for name in self._initial:
             merged = np.array(self[name])
             merged[to] = other[name][rows]

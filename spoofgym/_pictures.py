@@ -33,7 +33,6 @@ GRID = "#dddddd"
 
 
 def figure_class() -> type[Figure]:
-    """Matplotlib's figure."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

@@ -52,10 +52,8 @@ def build(
     *,
     more: Iterable[str] = (),
 ) -> T:
-    """Object by name, by name and settings, or a copy of an object.
-
-    `spec`: a name; ``{"name": ..., "setting": value, ...}``; or an object, which is copied.
-    """
+    """Object by name, by name and settings, or a copy of an object. `spec`: a name; ``{"name": ...,
+    "setting": value, ...}``; or an object, which is copied."""
     kind = cast("type[T]", base)  # abstract, which type[T] does not allow for
     if isinstance(spec, kind):
         return copy.deepcopy(spec)
@@ -116,11 +114,9 @@ def check_plain_settings(kind: type, settings: Mapping[str, Any]) -> None:
 def build_record(
     word: str, kind: type[T], given: Any, defaults: Mapping[str, Any] | None = None
 ) -> T:
-    """Record from its settings.
-
-    `given`: settings by name; a record, which is handed back; None for no settings; `defaults`:
-    settings that hold where `given` does not say them; those of the dataclass by default.
-    """
+    """Record from its settings. `given`: settings by name; a record, which is handed back; None for
+    no settings; `defaults`: settings that hold where `given` does not say them; those of the
+    dataclass by default."""
     if isinstance(given, kind):
         return given
     if given is not None and not isinstance(given, Mapping):
@@ -138,10 +134,8 @@ def build_record(
 
 
 def is_number(value: object) -> bool:
-    """Whether a setting is a real number, and no truth value.
-
-    Returns True for infinite ones and NaN, too.
-    """
+    """Whether a setting is a real number, and no truth value. Returns True for infinite ones and
+    NaN, too."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
 
 
@@ -163,9 +157,7 @@ def check_truth(name: str, value: Any) -> None:
 
 def whole_number(name: str, value: Any, least: int = 0) -> int:
     """A count or a seed as Python's own int, also of NumPy's; raises unless it is at least `least`.
-
-    `name` is how the message names it, with its quotes.
-    """
+    `name` is how the message names it, with its quotes."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not whole or value < least:
         raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")

@@ -79,7 +79,6 @@ def _splat(builder: Any, value: Any, kind: _Vector) -> Any:
 
 
 def _indices(lanes: Sequence[int]) -> Any:
-    """Which lanes LLVM is to take."""
     return ir.Constant(ir.VectorType(_INDEX, len(lanes)), list(lanes))
 
 
@@ -105,10 +104,8 @@ def _define(
     arity: int,
 ) -> None:
     """Compile calls of a function by `emit`, where `result` knows the type that comes out.
-
-    ``result(*types)`` gives it, or None for arguments that are not for it; ``emit(context,
-    builder, types, values)`` the LLVM value.
-    """
+    ``result(*types)`` gives it, or None for arguments that are not for it; ``emit(context, builder,
+    types, values)`` the LLVM value."""
 
     @infer_global(function)
     class _Template(AbstractTemplate):  # type: ignore[misc]
@@ -210,7 +207,6 @@ _define(
 
 
 def _row_kind(array: types.Type) -> types.Type | None:
-    """Type of a row of a lane array."""
     if not isinstance(array, types.Array) or array.layout != "C" or array.ndim not in (1, 2):
         return None
     if array.ndim == 1:
@@ -227,7 +223,6 @@ def _data(context: Any, builder: Any, kind: types.Array, array: Any) -> Any:
 def _row_address(
     context: Any, builder: Any, given: Any, values: Any, kind: types.Type | None = None
 ) -> Any:
-    """Address of a row, or of a pair of them."""
     data = _data(context, builder, given[0], values[0])
     row = context.cast(builder, values[1], given[1], types.intp)
     kind = kind or _row_kind(given[0])
@@ -274,7 +269,6 @@ def load_pair(array: Any, row: int) -> Any:
 
 
 def pair_of(vector: Any) -> Any:
-    """Pair whose rows are both a vector."""
     return _python(np.concatenate([vector, vector]))
 
 
@@ -403,7 +397,6 @@ def floor(x: Any) -> Any:
 
 
 def absolute(x: Any) -> Any:
-    """Size of x."""
     return np.abs(x)
 
 
@@ -424,7 +417,6 @@ def bits_of(x: Any) -> Any:
 
 
 def from_bits(x: Any) -> Any:
-    """The double that has these bits."""
     return _python(np.asarray(x, dtype=np.uint64).view(np.float64))
 
 
@@ -479,7 +471,6 @@ _define(select, _select_kind, _emit_select, 3)
 
 
 def any_lane(mask: Any) -> bool:
-    """Whether a mask holds in any lane."""
     return bool(np.any(mask))
 
 
@@ -595,14 +586,10 @@ _READ = tuple(
 
 
 class ArrayTable:
-    """Addresses and sizes of C-contiguous arrays, which a kernel takes as one argument.
-
-    To hand an array to compiled code costs as much as some hundred operations; `floats_at` and the
-    others make it of its address there.  The table keeps the arrays alive; each has to stay where
-    it is.
-
-    `entries` (2 k,) int64, address and number of elements of each.
-    """
+    """Addresses and sizes of C-contiguous arrays, which a kernel takes as one argument. To hand an
+    array to compiled code costs as much as some hundred operations; `floats_at` and the others make
+    it of its address there. The table keeps the arrays alive; each has to stay where it is.
+    `entries` (2 k,) int64, address and number of elements of each."""
 
     def __init__(self, arrays: Sequence[np.ndarray[Any, Any]]) -> None:
         for array in arrays:

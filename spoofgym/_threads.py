@@ -22,7 +22,6 @@ class _Thread(threading.Thread):
     _done = False
 
     def run(self) -> None:
-        """Work."""
         try:
             super().run()
         finally:
@@ -30,11 +29,9 @@ class _Thread(threading.Thread):
 
     @property
     def is_over(self) -> bool:
-        """Whether it has run and left the interpreter.
-
-        Without `_done`, one that has yet to begin would count as over, and so would one whose
-        `join` was interrupted: Python 3.11 takes that for its end.
-        """
+        """Whether it has run and left the interpreter. Without `_done`, one that has yet to begin
+        would count as over, and so would one whose `join` was interrupted: Python 3.11 takes that
+        for its end."""
         return self._done and not self.is_alive()
 
 
@@ -54,11 +51,9 @@ if hasattr(os, "register_at_fork"):  # a child inherits none of them
 
 
 def start(target: Callable[[], None], stop: Callable[[], None], name: str) -> threading.Thread:
-    """Start a thread that ends soon after `stop` has been called, be it before it has begun.
-
-    It is known from before its first moment until after its last one, so that none is left out by
-    `end_all`, wherever an interrupt comes.
-    """
+    """Start a thread that ends soon after `stop` has been called, be it before it has begun. It is
+    known from before its first moment until after its last one, so that none is left out by
+    `end_all`, wherever an interrupt comes."""
     for each in list(_known):
         if each.is_over:
             _known.pop(each, None)

@@ -105,7 +105,6 @@ class DetectorTask:
 
     @property
     def held_out(self) -> tuple[AttackFamily, ...]:
-        """Families that it may not."""
         return tuple(each for each in self.families if each.held_out)
 
     def family(self, key: str) -> AttackFamily:
@@ -128,9 +127,8 @@ class DetectorTask:
 
 def learners_pool(alert_limit_m: float, attack_s: float) -> list[dict[str, Any]]:
     """Spoofers of the public families that would displace by `PARTS` of an alert limit, each once.
-
-    Feedback reads the statistic of the learner, and would come so far where it had room throughout.
-    """
+    Feedback reads the statistic of the learner, and would come so far where it had room
+    throughout."""
     found: list[dict[str, Any]] = []
     for part in PARTS:
         mean = part * alert_limit_m / attack_s

@@ -50,7 +50,6 @@ class Task:
 
     @property
     def pooled(self) -> bool:
-        """Whether there is more than one detector."""
         return len(self.detectors) > 1
 
     @property

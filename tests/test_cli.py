@@ -43,7 +43,6 @@ def test_help_of_every_command() -> None:
         "limits",
         "dataset",
         "report",
-        "perf",
         "warmup",
     ):
         assert command in text

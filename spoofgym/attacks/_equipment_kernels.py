@@ -21,11 +21,8 @@ MOVING = 64
 
 @njit
 def first_deviates(keys, onsets, size, drawn):
-    """Deviates of the start of some episodes.
-
-    `keys` (b, 2) of the attack's noise; `onsets` (b,) epochs; `drawn` (b, d), written, d at most
-    `size`.
-    """
+    """Deviates of the start of some episodes. `keys` (b, 2) of the attack's noise; `onsets` (b,)
+    epochs; `drawn` (b, d), written, d at most `size`."""
     noise = np.empty(size)
     for b in range(keys.shape[0]):
         normals(keys[b, 0], keys[b, 1], 2 * onsets[b], noise)
@@ -61,13 +58,9 @@ def wander_step(state, sd, beta, tau, first, second):
 
 @njit
 def delayed(k, delay, epoch_time, position_e, velocity_e, out):
-    """Position and velocity some time ago, less those of an epoch.
-
-    Between epochs the position is the cubic that fits position and velocity at both ends; before
-    the first epoch of the run it moves straight on.
-
-    `delay`: how long ago [s]; `out` (6,), written.
-    """
+    """Position and velocity some time ago, less those of an epoch. Between epochs the position is
+    the cubic that fits position and velocity at both ends; before the first epoch of the run it
+    moves straight on. `delay`: how long ago [s]; `out` (6,), written."""
     time = epoch_time[k] - delay
     j = k
     while epoch_time[j] > time and j > 0 and epoch_time[j - 1] < epoch_time[j]:

@@ -13,11 +13,9 @@ from ..earth.ranging import range_and_rate
 
 @njit
 def kinematic_step(action, hold, tau, vector, by_rate, unit_scale, rate_limit, displacement, rate):
-    """Move the commanded offsets of one receiver to the end of an interval, in place.
-
-    `action` (a,) in [-1, 1]; `tau`: length of the interval [s]; `displacement`, `rate` (a,),
-    overwritten [m], [m/s].
-    """
+    """Move the commanded offsets of one receiver to the end of an interval, in place. `action` (a,)
+    in [-1, 1]; `tau`: length of the interval [s]; `displacement`, `rate` (a,), overwritten [m],
+    [m/s]."""
     axes = displacement.shape[0]
     if hold:
         for i in range(axes):
@@ -168,12 +166,9 @@ def per_channel(
     lo,
     hi,
 ):
-    """Command the offset of every captured channel for itself.
-
-    `slots` (a,) slot of each commanded channel; `epochs`, `epoch_time` (B,) epoch that each
-    receiver is at, and (K,) times of the epochs [s]; `d_range`, `d_rate` (B, n), written: offsets
-    [m], [m/s].
-    """
+    """Command the offset of every captured channel for itself. `slots` (a,) slot of each commanded
+    channel; `epochs`, `epoch_time` (B,) epoch that each receiver is at, and (K,) times of the
+    epochs [s]; `d_range`, `d_rate` (B, n), written: offsets [m], [m/s]."""
     for b in range(lo, hi):
         k = epochs[b] + 1
         tau = epoch_time[k] - epoch_time[k - 1]
@@ -204,11 +199,9 @@ def displaced_ranges(
     hi,
 ):
     """Add to all receivers' offsets those of antennas that are displaced from the true ones.
-
     `shift` (B, 6) displacement and its rate, ECEF [m], [m/s]; `epochs` (B,) epoch that each
     receiver is at; the next one is measured; `captured` (n,) bool, which channels are the
-    spoofer's; `d_range`, `d_rate` (B, n), added to [m], [m/s].
-    """
+    spoofer's; `d_range`, `d_rate` (B, n), added to [m], [m/s]."""
     work = np.empty((8, LANES))
     for b in range(lo, hi):
         k = epochs[b] + 1

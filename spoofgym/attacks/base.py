@@ -107,7 +107,6 @@ class Attack(ABC):
     threat: str = ""
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if self.control not in CONTROLS:
             raise ValueError(
                 f"`control` must be one of {', '.join(map(repr, CONTROLS))}, got {self.control!r}"
@@ -131,7 +130,6 @@ class Attack(ABC):
         self._check_options()
 
     def _check_options(self) -> None:
-        """Make records of the options."""
         if isinstance(self.errors, str):
             check_choice("`errors`", self.errors, ERRORS)
             self.errors = ERRORS[self.errors] or "inherited"

@@ -40,11 +40,9 @@ class Equipment:
 
     @property
     def perfect(self) -> bool:
-        """Whether there is nothing to do."""
         return self == Equipment()
 
     def declare(self, memory: Memory, channels: int) -> None:
-        """Declare its part of a memory."""
         b = memory.receivers
         memory.declare("target_error", np.zeros((b, 6)))
         if self.perfect:
@@ -82,10 +80,8 @@ class Equipment:
     def advance(
         self, memory: Memory, world: World, epochs: NDArray[np.int64], lo: int, hi: int
     ) -> None:
-        """Error of the known position, and clock, at the coming epoch.
-
-        `epochs` (B,) the epoch that each receiver is at.
-        """
+        """Error of the known position, and clock, at the coming epoch. `epochs` (B,) the epoch that
+        each receiver is at."""
         if self.tracking is None and self.clock is None:
             return
         tracking = self.tracking if self.tracking is not None else TrackingError()
@@ -123,11 +119,9 @@ class Equipment:
         lo: int,
         hi: int,
     ) -> None:
-        """Add clock and errors to the perfect offsets, where channels are captured.
-
-        `chosen` (n,) bool, channels that are counterfeited; `epochs` (B,) the epoch that each
-        receiver is at; `d_range`, `d_rate` (B, n), overwritten [m], [m/s].
-        """
+        """Add clock and errors to the perfect offsets, where channels are captured. `chosen` (n,)
+        bool, channels that are counterfeited; `epochs` (B,) the epoch that each receiver is at;
+        `d_range`, `d_rate` (B, n), overwritten [m], [m/s]."""
         if self.perfect:
             return
         capture = self.capture if self.capture is not None else Capture(alignment_m=None)

@@ -42,7 +42,6 @@ class FalsePosition(Attack):
     axes: str = "ne"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         if not self.axes or len(set(self.axes)) < len(self.axes) or set(self.axes) - set(AXES):
             raise ValueError(
@@ -51,15 +50,12 @@ class FalsePosition(Attack):
 
     @property
     def kind(self) -> str:
-        """Name of what is commanded."""
         return "false-position"
 
     def action_names(self, world: World) -> tuple[str, ...]:
-        """Name of every element of an action."""
         return tuple(f"{AXES[letter]}_{self.control}" for letter in self.axes)
 
     def bind(self, context: AttackContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         columns = ["ned".index(letter) for letter in self.axes]
         axes = context.world.C_en, context.world.axes_turning
@@ -76,10 +72,8 @@ class FalsePosition(Attack):
         hi: int,
     ) -> None:
         """Take one command, and write what it adds to the measurements of the coming epoch.
-
         `action` (B, a) in [-1, 1]; None holds the rate; `epochs` (B,) the epoch that each receiver
-        is at; `d_range`, `d_rate` (B, n), written [m], [m/s].
-        """
+        is at; `d_range`, `d_rate` (B, n), written [m], [m/s]."""
         world = self.world
         self._prepare(epochs, lo, hi)
         false_position(

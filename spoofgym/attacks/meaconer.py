@@ -45,7 +45,6 @@ class Meaconer(Attack):
     follows: bool = True
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         self.antenna_m = checked_vector("antenna_m", self.antenna_m)
         if self.tracking is not None:
@@ -55,7 +54,6 @@ class Meaconer(Attack):
 
     @property
     def kind(self) -> str:
-        """Name of what is commanded."""
         return "meaconer"
 
     @property
@@ -64,11 +62,9 @@ class Meaconer(Attack):
         return super().idle_is_clean and self.follows and self.antenna_m == (0.0, 0.0, 0.0)
 
     def action_names(self, world: World) -> tuple[str, ...]:
-        """Name of the one element of an action."""
         return (f"delay_{self.control}",)
 
     def bind(self, context: AttackContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         self.memory.declare("antenna", np.zeros((context.receivers, 3)))
         self.memory.declare("antenna_rate", np.zeros((context.receivers, 3)))
@@ -76,7 +72,6 @@ class Meaconer(Attack):
     def begin(
         self, rows: NDArray[np.intp], keys: NDArray[np.uint64], onsets: NDArray[np.int64]
     ) -> None:
-        """Place the antenna next to the target."""
         super().begin(rows, keys, onsets)
         self.memory["antenna"][rows] = (self.world.C_en[onsets] * self.antenna_m).sum(axis=2)
 
@@ -90,11 +85,9 @@ class Meaconer(Attack):
         hi: int,
     ) -> None:
         """Take one command, and write what it adds to the measurements of the coming epoch.
-
         `action` (B, 1) in [-1, 1]; None holds the rate, until the delay would fall below zero;
         `epochs` (B,) the epoch that each receiver is at; `d_range`, `d_rate` (B, n), written [m],
-        [m/s].
-        """
+        [m/s]."""
         world, memory = self.world, self.memory
         self._prepare(epochs, lo, hi)
         if self.follows:

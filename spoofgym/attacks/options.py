@@ -44,7 +44,6 @@ class CounterfeitErrors:
     blend_s: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values."""
         unset = [item.name for item in fields(self) if getattr(self, item.name) is None]
         _check_not_negative(self, *unset)
         if self.blend_s > 0.0 and len(unset) < 2:
@@ -90,7 +89,6 @@ class TrackingError:
     bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check the values."""
         _check_not_negative(self, "bias_m")
         if self.correlation_s == 0.0:
             raise ValueError("`correlation_s` must be finite and > 0, got 0")
@@ -121,7 +119,6 @@ class SpooferClock:
     frequency_psd: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values."""
         _check_not_negative(self, "offset_m", "drift_mps")
         for name in ("offset_m", "drift_mps"):
             if not math.isfinite(getattr(self, name)):
@@ -149,7 +146,6 @@ class Capture:
     alignment_m: float | None = 0.5 * CHIP_M
 
     def __post_init__(self) -> None:
-        """Check the values."""
         _check_not_negative(self, "alignment_m")
         limit = self.alignment_m
         if limit is not None and not (math.isfinite(limit) and limit > 0.0):

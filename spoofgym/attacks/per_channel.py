@@ -30,14 +30,11 @@ class PerChannel(Attack):
 
     @property
     def kind(self) -> str:
-        """Name of what is commanded."""
         return "per-channel"
 
     def action_names(self, world: World) -> tuple[str, ...]:
-        """Name of every element of an action.
-
-        Returns for example ``("S05_acceleration", ...)``, in the order of the slots.
-        """
+        """Name of every element of an action. Returns for example ``("S05_acceleration", ...)``, in
+        the order of the slots."""
         mask = self.captured(world)
         ids = [name for name, taken in zip(world.satellite_ids, mask, strict=True) if taken]
         return tuple(f"{name}_{self.control}" for name in ids)
@@ -52,10 +49,8 @@ class PerChannel(Attack):
         hi: int,
     ) -> None:
         """Take one command, and write what it adds to the measurements of the coming epoch.
-
         `action` (B, a) in [-1, 1]; None holds the rate; `epochs` (B,) the epoch that each receiver
-        is at; `d_range`, `d_rate` (B, n), written [m], [m/s].
-        """
+        is at; `d_range`, `d_rate` (B, n), written [m], [m/s]."""
         world = self.world
         self._prepare(epochs, lo, hi)
         per_channel(

@@ -19,10 +19,8 @@ from .suite import Suite
 def play_frames(
     suite: Suite, detector: Entry, spoofer: Entry, run: int = 0, *, every: int = 1
 ) -> Iterator[NDArray[np.uint8]]:
-    """Play one of the evaluation runs, and draw it; an alarm does not end it.
-
-    Yields (H, W, 3) uint8.
-    """
+    """Play one of the evaluation runs, and draw it; an alarm does not end it. Yields (H, W, 3)
+    uint8."""
     run, every = whole_number("`run`", run), whole_number("`every`", every, 1)
     setup = suite.setup(detector, [spoofer])
     action = commands_of(build_spoofer(spoofer.spec), setup).terms

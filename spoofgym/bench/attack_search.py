@@ -135,7 +135,6 @@ class Search:
         return found
 
     def _grid(self, member: Member) -> list[float]:
-        """Values of a member's setting."""
         return grid_of(member, self.context, self.settings.values)
 
     def _beyond_ends(
@@ -153,10 +152,8 @@ class Search:
                 return
 
     def _halve_gaps(self, sifted: Played, aims: Sequence[Aim], runs: int) -> None:
-        """Play values beside the best ones, and those that just pass an alert limit.
-
-        What passes it unnoticed may be a range of a few per cent, of which no coarse value is.
-        """
+        """Play values beside the best ones, and those that just pass an alert limit. What passes it
+        unnoticed may be a range of a few per cent, of which no coarse value is."""
         new = set()
         for (m, at), aim in self._peaks(sifted, aims, runs):
             grid = sorted(value for k, value in sifted if k == m)
@@ -168,10 +165,8 @@ class Search:
     def _peaks(
         self, played: Played, aims: Sequence[Aim], runs: int
     ) -> list[tuple[tuple[int, float], Aim]]:
-        """Worst attack for every share, and for a limit that of every member.
-
-        None for a limit that one of them always passes: there is nothing left to look for.
-        """
+        """Worst attack for every share, and for a limit that of every member. None for a limit that
+        one of them always passes: there is nothing left to look for."""
         found, rows = [], self.counts[:runs]
         for aim in aims:
             best = self._best(played, aim, runs)
@@ -218,11 +213,10 @@ def _around(value: float, grid: list[float], steps: Sequence[float]) -> list[flo
 
 
 def _between(grid: list[float], k: int, moved: list[FloatArray], aim: Aim) -> list[float]:
-    """Values halfway from one of a grid to both next ones, and what just passes an alert limit.
-
-    The error that a blind attack induces grows in proportion to its amplitude.  Of what passes the
-    limit, as little as is enough; and the least that does so in any run, and in half of the silent.
-    """
+    """Values halfway from one of a grid to both next ones, and what just passes an alert limit. The
+    error that a blind attack induces grows in proportion to its amplitude. Of what passes the
+    limit, as little as is enough; and the least that does so in any run, and in half of the
+    silent."""
     at, low, high = grid[k], grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
     near = [math.sqrt(low * at), math.sqrt(at * high)]
     if aim.limit_m is not None:
@@ -238,6 +232,5 @@ def _between(grid: list[float], k: int, moved: list[FloatArray], aim: Aim) -> li
 
 
 def expected_plays(members: int, settings: Selection, runs: int, rounds: int = 0) -> float:
-    """Runs of a search and of its winners, roughly."""
     sifted = members * (settings.values + 3 * rounds) * settings.sift_runs
     return sifted + 12.0 * settings.runs + 6.0 * runs

@@ -91,16 +91,13 @@ def fitting_members(setup: Setup, context: SpooferContext) -> tuple[Member, ...]
 
 
 def suite_digest(members: Sequence[Member]) -> str:
-    """Digest of name, version and members."""
     specs = [[member.letter, member.entry.spec] for member in members]
     return digest_of({"name": NAME, "version": VERSION, "members": specs})
 
 
 def grid_of(member: Member, context: SpooferContext, values: int) -> list[float]:
-    """Log-spaced values of a member's setting over its whole range.
-
-    Of a blind optimum around the amplitude that it was found at.
-    """
+    """Log-spaced values of a member's setting over its whole range. Of a blind optimum around the
+    amplitude that it was found at."""
     if member.letter == "c":
         return log_spaced(*AROUND_FOUND, values)
     kind = type(build_spoofer(member.entry.with_value(1.0)))

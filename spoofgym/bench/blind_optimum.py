@@ -62,20 +62,9 @@ SHAPES: dict[str, Callable[[FloatArray], FloatArray]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class BlindSearch:
-    """How a blind optimum is looked for.
-
-    Parameters
-    ----------
-    runs, batch : int
-        Clean runs that it is looked for on, of a split of their own, and how many of them play a
-        generation.
-    knots : int
-        Of the curve, 2 to 64.
-    population, generations : int
-        Of CMA-ES; no generations for the best of the first curves.
-    seed : int
-        Of its candidates.
-    """
+    """How a blind optimum is looked for. `runs`, `batch`: clean runs that it is looked for on, of a
+    split of their own, and how many of them play a generation; `knots`: of the curve, 2 to 64;
+    `population`, `generations`: of CMA-ES; no generations for the best of the first curves."""
 
     runs: int = 144
     batch: int = 48
@@ -85,7 +74,6 @@ class BlindSearch:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         leasts = {"runs": 8, "batch": 4, "knots": 2, "population": 4, "generations": 0, "seed": 0}
         for name, least in leasts.items():
             value = whole_number(f"`blind_search.{name}`", getattr(self, name), least)
@@ -139,11 +127,9 @@ class BlindOptimizer:
     def search(
         self, others: Mapping[str, FloatArray] | None = None, tick: Tick | None = None
     ) -> BlindOptimum:
-        """Search, from the best of some shapes, with `others` (n,) among them, by their names.
-
-        With fewer than two runs nothing can be told of any share of them: that is the slowest of
-        the first curves.  The rates are within the attack's limit, as they were judged.
-        """
+        """Search, from the best of some shapes, with `others` (n,) among them, by their names. With
+        fewer than two runs nothing can be told of any share of them: that is the slowest of the
+        first curves. The rates are within the attack's limit, as they were judged."""
         advance = tick or (lambda part: None)
         found, (limit, _) = self._search(others or {}, advance), self.player.limits
         return found._replace(rates_mps=np.clip(found.rates_mps, -limit, limit))
@@ -259,10 +245,8 @@ class BlindOptimizer:
             yield rates[0]
 
     def _pairs(self, rates: FloatArray, moved: float, rows: Rows) -> tuple[FloatArray, FloatArray]:
-        """Scores of (P, knots) rates, and these at the amplitudes of the scores.
-
-        All are brought to the same mean rate first, so that they are judged near their amplitude.
-        """
+        """Scores of (P, knots) rates, and these at the amplitudes of the scores. All are brought to
+        the same mean rate first, so that they are judged near their amplitude."""
         mean = rates.mean(axis=1)
         rates = (
             rates * np.where(mean * moved > 0.0, moved / np.where(mean, mean, 1.0), 1.0)[:, None]

@@ -54,10 +54,8 @@ def floor_of(frontier: Frontier, p_fa: float, budget: float) -> dict[str, Any]:
 def floors_m(
     frontier: Frontier, p_fa: float, budget: float, heading: str = HEADING
 ) -> dict[str, dict[str, float | None]]:
-    """Floors by purpose: the median over worlds, and the 10th and 90th percentile [m].
-
-    None where the frontier has no end.
-    """
+    """Floors by purpose: the median over worlds, and the 10th and 90th percentile [m]. None where
+    the frontier has no end."""
     found = {}
     for name, p_d in purposes(p_fa, budget).items():
         low, middle, high = (
@@ -115,7 +113,6 @@ class Brackets:
         return list(found) or [run_probability(STANDARD_RATE, self.suite.world.window_s)]
 
     def zero_alarm(self, detector: Entry, tick: Tick | None = None) -> ZeroAlarm:
-        """Zero-alarm bounds of one of the detectors, computed once."""
         if self.setup is None:
             why = f"no limit is known for {self.suite.world.whose}"
             return ZeroAlarm(None, None, "", why, [])

@@ -69,10 +69,8 @@ def bracket_of(
 
 
 def floors_of(point: Row, floor: Row | None) -> dict[str, float | None]:
-    """Floors at a detector's rate of false alarms; none at nominal thresholds or for a pool.
-
-    A detector that never alarms has those of the others in its table, the first rate's.
-    """
+    """Floors at a detector's rate of false alarms; none at nominal thresholds or for a pool. A
+    detector that never alarms has those of the others in its table, the first rate's."""
     nothing = dict.fromkeys(PURPOSES)
     if floor is None or "why" in floor:
         return nothing

@@ -47,9 +47,7 @@ def most_alarms(runs: int, budget: float) -> int:
 
 def aim(runs: int, budget: float) -> float:
     """Alarm rate that a search or a training aims at, so that its choice on so many runs keeps it.
-
-    At least a fifth of the budget, since there is nothing to find far below it.
-    """
+    At least a fifth of the budget, since there is nothing to find far below it."""
     return max(most_alarms(runs, budget) / max(runs, 1), 0.2 * budget)
 
 
@@ -81,9 +79,7 @@ def largest_within(
 
 def halve(keeps: Callable[[float], bool], low: float, high: float, halvings: int) -> None:
     """Try factors between one that keeps the budget and one that does not, halving their ratio.
-
-    `low`, `high`: the one that keeps it, above 0, and the one that does not.
-    """
+    `low`, `high`: the one that keeps it, above 0, and the one that does not."""
     for _ in range(halvings):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if keeps(middle) else (low, middle)

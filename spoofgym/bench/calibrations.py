@@ -59,10 +59,8 @@ def calibrate_suite(
     optional: Collection[str] = (),
 ) -> dict[str, str]:
     """Calibrate the detectors that ask for a rate, and replay the first runs of their files.
-
     `optional`: labels of detectors that may be left out where no factor on their thresholds makes
-    the rate; returns why, by their labels.
-    """
+    the rate; returns why, by their labels."""
     for rate, detectors in _asked(suite).items():
         found = calibrate(
             suite.world,

@@ -32,7 +32,6 @@ from .tune import TuningResult, tune
 from .work import (
     WARMUP_SHARE,
     left_of,
-    left_of_published,
     protection_work,
     search_work,
     work_of,
@@ -72,8 +71,6 @@ def run_campaign(
             player.play(detector, shown)
     else:
         _in_processes(suite, folder, threads, jobs, shown)
-    for detector in suite.published_entries:
-        _published(suite, folder, detector, threads, shown)
     player.limits(shown)
 
 
@@ -103,7 +100,6 @@ class Player:
             self.bound(detector, progress)
 
     def floor(self, progress: Progress) -> None:
-        """Compute the floor of the world."""
         if self.folder.limits(None) is None:
             progress.advance(0.0, "floor")
             self.folder.put_limits(None, self.brackets.floor())
@@ -198,10 +194,8 @@ def start_of(
     progress: Progress,
     spoofers: Sequence[Entry] | None = None,
 ) -> tuple[WarmStart, Runs]:
-    """Runs of a split at the onset, and what they do without attack.
-
-    `spoofers`: who is to play them, all of the suite's by default.
-    """
+    """Runs of a split at the onset, and what they do without attack. `spoofers`: who is to play
+    them, all of the suite's by default."""
     now = f"{detector.label}: {split} runs"
     progress.advance(0.0, now)
     start = WarmStart(
@@ -218,13 +212,11 @@ class Left:
         self._progress, self._left, self._now = progress, expected, now
 
     def tick(self, amount: float) -> None:
-        """Show it."""
         amount = min(amount, self._left)
         self._left -= amount
         self._progress.advance(amount, self._now)
 
     def end(self) -> None:
-        """Show what is left."""
         self.tick(self._left)
 
 
@@ -328,7 +320,6 @@ def _cell(
     twin: Runs,
     progress: Progress,
 ) -> Cell:
-    """Play one cell."""
     now = f"{detector.label}: {entry.label}"
     attacked = twin
     if entry.label != "none":
@@ -369,15 +360,3 @@ def _protection(
     counts = counted(start.warmup_alarm, twin.first_alarm)
     sky = twin.onset // start.setup.epochs_each
     return Protection(head, tuple(winners), counts, sky, worst.skies)
-
-
-def _published(
-    suite: Suite, folder: ResultsFolder, detector: Entry, threads: int | None, progress: Progress
-) -> None:
-    """Play a detector with its thresholds as published, without attack and against one ramp."""
-    left = left_of_published(suite, folder, detector)
-    if not left:
-        return
-    start, twin = start_of(suite, detector, "evaluation", suite.runs, threads, progress)
-    for entry in left:
-        folder.put_cell(_cell(suite, detector, entry, entry.spec, None, start, twin, progress))

@@ -45,7 +45,6 @@ def find_card(name: str) -> Card | DetectorCard:
 
 
 def score_text(score: dict[str, Any]) -> str:
-    """One score in a line."""
     mean, low, high = (score[key] for key in ("undetected_displacement_m", "low", "high"))
     rate, clean = 100.0 * score["alarm_rate"], 100.0 * score["clean_alarm_rate"]
     return (
@@ -71,7 +70,6 @@ def score_rows(card: Card) -> list[tuple[str, ...]]:
 
 
 def detector_card_rows(card: DetectorCard) -> list[tuple[str, str]]:
-    """What is on the card of a detector, field by field."""
     each = {"receiver": "one for the receiver", "channel": "one for every slot"}
     terms = "those of the duel"
     if card.terms is not None:

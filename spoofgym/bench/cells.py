@@ -41,12 +41,10 @@ class Cell:
 
     @property
     def detector(self) -> str:
-        """Label of the detector."""
         return str(self.head["detector"])
 
     @property
     def spoofer(self) -> str:
-        """Label of the spoofer."""
         return str(self.head["spoofer"])
 
     @property

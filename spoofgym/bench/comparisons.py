@@ -41,12 +41,10 @@ def compare(
     protections: Sequence[Protection],
     footings: Footings,
 ) -> list[dict[str, Any]]:
-    """Paired differences, detector less control, over the runs that count for both.
-
-    Returns a row for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``,
-    ``difference_m``, ``above`` where its interval lies above 0, ``below`` where it lies below by
-    more than `ALIKE` of what the control lets through.
-    """
+    """Paired differences, detector less control, over the runs that count for both. Returns a row
+    for each score: ``score``, ``spoofer`` or None, ``detector``, ``control``, ``difference_m``,
+    ``above`` where its interval lies above 0, ``below`` where it lies below by more than `ALIKE` of
+    what the control lets through."""
     found = []
     for control in controls(footings):
         for detector in footings:
@@ -62,7 +60,6 @@ def controls(footings: Footings) -> list[str]:
 
 
 def name_of(label: str) -> str:
-    """Name of a detector without its settings."""
     return label.partition("(")[0]
 
 
@@ -75,7 +72,6 @@ def comparable(footings: Footings, detector: str, other: str) -> bool:
 
 
 def _displacements(cells: Sequence[Cell], detector: str, control: str) -> list[dict[str, Any]]:
-    """Stealthy displacement, by spoofer."""
     by_pair = {(cell.detector, cell.spoofer): cell for cell in cells}
     found = []
     for (label, spoofer), mine in by_pair.items():

@@ -90,7 +90,6 @@ def whole(content: bytes, digest: str) -> Episodes | None:
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """Manifest of a folder, of this format."""
     file = path / MANIFEST
     if not file.is_file():
         raise ValueError(
@@ -191,7 +190,6 @@ class Dataset:
             self._content(line)
 
     def _content(self, line: Mapping[str, Any]) -> bytes:
-        """Bytes of a shard."""
         file: Path = self.path / line["file"]
         if not file.is_file():
             raise ValueError(f"{file} is missing: write the data set again, which makes that shard")

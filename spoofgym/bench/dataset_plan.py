@@ -93,7 +93,6 @@ class Plan:
     task: str | None = None
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         check_finite("length_m", self.length_m, "> 0")
         for name, least in (("entropy", 0), ("shard", 1)):
             whole_number(f"`{name}`", getattr(self, name), least)
@@ -187,7 +186,6 @@ class Plan:
 
 
 def watcher_of(simulator: Simulator) -> DetectorAgent:
-    """Who observes."""
     (found,) = simulator.monitor(PassiveDetectors).detectors
     assert isinstance(found, DetectorAgent)  # of `Plan.world`
     return found

@@ -54,10 +54,8 @@ class Attacker:
         return self._commands.command(self.action(epoch), self.engine.simulator.commanded_rate)
 
     def action(self, epoch: int) -> FloatArray:
-        """Action (B, k) of an epoch, on the way from one decision to the next.
-
-        Asks the spoofer where a decision is due.
-        """
+        """Action (B, k) of an epoch, on the way from one decision to the next. Asks the spoofer
+        where a decision is due."""
         if self._decisions.due(epoch):
             self._decisions.take(self.decide(epoch))
         return self._decisions.action(epoch)

@@ -34,12 +34,10 @@ CARD_HEAD = (*HEAD, "less the best classic, paired [% of runs]")
 
 
 def classics_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
-    """Detectors with a reference score: both controls, and all classics that suit the world.
-
-    At 0.2 false alarms an hour in the task's world; of solution separation the bank of the task.
-    Tests of range rates are there a second time where their defaults test pseudoranges, or both,
-    and tests with a drift term with rescaled innovations.
-    """
+    """Detectors with a reference score: both controls, and all classics that suit the world. At 0.2
+    false alarms an hour in the task's world; of solution separation the bank of the task. Tests of
+    range rates are there a second time where their defaults test pseudoranges, or both, and tests
+    with a drift term with rescaled innovations."""
     bank = next(each for each in task.task.detectors if each["name"] == "solution-separation")
     plain = {key: value for key, value in bank.items() if key != "false_alarms_per_hour"}
     everyone = in_order(everyone_in(nobody_in(task.task.world_kwargs).world, rescaled=True))
@@ -54,10 +52,8 @@ def unplayed(task: DetectorTask, card: dict[str, Any]) -> list[str]:
 
 
 def learned_of(task: DetectorTask) -> tuple[dict[str, Any], ...]:
-    """Shipped detectors that have learned in this world, and so from no family held out here.
-
-    A world whose counterfeit is another one holds out what they have learned from.
-    """
+    """Shipped detectors that have learned in this world, and so from no family held out here. A
+    world whose counterfeit is another one holds out what they have learned from."""
     return tuple({"name": name} for name in zoo.shipped() if _learned_in(name, task))
 
 

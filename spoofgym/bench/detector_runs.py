@@ -70,10 +70,8 @@ CONDITIONS: dict[str, Callable[[Setup], Mask]] = {
 def numbers_of(
     setup: Setup, entropy: int, split: str, runs: int, condition: str | None
 ) -> NDArray[np.int64]:
-    """(R,) the first runs of a split whose onset is as a condition has it; any without one.
-
-    Each draws its world and its start as ever; which of them are played is all that is chosen.
-    """
+    """(R,) the first runs of a split whose onset is as a condition has it; any without one. Each
+    draws its world and its start as ever; which of them are played is all that is chosen."""
     if condition is None:
         return np.arange(runs)
     holds, found = CONDITIONS[condition](setup), np.zeros(0, dtype=np.int64)
@@ -94,7 +92,6 @@ def numbers_of(
 def generators(
     setup: Setup, entropy: int, split: str, numbers: NDArray[np.int64]
 ) -> list[np.random.Generator]:
-    """Generators of chosen runs of a split."""
     return generators_of(seeds_of_runs(entropy, split, setup.name, numbers.tolist()))
 
 
@@ -110,21 +107,17 @@ def in_any_world(judge: Detector) -> Detector:
 
 class LateMaxima(RunMaxima):
     """Largest ratio of the detector in the loop at the last epochs of the monitored warm-up.
-
-    `epochs`: of the warm-up; `last` of them count.
-    """
+    `epochs`: of the warm-up; `last` of them count."""
 
     def __init__(self, epochs: int, last: int) -> None:
         super().__init__(())
         self._skipped, self._seen = max(epochs - last, 0), 0
 
     def begin(self) -> None:
-        """Start new episodes in all receivers."""
         super().begin()
         self._seen = 0
 
     def update(self, simulator: Any) -> None:
-        """Look at the verdicts on an epoch."""
         super().update(simulator)
         self._seen += 1
         if self._seen == self._skipped:
@@ -195,9 +188,7 @@ class Panel:
 
     def displacement(self, spec: Any, runs: int, attack: Any = None) -> FloatArray:
         """(D, R') undetected displacement of the first runs under an attack of a spoofer [m].
-
-        `attack`: in place of the panel's own; the receivers are then warmed up again.
-        """
+        `attack`: in place of the panel's own; the receivers are then warmed up again."""
         start, clean = self.start.first(runs), self.clean.first(runs)
         if attack is not None:
             other = copy.copy(self.setup)
@@ -212,10 +203,8 @@ class Panel:
 
 
 class NearAlarm(Panel):
-    """Runs of one detector in which it alarmed before the onset, or came closest to doing so.
-
-    They are the closest of `CANDIDATES` times as many.  One with an alarm before the onset counts.
-    """
+    """Runs of one detector in which it alarmed before the onset, or came closest to doing so. They
+    are the closest of `CANDIDATES` times as many. One with an alarm before the onset counts."""
 
     def __init__(self, setup: Setup, judge: Detector, rngs: Rngs, threads: int | None) -> None:
         self.judges, self.threads = [judge], threads

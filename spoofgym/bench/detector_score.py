@@ -141,20 +141,16 @@ class DetectorScore:
 
     def difference_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
         """P(HMI | attack) less that of another detector, paired by skies, with a 95 % interval.
-
-        Both have the same runs, but in ``chance-alarm``, where each has its own.  By the worst
-        family of each, or by one family.  Raises a ValueError where they have not met
-        the same attacks on the same runs.
-        """
+        Both have the same runs, but in ``chance-alarm``, where each has its own. By the worst
+        family of each, or by one family. Raises a ValueError where they have not met the same
+        attacks on the same runs."""
         mine, theirs = self._samples(family), other._samples(family)
         self._check_paired(other)
         return percentiles(mine[0] - theirs[0], mine[1] - theirs[1])
 
     def ratio_to(self, other: DetectorScore, family: str | None = None) -> Estimate:
-        """P(HMI | attack) in parts of that of another detector; as `difference_to`.
-
-        Unknown where the other one's is 0.
-        """
+        """P(HMI | attack) in parts of that of another detector; as `difference_to`. Unknown where
+        the other one's is 0."""
         mine, theirs = self._samples(family), other._samples(family)
         self._check_paired(other)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -200,7 +196,6 @@ class DetectorScore:
         }
 
     def __str__(self) -> str:
-        """One line to read."""
         worst, p = self.worst, self.p_hmi
         low, high = (100.0 * x for x in (p.low, p.high))
         seen = "held out" if worst.held_out else "public"

@@ -41,9 +41,7 @@ class AntennaEntry(Entry):
 
 class Played:
     """Displacements of a panel's detectors by member, value and number of runs, each played once.
-
-    What one detector's search has played is there for the others.
-    """
+    What one detector's search has played is there for the others."""
 
     def __init__(self, panel: Panel, members: Sequence[Member], tick: Callable[[float], None]):
         self.panel, self.members, self.tick = panel, members, tick

@@ -91,23 +91,9 @@ class Worlds:
         return self._suites[key].world
 
     def defences(self, detectors: Iterable[Any]) -> list[Defence]:
-        """Detectors with their thresholds of the task's world.
-
-        Parameters
-        ----------
-        detectors : iterable
-            As of `evaluate_detector`.
-
-        Returns
-        -------
-        list of Defence
-            In their order.
-
-        Warns
-        -----
-        UserWarning
-            Of a detector that has learned from what the task holds out, as its card has it.
-        """
+        """Detectors with their thresholds of the task's world. `detectors`: as of
+        `evaluate_detector`; `UserWarning`: of a detector that has learned from what the task holds
+        out, as its card has it."""
         specs = list(detectors)
         if not specs:
             raise ValueError("no detector is given")
@@ -159,18 +145,7 @@ class Worlds:
         return self._panels[key]
 
     def members(self, family: AttackFamily) -> tuple[Member, ...]:
-        """Attacks of a family.
-
-        Parameters
-        ----------
-        family : AttackFamily
-            Of the task.
-
-        Returns
-        -------
-        tuple of Member
-            Each has one setting that is looked for.
-        """
+        """Attacks of a family. Returns each has one setting that is looked for."""
         found: list[Member] = []
         if family.letters == "m":
             spec = {**(family.attack or {}), "antenna_m": TUNED}

@@ -27,10 +27,8 @@ DEFAULT_SPOOFERS: tuple[Spec, ...] = (
 
 def fitted(spec: Any) -> Spec:
     """A spoofer's spec with one setting to be fitted to the alarm budget, where it has none yet.
-
     That is the usual one of `DEFAULT_SPOOFERS` for a name without settings, and else the amplitude
-    of its commands; an amplitude that is given stays.
-    """
+    of its commands; an amplitude that is given stays."""
     given: Spec = {"name": spec} if isinstance(spec, str) else dict(spec)
     usual = {each["name"]: each for each in DEFAULT_SPOOFERS}
     if len(given) == 1 and given["name"] in usual:
@@ -49,7 +47,6 @@ class Entry:
 
     @property
     def tuned(self) -> str | None:
-        """Setting that is to be searched for."""
         return next((key for key, value in self.spec.items() if value == TUNED), None)
 
     @property
@@ -68,12 +65,10 @@ class Entry:
         return {key: value for key, value in self.spec.items() if key != self.tuned}
 
     def with_value(self, value: float) -> Spec:
-        """Settings with the tuned one at a value."""
         return {**self.spec, str(self.tuned): value}
 
 
 def build_spoofer(spec: Any) -> Spoofer:
-    """Spoofer of a campaign, not bound yet."""
     plain, amplitude = split_amplitude(spec)
     resolved = resolve(plain)
     spoofer: Spoofer = make("spoofer", SPOOFERS, Spoofer, resolved, shipped())
@@ -81,7 +76,6 @@ def build_spoofer(spec: Any) -> Spoofer:
 
 
 def spec_of_spoofer(spoofer: Spoofer) -> Spec:
-    """Name and all settings of a spoofer, and its amplitude where it has one."""
     if isinstance(spoofer, Scaled):
         return {**spec_of_spoofer(spoofer.spoofer), AMPLITUDE: spoofer.amplitude}
     return spec_of("spoofer", SPOOFERS, spoofer)
@@ -101,22 +95,7 @@ def detector_entry(spec: str | Mapping[str, Any] | Detector) -> Entry:
     return Entry(label_of(full, default), full)
 
 
-def nominal_entry(entry: Entry) -> Entry | None:
-    """A calibrated detector with its thresholds as published; None for one that is not."""
-    judge = make_judge(entry.spec)
-    if not isinstance(judge, Calibrated):
-        return None
-    spec = spec_of_judge(judge.detector)
-    if isinstance(judge.detector, LearnedDetector):
-        if judge.detector.card.threshold is None:
-            return None
-        spec = {**judge.detector.spec, "thresholds": "nominal"}
-    plain = detector_entry(spec).label
-    return Entry(f"{plain}, as published", spec)
-
-
 def spoofer_entry(spec: str | Mapping[str, Any] | Spoofer) -> Entry:
-    """Spoofer of a campaign."""
     settings: Any = dict(spec) if isinstance(spec, Mapping) else spec
     tuned = (
         [key for key, value in settings.items() if value == TUNED] if settings is not spec else []

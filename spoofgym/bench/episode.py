@@ -108,7 +108,6 @@ class Episode:
 
 
 def play_episode(suite: Suite, detector: Entry, spoofer: Entry, run: int = 0) -> Episode:
-    """Play one of the evaluation runs, attacked and not."""
     run = whole_number("`run`", run)
     setup = suite.setup(detector, [spoofer])
     engine = Engine(1, setup, threads=1, twin=True)
@@ -232,7 +231,6 @@ def _draw_statistic(ax: Any, episode: Episode) -> None:
 
 
 def _draw_error(ax: Any, episode: Episode) -> None:
-    """Induced error, and what of it counts."""
     _phases(ax, episode)
     summary, window = episode.summary(), episode.time[episode.onset :]
     size = np.linalg.norm(episode.displacement, axis=1)

@@ -47,21 +47,17 @@ class LiveEntry(Entry):
 
     @property
     def tuned(self) -> str | None:
-        """Setting that is to be searched for."""
         return AMPLITUDE if self.fits else None
 
     @property
     def searched(self) -> bool:
-        """Its commands are its own."""
         return False
 
     @property
     def untuned(self) -> Any:
-        """The spoofer as it is."""
         return self.spoofer
 
     def with_value(self, value: float) -> Any:
-        """The spoofer with an amplitude."""
         return Scaled(self.spoofer, value)
 
 

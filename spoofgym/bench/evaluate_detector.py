@@ -175,7 +175,6 @@ class DetectorEvaluator:
         ]
 
     def _family(self, family: AttackFamily, defences: Sequence[Defence]) -> dict[str, Protection]:
-        """The worst attacks of a family on every detector."""
         found = {}
         for each in defences:
             text = self._parts.kept(family, each)

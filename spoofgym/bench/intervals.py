@@ -75,7 +75,6 @@ def _joined(
     ends: NDArray[np.float64],
     bridge_s: float,
 ) -> list[Interval]:
-    """Intervals of one channel, with short gaps bridged."""
     found: list[Interval] = []
     for onset, end in zip(onsets.tolist(), ends.tolist(), strict=True):
         if found and bridge_s > 0.0 and onset - found[-1].end_s <= bridge_s:

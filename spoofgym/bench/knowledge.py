@@ -10,12 +10,10 @@ from .shipped import card_behind, transferred
 
 
 def knowledge_of(entry: Entry, setup: Setup, detector: Entry) -> dict[str, Any]:
-    """What a spoofer knows: while it attacks, and when it was designed.
-
-    Returns ``run_time``; ``design_time``; ``detector``, the label of the one that it was made for,
-    None where it was made for none, or has no card that says so; ``transfer``, what is another one
-    here than where it was made.
-    """
+    """What a spoofer knows: while it attacks, and when it was designed. Returns ``run_time``;
+    ``design_time``; ``detector``, the label of the one that it was made for, None where it was made
+    for none, or has no card that says so; ``transfer``, what is another one here than where it was
+    made."""
     spoofer = build_spoofer(entry.untuned)
     known: dict[str, Any] = {
         "run_time": spoofer.knowledge,

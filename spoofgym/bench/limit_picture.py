@@ -25,7 +25,6 @@ WIDTH = 140
 
 
 def draw_floors(record: Record, path: Path) -> Path:
-    """Draw the floors over time of a record that has them."""
     lines = _caption(record)
     figure = figure_class()(figsize=(8.0, 4.8 + 0.16 * len(lines)), layout="constrained")
     ax = figure.subplots()
@@ -64,7 +63,6 @@ def _finite(values: list[float | str]) -> NDArray[np.float64]:
 
 
 def _caption(record: Record) -> list[str]:
-    """Assumptions, in lines."""
     text = (
         f"{worlds_text(record).capitalize()}. {rate_text(record)}. The detector does not know "
         "the heading of the attack. "

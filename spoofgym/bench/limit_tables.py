@@ -72,7 +72,6 @@ def floor_record(
     budget: float,
     seed: int,
 ) -> Record:
-    """Floors of a world, and what they were computed for."""
     p_fa = per_run(false_alarms_per_hour, setup)
     record = {
         "scenario": setup.name,
@@ -131,11 +130,9 @@ def _only_free(bound: ZeroAlarm) -> bool:
 def divergence_record(
     setup: Setup, frontier: Frontier, player: Entry, p_fa: float, budget: float
 ) -> Record:
-    """What no test exceeds against a spoofer, by divergence; or why there is no such bound.
-
-    For each probability of detection: the divergence D below which no test reaches it, and the mean
-    displacement that D allows.
-    """
+    """What no test exceeds against a spoofer, by divergence; or why there is no such bound. For
+    each probability of detection: the divergence D below which no test reaches it, and the mean
+    displacement that D allows."""
     spoofer = build_spoofer(player.untuned)
     names = Observer(default_terms(setup, spoofer.knowledge), setup).names
     found: Record = {"spoofer": player.label, "knowledge": spoofer.knowledge}
@@ -215,7 +212,6 @@ def rate_text(record: Record) -> str:
 
 
 def floor_title(record: Record) -> str:
-    """Title of the table of floors."""
     return (
         f"{record['scenario']}, {record['attack']['name']}: floor, displacement that even a "
         f"perfect detector allows [m]; {worlds_text(record)}; {rate_text(record)}"
@@ -223,7 +219,6 @@ def floor_title(record: Record) -> str:
 
 
 def floor_head(record: Record) -> tuple[str, ...]:
-    """Head of the table of floors."""
     return ("heading of the attack", *_heads(record, record["floors_m"][HEADINGS[0]]))
 
 
@@ -234,7 +229,6 @@ def _heads(record: Record, cells: Mapping[str, Any]) -> list[str]:
 
 
 def floor_rows(record: Record) -> list[tuple[str, ...]]:
-    """Rows of the table of floors."""
     return [
         (
             f"{heading} to the detector",
@@ -259,7 +253,6 @@ def check_line(record: Record) -> str:
 
 
 def zero_alarm_title(record: Record) -> str:
-    """Title of the table of zero-alarm bounds."""
     attack, count = record["attack"], record["worlds"]
     limits = f"{attack['rate_limit_mps']:g} m/s"
     if attack["control"] != "rate":
@@ -272,7 +265,6 @@ def zero_alarm_title(record: Record) -> str:
 
 
 def zero_alarm_rows(record: Record) -> list[tuple[str, ...]]:
-    """Rows of the table of zero-alarm bounds."""
     return [
         (
             row["detector"],
@@ -286,7 +278,6 @@ def zero_alarm_rows(record: Record) -> list[tuple[str, ...]]:
 
 
 def divergence_title(record: Record) -> str:
-    """Title of the table of the bound by divergence."""
     found = record["divergence"]
     return (
         f"{found['spoofer']} ({found['knowledge']}): with a divergence D no test finds it more "
@@ -295,12 +286,10 @@ def divergence_title(record: Record) -> str:
 
 
 def divergence_head(record: Record) -> tuple[str, ...]:
-    """Head of the table of the bound by divergence."""
     return ("", *_heads(record, record["divergence"]["bounds"]))
 
 
 def divergence_rows(record: Record) -> list[tuple[str, ...]]:
-    """Rows of the table of the bound by divergence."""
     cells = record["divergence"]["bounds"].values()
     return [
         ("divergence [nats]", *(f"{cell['divergence']:.3g}" for cell in cells)),
@@ -309,7 +298,6 @@ def divergence_rows(record: Record) -> list[tuple[str, ...]]:
 
 
 def assumption_lines(record: Record) -> list[str]:
-    """Assumptions of all that a record holds."""
     titles = {"floor": "Assumptions of a floor:", "zero_alarm": "Of a zero-alarm bound:"}
     return [
         line

@@ -24,7 +24,6 @@ def summary_of(thing: Any) -> str:
 
 
 def _classes(kinds: Mapping[str, type[Any]], *more: str) -> list[dict[str, Any]]:
-    """Registered classes with their settings."""
     return [
         {
             "name": name,
@@ -37,7 +36,6 @@ def _classes(kinds: Mapping[str, type[Any]], *more: str) -> list[dict[str, Any]]
 
 
 def _defaults(kind: Callable[..., Any]) -> dict[str, Any]:
-    """Settings with their defaults, without those that have none."""
     return {
         key: describe(value)
         for key, value in settings_of(kind).items()

@@ -21,17 +21,14 @@ RESAMPLES = 2000
 
 
 class Estimate(NamedTuple):
-    """A number and the interval around it.
-
-    `value`, `low`, `high`: estimate and interval; NaN where there is nothing to estimate from.
-    """
+    """A number and the interval around it. `value`, `low`, `high`: estimate and interval; NaN where
+    there is nothing to estimate from."""
 
     value: float
     low: float
     high: float
 
     def as_json(self) -> dict[str, float | None]:
-        """By names, None where it is unknown."""
         return {
             name: None if math.isnan(number) else round(number, 6)
             for name, number in self._asdict().items()
@@ -100,12 +97,9 @@ def clustered_proportion(
 
 
 def resamples(clusters: ArrayLike, rng: np.random.Generator, count: int = RESAMPLES) -> FloatArray:
-    """Bootstrap samples of runs: how often each one is drawn, (S, R).
-
-    `clusters` (R,): which runs are drawn together, as those under one sky are alike; whole clusters
-    are drawn with replacement, as many as there are.  With one run in every cluster it is the
-    ordinary bootstrap.
-    """
+    """Bootstrap samples of runs: how often each one is drawn, (S, R). `clusters` (R,): which runs
+    are drawn together, as those under one sky are alike; whole clusters are drawn with replacement,
+    as many as there are. With one run in every cluster it is the ordinary bootstrap."""
     names, where = np.unique(np.asarray(clusters), return_inverse=True)
     if not len(names):
         return np.zeros((count, 0))
@@ -115,9 +109,7 @@ def resamples(clusters: ArrayLike, rng: np.random.Generator, count: int = RESAMP
 
 def resamples_of(clusters: ArrayLike, count: int = RESAMPLES) -> FloatArray:
     """Bootstrap samples that depend on the clusters alone, so that what has the same stays paired.
-
-    `clusters` (R,) as in `resamples`.
-    """
+    `clusters` (R,) as in `resamples`."""
     return _kept_resamples(np.asarray(clusters, dtype=np.int64).tobytes(), count)
 
 
@@ -130,11 +122,8 @@ def _kept_resamples(clusters: bytes, count: int) -> FloatArray:
 def bootstrap_mean(
     values: ArrayLike, samples: FloatArray, confidence: float = CONFIDENCE
 ) -> Estimate:
-    """Mean over runs with its percentile interval; unknown without runs.
-
-    `values` (R,) one of each run; a difference between two cells is paired this way; `samples`
-    (S, R) of `resamples`.
-    """
+    """Mean over runs with its percentile interval; unknown without runs. `values` (R,) one of each
+    run; a difference between two cells is paired this way; `samples` (S, R) of `resamples`."""
     x = np.asarray(values, dtype=np.float64)
     if not len(x):
         return NOTHING
@@ -143,9 +132,7 @@ def bootstrap_mean(
 
 def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> FloatArray:
     """In each bootstrap sample the largest value that is reached in at least a share of the runs.
-
-    `values` (R,), at least one; `samples` (S, R) of `resamples`; returns (S,).
-    """
+    `values` (R,), at least one; `samples` (S, R) of `resamples`; returns (S,)."""
     x = np.asarray(values, dtype=np.float64)
     order = np.argsort(-x, kind="stable")
     reached = np.cumsum(samples[:, order], axis=1)
@@ -154,10 +141,8 @@ def largest_of_share(values: ArrayLike, share: float, samples: FloatArray) -> Fl
 
 
 def percentiles(value: float, drawn: FloatArray, confidence: float = CONFIDENCE) -> Estimate:
-    """Percentile interval of a bootstrap.
-
-    `drawn` (S,) estimates of the samples; NaN of those that hold nothing to estimate from.
-    """
+    """Percentile interval of a bootstrap. `drawn` (S,) estimates of the samples; NaN of those that
+    hold nothing to estimate from."""
     known = drawn[np.isfinite(drawn)]
     if math.isnan(value) or not len(known):
         return NOTHING
@@ -169,11 +154,9 @@ def percentiles(value: float, drawn: FloatArray, confidence: float = CONFIDENCE)
 def exceedance(
     values: ArrayLike, levels: ArrayLike, confidence: float = CONFIDENCE
 ) -> list[Estimate]:
-    """Probability that a value exceeds each level, with Wilson's interval.
-
-    `values` (R,), such as undetected displacements: then it is the probability of hazardously
-    misleading information by alert limit; `levels` (L,); returns (L,).
-    """
+    """Probability that a value exceeds each level, with Wilson's interval. `values` (R,), such as
+    undetected displacements: then it is the probability of hazardously misleading information by
+    alert limit; `levels` (L,); returns (L,)."""
     x = np.asarray(values, dtype=np.float64)
     return [
         wilson(int(np.sum(x > level)), len(x), confidence)

@@ -61,9 +61,7 @@ class Optima:
 
     def find(self, detector: Entry, spoofer: Entry, tick: Tick) -> dict[str, Any]:
         """Curves by `AIMS`, ``aims``, with their ``rates_mps``; ``by``, what played the candidates.
-
-        `spoofer`: a blind optimum without rates, for its heading.
-        """
+        `spoofer`: a blind optimum without rates, for its heading."""
         generators = self.suite.generators(SPLIT, self.settings.runs)
         start = WarmStart(self.suite.setup(detector), generators, threads=self.threads)
         clean = play(start, "none")
@@ -108,11 +106,9 @@ class Optima:
         return found
 
     def _zero_alarm(self, detector: Entry) -> dict[str, list[float]]:
-        """Shape of the attack that gets farthest without an alarm of its own doing, if known.
-
-        It is fitted, and no start of the search, which got less far from there in its few
-        generations: 49 m against `cusum` of range rates, and 54 m from plain shapes.
-        """
+        """Shape of the attack that gets farthest without an alarm of its own doing, if known. It is
+        fitted, and no start of the search, which got less far from there in its few generations: 49
+        m against `cusum` of range rates, and 54 m from plain shapes."""
         rates = self.brackets.zero_alarm(detector).rates_mps
         shape = np.mean(rates, axis=0) if rates else np.zeros(1)
         return {ZERO_ALARM: shape.tolist()} if np.any(shape > 0.0) else {}
@@ -157,10 +153,8 @@ class Optima:
 
 
 def curves_to_fit(suite: Suite, found: dict[str, Any]) -> dict[str, list[float]]:
-    """The curve for the budget, and others that get as far, by their names.
-
-    Nothing gets farther than the largest rate: where that was found, it is the only one.
-    """
+    """The curve for the budget, and others that get as far, by their names. Nothing gets farther
+    than the largest rate: where that was found, it is the only one."""
     rates = np.array(found["aims"][AIMS[0]]["rates_mps"])
     limit, _ = limits_of(suite.world)
     curves = {FOUND: rates}

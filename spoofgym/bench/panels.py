@@ -25,10 +25,8 @@ SMALLEST_M = 0.05
 
 @dataclass(frozen=True)
 class Look:
-    """How one spoofer is drawn: what it is by marker and dashes, which one by colour.
-
-    `width`: of lines; thinner for later ones, so that earlier ones show beneath them.
-    """
+    """How one spoofer is drawn: what it is by marker and dashes, which one by colour. `width`: of
+    lines; thinner for later ones, so that earlier ones show beneath them."""
 
     colour: str
     marker: str
@@ -60,10 +58,8 @@ def _log_metres(ax: Axes) -> None:
 
 
 def start_at_edge(row: Iterable[Axes]) -> None:
-    """Let the shared axis of displacements begin at the edge, once all of its panels are drawn.
-
-    An axis whose end is set no longer follows what is drawn later.
-    """
+    """Let the shared axis of displacements begin at the edge, once all of its panels are drawn. An
+    axis whose end is set no longer follows what is drawn later."""
     for ax in row:
         ax.set_ylim(bottom=SMALLEST_M)
 

@@ -29,7 +29,6 @@ LABELS = (
 
 
 def draw_campaign(folder: ResultsFolder, summary: dict[str, Any]) -> Path:
-    """Draw the picture of a campaign into its folder."""
     look = looks(folder.config()["spoofers"])
     detectors = [row["detector"] for row in summary["detectors"]]
     columns = max(min(len(detectors), COLUMNS), 1)
@@ -76,7 +75,6 @@ def _draw_column(
     summary: dict[str, Any],
     look: dict[str, Look],
 ) -> None:
-    """All panels of a detector."""
     cells = {name: folder.cell(detector, name) for name in look if folder.has_cell(detector, name)}
     scores = {cell["spoofer"]: cell for cell in summary["cells"] if cell["detector"] == detector}
     searches = [search for search in summary["tuning"] if search["detector"] == detector]
@@ -89,7 +87,6 @@ def _draw_column(
 
 
 def _key(ax: Axes, label: str, look: Look) -> Line2D:
-    """Entry of the legend."""
     (line,) = ax.plot(
         [], [], look.dashes, marker=look.marker, color=look.colour, lw=2.0, mec="white", label=label
     )

@@ -32,9 +32,7 @@ def limits_of(setup: Setup) -> tuple[float, float]:
 
 def pushed(setup: Setup, heading_deg: float | str, target: FloatArray) -> FloatArray:
     """(R, a) or (1, a) unit commands of spoofers with a heading, as `ScriptedSpoofer` has it.
-
-    `target` (R,) target directions of the runs [rad].
-    """
+    `target` (R,) target directions of the runs [rad]."""
     names = setup.action_names
     if not (isinstance(heading_deg, str) and has_heading(names)):
         return direction(names, 0.0 if isinstance(heading_deg, str) else heading_deg)[None]

@@ -17,11 +17,9 @@ NOMINAL = "nominal"
 
 
 def operating_point(config: dict[str, Any], detector: str) -> dict[str, Any]:
-    """What a detector was asked for: ``claimed``, and the ``footing`` on which it is compared.
-
-    The footing is the rate; ``"nominal"`` where none was asked for, and ``"any"`` of a detector
-    that never alarms.
-    """
+    """What a detector was asked for: ``claimed``, and the ``footing`` on which it is compared. The
+    footing is the rate; ``"nominal"`` where none was asked for, and ``"any"`` of a detector that
+    never alarms."""
     found = config["calibrations"].get(detector, [])
     rates = {point["false_alarms_per_hour"] for point in found}
     claimed = None
@@ -37,12 +35,10 @@ def operating_point(config: dict[str, Any], detector: str) -> dict[str, Any]:
 
 
 def score_detector(clean: Cell) -> dict[str, Any]:
-    """False alarms of a detector and their price, from its runs without attack.
-
-    Per run, per hour, and per epoch of the window, which is the availability that is lost; in the
-    warm-up; satellites that are blamed though nobody attacks, in satellite seconds an hour, None
-    where channels are not judged; RMS distance from the truth, and the largest while coasting.
-    """
+    """False alarms of a detector and their price, from its runs without attack. Per run, per hour,
+    and per epoch of the window, which is the availability that is lost; in the warm-up; satellites
+    that are blamed though nobody attacks, in satellite seconds an hour, None where channels are not
+    judged; RMS distance from the truth, and the largest while coasting."""
     records, window_s = clean.records, clean.window * clean.interval_s
     warm = int(records["warmup_alarm"].sum())
     per_run = clopper_pearson(int(clean.alarmed.sum()), clean.runs)
@@ -60,7 +56,6 @@ def score_detector(clean: Cell) -> dict[str, Any]:
         "warmup_alarm_per_run": clopper_pearson(warm, clean.runs).as_json(),
         "blamed_s_per_hour": round(blamed, 4) if clean.head["judges_channels"] else None,
         "navigation_rms_m": float(np.sqrt(np.mean(records["navigation_rms_m"] ** 2)).round(4)),
-        "coasting_runs": float(coasting.mean().round(6)),
         "coasting_error_m": mean_of(records["coasting_error_m"][coasting]),
     }
 

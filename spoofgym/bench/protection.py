@@ -49,12 +49,9 @@ class Aim(NamedTuple):
         return float((displacement > self.limit_m).mean())
 
     def worth(self, displacement: FloatArray) -> float:
-        """How good a displacement of the runs that count is, to choose by.
-
-        Of attacks that exceed a limit equally often, that whose weakest such run is the farthest
-        above it, as it will most surely do so again; of those that never do, that which comes
-        nearest.
-        """
+        """How good a displacement of the runs that count is, to choose by. Of attacks that exceed a
+        limit equally often, that whose weakest such run is the farthest above it, as it will most
+        surely do so again; of those that never do, that which comes nearest."""
         reached = self.reached(displacement)
         if self.limit_m is None or not len(displacement):
             return reached
@@ -103,7 +100,6 @@ class Protection:
 
     @property
     def detector(self) -> str:
-        """Label of the detector."""
         return str(self.head["detector"])
 
     def winner(self, aim: Aim) -> Winner | None:
@@ -123,7 +119,6 @@ class Protection:
         return self.counts & np.isin(self.sky, self.skies)
 
     def to_text(self) -> str:
-        """JSON."""
         winners = [
             {
                 **{name: getattr(each, name) for name in ("letter", "spoofer", "setting", "value")},

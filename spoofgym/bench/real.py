@@ -97,7 +97,6 @@ def real_scenario(
 
 
 def ephemeris_day(ephemerides: Ephemerides) -> date:
-    """Day that most of the records are of."""
     days = np.floor(ephemerides.time_of_ephemeris / 86_400.0).astype(np.int64)
     found, counts = np.unique(days, return_counts=True)
     return (GPS_EPOCH + timedelta(days=int(found[counts.argmax()]))).date()

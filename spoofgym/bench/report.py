@@ -11,26 +11,17 @@ from .attack_suite import FAMILIES
 from .bracket_text import bracket_section
 from .tuning_table import tuning_head, tuning_rows
 
-PUBLISHED_NOTE = (
-    "Thresholds as the papers or their defaults have them. The rates of false alarms differ, so "
-    "that nothing here compares one detector with another; by name, no one is the best. The ramp "
-    "is the same for all, and fitted to nobody."
-)
-
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return lines + ["| " + " | ".join(map(_cell, row)) + " |" for row in rows]
 
 
 def _cell(text: str) -> str:
-    """Text that stays within its cell."""
     return " ".join(text.split()).replace("|", "\\|")
 
 
 def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
-    """Report of a campaign."""
     lines = [f"# Campaign: {summary['scenario']}", "", *_setting(config, summary), ""]
     if summary["missing"]:
         lines += [f"**Not finished**: {', '.join(summary['missing'])}.", ""]
@@ -43,10 +34,6 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
             lines += ["### Stealthy attacks", ""]
             lines += [*markdown_table(tables.ATTACKS_HEAD, attacks), ""]
         lines += ["### Price", "", *markdown_table(tables.CLEAN_HEAD, clean), ""]
-    if summary["published"]:
-        lines += ["## As published", ""]
-        lines += markdown_table(tables.PUBLISHED_HEAD, tables.published_rows(summary))
-        lines += ["", PUBLISHED_NOTE, ""]
     lines += ["## The bracket", "", *bracket_section(summary)]
     lines += ["## How to read it", "", *_reading(config, summary), ""]
     if summary["comparisons"]:
@@ -63,7 +50,6 @@ def markdown(config: dict[str, Any], summary: dict[str, Any]) -> str:
 
 
 def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
-    """What was run."""
     line, attack = config["timeline"], config["attack"]
     by = attack["control"]
     kinds = sorted({cell["attack"] for cell in summary["cells"]})
@@ -85,7 +71,6 @@ def _setting(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
 
 
 def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
-    """World and receiver."""
     if "settings" in config:
         given = {k: json.dumps(x) for k, x in config["settings"].items() if x is not None}
         own = ", ".join(f"{k}={text}" for k, text in given.items())
@@ -103,7 +88,6 @@ def _victim(config: dict[str, Any], notes: list[str]) -> list[str]:
 
 
 def _reading(config: dict[str, Any], summary: dict[str, Any]) -> list[str]:
-    """How the numbers are meant."""
     alert, budget = config["timeline"]["time_to_alert_s"], 100 * summary["budget"]
     lines = [
         "In brackets: 95 % intervals. A run *counts* where nothing but the attack can have raised "
@@ -160,7 +144,6 @@ def _comparisons(summary: dict[str, Any]) -> list[str]:
 
 
 def _tunings(searches: list[dict[str, Any]]) -> list[str]:
-    """What was tried to find the settings."""
     lines = []
     for search in searches:
         runs, name = search["runs"], search["setting"]

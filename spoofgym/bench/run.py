@@ -45,7 +45,6 @@ class Runs(NamedTuple):
     blamed: NDArray[np.int64]
 
     def first(self, count: int) -> Runs:
-        """Some of the runs."""
         return self.take(np.arange(min(count, len(self.peak))))
 
     def take(self, rows: NDArray[np.intp]) -> Runs:
@@ -68,14 +67,10 @@ class Runs(NamedTuple):
 
 
 class WarmStart:
-    """Receivers at the onset of the attack, after one warm-up that all spoofers start from.
-
-    The warm-up is clean, so that it is the same for every spoofer: a run from here has the same
-    bits as one with a warm-up of its own.
-
-    `setup`: world, victim, attack, detector and timeline; `warmup_alarm` (R,) bool, false alarms
-    before the attack.
-    """
+    """Receivers at the onset of the attack, after one warm-up that all spoofers start from. The
+    warm-up is clean, so that it is the same for every spoofer: a run from here has the same bits as
+    one with a warm-up of its own. `setup`: world, victim, attack, detector and timeline;
+    `warmup_alarm` (R,) bool, false alarms before the attack."""
 
     def __init__(
         self, setup: Setup, rngs: Sequence[np.random.Generator], *, threads: int | None = None
@@ -113,7 +108,6 @@ class WarmStart:
         return self.extract(self._engine, np.arange(self.receivers))
 
     def extract(self, engine: Engine, rows: NDArray[np.intp]) -> Engine:
-        """Some receivers of an engine as they are."""
         part = Engine(len(rows), self.setup, threads=self._threads)
         part.simulator.copy_rows(np.arange(len(rows)), engine.simulator, rows)
         if engine.simulator.clean is not None:
@@ -129,10 +123,8 @@ def play(
     tick: Callable[[float], None] | None = None,
     watch: Watch | None = None,
 ) -> Runs:
-    """Let a spoofer attack all runs, from the onset to the end of the hold.
-
-    `watch` looks at every epoch, and says which runs count as alarmed in place of the detector.
-    """
+    """Let a spoofer attack all runs, from the onset to the end of the hold. `watch` looks at every
+    epoch, and says which runs count as alarmed in place of the detector."""
     setup = start.setup
     epochs, everyone = setup.steps + setup.hold, start.receivers
     alarm = np.zeros((epochs, everyone), dtype=np.bool_)
@@ -166,21 +158,15 @@ def play(
 
 
 def epochs_of(setup: Setup, onset: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Epochs of `Setup.epoch_time` at which runs are after their onset.
-
-    `onset` (R,) of `Runs`; returns (K, R), from the first epoch under attack to the end of the
-    hold.
-    """
+    """Epochs of `Setup.epoch_time` at which runs are after their onset. `onset` (R,) of `Runs`;
+    returns (K, R), from the first epoch under attack to the end of the hold."""
     epochs: NDArray[np.int64] = onset + 1 + np.arange(setup.steps + setup.hold)[:, None]
     return epochs
 
 
 def to_local(vector: FloatArray, frames: FloatArray) -> FloatArray:
-    """Vectors of every epoch in its local axes.
-
-    `vector` (K, R, d); `frames` (K, R, d, d) to its axes from local axes; returns (K, R, d) north,
-    east (and down).
-    """
+    """Vectors of every epoch in its local axes. `vector` (K, R, d); `frames` (K, R, d, d) to its
+    axes from local axes; returns (K, R, d) north, east (and down)."""
     # sums written out: the bits of a matrix product depend on the number of runs
     parts = [vector[:, :, i, None] * frames[:, :, i, :] for i in range(vector.shape[2])]
     return np.asarray(functools.reduce(np.add, parts))

@@ -70,10 +70,8 @@ def undetected_displacement(
 
 
 def counted(warmup_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:
-    """Which runs count: silent before the onset, with a silent twin.  (R,) bool each.
-
-    `twin_alarm`: whether the clean twin alarms in the judged window, or the epoch at which it does.
-    """
+    """Which runs count: silent before the onset, with a silent twin. (R,) bool each. `twin_alarm`:
+    whether the clean twin alarms in the judged window, or the epoch at which it does."""
     return ~(np.asarray(warmup_alarm, dtype=np.bool_) | np.asarray(twin_alarm, dtype=np.bool_))
 
 
@@ -99,7 +97,6 @@ class Stealth(NamedTuple):
         return alarm_limit(self.alarms, self.runs)
 
     def keeps(self, budget: float) -> bool:
-        """Whether a budget is kept by that limit."""
         return self.alarm_limit <= budget + 1e-9
 
     def seems_to_keep(self, budget: float) -> bool:
@@ -108,11 +105,8 @@ class Stealth(NamedTuple):
 
 
 def stealth_of(displacement: ArrayLike, alarm: ArrayLike, counts: ArrayLike) -> Stealth:
-    """Score of a spoofer by its runs.
-
-    `displacement` (R,) undetected [m]; `alarm` (R,) bool, whether each run alarmed; `counts` (R,)
-    of `counted`.
-    """
+    """Score of a spoofer by its runs. `displacement` (R,) undetected [m]; `alarm` (R,) bool,
+    whether each run alarmed; `counts` (R,) of `counted`."""
     kept = np.asarray(counts, dtype=np.bool_)
     runs = int(kept.sum())
     mean = float(np.asarray(displacement, dtype=np.float64)[kept].mean()) if runs else math.nan
@@ -121,9 +115,7 @@ def stealth_of(displacement: ArrayLike, alarm: ArrayLike, counts: ArrayLike) -> 
 
 def exceeded(displacement: ArrayLike, share: float) -> float:
     """Largest displacement that is reached in at least such a share of the runs; NaN without runs.
-
-    `displacement` (R,) [m]; `share` in (0, 1].
-    """
+    `displacement` (R,) [m]; `share` in (0, 1]."""
     x = np.sort(np.asarray(displacement, dtype=np.float64))[::-1]
     if not len(x):
         return math.nan
@@ -132,9 +124,7 @@ def exceeded(displacement: ArrayLike, share: float) -> float:
 
 def worst_skies(displacement: ArrayLike, sky: ArrayLike) -> NDArray[np.int64] | None:
     """Tenth of the skies in which most is displaced, by the means; None with fewer than ten.
-
-    `displacement`, `sky` (R,) of each run [m], and which one it flew under.
-    """
+    `displacement`, `sky` (R,) of each run [m], and which one it flew under."""
     x, under = np.asarray(displacement, dtype=np.float64), np.asarray(sky)
     skies = np.unique(under)
     if len(skies) < FEWEST_SKIES:
@@ -145,12 +135,9 @@ def worst_skies(displacement: ArrayLike, sky: ArrayLike) -> NDArray[np.int64] | 
 
 
 def clusters_of(sky: ArrayLike) -> NDArray[np.int64]:
-    """Which runs a bootstrap draws together: those under one sky, where there are ten or more.
-
-    With fewer skies it draws single runs, and its intervals are for these skies alone.
-
-    `sky` (R,) of each run of a campaign, whether it counts or not.
-    """
+    """Which runs a bootstrap draws together: those under one sky, where there are ten or more. With
+    fewer skies it draws single runs, and its intervals are for these skies alone. `sky` (R,) of
+    each run of a campaign, whether it counts or not."""
     under = np.asarray(sky, dtype=np.int64)
     return under if len(np.unique(under)) >= FEWEST_SKIES else np.arange(len(under))
 
@@ -164,20 +151,16 @@ def bootstrap_exceeded(displacement: ArrayLike, share: float, samples: FloatArra
 
 
 def by_chance(first_alarm: ArrayLike, twin_alarm: ArrayLike) -> Mask:
-    """Whose first alarm was chance: the twin has alarmed by then.
-
-    `first_alarm`, `twin_alarm` (R,) epochs of the first alarms after the onset, 0 for none.
-    """
+    """Whose first alarm was chance: the twin has alarmed by then. `first_alarm`, `twin_alarm` (R,)
+    epochs of the first alarms after the onset, 0 for none."""
     mine, twin = np.asarray(first_alarm), np.asarray(twin_alarm)
     return np.asarray((mine > 0) & (twin > 0) & (twin <= mine))
 
 
 def missed_in_time(first_alarm: ArrayLike, crossing: ArrayLike, time_to_alert: int) -> Mask:
     """Of the runs that cross the alert limit, (R',) bool: no alarm up to the time to alert after.
-
     `first_alarm`, `crossing` (R,) epochs of the first alarm, and of the first error above the
-    limit, 0 for none.
-    """
+    limit, 0 for none."""
     mine, at = np.asarray(first_alarm), np.asarray(crossing)
     crossed = at > 0
     return np.asarray((mine[crossed] == 0) | (mine[crossed] > at[crossed] + time_to_alert))
@@ -198,11 +181,9 @@ class Survival(NamedTuple):
 
 
 def survival(delay_s: ArrayLike, detected: ArrayLike, times_s: ArrayLike) -> Survival:
-    """Kaplan-Meier estimate, in which alarms by chance and missed runs are censored.
-
-    `delay_s` (R,) from the onset to the alarm, or to where the run was observed last; `detected`
-    (R,) bool, whether that is an alarm that the attack raised; `times_s` (T,) at which it is told.
-    """
+    """Kaplan-Meier estimate, in which alarms by chance and missed runs are censored. `delay_s` (R,)
+    from the onset to the alarm, or to where the run was observed last; `detected` (R,) bool,
+    whether that is an alarm that the attack raised; `times_s` (T,) at which it is told."""
     t, seen = np.asarray(delay_s, dtype=np.float64), np.asarray(detected, dtype=np.bool_)
     times = np.asarray(times_s, dtype=np.float64)
     at_risk = (t[None, :] >= times[:, None]).sum(axis=1)

@@ -36,7 +36,6 @@ class Tuning:
     budget: float = BUDGET
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         for name, least in (("runs", 2), ("sift_runs", 1), ("values", 3), ("refined", 2)):
             count = whole_number(f"`tuning.{name}`", getattr(self, name), least)
             object.__setattr__(self, name, count)
@@ -52,31 +51,21 @@ class Tuning:
 
 @dataclass(frozen=True, kw_only=True)
 class Selection:
-    """How the worst attack of the suite is looked for.
-
-    Parameters
-    ----------
-    runs : int
-        Runs of the split `selection`.
-    sift_runs : int
-        How many of them play the whole suite.
-    values : int
-        Log-spaced values of every member's setting.
-    """
+    """How the worst attack of the suite is looked for. `runs`: runs of the split `selection`;
+    `sift_runs`: how many of them play the whole suite; `values`: log-spaced values of every
+    member's setting."""
 
     runs: int = 192
     sift_runs: int = 48
     values: int = 10
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         for name, least in (("runs", 1), ("sift_runs", 1), ("values", 2)):
             count = whole_number(f"`selection.{name}`", getattr(self, name), least)
             object.__setattr__(self, name, count)
 
 
 def log_spaced(low: float, high: float, count: int) -> list[float]:
-    """Log-spaced values, rounded."""
     return [rounded_down(value) for value in np.geomspace(low, high, count)]
 
 

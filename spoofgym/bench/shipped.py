@@ -16,11 +16,9 @@ from .specs import describe, spec_of
 
 
 def fitting(env: str, setup: Setup) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Shipped spoofers of an environment whose actions and observations mean what they meant.
-
-    Each is asked as a campaign plays it, by its own actions and at its own pace.  Returns their
-    names, and why others of it are left out.
-    """
+    """Shipped spoofers of an environment whose actions and observations mean what they meant. Each
+    is asked as a campaign plays it, by its own actions and at its own pace. Returns their names,
+    and why others of it are left out."""
     names, notes = [], []
     for name in shipped():
         if card_of(name).env_id != env:
@@ -45,7 +43,6 @@ def _unlike_card(name: str, setup: Setup) -> list[str]:
 
 
 def card_behind(spoofer: Spoofer) -> Card | None:
-    """Card of a spoofer."""
     card = getattr(spoofer, "card", None)
     if isinstance(card, Card):
         return card

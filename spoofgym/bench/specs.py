@@ -127,10 +127,8 @@ def make(
     spec: Any,
     more: Iterable[str] = (),
 ) -> T:
-    """Object by name and settings; the name may be ``module:Class``.
-
-    `spec`: as `parse_spec` returns it, or an object, which is copied; `more`: other valid names.
-    """
+    """Object by name and settings; the name may be ``module:Class``. `spec`: as `parse_spec`
+    returns it, or an object, which is copied; `more`: other valid names."""
     if isinstance(spec, str):
         spec = {"name": spec}
     if isinstance(spec, Mapping) and ":" in str(spec.get("name", "")):
@@ -146,15 +144,12 @@ def make(
 
 def make_judge(spec: Any) -> Detector:
     """Detector of a campaign, which may ask for its thresholds; the name may be ``module:Class``.
-
-    One that asks for nothing has those of the default rate.
-    """
+    One that asks for nothing has those of the default rate."""
     made = partial(make, "detector", DETECTORS, Detector, more=zoo.shipped())
     return made_by(made, spec, calibrated.DEFAULT_RATE)
 
 
 def spec_of_judge(detector: Detector) -> Spec:
-    """Name and all settings of a detector, and what it asks of its thresholds."""
     if isinstance(detector, LearnedDetector):  # as it is, not as its card has it
         return {**_spec_of_detector(detector), "threshold_scale": 1.0}
     return spec_with_thresholds(detector, _spec_of_detector)
@@ -182,10 +177,8 @@ def spec_of(word: str, kinds: Mapping[str, type[Any]], thing: Any) -> Spec:
 
 
 def settings_of(kind: Callable[..., Any]) -> dict[str, Any]:
-    """Settings of a class or function, with their defaults.
-
-    Returns default by name; `inspect.Parameter.empty` where there is none.
-    """
+    """Settings of a class or function, with their defaults. Returns default by name;
+    `inspect.Parameter.empty` where there is none."""
     parameters = inspect.signature(kind).parameters.values()
     spread = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     return {item.name: item.default for item in parameters if item.kind not in spread}
@@ -214,5 +207,4 @@ def _short(value: Any) -> str:
 
 
 def slug(label: str) -> str:
-    """File name of a label."""
     return re.sub(r"[^A-Za-z0-9._=]+", "-", label).strip("-.")

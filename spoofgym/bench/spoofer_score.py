@@ -69,10 +69,8 @@ class Score:
 
     def ratio_to(self, other: Score, *, oracles: bool = False) -> Estimate:
         """How many times as far as another spoofer on the same runs, with a paired 95 % interval.
-
         Raises a ValueError where the runs are not the same ones, or, without `oracles`, where just
-        one of the two is an oracle.
-        """
+        one of the two is an oracle."""
         if self.oracle != other.oracle and not oracles:
             raise ValueError(
                 f"{self.spoofer} ({self.knowledge}) and {other.spoofer} ({other.knowledge}): one "
@@ -106,7 +104,6 @@ class Score:
         }
 
     def __str__(self) -> str:
-        """One line to read."""
         where = self.detector if self.task is None else f"{self.detector}, {self.task}"
         alarms = interval({k: _percent(v) for k, v in self.alarm_rate._asdict().items()}, 1)
         what = "" if self.value is None else f", {self.setting} {self.value:.4g}"

@@ -59,7 +59,6 @@ def standard_kwargs() -> dict[str, Any]:
 
 
 def standard_world() -> Suite:
-    """The suite with nobody in it, for what suits its world."""
     return nobody_in(standard_kwargs())
 
 

@@ -213,8 +213,7 @@ class ResultsFolder:
         if "runs" in head:
             asked["runs"] = config["runs"]
             for kind, label in named.items():
-                entries = [*config[f"{kind}s"], *config["published"].get(f"{kind}s", [])]
-                specs = {entry["label"]: entry["spec"] for entry in entries}
+                specs = {entry["label"]: entry["spec"] for entry in config[f"{kind}s"]}
                 asked[f"{kind}_settings"] = specs.get(label)
         found = [
             f"{name} is {there!r} and not {wanted!r}"

@@ -31,7 +31,7 @@ from ..simulators.splits import generators_of
 from ..simulators.splits import seed_sequences as seed_sequences
 from ..simulators.tightly_coupled import TightlyCoupledSetup
 from ..simulators.timeline import Timeline
-from ..spoofers import Ramp, Scaled, Spoofer
+from ..spoofers import Scaled, Spoofer
 from .attack_suite import NAME, VERSION, Member, fitting_members, suite_digest
 from .decisions import make_bound_spoofer
 from .entries import (
@@ -41,7 +41,6 @@ from .entries import (
     check_labels,
     detector_entry,
     fitted,
-    nominal_entry,
     oracle_labels,
     refuse_oracles,
     spoofer_entry,
@@ -107,9 +106,6 @@ class Suite:
     selection : Selection, optional
         Search for the worst attack of the attack suite, by which detectors are protected; None for
         none.
-    published : bool
-        Whether detectors that are asked for a rate of false alarms are played with their nominal
-        thresholds, too.
     """
 
     env: str = ENV_ID
@@ -131,10 +127,8 @@ class Suite:
     notes: Sequence[str] = ()
     allow_oracles: bool = False
     selection: Selection | None = None
-    published: bool = False
 
     def __post_init__(self) -> None:
-        """Check names and settings; no receiver is simulated yet."""
         check_choice("environment of the benchmark", self.env, VICTIMS)
         valid = [name for name in settings_of(VICTIMS[self.env].setup) if name != "detector"]
         for name in self.given:
@@ -161,20 +155,6 @@ class Suite:
         """Detectors in their order."""
         specs = VICTIMS[self.env].detectors if self.detectors is None else self.detectors
         return tuple(detector_entry(spec) for spec in specs)
-
-    @cached_property
-    def published_entries(self) -> tuple[Entry, ...]:
-        """Detectors that are calibrated, with the thresholds as published."""
-        if not self.published:
-            return ()
-        found = [nominal_entry(entry) for entry in self.detector_entries]
-        return tuple(entry for entry in found if entry is not None)
-
-    @cached_property
-    def published_spoofers(self) -> tuple[Entry, ...]:
-        """Whom the detectors as published meet: nobody, and a ramp that is the same for all."""
-        rate = min(Ramp.rate_mps, Ramp.tuning_range(spoofer_context(self._setup))[1])
-        return spoofer_entry("none"), spoofer_entry({"name": "ramp", "rate_mps": rate})
 
     @property
     def alert_limits_m(self) -> list[float]:
@@ -214,10 +194,8 @@ class Suite:
         return self._shipped[1] if self.spoofers is None else ()
 
     def check_fit(self) -> None:
-        """Raise where a detector or a spoofer does not fit, before anything is played.
-
-        Spoofers that ignore a target direction that is drawn are warned of.
-        """
+        """Raise where a detector or a spoofer does not fit, before anything is played. Spoofers
+        that ignore a target direction that is drawn are warned of."""
         for entry in self.detector_entries:
             try:
                 self.setup(entry).simulator(1, run_serially)
@@ -250,9 +228,7 @@ class Suite:
 
     def setup(self, detector: Entry, spoofers: Sequence[Entry] | None = None) -> Setup:
         """What all receivers share, with one of the detectors; world and all else are the same.
-
-        `spoofers`: who plays, all of the suite's by default; what they observe is watched.
-        """
+        `spoofers`: who plays, all of the suite's by default; what they observe is watched."""
         watched = self._watched if spoofers is None else self.watched_for(spoofers)
         return self._setup.altered(detector=make_judge(detector.spec), monitors=watched)
 
@@ -301,12 +277,9 @@ class Suite:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """Everything that the results depend on, JSON-able.
-
-        What comes from outside of spoofgym is there by digests of its sources.  Where one can't be
-        read, a number of this suite alone is in its place, so that no other one takes up its
-        results; this is warned of.
-        """
+        """Everything that the results depend on, JSON-able. What comes from outside of spoofgym is
+        there by digests of its sources. Where one can't be read, a number of this suite alone is in
+        its place, so that no other one takes up its results; this is warned of."""
         setup = self._setup
         judges = [make_judge(entry.spec) for entry in self.detector_entries]
         players = [build_spoofer(entry.untuned) for entry in self.spoofer_entries]
@@ -338,7 +311,6 @@ class Suite:
             "splits": dict(SPLITS),
             "tuning": dataclasses.asdict(self.tuning),
             "attack_suite": self._attack_suite(),
-            "published": self._published(),
             "alert_limit_m": float(self.alert_limit_m),
             "alert_limits_m": list(ALERT_LIMITS_M),
             "notes": [
@@ -354,15 +326,6 @@ class Suite:
     def members(self) -> tuple[Member, ...]:
         """Attacks of the attack suite that fit the victim."""
         return fitting_members(self._setup, spoofer_context(self._setup))
-
-    def _published(self) -> dict[str, Any]:
-        """Who plays with thresholds as published, and against whom."""
-        if not self.published_entries:
-            return {"detectors": [], "spoofers": []}
-        return {
-            "detectors": [dataclasses.asdict(entry) for entry in self.published_entries],
-            "spoofers": [dataclasses.asdict(entry) for entry in self.published_spoofers],
-        }
 
     def _attack_suite(self) -> dict[str, Any] | None:
         """Name, version and search of the attack suite; None where it is not played."""

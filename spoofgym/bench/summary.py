@@ -21,7 +21,7 @@ from .metrics import (
     resamples_of,
     wilson,
 )
-from .price import mean_of, number, operating_point, score_detector
+from .price import number, operating_point, score_detector
 from .protection import Aim, Protection, Winner
 from .scores import (
     ALIKE,
@@ -36,13 +36,6 @@ from .suite import FORMAT
 
 SURVIVAL_TIMES = 8
 """At how many times the share of undetected attacks is told."""
-FURTHER = (
-    "undetected_along_m",
-    "undetected_vertical_m",
-    "undetected_total_m",
-    "undetected_total_vertical_m",
-)
-"""Other displacements whose means are told."""
 
 
 def summarize(folder: ResultsFolder) -> dict[str, Any]:
@@ -58,9 +51,8 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
     dict
         JSON-able: ``scenario``, ``runs``, ``detectors`` (rates of false alarms, price,
         ``bracket``), ``cells`` (spoofers), ``protection`` (detectors), ``comparisons``
-        (detectors with the negative controls at the same rate, run by run), ``published``
-        (nominal thresholds), ``limits`` (``floor`` of the world, ``zero_alarm`` bounds by
-        detector), ``tuning``, ``missing`` (cells).
+        (detectors with the negative controls at the same rate, run by run), ``limits`` (``floor``
+        of the world, ``zero_alarm`` bounds by detector), ``tuning``, ``missing`` (cells).
 
     Raises
     ------
@@ -118,7 +110,6 @@ def summarize(folder: ResultsFolder) -> dict[str, Any]:
         "comparisons": compare(
             list(cells.values()), known, {k: p["footing"] for k, p in points.items()}
         ),
-        "published": _published(folder, config, limits),
         "limits": bracket,
         "tuning": tuned,
         "missing": [
@@ -155,9 +146,6 @@ def score_cell(cell: Cell, limits: Sequence[float], budget: float) -> dict[str, 
         "stealthy_displacement_m": bootstrap_mean(kept, samples).as_json(),
         "median_m": number(np.median(kept)) if len(kept) else None,
         "alarmed_as_0_m": bootstrap_mean(zeroed, samples).as_json(),
-        "further_m": {
-            name: mean_of(cell.records[name][counts]) for name in FURTHER if name in cell.records
-        },
         "largest_error_m": float(cell.records["largest_error_m"].mean().round(4)),
         "p_hmi": [
             {"alert_limit_m": limit, **estimate.as_json()}
@@ -217,12 +205,9 @@ def _median(x: NDArray[Any], clusters: NDArray[np.int64]) -> Estimate:
 
 
 def score_protection(found: Protection, limits: Sequence[float]) -> dict[str, Any]:
-    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack).
-
-    The worst of all winners counts, whatever each was chosen for, so that P(HMI | attack) never
-    grows with the limit, nor does what is exceeded with the share, and neither contradicts the
-    other.
-    """
+    """Protection of a detector: what the worst attacks exceed, and P(HMI | attack). The worst of
+    all winners counts, whatever each was chosen for, so that P(HMI | attack) never grows with the
+    limit, nor does what is exceeded with the share, and neither contradicts the other."""
     aims = [aim for winner in found.winners for aim in winner.aims]
     searched = sorted({aim.limit_m for aim in aims if aim.limit_m is not None} & set(limits))
     skies = None if found.skies is None else len(found.skies)
@@ -266,24 +251,5 @@ def _hazardous(found: Protection, measure: str, limit: float) -> dict[str, Any]:
 
 
 def _attack(winner: Winner) -> dict[str, Any]:
-    """Which attack it was."""
     named = {"letter": winner.letter, "spoofer": winner.spoofer}
     return {**named, "setting": winner.setting, "at": winner.value}
-
-
-def _published(
-    folder: ResultsFolder,
-    config: dict[str, Any],
-    limits: Sequence[float],
-) -> list[dict[str, Any]]:
-    """Detectors with thresholds as published, by name."""
-    found = []
-    for entry in sorted(config["published"]["detectors"], key=lambda each: each["label"]):
-        names = [each["label"] for each in config["published"]["spoofers"]]
-        cells = [
-            folder.cell(entry["label"], n) for n in names if folder.has_cell(entry["label"], n)
-        ]
-        if len(cells) == len(names):
-            scores = [score_cell(cell, limits, 1.0) for cell in cells[1:]]
-            found.append({**score_detector(cells[0]), "attacks": scores})
-    return found

@@ -51,14 +51,6 @@ CLEAN_HEAD = (
     "navigation error, RMS [m]",
     "largest while coasting [m]",
 )
-PUBLISHED_HEAD = (
-    "clean runs with an alarm [%]",
-    "detector",
-    "per hour",
-    "runs with an alarm before the onset [%]",
-    "P(alarm | silent twin) [%]",
-    "displacement by a ramp [m]",
-)
 ORACLE = " (oracle)"
 """Behind the name of a spoofer that sees the detector's statistics, as nobody can in practice."""
 KNOWLEDGE_HEAD = ("spoofer", "knows at run time", "was designed on")
@@ -75,7 +67,6 @@ class Group(NamedTuple):
 
     @property
     def title(self) -> str:
-        """At which rate."""
         if not self.rate:
             return "with nominal thresholds, whose rates of false alarms differ"
         return f"at {self.rate} false alarms an hour"
@@ -102,11 +93,8 @@ def percent(estimate: dict[str, Any]) -> str:
 
 
 def interval(estimate: dict[str, Any], digits: int | None = None) -> str:
-    """Number with its interval.
-
-    `estimate`: ``value``, ``low``, ``high``; None where unknown; `digits`: after the point; as many
-    as suit the size by default.
-    """
+    """Number with its interval. `estimate`: ``value``, ``low``, ``high``; None where unknown;
+    `digits`: after the point; as many as suit the size by default."""
     value, low, high = (estimate[key] for key in ("value", "low", "high"))
     if value is None:
         return "-"
@@ -127,7 +115,6 @@ def _digits(size: float) -> int:
 
 
 def setting_of(cell: dict[str, Any]) -> str:
-    """What a spoofer was set to."""
     parts = [
         _setting(key, value)
         for key, value in cell["spoofer_settings"].items()
@@ -149,11 +136,9 @@ def _setting(key: str, value: Any) -> str:
 
 
 def made_for(cell: dict[str, Any]) -> str:
-    """Which detector a spoofer was made for.
-
-    Returns its label, marked where this is another detector, receiver, scenario, timeline or
-    attack; what the spoofer says of itself where that is all there is; ``-`` for none.
-    """
+    """Which detector a spoofer was made for. Returns its label, marked where this is another
+    detector, receiver, scenario, timeline or attack; what the spoofer says of itself where that is
+    all there is; ``-`` for none."""
     knowledge = cell["knowledge"]
     if knowledge["detector"] is None:
         return "-" if knowledge["design_time"] == "nothing" else str(knowledge["design_time"])
@@ -192,7 +177,6 @@ def detector_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]
 
 
 def _of(rows: list[dict[str, Any]], group: Group) -> list[dict[str, Any]]:
-    """Rows of the detectors of a group, in its order."""
     order = {label: k for k, label in enumerate(group.detectors)}
     return sorted(
         (row for row in rows if row["detector"] in order), key=lambda row: order[row["detector"]]
@@ -234,13 +218,10 @@ def _optimum(reached: dict[str, Any] | None) -> str:
 
 
 def mark_of(summary: dict[str, Any], detector: str) -> str:
-    """What is to be known of a detector.
-
-    Whether and where it is worse than one that never alarms, or by chance; whether the worst attack
-    comes as far as against one that never alarms; whether it alarms before the onset in more runs
-    than a calibration can stand for; whether the search for attacks has failed, and which attacks
-    are above its zero-alarm bound.
-    """
+    """What is to be known of a detector. Whether and where it is worse than one that never alarms,
+    or by chance; whether the worst attack comes as far as against one that never alarms; whether it
+    alarms before the onset in more runs than a calibration can stand for; whether the search for
+    attacks has failed, and which attacks are above its zero-alarm bound."""
     bracket = next(row["bracket"] for row in summary["detectors"] if row["detector"] == detector)
     if name_of(detector) in CONTROLS:
         return "; ".join(["control", *bracket_marks(bracket)])
@@ -308,24 +289,6 @@ def clean_rows(summary: dict[str, Any], group: Group) -> list[tuple[str, ...]]:
         )
         for row in _of(summary["detectors"], group)
     ]
-
-
-def published_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of thresholds as published, in the order of `PUBLISHED_HEAD`."""
-    rows: list[tuple[str, ...]] = []
-    for row in summary["published"]:
-        (attack,) = row["attacks"]
-        rows.append(
-            (
-                percent(row["false_alarm_per_run"]),
-                row["detector"].removesuffix(", as published"),
-                interval(row["false_alarms_per_hour"]),
-                percent(row["warmup_alarm_per_run"]),
-                percent(attack["alarm_rate"]),
-                interval(attack["stealthy_displacement_m"]),
-            )
-        )
-    return rows
 
 
 def knowledge_rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:

@@ -43,7 +43,6 @@ FAILED = " (fails)"
 
 
 def stored_cards() -> dict[str, dict[str, Any]]:
-    """Cards by the keys of the tasks."""
     text = files(__package__).joinpath(FILE).read_text(encoding="utf-8")
     found: dict[str, dict[str, Any]] = json.loads(text)
     return found

@@ -64,19 +64,10 @@ LAST_PARTS = (0.1, 0.6)
 class TrainingAttacks:
     """Families of attacks in one world.
 
-    Parameters
-    ----------
-    setup : Setup
-        Victim and attack, with the detector in the loop.
-    reach_m : float
-        What `REACH` is in parts of: an alert limit.
-    families : sequence of str
-        Some of `FAMILIES`.
-    optima : sequence of sequence of float
-        Rates of blind optima at their knots, for the family of that name [m/s].
-    spoofers : sequence of dict
-        Names and settings of further spoofers, each a family of its own, as `build_spoofer` takes
-        them; an ONNX file, too.
+    `setup`: victim and attack, with the detector in the loop; `reach_m`: what `REACH` is in parts
+    of: an alert limit; `families`: some of `FAMILIES`; `optima`: rates of blind optima at their
+    knots, for the family of that name [m/s]; `spoofers`: names and settings of further spoofers,
+    each a family of its own, as `build_spoofer` takes them; an ONNX file, too.
     """
 
     def __init__(
@@ -137,7 +128,6 @@ class TrainingAttacks:
         return self._curve("profile", shape, goal_m)
 
     def _blind_optimum(self, rng: np.random.Generator, goal_m: float) -> Spec:
-        """One that a search has found, as far as the goal."""
         rates = self._optima[int(rng.integers(len(self._optima)))]
         return self._curve("blind-optimum", np.asarray(rates, dtype=np.float64), goal_m)
 
@@ -196,7 +186,6 @@ FAMILIES = {
 
 
 def label_of(spec: Spec) -> str:
-    """Short name of a spoofer that is given."""
     return str(build_spoofer(spec).label or spec["name"])
 
 
@@ -211,10 +200,8 @@ def rounded(value: float) -> float:
 
 
 class Attackers:
-    """Spoofers each of which commands one receiver of an engine, which are at their onset.
-
-    `specs`: one a receiver; `observers` are kept from one engine to the next.
-    """
+    """Spoofers each of which commands one receiver of an engine, which are at their onset. `specs`:
+    one a receiver; `observers` are kept from one engine to the next."""
 
     def __init__(
         self, specs: Sequence[Spec], engine: Engine, observers: dict[Any, Observer]

@@ -97,7 +97,6 @@ class TuningResult:
         return self.chosen.stealthy_displacement_m if self.within_budget else 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-able."""
         return {**asdict(self), "trials": [asdict(trial) for trial in self.trials]}
 
     @classmethod
@@ -119,7 +118,6 @@ class _Search:
         self.trials: list[Trial] = []
 
     def try_value(self, value: float, runs: int) -> Trial:
-        """Let the spoofer attack with a value of its setting."""
         everyone = runs >= self.start.receivers
         start = self.start if everyone else self.start.first(runs)
         advance = self.tick

@@ -14,16 +14,13 @@ def alarm_texts(tried: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def tuning_head(search: dict[str, Any]) -> tuple[str, ...]:
-    """Head of the table of a search."""
     rest = ("counted", *ALARMS_HEAD, "stealthy displacement [m]", "within budget")
     return (search["setting"], "runs", *rest)
 
 
 def tuning_rows(search: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Rows of the table of a search, in the order of `tuning_head`.
-
-    Returns text; a value that was tried on a few runs only is sifted by its rate.
-    """
+    """Rows of the table of a search, in the order of `tuning_head`. Returns text; a value that was
+    tried on a few runs only is sifted by its rate."""
     rows: list[tuple[str, ...]] = []
     for trial in search["trials"]:
         everyone = trial["runs"] == search["runs"]

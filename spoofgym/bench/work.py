@@ -11,16 +11,10 @@ WARMUP_SHARE = 1.0
 
 
 def expected_work(suite: Suite, folder: ResultsFolder) -> float:
-    """Work that is left, roughly."""
-    total = sum(work_of(suite, folder, detector) for detector in suite.detector_entries)
-    for published in suite.published_entries:
-        left = left_of_published(suite, folder, published)
-        total += suite.runs * (2.0 + WARMUP_SHARE) if left else 0.0
-    return total
+    return sum(work_of(suite, folder, detector) for detector in suite.detector_entries)
 
 
 def work_of(suite: Suite, folder: ResultsFolder, detector: Entry) -> float:
-    """Work that is left of one detector, roughly."""
     total = 0.0
     cells, searches, protect = left_of(suite, folder, detector)
     if cells or protect:
@@ -33,7 +27,6 @@ def work_of(suite: Suite, folder: ResultsFolder, detector: Entry) -> float:
 
 
 def search_work(suite: Suite) -> float:
-    """Work of one search, roughly."""
     settings = suite.tuning
     return settings.values * settings.sift_runs + (settings.refined + 2) * settings.runs
 
@@ -61,9 +54,3 @@ def left_of(
     ]
     protect = suite.selection is not None and folder.protection(detector.label) is None
     return cells, searches, protect
-
-
-def left_of_published(suite: Suite, folder: ResultsFolder, detector: Entry) -> list[Entry]:
-    """Spoofers of the table `as published` whose cell is not finished."""
-    entries = suite.published_spoofers
-    return [entry for entry in entries if not folder.has_cell(detector.label, entry.label)]

@@ -13,7 +13,6 @@ from .dataset import dataset
 from .game import game
 from .limits import limits
 from .listing import card, list_, tasks
-from .perf import perf
 from .protect import protect
 from .run import render, run
 from .warmup import warmup
@@ -33,7 +32,6 @@ for _command in (
     dataset,
     tasks,
     report,
-    perf,
     warmup,
 ):
     app.command()(clear_errors(_command))

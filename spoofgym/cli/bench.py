@@ -190,7 +190,6 @@ def bench(
         asked={"thresholds": "nominal"} if nominal else at_rate(rate),
         headline=task is None,
         selection=selection_of(sizes["selection_seeds"]),
-        published=not nominal and task is None and suite_name is None,
     )
     folder = ResultsFolder(out)
     folder.open(suite, overwrite=overwrite)
@@ -265,9 +264,6 @@ def _report(folder: Any, as_json: bool, reports: Any) -> None:
         if rows := tables.attack_rows(summary, group):
             print_table(f"{name}: stealthy attacks", tables.ATTACKS_HEAD, rows, names=2)
         print_table(f"{name}: price", tables.CLEAN_HEAD, tables.clean_rows(summary, group))
-    if summary["published"]:
-        rows = tables.published_rows(summary)
-        print_table("as published, by name; nothing here is compared", tables.PUBLISHED_HEAD, rows)
     if summary["missing"]:
         typer.echo(f"not finished: {', '.join(summary['missing'])}")
     typer.echo(f"written: {', '.join(str(path) for path in written)}")

@@ -136,10 +136,8 @@ def calibrate(
 def _judges(
     texts: Sequence[str] | None, suite: Suite, rescaled: bool
 ) -> tuple[list[Detector], set[int]]:
-    """Detectors, and which of them were named; they may not ask for thresholds.
-
-    Those that never alarm are left out, and of `all` those that can't be rescaled.
-    """
+    """Detectors, and which of them were named; they may not ask for thresholds. Those that never
+    alarm are left out, and of `all` those that can't be rescaled."""
     from ..bench.specs import make_judge
     from ..bench.victims import VICTIMS
     from ..detectors.asked import ASKED, is_file

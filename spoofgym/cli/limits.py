@@ -129,7 +129,6 @@ def limits(
 def _floors(
     suite: Suite, rate: float, worlds: int, known: bool, *, drawn: bool
 ) -> tuple[dict[str, Any], Frontier]:
-    """Record of the floors, and the frontier that they are of."""
     from ..bench.limit_tables import TIMES, floor_record, per_run
     from ..limits.floor import check_linear_victim, frontier_of
 
@@ -178,7 +177,6 @@ def _add_bounds(suite: Suite, record: dict[str, Any]) -> None:
 
 
 def _print(record: dict[str, Any]) -> None:
-    """Print all that a record holds."""
     from ..bench import limit_tables as tables
 
     print_lines(record["notes"])

@@ -99,7 +99,6 @@ def _suite(
     allow_oracles: bool,
     rate: float | None,
 ) -> tuple[Suite, Reports]:
-    """One detector against one spoofer."""
     return suite_of(
         world,
         [detector] if detector else None,

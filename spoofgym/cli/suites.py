@@ -191,9 +191,7 @@ def _with_controls(
     world: World, specs: list[dict[str, Any]] | None, rescaled: bool
 ) -> list[dict[str, Any]]:
     """Detectors of a headline: the usual ones and the controls by default, `all` for all.
-
-    `rescaled`: whether tests with a drift term are among all a second time, rescaled.
-    """
+    `rescaled`: whether tests with a drift term are among all a second time, rescaled."""
     from .._registry import check_choice
     from ..bench.standard import everyone_in
     from ..bench.victims import CONTROLS, VICTIMS
@@ -314,7 +312,6 @@ def _day(text: str) -> date:
 
 
 def _settings(texts: Sequence[str]) -> dict[str, Any]:
-    """Settings by name."""
     from ..bench.specs import parse_setting
 
     found: dict[str, Any] = {}

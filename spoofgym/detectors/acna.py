@@ -82,11 +82,8 @@ def _push(window: FloatArray, value: float) -> None:
 
 @njit
 def drift_of(position: FloatArray, prediction: FloatArray, design: FloatArray) -> float:
-    """Drift of a fix.
-
-    `position`, `prediction` (3,) g and the filter's prediction [m]; `design` (m, s) H, all 0 where
-    there is no fix; returns [m], or -1 where there is none.
-    """
+    """Drift of a fix. `position`, `prediction` (3,) g and the filter's prediction [m]; `design` (m,
+    s) H, all 0 where there is no fix; returns [m], or -1 where there is none."""
     present = False
     for i in range(design.shape[0]):
         for j in range(design.shape[1]):
@@ -101,12 +98,9 @@ def drift_of(position: FloatArray, prediction: FloatArray, design: FloatArray) -
 def drift_ratio(
     run: FloatArray, window: FloatArray, widened: float, slow_threshold: float
 ) -> float:
-    """Statistic of a receiver that believes GNSS: the larger one of two ratios.
-
-    `run` (n_j,) last drifts over the jump threshold; 0 before the first; `window` (n_s,) last
-    drifts [m]; 0 before the first; `widened`: what is added to the slow threshold [m];
-    `slow_threshold`: Th_s [m].
-    """
+    """Statistic of a receiver that believes GNSS: the larger one of two ratios. `run` (n_j,) last
+    drifts over the jump threshold; 0 before the first; `window` (n_s,) last drifts [m]; 0 before
+    the first; `widened`: what is added to the slow threshold [m]; `slow_threshold`: Th_s [m]."""
     least, total = run[0], 0.0
     for i in range(1, run.shape[0]):
         least = min(least, run[i])
@@ -140,12 +134,10 @@ def judge_fixes(
     statistic: FloatArray,
     weights: FloatArray,
 ) -> None:
-    """Judge one fix of every receiver.
-
-    `run`, `window`, `passes` (B, n_j), (B, n_s), (B, n_r) memory, overwritten; `outage`, `missing`,
-    `excluded` (B,) time without a believed fix, time without any, and time of the present exclusion
-    (-1 for none) [s], overwritten; `statistic` (B, 1), written; `weights` (B, m), written: 0 or 1.
-    """
+    """Judge one fix of every receiver. `run`, `window`, `passes` (B, n_j), (B, n_s), (B, n_r)
+    memory, overwritten; `outage`, `missing`, `excluded` (B,) time without a believed fix, time
+    without any, and time of the present exclusion (-1 for none) [s], overwritten; `statistic` (B,
+    1), written; `weights` (B, m), written: 0 or 1."""
     for b in range(statistic.shape[0]):
         drift = drift_of(gnss_position[b], predicted_position[b], design[b])
         statistic[b, 0] = 0.0
@@ -231,7 +223,6 @@ class Acna(Detector):
     measures: ClassVar[str] = "position"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if self.variant not in VARIANTS:
             raise ValueError(
                 f"`variant` must be one of {', '.join(map(repr, VARIANTS))}, got {self.variant!r}"
@@ -248,7 +239,6 @@ class Acna(Detector):
                 raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin with empty windows."""
         super().bind(context)
         b = context.receivers
         self.memory.declare("run", np.zeros((b, self.jump_window)))
@@ -259,10 +249,8 @@ class Acna(Detector):
         self.memory.declare("excluded", np.full(b, -1.0))
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one fix.
-
-        Returns (B, 1) larger ratio, 1, alarm; (B, m) weights, 0 where the fix is rejected.
-        """
+        """Judge one fix. Returns (B, 1) larger ratio, 1, alarm; (B, m) weights, 0 where the fix is
+        rejected."""
         statistic = np.empty((len(epoch.time), 1))
         weights = np.empty(epoch.innovation.shape)
         production = self.variant == "production"

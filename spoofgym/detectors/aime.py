@@ -110,12 +110,10 @@ class Aime(InnovationTest):
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         self.windows_s = checked_windows(self.windows_s)
         super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare thresholds and windows."""
         super().bind(context)
         first, last = self._rows
         self._windows = np.array([epochs_of(w, context) for w in self.windows_s], dtype=np.int64)

@@ -78,12 +78,10 @@ def with_thresholds(detector: Detector, asked: Asked) -> Detector:
 
 
 def made_by(make: Callable[[Any], Detector], spec: Any, default: float | None = None) -> Detector:
-    """Detector of a spec that may ask for thresholds, made by `make` from the rest of it.
-
-    One that is named by an ONNX file is read.  `default` is the rate where nothing is asked.  An
-    object plays as it is.  A pool hands on to its members, by names or dicts, what they do not ask
-    for themselves.
-    """
+    """Detector of a spec that may ask for thresholds, made by `make` from the rest of it. One that
+    is named by an ONNX file is read. `default` is the rate where nothing is asked. An object plays
+    as it is. A pool hands on to its members, by names or dicts, what they do not ask for
+    themselves."""
     if isinstance(spec, str):
         spec = {"name": spec}
     if not isinstance(spec, Mapping):
@@ -117,7 +115,6 @@ def asks(spec: Mapping[str, Any]) -> bool:
 
 
 def _members_asked(pool: Mapping[str, Any], asked: Asked) -> Any:
-    """Members of a pool, each with what is asked of all."""
     members = pool.get("members", PooledDetector.members)
     if asked == Asked() or isinstance(members, str | Mapping) or not isinstance(members, Sequence):
         return members

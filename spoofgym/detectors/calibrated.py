@@ -117,7 +117,6 @@ class Calibrated(Detector):
     found_for: ClassVar[str | None] = None
 
     def __post_init__(self) -> None:
-        """Check the settings, and take over what the detector declares."""
         inner = self.detector
         if not isinstance(inner, Detector) or isinstance(inner, Calibrated):
             raise TypeError(f"`detector` must be a Detector that is not calibrated, got {inner!r}")
@@ -161,15 +160,12 @@ class Calibrated(Detector):
         self.memory, self.silent_epochs = inner.memory, inner.silent_epochs
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget everything about some receivers."""
         self._judge.reset(mask)
 
     def armed(self, epoch: Epoch) -> NDArray[np.bool_] | None:
-        """Whose alarms are on, as of the detector."""
         return self.detector.armed(epoch)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Let the detector judge, and compare with the scaled threshold."""
         if self.rescaled:
             innovation = np.empty(epoch.innovation.shape)
             rescale_innovations(epoch.innovation, epoch.visible, self._factors, innovation)
@@ -320,10 +316,8 @@ def rescale_innovations(
 
 
 def identity_of(detector: Detector) -> dict[str, Any]:
-    """Resolved settings of a detector, JSON-able: what its calibration belongs to.
-
-    Settings that are not its own, such as those of a policy, a class gives by a method `identity`.
-    """
+    """Resolved settings of a detector, JSON-able: what its calibration belongs to. Settings that
+    are not its own, such as those of a policy, a class gives by a method `identity`."""
     from . import DETECTORS
 
     own = getattr(detector, "identity", None)

@@ -74,7 +74,6 @@ class Conditions:
 
     @cached_property
     def digest(self) -> str:
-        """Digest of the settings."""
         return digest_of(self.settings)
 
 
@@ -109,7 +108,6 @@ class OperatingPoint(NamedTuple):
     warmup_alarms: float
 
     def __str__(self) -> str:
-        """Rate per hour and per run."""
         tail = ", by a fitted tail" if self.extrapolated else ""
         return (
             f"{self.false_alarms_per_hour:g} false alarms an hour, {100.0 * self.per_run:.3g} % of "
@@ -128,7 +126,6 @@ def check_rate(rate: Any) -> float:
 
 
 def run_probability(false_alarms_per_hour: float, window_s: float) -> float:
-    """Probability that a clean run alarms, p."""
     return -math.expm1(-check_rate(false_alarms_per_hour) * window_s / 3600.0)
 
 
@@ -143,10 +140,8 @@ def fewest_runs(per_run: float) -> int:
 
 
 def rank_of(per_run: float, runs: int) -> int:
-    """Rank from the top of the order statistic that a new run exceeds with this probability.
-
-    At most `runs`; 0 where even the largest is exceeded more often.
-    """
+    """Rank from the top of the order statistic that a new run exceeds with this probability. At
+    most `runs`; 0 where even the largest is exceeded more often."""
     return runs + 1 - math.ceil((1.0 - per_run) * (runs + 1) - 1e-9)
 
 
@@ -180,9 +175,7 @@ def check_runs(rate: float, runs: int, window_s: float, *, tail: bool) -> None:
 
 def kept_ranks(runs: int, window_s: float, rates: Sequence[float] = STANDARD_RATES) -> list[int]:
     """Ranks from the top that a file keeps: the uppermost ones, thinned below, and those of rates.
-
-    A rank between two of them is taken for the next smaller one, so that no rate is exceeded.
-    """
+    A rank between two of them is taken for the next smaller one, so that no rate is exceeded."""
     ranks = {*range(1, min(EXACT_RANKS, runs) + 1), runs}
     rank = float(EXACT_RANKS)
     while (rank := rank * RANK_RATIO) < runs:

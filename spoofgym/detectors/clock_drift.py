@@ -45,9 +45,7 @@ FloatArray = NDArray[np.float64]
 @njit
 def normalized_projection(white: FloatArray, count: int, out: FloatArray) -> None:
     r"""Coordinates of a whitened innovation along orthonormal directions of its common parts.
-
-    `white` (r, 1 + s) whitened innovation, then the whitened columns of A; `out` (s,) written.
-    """
+    `white` (r, 1 + s) whitened innovation, then the whitened columns of A; `out` (s,) written."""
     projected, norm, other, cross, far = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(count):
         projected += white[i, 1] * white[i, 0]
@@ -167,13 +165,11 @@ class ClockDrift(InnovationTest):
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if not (math.isfinite(self.window_s) and self.window_s > 0.0):
             raise ValueError(f"`window_s` must be finite and > 0, got {self.window_s}")
         super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare threshold and window."""
         super().bind(context)
         signals = self._per_satellite
         self._threshold = float(chi2_thresholds(self.false_alarm, 2)[signals])

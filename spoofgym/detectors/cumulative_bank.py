@@ -57,12 +57,10 @@ def largest_ratio(
     place: NDArray[np.int64],
     statistic: FloatArray,
 ) -> None:
-    """Remember an epoch, and compare the sums of all windows with their thresholds.
-
-    `white` (B, r) whitened innovations; `judged` (B, n) bool; `windows` (L,) epochs, increasing;
-    `thresholds` by degrees of freedom; `squares`, `counts` (B, W), `place` (B,) memory of
-    `remember_squares`; `statistic` (B,) written: largest ratio, 0 where nothing was measured.
-    """
+    """Remember an epoch, and compare the sums of all windows with their thresholds. `white` (B, r)
+    whitened innovations; `judged` (B, n) bool; `windows` (L,) epochs, increasing; `thresholds` by
+    degrees of freedom; `squares`, `counts` (B, W), `place` (B,) memory of `remember_squares`;
+    `statistic` (B,) written: largest ratio, 0 where nothing was measured."""
     length = squares.shape[1]
     remember_squares(white, judged, each, squares, counts, place)
     for b in range(white.shape[0]):
@@ -106,7 +104,6 @@ class CumulativeBank(InnovationTest):
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         self.windows_s = checked_windows(self.windows_s)
         super().__post_init__()
 

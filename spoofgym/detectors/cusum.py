@@ -62,12 +62,9 @@ def advance_sums(
     above: FloatArray,
     below: FloatArray,
 ) -> FloatArray:
-    """Advance all sums by one epoch.
-
-    `innovation`, `innovation_variance` (B, 2n); `judged` (B, n) bool; the sums of the
-    others start again; `above`, `below` (B, last - first) memory, overwritten; returns (B, n)
-    largest sum of every satellite.
-    """
+    """Advance all sums by one epoch. `innovation`, `innovation_variance` (B, 2n); `judged` (B, n)
+    bool; the sums of the others start again; `above`, `below` (B, last - first) memory,
+    overwritten; returns (B, n) largest sum of every satellite."""
     receivers, n = judged.shape
     out = np.zeros((receivers, n))
     for b in range(receivers):
@@ -110,7 +107,6 @@ class Cusum(InnovationTest):
     drifts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for name in ("allowance", "limit"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
@@ -118,7 +114,6 @@ class Cusum(InnovationTest):
         super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the sums of all satellites."""
         super().bind(context)
         first, last = self._rows
         for name in ("above", "below"):

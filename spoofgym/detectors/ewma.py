@@ -74,12 +74,10 @@ def judge_channels(
     threshold: FloatArray,
     weights: FloatArray,
 ) -> None:
-    """Advance all charts by one epoch.
-
-    `innovation`, `innovation_variance`, `visible` (B, 2n), (B, 2n), (B, n), of the epoch;
-    `average`, `decay` (B, n) memory, overwritten; `size`, `threshold` (B, n), written: statistic
-    and threshold [m]; `weights` (B, 2n), written: IGG-III for pseudoranges, 1 for range rates.
-    """
+    """Advance all charts by one epoch. `innovation`, `innovation_variance`, `visible` (B, 2n), (B,
+    2n), (B, n), of the epoch; `average`, `decay` (B, n) memory, overwritten; `size`, `threshold`
+    (B, n), written: statistic and threshold [m]; `weights` (B, 2n), written: IGG-III for
+    pseudoranges, 1 for range rates."""
     for b in range(visible.shape[0]):
         for j in range(visible.shape[1]):
             if visible[b, j]:
@@ -127,7 +125,6 @@ class Ewma(Detector):
     scope: ClassVar[str] = "channel"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if not 0.0 < self.smoothing <= 1.0:
             raise ValueError(f"`smoothing` must be in (0, 1], got {self.smoothing}")
         check_probability("false_alarm", self.false_alarm)
@@ -136,7 +133,6 @@ class Ewma(Detector):
         check_limits(self.max_exclusion_s, self.min_satellites)
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the charts of all satellites."""
         super().bind(context)
         shape = (context.receivers, context.channels)
         self.memory_epochs = epochs_to_settle(self.smoothing)
@@ -152,10 +148,8 @@ class Ewma(Detector):
         self.kernel_settings = np.array([self.smoothing, self._quantile, scale])
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one epoch.
-
-        Returns (B, n) size of the averages, thresholds, alarms; (B, 2n) weights, 1 for range rates.
-        """
+        """Judge one epoch. Returns (B, n) size of the averages, thresholds, alarms; (B, 2n)
+        weights, 1 for range rates."""
         shape = epoch.visible.shape
         size, threshold = np.empty(shape), np.empty(shape)
         weights = np.empty(epoch.innovation.shape)

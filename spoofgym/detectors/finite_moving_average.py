@@ -127,13 +127,11 @@ class FiniteMovingAverage(InnovationTest):
     scope: ClassVar[str] = "channel"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         check_length("window_s", self.window_s, least=1e-3)
         check_choice("shape", self.shape, SHAPES)
         super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the window and the threshold."""
         super().bind(context)
         first, last = self._rows
         window = epochs_of(self.window_s, context)

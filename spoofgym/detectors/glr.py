@@ -94,11 +94,9 @@ def remember(ring: FloatArray, number: int, value: float) -> None:
 
 @inlined
 def largest_of(values: FloatArray, other: FloatArray) -> float:
-    """Largest of some values that are not negative; both arrays are overwritten.
-
-    The halves are compared side by side until few are left: the processor takes several at a time,
-    where a single largest value would wait for each comparison.
-    """
+    """Largest of some values that are not negative; both arrays are overwritten. The halves are
+    compared side by side until few are left: the processor takes several at a time, where a single
+    largest value would wait for each comparison."""
     size = values.shape[0]
     while size > 8:
         half = size // 2
@@ -176,13 +174,10 @@ def scan_channels(
     statistic: FloatArray,
     threshold: FloatArray,
 ) -> None:
-    """Take in one epoch, and look for changes.
-
-    `window` W; `quantiles` (n+1,) thresholds by the number of visible satellites; `scratch` (5, W),
-    overwritten; `sums` (B, signals * n, 2 L), `areas` (B, signals * n, 2 W + 2) as
-    `largest_evidence` reads them, `count` (B, n) int64, memory, overwritten; `statistic`,
-    `threshold` (B, n), written.
-    """
+    """Take in one epoch, and look for changes. `window` W; `quantiles` (n+1,) thresholds by the
+    number of visible satellites; `scratch` (5, W), overwritten; `sums` (B, signals * n, 2 L),
+    `areas` (B, signals * n, 2 W + 2) as `largest_evidence` reads them, `count` (B, n) int64,
+    memory, overwritten; `statistic`, `threshold` (B, n), written."""
     channels = visible.shape[1]
     baseline = sums.shape[2] // 2 - window - 1
     factors, scratch = scratch[:3], scratch[3:]
@@ -232,14 +227,12 @@ class _Glr(Detector):
     ramp: ClassVar[bool]
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         check_probability("false_alarm", self.false_alarm)
         for name in ("window", "baseline"):
             check_epochs(name, getattr(self, name))
         check_signals(self.signals)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the memory of the last values, and the thresholds."""
         super().bind(context)
         receivers, n = context.receivers, context.channels
         self._first_row = n if self.signals == "range_rate" else 0
@@ -260,10 +253,8 @@ class _Glr(Detector):
         )
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Look for a change before one epoch.
-
-        Returns (B, n) largest evidence of each satellite, thresholds, alarms; no weights.
-        """
+        """Look for a change before one epoch. Returns (B, n) largest evidence of each satellite,
+        thresholds, alarms; no weights."""
         shape = epoch.visible.shape
         statistic, threshold = np.empty(shape), np.empty(shape)
         scan_channels(

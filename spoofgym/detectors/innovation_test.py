@@ -36,7 +36,6 @@ SIGNALS = ("pseudorange", "range_rate", "both")
 
 
 def check_signals(signals: str) -> None:
-    """Raise unless a setting names the innovations to test."""
     if signals not in SIGNALS:
         raise ValueError(
             f"`signals` must be one of {', '.join(map(repr, SIGNALS))}, got {signals!r}"
@@ -44,7 +43,6 @@ def check_signals(signals: str) -> None:
 
 
 def rows_of(signals: str, channels: int) -> tuple[int, int]:
-    """Rows of the innovation by signal."""
     first = channels if signals == "range_rate" else 0
     return first, channels if signals == "pseudorange" else 2 * channels
 
@@ -72,7 +70,6 @@ def checked_windows(windows_s: Sequence[float]) -> tuple[float, ...]:
 
 
 def epochs_of(length_s: float, context: DetectorContext) -> int:
-    """Epochs in a length of time."""
     return max(1, round(length_s / context.epoch_interval_s))
 
 
@@ -84,12 +81,9 @@ def declare_bias(memory: Memory, context: DetectorContext) -> None:
 
 
 def without_bias(epoch: Epoch, memory: Memory, window: int) -> tuple[FloatArray, BoolArray]:
-    """Innovations less their mean over a first window.
-
-    `memory`: prepared by `declare_bias`, if `window` is above 0; returns `innovation` (B, 2n); 0
-    where a channel is not to be judged; `judged` (B, n) bool, channels that are visible and
-    calibrated.
-    """
+    """Innovations less their mean over a first window. `memory`: prepared by `declare_bias`, if
+    `window` is above 0; returns `innovation` (B, 2n); 0 where a channel is not to be judged;
+    `judged` (B, n) bool, channels that are visible and calibrated."""
     if window == 0:
         return epoch.innovation, epoch.visible
     innovation = np.empty(epoch.innovation.shape)
@@ -143,11 +137,9 @@ def cholesky_of_rows(
     factor: FloatArray,
 ) -> int:
     """Cholesky's factor of the rows of one receiver that take part, with inverted diagonal.
-
     `innovation_cov` (2n, 2n) S; `rows` (last - first,) written: rows that take part, in their
     order; `factor` (last - first, last - first), written in its first rows and columns; returns how
-    many rows take part; -1 where S is not positive definite.
-    """
+    many rows take part; -1 where S is not positive definite."""
     n = judged.shape[0]
     count = 0
     for r in range(first, last):
@@ -210,12 +202,10 @@ def remember_squares(
     counts: FloatArray,
     place: NDArray[np.int64],
 ) -> None:
-    """Write the sum of squares of an epoch into a ring of the last W epochs.
-
-    `white` (B, r) whitened innovations; `judged` (B, n) bool; `each`: rows of a satellite;
-    `squares`, `counts` (B, W) memory, overwritten: sums of squares, and rows in them; `place` (B,)
-    memory, overwritten: where the next epoch goes.
-    """
+    """Write the sum of squares of an epoch into a ring of the last W epochs. `white` (B, r)
+    whitened innovations; `judged` (B, n) bool; `each`: rows of a satellite; `squares`, `counts` (B,
+    W) memory, overwritten: sums of squares, and rows in them; `place` (B,) memory, overwritten:
+    where the next epoch goes."""
     window = squares.shape[1]
     for b in range(white.shape[0]):
         k = place[b]
@@ -229,16 +219,13 @@ def remember_squares(
 
 
 class InnovationTest(Detector):
-    """Base of the tests of innovations less their mean over a first window.
-
-    A subclass is a dataclass with the settings below, and with `false_alarm` where it has one.
-    """
+    """Base of the tests of innovations less their mean over a first window. A subclass is a
+    dataclass with the settings below, and with `false_alarm` where it has one."""
 
     signals: str
     bias_window_s: float
 
     def __post_init__(self) -> None:
-        """Check the settings that all have in common."""
         if hasattr(self, "false_alarm"):
             check_probability("false_alarm", self.false_alarm)
         check_signals(self.signals)
@@ -260,10 +247,8 @@ class InnovationTest(Detector):
         return without_bias(epoch, self.memory, self._bias_window)
 
     def _whitened(self, epoch: Epoch) -> tuple[FloatArray, BoolArray]:
-        """Whitened innovations of the rows (B, last - first) and the channels to judge.
-
-        The test needs ``"innovation_cov"``.
-        """
+        """Whitened innovations of the rows (B, last - first) and the channels to judge. The test
+        needs ``"innovation_cov"``."""
         innovation, judged = self._without_bias(epoch)
         first, last = self._rows
         white = np.empty((len(judged), last - first))

@@ -145,10 +145,8 @@ def judge_channels(
 
 @njit
 def chart_weights(size: FloatArray, threshold: FloatArray, weight_scale: float) -> FloatArray:
-    """IGG-III weights of the pseudoranges; 1 for the range rates.
-
-    `size`, `threshold` (B, n) of the charts [m]; returns (B, 2n).
-    """
+    """IGG-III weights of the pseudoranges; 1 for the range rates. `size`, `threshold` (B, n) of the
+    charts [m]; returns (B, 2n)."""
     receivers, n = size.shape
     out = np.ones((receivers, 2 * n))
     for b in range(receivers):
@@ -197,7 +195,6 @@ class JointChart(Detector):
     scope: ClassVar[str] = "channel"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if not 0.0 < self.smoothing <= 1.0:
             raise ValueError(f"`smoothing` must be in (0, 1], got {self.smoothing}")
         check_probability("false_alarm", self.false_alarm)
@@ -219,7 +216,6 @@ class JointChart(Detector):
         return True
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the charts of all satellites."""
         super().bind(context)
         shape = (context.receivers, context.channels)
         self.memory_epochs = epochs_to_settle(self.smoothing)
@@ -232,11 +228,8 @@ class JointChart(Detector):
         self._longest = longest_exclusion(self.max_exclusion_s, context.epoch_interval_s)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one epoch.
-
-        Returns (B, n) size of the averages, thresholds, whether each satellite is being spoofed;
-        (B, 2n) weights, 1 for range rates.
-        """
+        """Judge one epoch. Returns (B, n) size of the averages, thresholds, whether each satellite
+        is being spoofed; (B, 2n) weights, 1 for range rates."""
         shape, memory = epoch.visible.shape, self.memory
         size, threshold = np.empty(shape), np.empty(shape)
         judge_channels(

@@ -66,12 +66,9 @@ def sum_channels(
     count: NDArray[np.int64],
     statistic: FloatArray,
 ) -> None:
-    """Advance all sums by one epoch.
-
-    `ring`, `base`, `above`, `below` (B, signals * n, L) last values, (B, signals * n) sum of the
-    baseline and the two sums; memory, overwritten; `count` (B, n) int64 memory, overwritten;
-    `statistic` (B, n), written.
-    """
+    """Advance all sums by one epoch. `ring`, `base`, `above`, `below` (B, signals * n, L) last
+    values, (B, signals * n) sum of the baseline and the two sums; memory, overwritten; `count` (B,
+    n) int64 memory, overwritten; `statistic` (B, n), written."""
     channels = visible.shape[1]
     length = ring.shape[2]
     for b in range(visible.shape[0]):
@@ -132,7 +129,6 @@ class LagCusum(Detector):
     drifts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for name in ("drift", "threshold"):
             value = getattr(self, name)
             if not 0.0 < value < math.inf:
@@ -142,7 +138,6 @@ class LagCusum(Detector):
         check_signals(self.signals)
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the sums of all satellites."""
         super().bind(context)
         receivers, n = context.receivers, context.channels
         self._first_row = n if self.signals == "range_rate" else 0

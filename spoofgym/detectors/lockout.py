@@ -41,7 +41,6 @@ def check_limits(max_exclusion_s: float | None, min_satellites: int) -> None:
 
 
 def longest_exclusion(max_exclusion_s: float | None, epoch_interval_s: float) -> int:
-    """Maximum exclusion time in epochs."""
     if max_exclusion_s is None:
         return int(NEVER)
     return max(1, round(max_exclusion_s / epoch_interval_s))
@@ -56,10 +55,8 @@ def readmit_nearest(
     weights: FloatArray,
 ) -> None:
     """Give weight 1 to the excluded satellites with the smallest ratio of statistic to threshold.
-
     `statistic`, `threshold`, `visible` (n,) of one receiver; `missing`: how many to readmit, if
-    there are as many; `weights` (2n,), overwritten.
-    """
+    there are as many; `weights` (2n,), overwritten."""
     for _ in range(missing):
         best, least = -1, np.inf
         for j in range(visible.shape[0]):
@@ -81,11 +78,9 @@ def limit_exclusions(
     weights: FloatArray,
 ) -> None:
     """Readmit satellites whose pseudoranges have been left out for too long, or are too few.
-
     `statistic`, `threshold` (B, n) of the epoch; `visible` (B, n) bool; `longest`: maximum
     exclusion time [epochs]; `excluded` (B, n) memory: epochs that each satellite has had weight 0
-    without an alarm; overwritten; `weights` (B, 2n), pseudoranges first, overwritten.
-    """
+    without an alarm; overwritten; `weights` (B, 2n), pseudoranges first, overwritten."""
     n = visible.shape[1]
     for b in range(visible.shape[0]):
         used = 0

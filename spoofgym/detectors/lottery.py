@@ -48,11 +48,9 @@ class Lottery(Detector):
     draws: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         check_finite("mean_wait_s", self.mean_wait_s, "> 0")
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare for a batch."""
         super().bind(context)
         self.memory.declare("since", np.zeros(context.receivers))
         self.memory.declare("wait", np.zeros(context.receivers))
@@ -73,9 +71,7 @@ class Lottery(Detector):
 
 def hashed(values: FloatArray) -> NDArray[np.uint64]:
     """64 bits of each row, of which none can be told from the values without computing them.
-
-    `values` (B, m); the mixing is that of a common generator (SplitMix64), element by element.
-    """
+    `values` (B, m); the mixing is that of a common generator (SplitMix64), element by element."""
     bits = (np.ascontiguousarray(values, dtype=np.float64) + 0.0).view(np.uint64)
     state = np.zeros(len(bits), dtype=np.uint64)
     for column in bits.T:

@@ -23,7 +23,6 @@ class Never(Detector):
     calibrates: ClassVar[bool] = False
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare for a batch."""
         super().bind(context)
 
     def judge(self, epoch: Epoch) -> Verdict:

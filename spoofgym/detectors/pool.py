@@ -21,10 +21,8 @@ NATURE, OPPONENT = 1, 2
 
 
 def uniforms(keys: NDArray[np.uint64], purpose: int) -> FloatArray:
-    """Draw one number for every episode, which depends on its key and on the purpose alone.
-
-    `keys` (b, 2) keys of the episodes, of the source "domain"; returns (b,) uniform in [0, 1).
-    """
+    """Draw one number for every episode, which depends on its key and on the purpose alone. `keys`
+    (b, 2) keys of the episodes, of the source "domain"; returns (b,) uniform in [0, 1)."""
     words = [
         np.random.SeedSequence([int(k0), int(k1), purpose]).generate_state(1, np.uint64)[0]
         for k0, k1 in keys
@@ -34,10 +32,8 @@ def uniforms(keys: NDArray[np.uint64], purpose: int) -> FloatArray:
 
 
 def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray:
-    """Probability of every opponent.
-
-    `weights`: not negative; all alike by default; returns (K,) sums to 1.
-    """
+    """Probability of every opponent. `weights`: not negative; all alike by default; returns (K,)
+    sums to 1."""
     if members < 1:
         raise ValueError("`pool` must have at least one opponent, got none")
     try:
@@ -55,11 +51,8 @@ def checked_weights(members: int, weights: Sequence[float] | None) -> FloatArray
 
 
 def drawn(keys: NDArray[np.uint64], weights: FloatArray) -> NDArray[np.int64]:
-    """Opponent of every episode.
-
-    `keys` (b, 2) keys of the episodes; `weights` (K,) of `checked_weights`; returns (b,) index into
-    the pool.
-    """
+    """Opponent of every episode. `keys` (b, 2) keys of the episodes; `weights` (K,) of
+    `checked_weights`; returns (b,) index into the pool."""
     found = np.searchsorted(np.cumsum(weights), uniforms(keys, OPPONENT), side="right")
     # rounding of the sum must not lead beyond the last one that can be drawn
     return np.array(np.minimum(found, np.flatnonzero(weights)[-1]), dtype=np.int64)
@@ -73,16 +66,13 @@ class JointMemory(Memory):
         self.parts = tuple(parts)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Restore the initial values, in all parts."""
         super().reset(mask)
         for part in self.parts:
             part.reset(mask)
 
     def copy_rows(self, to: NDArray[np.intp], other: Memory, rows: NDArray[np.intp]) -> None:
-        """Take over rows of another memory of the same names and parts.
-
-        `to`: rows of this memory that are overwritten.
-        """
+        """Take over rows of another memory of the same names and parts. `to`: rows of this memory
+        that are overwritten."""
         super().copy_rows(to, other, rows)
         theirs: Any = other
         for mine, part in zip(self.parts, theirs.parts, strict=True):
@@ -143,7 +133,6 @@ class PooledDetector(Detector):
     measures: ClassVar[str] = "any"
 
     def __post_init__(self) -> None:
-        """Make the detectors, and find out what they have in common."""
         from . import make_detector
 
         if isinstance(self.members, str | Mapping) or not isinstance(self.members, Sequence):
@@ -168,7 +157,6 @@ class PooledDetector(Detector):
         self.oracle = any(judge.oracle for judge in self.judges)  # type: ignore[misc]
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare all detectors."""
         super().bind(context)
         for judge in self.judges:
             judge.bind(context)
@@ -178,17 +166,13 @@ class PooledDetector(Detector):
         self.memory.declare("opponent", np.zeros(context.receivers, dtype=np.int64))
 
     def draw(self, keys: NDArray[np.uint64]) -> None:
-        """Draw the opponent of every receiver for a new episode.
-
-        `keys` (B, 2) keys of the episodes.
-        """
+        """Draw the opponent of every receiver for a new episode. `keys` (B, 2) keys of the
+        episodes."""
         self.memory["opponent"] = drawn(keys, self._chances)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Let every receiver be judged by its own detector.
-
-        Returns (B, c), and weights where any detector of the pool gives some.
-        """
+        """Let every receiver be judged by its own detector. Returns (B, c), and weights where any
+        detector of the pool gives some."""
         merged: Verdict | None = None
         opponent = self.memory["opponent"]
         for k in np.unique(opponent):
@@ -207,7 +191,6 @@ class PooledDetector(Detector):
         return merged
 
     def _of_pool(self, verdict: Verdict, shape: tuple[int, ...]) -> Verdict:
-        """Verdict in the form that all of the pool have, in arrays of its own."""
         weights = np.ones(shape) if verdict.weights is None else verdict.weights
         if self._alike:
             return verdict._replace(weights=weights)

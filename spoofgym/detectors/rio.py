@@ -60,12 +60,9 @@ def constrain_fixes(
     threshold: FloatArray,
     weights: FloatArray,
 ) -> None:
-    """Judge one fix of every receiver.
-
-    `limit`, `readmission`: D and D_r [m]; `rejecting` (B,) memory, overwritten; `statistic`,
-    `threshold` (B, 1), written: the distance that counts at present, and its limit [m]; `weights`
-    (B, m), written: 0 or 1.
-    """
+    """Judge one fix of every receiver. `limit`, `readmission`: D and D_r [m]; `rejecting` (B,)
+    memory, overwritten; `statistic`, `threshold` (B, 1), written: the distance that counts at
+    present, and its limit [m]; `weights` (B, m), written: 0 or 1."""
     for b in range(statistic.shape[0]):
         present = False
         for i in range(design.shape[1]):
@@ -103,22 +100,18 @@ class Rio(Detector):
     measures: ClassVar[str] = "position"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for name in ("limit_m", "readmission_m"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"`{name}` must be finite and > 0, got {value}")
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin without an alarm."""
         super().bind(context)
         self.memory.declare("rejecting", np.zeros(context.receivers, dtype=np.bool_))
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one fix.
-
-        Returns (B, 1) distance, limit, alarm; (B, m) weights, 0 where the fix is rejected.
-        """
+        """Judge one fix. Returns (B, 1) distance, limit, alarm; (B, m) weights, 0 where the fix is
+        rejected."""
         statistic = np.empty((len(epoch.time), 1))
         threshold = np.empty_like(statistic)
         weights = np.empty(epoch.innovation.shape)

@@ -42,11 +42,9 @@ FloatArray = NDArray[np.float64]
 def add_to_sums(
     white: FloatArray, judged: NDArray[np.bool_], each: int, total: FloatArray, degrees: FloatArray
 ) -> None:
-    """Add the squares of an epoch to the sums of all history.
-
-    `white` (B, r) whitened innovations; `judged` (B, n) bool; `total`, `degrees` (B,) memory,
-    overwritten: sum of squares, and degrees of freedom.
-    """
+    """Add the squares of an epoch to the sums of all history. `white` (B, r) whitened innovations;
+    `judged` (B, n) bool; `total`, `degrees` (B,) memory, overwritten: sum of squares, and degrees
+    of freedom."""
     for b in range(white.shape[0]):
         for r in range(white.shape[1]):
             total[b] += white[b, r] * white[b, r]
@@ -66,11 +64,9 @@ def add_to_window(
     total: FloatArray,
     degrees: FloatArray,
 ) -> None:
-    """Add the squares of an epoch to a window, and sum the window up.
-
-    `white` (B, r) whitened innovations; `judged` (B, n) bool; `squares`, `counts` (B, W), `place`
-    (B,) memory of `remember_squares`; `total`, `degrees` (B,) written: sums over the window.
-    """
+    """Add the squares of an epoch to a window, and sum the window up. `white` (B, r) whitened
+    innovations; `judged` (B, n) bool; `squares`, `counts` (B, W), `place` (B,) memory of
+    `remember_squares`; `total`, `degrees` (B,) written: sums over the window."""
     remember_squares(white, judged, each, squares, counts, place)
     for b in range(white.shape[0]):
         total[b] = degrees[b] = 0.0
@@ -111,13 +107,11 @@ class SequentialChi2(InnovationTest):
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if self.window_s is not None and not (np.isfinite(self.window_s) and self.window_s > 0.0):
             raise ValueError(f"`window_s` must be finite and > 0, or None, got {self.window_s}")
         super().__post_init__()
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the sums."""
         super().bind(context)
         b = context.receivers
         if self.window_s is None:

@@ -71,10 +71,8 @@ def largest_normalized(
 
 @njit
 def snapshot_weights(statistic: FloatArray, reject: float) -> FloatArray:
-    """IGG-III weights of the pseudoranges; 1 for the range rates.
-
-    `statistic` (B, n); returns (B, 2n).
-    """
+    """IGG-III weights of the pseudoranges; 1 for the range rates. `statistic` (B, n); returns (B,
+    2n)."""
     receivers, n = statistic.shape
     out = np.ones((receivers, 2 * n))
     for b in range(receivers):
@@ -117,14 +115,12 @@ class Shewhart(InnovationTest):
     scope: ClassVar[str] = "channel"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if self.weight_scale is not None and not 0.0 < self.weight_scale <= 1.0:
             raise ValueError(f"`weight_scale` must be in (0, 1] or None, got {self.weight_scale}")
         super().__post_init__()
         check_limits(self.max_exclusion_s, self.min_satellites)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the threshold."""
         super().bind(context)
         self._quantile = two_sided_quantile(self.false_alarm / self._per_satellite)
         shape = (context.receivers, context.channels)
@@ -132,11 +128,8 @@ class Shewhart(InnovationTest):
         self._longest = longest_exclusion(self.max_exclusion_s, context.epoch_interval_s)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one epoch.
-
-        Returns (B, n) innovations in standard deviations, thresholds, alarms; (B, 2n) weights, 1
-        for range rates.
-        """
+        """Judge one epoch. Returns (B, n) innovations in standard deviations, thresholds, alarms;
+        (B, 2n) weights, 1 for range rates."""
         innovation, judged = self._without_bias(epoch)
         statistic = largest_normalized(innovation, epoch.innovation_variance, judged, *self._rows)
         threshold = np.full(statistic.shape, self._quantile)

@@ -49,27 +49,20 @@ def run_length(drift: float, threshold: float) -> float:
 
 def two_sided_quantile(false_alarm: float) -> float:
     """Quantile that a standard normal deviate exceeds in size with a given probability.
-
-    `false_alarm`: probability, in (0, 1).
-    """
+    `false_alarm`: probability, in (0, 1)."""
     return float(-special.ndtri(0.5 * false_alarm))
 
 
 def chi2_thresholds(false_alarm: float, most: int) -> FloatArray:
-    """Chi-square thresholds by degrees of freedom.
-
-    `false_alarm`: probability of exceeding it, in (0, 1); returns (most + 1,) threshold for 0 to
-    `most` degrees; with 0 there is nothing to exceed it, and the entry is that of one degree, so
-    that it stays finite.
-    """
+    """Chi-square thresholds by degrees of freedom. `false_alarm`: probability of exceeding it, in
+    (0, 1); returns (most + 1,) threshold for 0 to `most` degrees; with 0 there is nothing to exceed
+    it, and the entry is that of one degree, so that it stays finite."""
     return np.asarray(special.chdtri(np.maximum(np.arange(most + 1), 1), false_alarm))
 
 
 def chi2_lower_thresholds(false_alarm: float, degrees: FloatArray) -> FloatArray:
     """Value below which chi-square falls with a given probability, by degrees of freedom.
-
-    `false_alarm`: in (0, 1); `degrees`: any shape; below 1 as 1, so that it stays above 0.
-    """
+    `false_alarm`: in (0, 1); `degrees`: any shape; below 1 as 1, so that it stays above 0."""
     return np.asarray(2.0 * special.gammaincinv(0.5 * np.maximum(degrees, 1.0), false_alarm))
 
 

@@ -21,12 +21,10 @@ FLOAT, BOOL = np.dtype(np.float64), np.dtype(np.bool_)
 
 
 def judged(detector: Detector, epoch: Epoch, rows: NDArray[np.intp] | None = None) -> Verdict:
-    """Let a bound detector judge an epoch, and check its verdict as `checked` does.
-
-    `rows`: `Detector.judged_rows`.  A new victim asks its detector through this function alone.
-    Where the detector fails, and reads
-    a field that is None since it isn't declared, an `UndeclaredFieldError` says so.
-    """
+    """Let a bound detector judge an epoch, and check its verdict as `checked` does. `rows`:
+    `Detector.judged_rows`. A new victim asks its detector through this function alone. Where the
+    detector fails, and reads a field that is None since it isn't declared, an
+    `UndeclaredFieldError` says so."""
     detector.judged_rows = rows
     try:
         return checked(detector.judge(epoch), detector, epoch)
@@ -63,12 +61,9 @@ def undeclared(detector: Detector, epoch: TracedEpoch) -> str:
 
 
 def checked(verdict: Verdict, detector: Detector, epoch: Epoch) -> Verdict:
-    """Check the verdict of a bound detector.
-
-    A `TypeError` (no `Verdict`, a part that is no array of the right type) or `ValueError` (a wrong
-    shape, a value not finite, a weight not within 0 and 1) names the detector, the time of the
-    epoch, the receiver, what came and what is valid.
-    """
+    """Check the verdict of a bound detector. A `TypeError` (no `Verdict`, a part that is no array
+    of the right type) or `ValueError` (a wrong shape, a value not finite, a weight not within 0 and
+    1) names the detector, the time of the epoch, the receiver, what came and what is valid."""
     # one compiled pass over what has the usual form; words are only looked for where it fails
     if type(verdict) is Verdict:
         statistic, threshold, alarm, weights = verdict

@@ -72,14 +72,8 @@ def estimated_covariance_thresholds(
     false_alarm: float, window: int, covariance_window: int, rows: FloatArray
 ) -> FloatArray:
     """Thresholds of the sum where the covariance is the mean of a window's outer products.
-
     `false_alarm`: alpha, in (0, 1); `covariance_window`: w, epochs of the covariance; at least 4
-    more than an epoch has rows.
-
-    Notes
-    -----
-    McKeon (1974); for N = 1 Hotelling (1931).
-    """
+    more than an epoch has rows. McKeon (1974); for N = 1 Hotelling (1931)."""
     n, w = float(window), float(covariance_window)
     p = rows / n
     b = (w + n - p - 1.0) * (w - 1.0) / ((w - p - 3.0) * (w - p))
@@ -101,13 +95,10 @@ def window_sum(
     total: FloatArray,
     degrees: NDArray[np.int64],
 ) -> None:
-    """Put an epoch into the windows, and sum them up where they are full.
-
-    `nis`, `rows` (B,) of the epoch: normalized innovation squared, and rows measured; `past`,
-    `past_rows` (B, N) memory, overwritten; `seen` (B,) memory, overwritten: epochs so far; `total`
-    (B,), written: the sum, 0 where there is no verdict yet; `degrees` (B,), written: degrees of
-    freedom in the window.
-    """
+    """Put an epoch into the windows, and sum them up where they are full. `nis`, `rows` (B,) of the
+    epoch: normalized innovation squared, and rows measured; `past`, `past_rows` (B, N) memory,
+    overwritten; `seen` (B,) memory, overwritten: epochs so far; `total` (B,), written: the sum, 0
+    where there is no verdict yet; `degrees` (B,), written: degrees of freedom in the window."""
     length = past.shape[1]
     for b in range(nis.shape[0]):
         slot = seen[b] % length
@@ -156,7 +147,6 @@ class WindowedChi2(Detector):
     measures: ClassVar[str] = "any"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         check_probability("false_alarm", self.false_alarm)
         for name in ("window", "covariance_window"):
             check_epochs(name, getattr(self, name))
@@ -172,7 +162,6 @@ class WindowedChi2(Detector):
             )
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the windows, and the thresholds for every number of rows in one."""
         super().bind(context)
         n, m = context.channels, len(context.noise_variance)
         if n == 0 and self.signals != "both":
@@ -206,11 +195,8 @@ class WindowedChi2(Detector):
         self.memory.declare("seen", np.zeros(context.receivers, dtype=np.int64))
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch.
-
-        Returns (B, 1) statistic, threshold and alarm; no weights.  While there is no verdict yet,
-        the statistic is 0.
-        """
+        """Test one epoch. Returns (B, 1) statistic, threshold and alarm; no weights. While there is
+        no verdict yet, the statistic is 0."""
         belief = cast(FloatArray, epoch.innovation_cov)
         nis = normalized_innovation_squared(epoch.innovation, belief, *self._rows)
         if epoch.visible.shape[1]:

@@ -69,16 +69,12 @@ class DuelAEC(AECEnv[str, NDArray[np.float32], NDArray[np.float32]]):
 
     def observe(self, agent: str) -> NDArray[np.float32]:
         """What an agent observes: the spoofer the game before its move, the detector the epoch.
-
-        Returns (o,) float32, a new array.
-        """
+        Returns (o,) float32, a new array."""
         return self._observations[agent].copy()
 
     def step(self, action: Any) -> None:
-        """Act for the agent whose turn it is.
-
-        `action` (a,) in [-1, 1]; None for an agent whose episode is over.
-        """
+        """Act for the agent whose turn it is. `action` (a,) in [-1, 1]; None for an agent whose
+        episode is over."""
         if self._halfway:
             raise RuntimeError(HALFWAY)
         if not self.agents:

@@ -82,7 +82,6 @@ class AttackBudget:
     further: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         for name, least in (("runs", 1), ("sift_runs", 1), ("values", 2), ("kept", 1)):
             count = whole_number(f"`{name}`", getattr(self, name), least)
             object.__setattr__(self, name, count)
@@ -112,7 +111,6 @@ class Response(NamedTuple):
     notes: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-able."""
         by_family = {name: each.as_json() for name, each in self.by_family.items()}
         found = {"member": self.member.as_json(), "by_family": by_family}
         return {"value": self.value, "best": self.best, **found, "notes": list(self.notes)}
@@ -289,7 +287,6 @@ class Ends(NamedTuple):
     why: str
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-able."""
         return {**self._asdict(), "below": self.below.as_json()}
 
 
@@ -306,7 +303,6 @@ class Exploitability(NamedTuple):
     below: Estimate
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-able."""
         ends = {name: getattr(self, name).as_json() for name in self._fields}
         return ends
 
@@ -354,22 +350,8 @@ def exploitability(
 
 
 def upper_end(game: Game, mix: Mixture) -> tuple[float | None, str]:
-    """Payoff that no spoofer exceeds against a mix of detectors.
-
-    Parameters
-    ----------
-    game : Game
-        World and payoff.
-    mix : Mixture
-        Of detectors.
-
-    Returns
-    -------
-    bound : float or None
-        None where a member has no bound.
-    why : str
-        Bounds by member, or whose is missing and why.
-    """
+    """Payoff that no spoofer exceeds against a mix of detectors. Returns `bound`, none where a
+    member has no bound; returns `why`, bounds by member, or whose is missing and why."""
     setup = game.setup
     if mix.side != DETECTOR:
         raise ValueError(f"a mix of detectors has bounds, got one of {mix.side}s")

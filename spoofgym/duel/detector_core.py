@@ -18,15 +18,10 @@ FloatArray = NDArray[np.float64]
 
 
 class DetectorCore:
-    """Episodes of B receivers, in which the learner is the detector.
-
-    With ``decision_delay=0`` an observation is of the epoch that the next action judges; with 1 it
-    is of the epoch before.  A step is an epoch, however seldom the spoofers decide.
-
-    `settings` are those of `make_duel`.
-
-    `reset_names`, `info_names`: keys of `reset_info`, and of the information of a step.
-    """
+    """Episodes of B receivers, in which the learner is the detector. With ``decision_delay=0`` an
+    observation is of the epoch that the next action judges; with 1 it is of the epoch before. A
+    step is an epoch, however seldom the spoofers decide. `settings` are those of `make_duel`.
+    `reset_names`, `info_names`: keys of `reset_info`, and of the information of a step."""
 
     reset_names: tuple[str, ...] = ("time_s", "decision_delay")
     info_names: tuple[str, ...] = (
@@ -121,7 +116,6 @@ class DetectorCore:
         return self.duel.observe_detector()
 
     def reset_info(self) -> Info:
-        """Information of a reset."""
         delay = np.full(self.receivers, self.duel.decision_delay)
         return {"time_s": self.duel.time_s(), "decision_delay": delay}
 

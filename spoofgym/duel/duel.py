@@ -130,9 +130,7 @@ class Duel:
         given: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin new episodes, and run their warm-up, in which the detector agent is not asked.
-
-        `rngs`: one per row; one that a receiver has not had before restarts a running threshold.
-        """
+        `rngs`: one per row; one that a receiver has not had before restarts a running threshold."""
         where = self._everyone if rows is None else rows
         self.core.reset(rngs, rows, given)
         self.score.reset(where)
@@ -148,10 +146,8 @@ class Duel:
 
     def arrive(self, action: FloatArray | None, rows: NDArray[np.intp] | None = None) -> None:
         """First half of an epoch: the spoofer moves, measurements arrive, the detector looks.
-
         `action` (B, k) in [-1, 1]; not looked at in clean episodes, after the last command, and
-        where no decision is due.  None where none is due at all: see `deciding`.
-        """
+        where no decision is due. None where none is due at all: see `deciding`."""
         where = self._everyone if rows is None else rows
         due = where[self.deciding[where]]
         if len(due):
@@ -176,9 +172,7 @@ class Duel:
 
     def decide(self, action: FloatArray) -> DuelStep:
         """Second half of an epoch: the detector decides, the filter updates, both are paid.
-
-        `action` (B, a) of the detector, in [-1, 1].
-        """
+        `action` (B, a) of the detector, in [-1, 1]."""
         engine, simulator, score = self.core.engine, self.core.engine.simulator, self.score
         limit, epoch = self.threshold.values.copy(), simulator.epoch
         verdict = self.agent.verdict(action, limit, epoch.visible, epoch.interval)

@@ -21,17 +21,8 @@ FORMAT = 1
 
 
 class KeptEntries:
-    """Folder of what the pairs of one world have played on one set of runs.
-
-    Parameters
-    ----------
-    folder : Path
-        Made where it is missing.
-    suite : Suite
-        World and number of runs.
-    seeds : tuple of int and str
-        Entropy and split of the runs.
-    """
+    """Folder of what the pairs of one world have played on one set of runs. `seeds`: entropy and
+    split of the runs."""
 
     def __init__(self, folder: Path, suite: Suite, seeds: tuple[int, str]) -> None:
         self.folder, self.suite, self.seeds = folder, suite, seeds
@@ -41,20 +32,8 @@ class KeptEntries:
     def load(
         self, spoofer: Member, detector: Member, judge: Detector
     ) -> tuple[Played, NDArray[np.int64]] | None:
-        """What a pair has played, and the skies of its runs.
-
-        Parameters
-        ----------
-        spoofer, detector : Member
-            The pair.
-        judge : Detector
-            That detector with its thresholds in this world.
-
-        Returns
-        -------
-        tuple or None
-            None where there is no such entry.
-        """
+        """What a pair has played, and the skies of its runs. `judge`: that detector with its
+        thresholds in this world; returns none where there is no such entry."""
         file = self.file_of(spoofer, detector, judge)
         if file is None or not file.is_file():
             return None
@@ -70,16 +49,7 @@ class KeptEntries:
         sky: NDArray[np.int64],
     ) -> None:
         """Write an entry, whole or not at all; none of an object that can't be described.
-
-        Parameters
-        ----------
-        spoofer, detector, judge : Member, Member and Detector
-            As in `load`.
-        played : Played
-            What the pair has played.
-        sky : ndarray
-            (R,) sky of each run.
-        """
+        `spoofer`, `detector`, `judge`: as in `load`; `sky`: (R,) sky of each run."""
         file = self.file_of(spoofer, detector, judge)
         if file is not None:
             head = json.dumps([spoofer.as_json(), detector.as_json()])
@@ -87,18 +57,8 @@ class KeptEntries:
                 np.savez(content, **played._asdict(), sky=sky, head=np.array(head))
 
     def file_of(self, spoofer: Member, detector: Member, judge: Detector) -> Path | None:
-        """Where an entry is kept.
-
-        Parameters
-        ----------
-        spoofer, detector, judge : Member, Member and Detector
-            As in `load`.
-
-        Returns
-        -------
-        Path or None
-            By all that the entry depends on; None where that can't be written.
-        """
+        """Where an entry is kept. `spoofer`, `detector`, `judge`: as in `load`; returns by all that
+        the entry depends on; None where that can't be written."""
         if spoofer.spec is None or detector.spec is None:
             return None
         factors = factors_of(judge)

@@ -118,7 +118,6 @@ def _task_id(key: str, side: str) -> str:
 
 
 def _registered(env_id: str) -> tuple[type[Setup], str, dict[str, Any]]:
-    """Victim of an id, the class that it makes, and the settings that it has."""
     if env_id not in gym.registry:
         valid = sorted(name for name in gym.registry if name.startswith("spoofgym/"))
         raise ValueError(f"unknown environment {env_id!r}; valid: {', '.join(valid)}")

@@ -90,20 +90,9 @@ def checked_payoff(payoff: ArrayLike) -> FloatArray:
 
 
 def gains(payoff: ArrayLike, spoofer: ArrayLike, detector: ArrayLike) -> tuple[float, float]:
-    """Most that each side gains within the matrix by leaving a pair of mixes alone.
-
-    Parameters
-    ----------
-    payoff : array_like
-        (m, n).
-    spoofer, detector : array_like
-        (m,) and (n,) probabilities.
-
-    Returns
-    -------
-    spoofer, detector : float
-        Not negative; their sum is the exploitability within the matrix.
-    """
+    """Most that each side gains within the matrix by leaving a pair of mixes alone. `payoff`: (m,
+    n); `spoofer`, `detector`: (m,) and (n,) probabilities; returns `spoofer, detector`, not
+    negative; their sum is the exploitability within the matrix."""
     a, x, y = checked_payoff(payoff), np.asarray(spoofer), np.asarray(detector)
     value = float(x @ a @ y)
     return float((a @ y).max()) - value, value - float((x @ a).min())
@@ -124,7 +113,6 @@ class Spread(NamedTuple):
     samples: int
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-able."""
         mixes = {
             name: [each.as_json() for each in getattr(self, name)]
             for name in ("spoofer", "detector")
@@ -133,25 +121,9 @@ class Spread(NamedTuple):
 
 
 def spread(payoff: ArrayLike, resampled: ArrayLike) -> Spread:
-    """Solve a game again in every bootstrap sample.
-
-    Parameters
-    ----------
-    payoff : array_like
-        (m, n) of all runs.
-    resampled : array_like
-        (S, m, n) of the samples; those with an entry that is no number are left out.
-
-    Returns
-    -------
-    Spread
-        Percentile intervals, 95 %.
-
-    Raises
-    ------
-    ValueError
-        When the samples do not fit the matrix, or none of them can be solved.
-    """
+    """Solve a game again in every bootstrap sample. `payoff`: (m, n) of all runs; `resampled`: (S,
+    m, n) of the samples; those with an entry that is no number are left out; returns percentile
+    intervals, 95 %."""
     found, drawn = solve(payoff), np.asarray(resampled, dtype=np.float64)
     shape = len(found.spoofer), len(found.detector)
     if drawn.ndim != 3 or drawn.shape[1:] != shape:

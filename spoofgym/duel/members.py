@@ -52,7 +52,6 @@ class Member:
 
     @property
     def given(self) -> Any:
-        """What plays."""
         return self.spec if self.thing is None else self.thing
 
     @property
@@ -61,7 +60,6 @@ class Member:
         return sees_statistics(self.knowledge)
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-able."""
         return {
             "label": self.label,
             **({"knowledge": self.knowledge} if self.side == SPOOFER else {}),
@@ -91,33 +89,19 @@ class Mixture:
 
     @property
     def side(self) -> str:
-        """Whose it is."""
         return self.members[0].side
 
     @property
     def knowledge(self) -> str:
-        """What its members observe."""
         return ", ".join(dict.fromkeys(each.knowledge for each in self.members))
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-able."""
         each = [member.as_json() for member in self.members]
         return {"label": self.label, "weights": list(self.weights), "members": each}
 
     def pool(self) -> dict[str, Any]:
-        """Mix for an environment, JSON-able.
-
-        Returns
-        -------
-        dict
-            A ``pool``: of detectors as `make_detector` takes it, of spoofers ``pool`` and
-            ``weights`` as `DetectorView` takes them.
-
-        Raises
-        ------
-        TypeError
-            When a member is an object that no text describes.
-        """
+        """Mix for an environment, JSON-able. Returns a ``pool``: of detectors as `make_detector`
+        takes it, of spoofers ``pool`` and ``weights`` as `DetectorView` takes them."""
         nameless = [each.label for each in self.members if each.spec is None]
         if nameless:
             raise TypeError(f"{', '.join(nameless)}: an object, which no text describes")
@@ -173,10 +157,8 @@ def mixture(
 
 
 def strategy_of(given: Any, side: str) -> Strategy:
-    """Strategy of any form: `Member` or `Mixture`, name, settings, path, object, or a mix.
-
-    A mix is a mapping of names or paths to weights.
-    """
+    """Strategy of any form: `Member` or `Mixture`, name, settings, path, object, or a mix. A mix is
+    a mapping of names or paths to weights."""
     if isinstance(given, Member | Mixture):
         if given.side != side:
             raise ValueError(f"{given.label} is a {given.side}, and no {side}")

@@ -36,7 +36,6 @@ def members_of(pool: Any, kind: type) -> list[Any]:
 
 
 def label_of(spec: Any) -> str:
-    """Short name of an opponent."""
     if isinstance(spec, Mapping):
         return ", ".join(
             str(value) if name == "name" else f"{name}={value}" for name, value in spec.items()
@@ -46,10 +45,8 @@ def label_of(spec: Any) -> str:
 
 def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:
     """Detector of a pool, at the default rate of false alarms where it asks for nothing.
-
     `quiet_epochs`: of the monitored warm-up, in which a policy is not asked that does not say when
-    it is to be.
-    """
+    it is to be."""
     made = detector_in_world(dict(spec) if isinstance(spec, Mapping) else spec)
     inner: Any = made.detector if isinstance(made, Calibrated) else made
     policy = inner.judge_by if isinstance(inner, LearnedDetector) else inner
@@ -61,10 +58,8 @@ def make_opponent(spec: DetectorSpec, quiet_epochs: int = 0) -> Detector:
 def pooled_detector(
     pool: Sequence[DetectorSpec] | DetectorSpec, weights: Sequence[float] | None, live: int
 ) -> PooledDetector:
-    """Detectors of which one is drawn for every episode.
-
-    `weights`: probability of each; all alike by default.
-    """
+    """Detectors of which one is drawn for every episode. `weights`: probability of each; all alike
+    by default."""
     return PooledDetector(
         [make_opponent(spec, live) for spec in members_of(pool, Detector)], weights
     )
@@ -138,10 +133,8 @@ class SpooferPool:
             decisions.forget(rows)
 
     def act(self, snapshot: Snapshot, rows: NDArray[np.intp]) -> FloatArray:
-        """Let the spoofers of some receivers decide; those of the others do nothing.
-
-        Returns (B, a) float64, 0 for the others.
-        """
+        """Let the spoofers of some receivers decide; those of the others do nothing. Returns (B, a)
+        float64, 0 for the others."""
         command = np.zeros(self._shape)
         seen: dict[tuple[str, bool], NDArray[np.float32]] = {}
         for k in np.unique(self.opponent[rows]):

@@ -69,10 +69,8 @@ class DuelParallel(ParallelEnv[str, Observation, Observation]):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Act for both agents, and run one epoch.
-
-        `actions` (a,) in [-1, 1] by agent, in any order.
-        """
+        """Act for both agents, and run one epoch. `actions` (a,) in [-1, 1] by agent, in any
+        order."""
         if self._halfway:
             raise RuntimeError(HALFWAY)
         if not self.agents:

@@ -40,7 +40,7 @@ class Payoff(Protocol):
 
     def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
         """Rewards of the spoofer and of the detector, (B,) each; that of the spoofer is 0 in clean
-        episodes."""  # noqa: D205, D209  (one sentence)
+        episodes."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,6 @@ class Weighted:
     error_per_m: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the prices."""
         for name in ("false_alarm", "delay_per_s", "error_per_m"):
             value = getattr(self, name)
             if not (is_number(value) and np.isfinite(value) and value >= 0.0):
@@ -97,7 +96,6 @@ PAYOFFS: dict[str, type[Any]] = {"neyman-pearson": NeymanPearson, "weighted": We
 
 
 def make_payoff(spec: str | Mapping[str, Any]) -> Payoff:
-    """Payoff by name, or by name and settings."""
     if isinstance(spec, NeymanPearson | Weighted):
         return spec
     payoff: Payoff = build("payoff", PAYOFFS, Weighted, spec)
@@ -105,10 +103,8 @@ def make_payoff(spec: str | Mapping[str, Any]) -> Payoff:
 
 
 class FixedThreshold:
-    """The same threshold for ever.
-
-    `value`: in (0, 1]; infinite where no alarm is wanted; `values` (B,) of every receiver.
-    """
+    """The same threshold for ever. `value`: in (0, 1]; infinite where no alarm is wanted; `values`
+    (B,) of every receiver."""
 
     def __init__(self, value: float, receivers: int) -> None:
         self.values = np.full(receivers, float(value))
@@ -151,11 +147,8 @@ class RunningThreshold:
         self.values[rows] = self.FIRST
 
     def learn(self, false_alarm: NDArray[np.bool_], ended: NDArray[np.bool_]) -> None:
-        """Follow the clean episodes that have ended.
-
-        `false_alarm` (B,) bool, which had an alarm; `ended` (B,) bool, which clean episodes have
-        ended in this step.
-        """
+        """Follow the clean episodes that have ended. `false_alarm` (B,) bool, which had an alarm;
+        `ended` (B,) bool, which clean episodes have ended in this step."""
         moved = self.values + np.where(ended, self.GAIN * (false_alarm - self.false_alarm), 0.0)
         self.values = np.maximum(moved, LEAST_THRESHOLD)
 
@@ -163,7 +156,6 @@ class RunningThreshold:
 def make_threshold(
     threshold: float | str | Calibration, false_alarm: float, receivers: int
 ) -> FixedThreshold | RunningThreshold:
-    """Threshold of the game."""
     if not (is_number(false_alarm) and 0.0 < false_alarm < 1.0):
         raise ValueError(f"`false_alarm` must be in (0, 1), got {false_alarm!r}")
     if isinstance(threshold, Calibration):

@@ -37,23 +37,15 @@ class Played(NamedTuple):
 
 @dataclass(frozen=True)
 class RunPayoff:
-    """What a run is worth to the spoofer, in [0, 1].
-
-    Parameters
-    ----------
-    kind : {"stealth", "hmi"}
-        The undetected displacement in parts of the alert limit, at most 1, and 0 in a run with an
-        alarm from the onset to the end of the time to alert; or whether the undetected
-        displacement exceeds the limit, also where an alarm follows later.
-    limit_m : float
-        Alert limit, or a length [m].
-    """
+    """What a run is worth to the spoofer, in [0, 1]. `kind`: the undetected displacement in parts
+    of the alert limit, at most 1, and 0 in a run with an alarm from the onset to the end of the
+    time to alert; or whether the undetected displacement exceeds the limit, also where an alarm
+    follows later; `limit_m`: alert limit, or a length [m]."""
 
     kind: str = "stealth"
     limit_m: float = 40.0
 
     def __post_init__(self) -> None:
-        """Check both."""
         check_choice("payoff", self.kind, PAYOFFS)
         check_finite("limit_m", self.limit_m, "> 0")
 
@@ -112,33 +104,11 @@ class PayoffMatrix:
         return resamples_of(clusters_of(self.sky), count)
 
     def solve(self) -> Equilibrium:
-        """Equilibrium of the matrix.
-
-        Returns
-        -------
-        Equilibrium
-            Mixes and value.
-
-        Raises
-        ------
-        ValueError
-            When an entry has no run that counts; the message names it.
-        """
         return solve(self._finite())
 
     def spread(self, count: int = RESAMPLES) -> Spread:
-        """Equilibrium with intervals: the runs are drawn again, the game is solved again.
-
-        Parameters
-        ----------
-        count : int
-            Bootstrap samples.
-
-        Returns
-        -------
-        Spread
-            Percentile intervals, 95 %.
-        """
+        """Equilibrium with intervals: the runs are drawn again, the game is solved again. Returns
+        percentile intervals, 95 %."""
         return spread(self._finite(), self.resampled(self.samples(count)))
 
     def mixes(self, found: Equilibrium) -> tuple[Mixture, Mixture]:
@@ -151,9 +121,7 @@ class PayoffMatrix:
 
     def contrast(self, weights: ArrayLike) -> Estimate:
         """Sum of all entries with weights (m, n), such as a difference of two, with its interval.
-
-        It is paired, since all entries have the same runs.
-        """
+        It is paired, since all entries have the same runs."""
         w = np.asarray(weights, dtype=np.float64)
         drawn = np.tensordot(self.resampled(self.samples()), w, axes=2)
         return percentiles(float((self.values * w).sum()), drawn)

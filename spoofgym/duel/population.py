@@ -48,12 +48,10 @@ class EpochAlarms(PassiveDetectors):
     """Passive detectors, of which the alarms of the last epoch are known, and those before it."""
 
     def bind(self, simulator: Monitored) -> None:
-        """Prepare for the receivers of a simulator."""
         super().bind(simulator)
         self.memory.declare("so_far", np.zeros(self.memory["alarmed"].shape, dtype=np.bool_))
 
     def update(self, simulator: Monitored) -> None:
-        """Let every detector judge the epoch."""
         self.memory["alarmed"][:] = False
         super().update(simulator)
         self.memory["so_far"] |= self.memory["alarmed"]

@@ -70,26 +70,9 @@ def refuse_to_draw(whose: str, render_mode: object) -> None:
 
 
 class Rules:
-    """One duel of one receiver, as both forms need it.
-
-    Parameters
-    ----------
-    decision_delay : {0, 1}
-        Which of the two games it is.
-    render_mode : None
-        There is nothing to render.
-    **settings
-        Of `duel_setup` and `Duel`.
-
-    Attributes
-    ----------
-    duel : Duel
-        Of one receiver.
-    observation_spaces, action_spaces : dict
-        A Box of every agent.
-    observation_names, action_names : dict
-        Name of every element, by agent.
-    """
+    """One duel of one receiver, as both forms need it. `decision_delay`: which of the two games it
+    is; `render_mode`: there is nothing to render; `settings`: of `duel_setup` and `Duel`;
+    `observation_names`, `action_names`: name of every element, by agent."""
 
     def __init__(
         self, decision_delay: int, /, *, render_mode: None = None, **settings: Any
@@ -118,7 +101,6 @@ class Rules:
         self._rng: np.random.Generator | None = None
 
     def begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
-        """Begin an episode."""
         warn_unknown(options, OPTIONS)
         given = domain_option(options)
         seed = checked_seed(seed)

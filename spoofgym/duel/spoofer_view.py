@@ -55,7 +55,6 @@ class SpooferSide:
         self.core = self._against(pool, weights)
 
     def _against(self, pool: DetectorPool, weights: Weights) -> SpoofCore:
-        """Core against a pool, not begun yet."""
         setup = self._setup.altered(detector=pooled_detector(pool, weights, self._setup.live))
         core = SpoofCore(self._receivers, setup, **self._rules)
         self.labels = tuple(label_of(spec) for spec in members_of(pool, Detector))
@@ -123,7 +122,6 @@ class SpooferView(CoreEnv[SpoofCore]):
         super().__init__(self._side.core, render_mode)
 
     def _recorder(self) -> CoreRecorder | None:
-        """What pictures are made from."""
         return CoreRecorder(self.core)
 
     @property

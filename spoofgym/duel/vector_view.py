@@ -31,7 +31,6 @@ class PooledVectorView(CoreVectorEnv[C]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode in every receiver, or in some."""
         if self.pool_changed:
             mask = mask_of(options, self.num_envs)
             if mask is not None and not mask.all():

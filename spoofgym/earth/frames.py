@@ -44,14 +44,10 @@ def geodetic_to_ecef(
 def ecef_to_geodetic(
     position_e: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Geodetic coordinates from a position in ECEF axes.
-
-    Bowring's closed form followed by two fixed-point steps; exact to rounding between the
-    surface and satellite orbits, poles included.
-
+    """Geodetic coordinates from a position in ECEF axes. Bowring's closed form followed by two
+    fixed-point steps; exact to rounding between the surface and satellite orbits, poles included.
     `position_e` (..., 3) position, ECEF [m]; returns `latitude`, `longitude`, `height` [rad],
-    [rad], [m]; shape of the leading axes.
-    """
+    [rad], [m]; shape of the leading axes."""
     x, y, z = np.moveaxis(np.asarray(position_e, dtype=np.float64), -1, 0)
     p = np.hypot(x, y)
     ratio = np.sqrt(1.0 - ECCENTRICITY_SQUARED)
@@ -70,15 +66,9 @@ def ecef_to_geodetic(
 
 
 def dcm_e_from_n(latitude: ArrayLike, longitude: ArrayLike) -> NDArray[np.float64]:
-    """Direction cosine matrix `C_en`, to ECEF from north-east-down axes.
-
-    `latitude`, `longitude`: geodetic latitude and longitude [rad], any shape S; returns (S, 3, 3);
-    its columns are the north, east and down unit vectors in ECEF axes.
-
-    Notes
-    -----
-    Transpose of Groves (2013), eq. 2.150.
-    """
+    """Direction cosine matrix `C_en`, to ECEF from north-east-down axes. `latitude`, `longitude`:
+    geodetic latitude and longitude [rad], any shape S; returns (S, 3, 3); its columns are the
+    north, east and down unit vectors in ECEF axes. Transpose of Groves (2013), eq. 2.150."""
     latitude, longitude = np.broadcast_arrays(latitude, longitude)
     sl, cl = np.sin(latitude), np.cos(latitude)
     so, co = np.sin(longitude), np.cos(longitude)

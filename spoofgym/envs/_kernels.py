@@ -57,11 +57,9 @@ def within(values, limit):
 
 @njit
 def own_command(displacement, rate, direction, north, east, per_displacement, per_rate, out):
-    """Commanded displacement and rate (B, a), scaled, into the first 2 a columns of `out`.
-
-    Where the columns `north` and `east` are given, not -1, their parts along the target direction
-    `direction` (B, 2) come into the first two instead.
-    """
+    """Commanded displacement and rate (B, a), scaled, into the first 2 a columns of `out`. Where
+    the columns `north` and `east` are given, not -1, their parts along the target direction
+    `direction` (B, 2) come into the first two instead."""
     axes = displacement.shape[1]
     for b in range(displacement.shape[0]):
         if north >= 0:
@@ -139,11 +137,9 @@ def last_counted(first_alarm, hold, steps):
 
 @njit
 def undetected_displacement(largest, first_alarm, hold):
-    """Undetected displacement: (R,) [m].
-
-    `largest` (K + 1, R) displacement so far, from the onset on, which may be NaN after an alarm
-    [m]; `first_alarm` (R,) epoch of it, from 1 on, 0 where there is none up to epoch K + `hold`.
-    """
+    """Undetected displacement: (R,) [m]. `largest` (K + 1, R) displacement so far, from the onset
+    on, which may be NaN after an alarm [m]; `first_alarm` (R,) epoch of it, from 1 on, 0 where
+    there is none up to epoch K + `hold`."""
     out = np.empty(len(first_alarm))
     for r in range(len(out)):
         out[r] = largest[last_counted(first_alarm[r], hold, len(largest) - 1), r]
@@ -211,11 +207,9 @@ def settle(
     lo,
     hi,
 ):
-    """Write what is reported of a step whose score is settled, and its reward; lo to hi.
-
-    `rules` end with (r, 4) shares of every term of the reward in gain, retraction, cost and alarm,
-    and (K,) times of the epochs [s]; `ended` (B,) gets those whose episode is over now.
-    """
+    """Write what is reported of a step whose score is settled, and its reward; lo to hi. `rules`
+    end with (r, 4) shares of every term of the reward in gain, retraction, cost and alarm, and (K,)
+    times of the epochs [s]; `ended` (B,) gets those whose episode is over now."""
     terms = int(rules[SHARES])
     shares = rules[RULES : RULES + 4 * terms].reshape((terms, 4))
     time = rules[RULES + 4 * terms :]
@@ -304,12 +298,10 @@ def finish(
     flags,
     seen,
 ):
-    """Score an epoch unless `scored`, settle it and observe; True if nothing is settled yet.
-
-    To hand over an array costs as much as all that this does for one receiver, so most of them
-    come several in one: `raw` of `DisplacementScore`, `rules` of `FusedStep`, `numbers` and `flags`
-    of `StepResult`; `seen` (B o,) float32 is written, or has no element where nothing is observed.
-    """
+    """Score an epoch unless `scored`, settle it and observe; True if nothing is settled yet. To
+    hand over an array costs as much as all that this does for one receiver, so most of them come
+    several in one: `raw` of `DisplacementScore`, `rules` of `FusedStep`, `numbers` and `flags` of
+    `StepResult`; `seen` (B o,) float32 is written, or has no element where nothing is observed."""
     receivers = epochs.shape[0]
     values = numbers.reshape((numbers.shape[0] // receivers, receivers))
     marks = flags.reshape((flags.shape[0] // receivers, receivers))
@@ -372,11 +364,9 @@ def play(
     hi,
 ):
     """An epoch of receivers lo to hi, and all that follows it: displacement, score, observation.
-
     `entries`: table of what is named above; `numbers`, `flags`, `seen` as in `finish`, written; all
     others as `run_epochs` takes them, which does it all without `SCORE`; returns what it found, or
-    `HOLDS` where receivers have to run the time to alert before their step is settled.
-    """
+    `HOLDS` where receivers have to run the time to alert before their step is settled."""
     found = run_epochs(
         table,
         memories,

@@ -43,11 +43,9 @@ NOTHING_SEEN = np.empty(0, dtype=np.float32)
 
 
 class Core(Protocol):
-    """Episodes of B receivers, as an environment of either side needs them.
-
-    `bounds` are the least and the largest observation, (o,) each; `reset_names` the keys of the
-    information of a reset; `episode_steps` the steps of an episode that nothing ends early.
-    """
+    """Episodes of B receivers, as an environment of either side needs them. `bounds` are the least
+    and the largest observation, (o,) each; `reset_names` the keys of the information of a reset;
+    `episode_steps` the steps of an episode that nothing ends early."""
 
     receivers: int
     observation_names: tuple[str, ...]
@@ -385,14 +383,12 @@ class SpoofCore:
         return result
 
     def _report_more(self, result: StepResult) -> None:
-        """Report of a step what kernels do not."""
         if self.setup.attack.capture is not None:
             result.extra["captured_channels"] = self.engine.simulator.captured_channels()
         if self._passive is not None:
             result.extra.update(self._passive.step_info(self._passive_memory))
 
     def _reward(self, result: StepResult, action: FloatArray) -> None:
-        """Reward by the terms themselves."""
         values, marks = result.values, result.marks
         moved = values[GAIN], values[RETRACTION]
         alarms = marks[FIRST], values[COST] > 0.0, marks[ALARM]
@@ -424,11 +420,8 @@ class SpoofCore:
 
 
 class _DoneRows:
-    """Receivers whose episodes end within a decision, kept as they were then.
-
-    The engine runs all of its receivers in step; these are put back when the others have come to
-    the next decision.
-    """
+    """Receivers whose episodes end within a decision, kept as they were then. The engine runs all
+    of its receivers in step; these are put back when the others have come to the next decision."""
 
     def __init__(self, engine: Engine) -> None:
         whole = [engine.simulator] if engine.twin is None else [engine.simulator, engine.twin]
@@ -436,7 +429,6 @@ class _DoneRows:
         self._kept: Mask = np.zeros(engine.receivers, dtype=np.bool_)
 
     def keep(self, rows: Rows) -> None:
-        """Keep some receivers as they are."""
         if len(rows):
             for copy, simulator in self._pairs:
                 copy.copy_rows(rows, simulator, rows)
@@ -479,7 +471,6 @@ class PassiveInfo:
         self._warmup_alarm[rows] = memory["alarmed"][rows]
 
     def reset_info(self) -> Info:
-        """Information of a reset."""
         return {name: self._warmup_alarm[:, k].copy() for k, name in enumerate(self.reset_names)}
 
     def step_info(self, memory: Memory) -> Info:

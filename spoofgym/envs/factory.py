@@ -98,10 +98,8 @@ def compose(
 
 def composable(env: Any, *, unset: bool = True) -> Any:
     """Environment of the spoofer's side inside all wrappers; a TypeError where there is none.
-
     `unset`: only one whose detector can be set: not a view of the duel, which has a pool of them,
-    nor the adapter for stable-baselines3.
-    """
+    nor the adapter for stable-baselines3."""
     inner = getattr(env, "unwrapped", env)
     is_ours = isinstance(getattr(inner, "core", None), SpoofCore)
     if not is_ours or (unset and not hasattr(inner, "given_detector")):

@@ -41,7 +41,6 @@ def whole_reset(env: Any) -> Iterator[None]:
 
 
 def warn_unknown(options: Mapping[str, Any] | None, valid: Sequence[str] = ()) -> None:
-    """Warn of options that nothing is done with."""
     if options is not None and not isinstance(options, Mapping):
         raise TypeError(f"`options` of a reset must be a dict, got {options!r}")
     for name in options or ():
@@ -89,7 +88,6 @@ def checked_seed(seed: Any) -> int | None:
 
 
 def of_rows(given: Mapping[str, Any], rows: NDArray[np.intp], count: int) -> dict[str, Any]:
-    """Circumstances of some receivers, of those given for all."""
     values = {name: each_of(name, value, count) for name, value in given.items()}
     return {name: [each[row] for row in rows] for name, each in values.items()}
 
@@ -131,7 +129,6 @@ def checked_action(action: Any, shape: tuple[int, ...], names: tuple[str, ...]) 
 
 
 def autoreset_mode_of(given: str | AutoresetMode) -> AutoresetMode:
-    """Autoreset mode by name."""
     if isinstance(given, AutoresetMode):
         return given
     word = str(given).lower().removeprefix("autoresetmode.")
@@ -150,7 +147,6 @@ def check_vector_settings(num_envs: int, render_mode: object) -> None:
 
 
 def info_keys(spec: InfoSpec, valid: Sequence[str]) -> frozenset[str] | None:
-    """Keys that are asked for."""
     if isinstance(spec, str):
         check_choice("choice of infos", spec, WORDS)
         return None if spec == "all" else frozenset()

@@ -97,7 +97,6 @@ class EpochRecorder:
 
 
 def as_parquet(columns: dict[str, list[Array]], head: dict[str, Any]) -> bytes:
-    """File of one episode."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -57,11 +57,9 @@ class DisplacementScore:
             setattr(self, name, view)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All without the views, which a copy makes of its own bytes."""
         return {name: value for name, value in self.__dict__.items() if name not in _VIEWS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over the bytes, and name their arrays."""
         self.__dict__.update(state)
         self._name_arrays()
 
@@ -97,12 +95,10 @@ class DisplacementScore:
 
 
 class FusedStep:
-    """An epoch's score, information, reward and simple observation in one kernel.
-
-    `worst` says that displacement counts in any direction; `parts` are the keys of the rewards that
-    `shares` (r, 4) give as in `reward.shares_of`; `table`, `command` and `per_rate` are those of
-    `Observer`; an episode ends after `window` epochs.
-    """
+    """An epoch's score, information, reward and simple observation in one kernel. `worst` says that
+    displacement counts in any direction; `parts` are the keys of the rewards that `shares` (r, 4)
+    give as in `reward.shares_of`; `table`, `command` and `per_rate` are those of `Observer`; an
+    episode ends after `window` epochs."""
 
     def __init__(
         self,
@@ -145,11 +141,9 @@ class FusedStep:
         hold: Hold,
     ) -> None:
         """Score an epoch whose displacement is in `result`, and write all that is reported of it.
-
         `alarm` (B, c) of the verdict; `early` (B,) bool, for whom this was the last command before
         the end of the window; `seen` (B o,) is observed, unless it has no element; `hold` runs the
-        time to alert of those that have given the last command without an alarm.
-        """
+        time to alert of those that have given the last command without an alarm."""
         given = (
             *self._fixed,
             np.ascontiguousarray(alarm),
@@ -194,10 +188,8 @@ PLAY = SequelKernel(
 
 class ScoredStep:
     """`FusedStep` as the sequel of an epoch, in one kernel with it where the simulator can.
-
     `origin` (B, 2) where displacement is counted from [m]; `run_hold` runs the time to alert;
-    `result`, `seen` (B o,), set before every step: what it is written to.
-    """
+    `result`, `seen` (B o,), set before every step: what it is written to."""
 
     result: StepResult
     seen: NDArray[np.float32]
@@ -208,7 +200,6 @@ class ScoredStep:
         self._known = 0, 0
 
     def __getstate__(self) -> dict[str, Any]:
-        """All without the table of addresses."""
         return {**self.__dict__, "_table": None}
 
     def arrays(self, simulator: TightlyCoupledSimulator) -> tuple[NDArray[Any], ...]:

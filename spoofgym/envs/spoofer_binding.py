@@ -154,11 +154,8 @@ def warn_of_headings(spoofers: Iterable[Spoofer], setup: Setup) -> None:
 
 
 def commands_of(spoofer: Spoofer, setup: Setup) -> CommandMap:
-    """How the actions of a spoofer command an attack that nothing else stands before.
-
-    A policy acts as in the environment that it was made in, all others by the attack's own
-    elements.
-    """
+    """How the actions of a spoofer command an attack that nothing else stands before. A policy acts
+    as in the environment that it was made in, all others by the attack's own elements."""
     given = spoofer.action_terms
     terms: Sequence[ActionTerm]
     terms = default_action(setup) if given is None else make_terms("action", given)
@@ -201,10 +198,8 @@ def tuning_range_of(spoofer: Spoofer, setup: Setup) -> tuple[float, float]:
 def bound_spoofer(
     spoofer: Spoofer, setup: Setup, receivers: int
 ) -> tuple[SpooferContext, Observer, CommandMap]:
-    """What a spoofer is given that commands the attack itself, what it observes, its commands.
-
-    It decides at its own pace.
-    """
+    """What a spoofer is given that commands the attack itself, what it observes, its commands. It
+    decides at its own pace."""
     setup = paced(setup, spoofer)
     if REPORTED in spoofer.knowledge and not any(
         isinstance(monitor, PastPositions) for monitor in setup.monitors
@@ -226,9 +221,7 @@ def spoofer_context(
     commands: CommandMap | None = None,
 ) -> SpooferContext:
     """What a spoofer knows of an attack, of what it observes by an `observer`, and its `commands`.
-
-    By default it commands every element of the attack, as it is.
-    """
+    By default it commands every element of the attack, as it is."""
     attack = setup.attack
     setpoint = None if commands is None else commands.setpoint_mps
     if not isinstance(attack.rate_limit_mps, Real):
@@ -289,7 +282,6 @@ def _made_for(card: Card) -> Setup:
 
 
 def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card | None:
-    """Card of a spoofer, if it has one."""
     name = spec.get("name") if isinstance(spec, Mapping) else spec
     if isinstance(name, str) and name in shipped():
         return card_of(name)
@@ -297,7 +289,6 @@ def card_behind(spec: Spoofer | Mapping[str, Any] | str, made: Spoofer) -> Card 
 
 
 def _wrapped(env: Any, core: SpoofCore, card: Card) -> list[str]:
-    """Which spaces a wrapper has changed."""
     found = []
     for word, inner in (("observation", observation_space(core)), ("action", action_space(core))):
         if word == "observation" and card.observation is None:

@@ -37,10 +37,8 @@ NEXT_STEP, SAME_STEP = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP
 
 
 class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
-    """Environment of B receivers; receiver i is the single one seeded with ``seed + i``.
-
-    `core` is of B receivers, not begun yet; the others are as in `SpoofVectorEnv`.
-    """
+    """Environment of B receivers; receiver i is the single one seeded with ``seed + i``. `core` is
+    of B receivers, not begun yet; the others are as in `SpoofVectorEnv`."""
 
     core: C
     metadata: dict[str, Any] = {  # noqa: RUF012  (declared so by Gymnasium)
@@ -96,12 +94,10 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        """Start an episode in every receiver, or in some.
-
-        `options`: ``reset_mask``, (B,) bool, which receivers to reset, at least one (all by default
-        and at the first reset); ``domain``, circumstances not to be drawn, each one value or (B,)
-        of them, see `spoofgym.simulators.domain.CHOICES`.  Returns `observation` (B, o) float32.
-        """
+        """Start an episode in every receiver, or in some. `options`: ``reset_mask``, (B,) bool,
+        which receivers to reset, at least one (all by default and at the first reset); ``domain``,
+        circumstances not to be drawn, each one value or (B,) of them, see
+        `spoofgym.simulators.domain.CHOICES`. Returns `observation` (B, o) float32."""
         warn_unknown(options, ("domain", RESET_MASK))
         mask = mask_of(options, self.num_envs)
         if mask is None:
@@ -154,10 +150,8 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
                 info[f"_{name}"] = self._all.copy()
 
     def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Give one command to every receiver, and run one epoch.
-
-        `actions` (B, a) in [-1, 1]; returns `observation` (B, o) float32; `reward` (B,) float64.
-        """
+        """Give one command to every receiver, and run one epoch. `actions` (B, a) in [-1, 1];
+        returns `observation` (B, o) float32; `reward` (B,) float64."""
         if not self._rngs:
             raise RuntimeError("call reset() before step()")
         if self._halfway:
@@ -238,7 +232,6 @@ class CoreVectorEnv(HasSpec, VectorEnv[Array, Array, Array], Generic[C]):
         return self.core.observe(), result.reward, result.terminated, result.truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the threads."""
         self.core.close()
 
 

@@ -26,7 +26,6 @@ class _Victim:
     setup_type: ClassVar[type[Setup]]
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Let the signature show all settings."""
         super().__init_subclass__(**kwargs)
         if hasattr(cls, "setup_type"):
             own = inspect.signature(cls.__init__)
@@ -42,7 +41,6 @@ class VictimEnv(_Victim, CoreEnv[SpoofCore]):
         super().__init__(core, render_mode)
 
     def _recorder(self) -> CoreRecorder:
-        """What pictures are made from."""
         return CoreRecorder(self.core)
 
 

@@ -74,7 +74,6 @@ class _Squashed(torch.nn.Module):
 
 
 def _mean_of(model: Any) -> torch.nn.Module:
-    """Network of the deterministic action, by what a model has."""
     policy = getattr(model, "policy", model)
     refuse_state(policy)
     if hasattr(policy, "mlp_extractor") and hasattr(policy, "action_net"):

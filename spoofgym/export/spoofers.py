@@ -127,7 +127,6 @@ def _check_sizes(actor: torch.nn.Module, observed: int, commanded: int) -> None:
 
 
 def _training_of(model: Any) -> dict[str, Any]:
-    """What a model says of its training."""
     details: dict[str, Any] = {"algorithm": type(model).__name__}
     for key, name in (("steps", "num_timesteps"), ("seed", "seed")):
         value = getattr(model, name, None)
@@ -139,7 +138,6 @@ def _training_of(model: Any) -> dict[str, Any]:
 def _card_of(
     inner: Any, path: Path, content: bytes, training: Mapping[str, Any], designed_on: str | None
 ) -> Card:
-    """Card of a spoofer."""
     core = inner.core
     if core.settings["observation"] is not None:
         raise ValueError(

@@ -83,7 +83,6 @@ def traced(module: torch.nn.Module, size: int, state: Mapping[str, int] | None =
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of the libraries that had a part in a file."""
     found = {}
     for name in ("torch", "stable-baselines3", "onnx"):
         try:

@@ -16,10 +16,8 @@ class FileError(ValueError):
 
 
 def read_file(path: Path) -> bytes:
-    """All of a file, unpacked where its first bytes say that gzip packed it.
-
-    More than `LARGEST_SIZE` bytes are a `FileError`, as are damaged gzip data.
-    """
+    """All of a file, unpacked where its first bytes say that gzip packed it. More than
+    `LARGEST_SIZE` bytes are a `FileError`, as are damaged gzip data."""
     with path.open("rb") as file:
         packed = file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
         file.seek(0)

@@ -142,10 +142,8 @@ def read_navigation(path: str | os.PathLike[str]) -> Ephemerides:
 def load_broadcast(
     path: str | os.PathLike[str], start: float | datetime
 ) -> tuple[BroadcastConstellation, ScreeningReport]:
-    """The constellation of a RINEX navigation file, its records screened.
-
-    `start`: time 0 of the simulation: GPS seconds [s], or a date as `gps_seconds` takes it.
-    """
+    """The constellation of a RINEX navigation file, its records screened. `start`: time 0 of the
+    simulation: GPS seconds [s], or a date as `gps_seconds` takes it."""
     kept, report = screen(read_navigation(path))
     if isinstance(start, datetime):
         start = gps_seconds(start)

@@ -84,7 +84,6 @@ class CleaningReport:
     angles: int
 
     def as_dict(self) -> dict[str, str | int | float]:
-        """All fields by name, for JSON."""
         return asdict(self)
 
     def lines(self) -> list[str]:
@@ -113,12 +112,9 @@ def clean_track(
     duration_s: float | None = None,
     interpolated: Literal["drop", "keep"] = "drop",
 ) -> tuple[Track, CleaningReport]:
-    """Clean a recorded track and cut out a stretch that was flown without a gap.
-
-    `from_s`: start of the cut [s] since the first row of the file; by default the start of the
-    longest stretch; `duration_s`: duration of the cut [s]; by default ten minutes, or what the
-    stretch offers.
-    """
+    """Clean a recorded track and cut out a stretch that was flown without a gap. `from_s`: start of
+    the cut [s] since the first row of the file; by default the start of the longest stretch;
+    `duration_s`: duration of the cut [s]; by default ten minutes, or what the stretch offers."""
     if interpolated not in {"drop", "keep"}:
         raise ValueError(f"`interpolated` must be 'drop' or 'keep', got {interpolated!r}")
     counts: dict[str, int] = {"rows": raw.time.size}
@@ -215,10 +211,8 @@ def _without_outliers(fixes: _Fixes, counts: dict[str, int]) -> _Fixes:
 
 
 def _trusted_velocities(fixes: _Fixes, counts: dict[str, int]) -> tuple[Floats, Floats]:
-    """Courses to be trusted, and speeds: reported ones where trusted, else made good.
-
-    Groundspeeds that are not to be trusted become NaN in the fixes.
-    """
+    """Courses to be trusted, and speeds: reported ones where trusted, else made good. Groundspeeds
+    that are not to be trusted become NaN in the fixes."""
     made = made_good(fixes.time, fixes.latitude, fixes.longitude)
     wrong = contradicting_speeds(fixes.groundspeed, made)
     wrong |= stale_runs(fixes.groundspeed, wrong)

@@ -55,22 +55,17 @@ def repeated_positions(latitude: Floats, longitude: Floats, known: Mask) -> Mask
 
 
 def late_positions(time: Floats) -> Mask:
-    """Rows whose position isn't newer than all before; a time counts once.
-
-    `time` (n,) time of the positions [s]; returns (n,) True where the row doesn't count.
-    """
+    """Rows whose position isn't newer than all before; a time counts once. `time` (n,) time of the
+    positions [s]; returns (n,) True where the row doesn't count."""
     latest = np.maximum.accumulate(time)
     return np.concatenate([[False], time[1:] <= latest[:-1]])[: time.size]
 
 
 def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) -> Mask:
-    """Rows on the line between their neighbours, at the time that interpolation gives.
-
-    Of a run of equal displacements, only the fix at each end was ever observed.
-
-    `time` (n,) time of the positions [s], rising; `latitude`, `longitude` (n,) geodetic [rad];
-    returns (n,) True where a position is interpolated.
-    """
+    """Rows on the line between their neighbours, at the time that interpolation gives. Of a run of
+    equal displacements, only the fix at each end was ever observed. `time` (n,) time of the
+    positions [s], rising; `latitude`, `longitude` (n,) geodetic [rad]; returns (n,) True where a
+    position is interpolated."""
     north = EQUATORIAL_RADIUS * off_line(time, latitude[:, None])
     east = EQUATORIAL_RADIUS * np.cos(latitude) * off_line(time, np.unwrap(longitude)[:, None])
     between = np.hypot(north, east) < INTERPOLATION_TOLERANCE
@@ -79,10 +74,8 @@ def interpolated_positions(time: Floats, latitude: Floats, longitude: Floats) ->
 
 
 def off_line(time: Floats, value: Floats) -> Floats:
-    """Distance of each row from the line between its neighbours; 0 at both ends.
-
-    `time` (n,) rising [s]; `value` (n, k) coordinates; returns (n,) in the unit of the coordinates.
-    """
+    """Distance of each row from the line between its neighbours; 0 at both ends. `time` (n,) rising
+    [s]; `value` (n, k) coordinates; returns (n,) in the unit of the coordinates."""
     distance = np.zeros(time.size)
     if time.size > 2:
         weight = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
@@ -128,10 +121,8 @@ def isolated_outliers(time: Floats, value: Floats, allowance: float, acceleratio
 
 
 def broken_links(time: Floats, position_e: Floats) -> Mask:
-    """Which fixes don't lead on to the next: gaps, and jumps that last.
-
-    `time` (n,) rising [s]; `position_e` (n, 3) ECEF [m]; returns (n-1,) True where a stretch ends.
-    """
+    """Which fixes don't lead on to the next: gaps, and jumps that last. `time` (n,) rising [s];
+    `position_e` (n, 3) ECEF [m]; returns (n-1,) True where a stretch ends."""
     interval = np.diff(time)
     distance = np.linalg.norm(np.diff(position_e, axis=0), axis=1)
     broken = interval > LARGEST_GAP_S
@@ -158,11 +149,9 @@ class MadeGood(NamedTuple):
 
 
 def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
-    """Speeds and courses from positions, over chords of at least `CHORD_S` to either side.
-
-    `time` (n,) rising [s]; `latitude`, `longitude` (n,) geodetic [rad]; returns NaN where there is
-    no other fix within `LARGEST_GAP_S`.
-    """
+    """Speeds and courses from positions, over chords of at least `CHORD_S` to either side. `time`
+    (n,) rising [s]; `latitude`, `longitude` (n,) geodetic [rad]; returns NaN where there is no
+    other fix within `LARGEST_GAP_S`."""
     position = geodetic_to_ecef(latitude, longitude, 0.0)
     here = np.arange(time.size)
     a = np.maximum(np.searchsorted(time, time - CHORD_S, side="right") - 1, 0)
@@ -180,10 +169,8 @@ def made_good(time: Floats, latitude: Floats, longitude: Floats) -> MadeGood:
 
 def contradicting_speeds(groundspeed: Floats, made: MadeGood) -> Mask:
     """Groundspeeds outside chord and path speed by a tenth and three standard deviations.
-
     `groundspeed` (n,) as reported [m/s]; returns (n,) True where the reported speed can't be true,
-    a stale one for instance.
-    """
+    a stale one for instance."""
     margin = 3.0 * math.sqrt(2.0) * POSITION_SD / made.span
     too_low = groundspeed < 0.9 * made.speed - margin
     too_high = groundspeed > 1.1 * made.path_speed + margin
@@ -191,11 +178,9 @@ def contradicting_speeds(groundspeed: Floats, made: MadeGood) -> Mask:
 
 
 def stale_runs(value: Floats, wrong: Mask) -> Mask:
-    """Runs of one and the same value, too much of which is wrong for the rest to be right.
-
-    `value` (n,) as reported, NaN where missing; `wrong` (n,) whether a value was rejected; returns
-    (n,) True in runs of which more than `STALE_SHARE` was rejected.
-    """
+    """Runs of one and the same value, too much of which is wrong for the rest to be right. `value`
+    (n,) as reported, NaN where missing; `wrong` (n,) whether a value was rejected; returns (n,)
+    True in runs of which more than `STALE_SHARE` was rejected."""
     run = np.cumsum(np.diff(value, prepend=value[:1]) != 0.0)
     share = np.bincount(run, wrong) / np.maximum(np.bincount(run), 1)
     stale: Mask = np.isfinite(value) & (share[run] > STALE_SHARE)
@@ -233,11 +218,8 @@ def _wrapped(angle: Floats) -> Floats:
 
 
 def stretches(time: Floats, broken: Mask, airborne: Mask) -> list[tuple[int, int]]:
-    """Airborne stretches without a broken link.
-
-    `time` (n,) rising [s]; `broken` (n-1,) whether a fix doesn't lead on to the next; `airborne`
-    (n,) whether a fix is in the air.
-    """
+    """Airborne stretches without a broken link. `time` (n,) rising [s]; `broken` (n-1,) whether a
+    fix doesn't lead on to the next; `airborne` (n,) whether a fix is in the air."""
     linked = np.concatenate([[False], ~broken & airborne[1:] & airborne[:-1], [False]])
     edges = np.flatnonzero(np.diff(linked.astype(np.int8)))
     found = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

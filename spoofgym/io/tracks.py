@@ -100,11 +100,9 @@ def read_track(
     altitude_unit: Literal["ft", "m"] | None = None,
     aircraft: str | None = None,
 ) -> RawTrack:
-    """Read a recorded track from a CSV, Parquet or JSON file, compressed or not.
-
-    `altitude_unit`: unit of the altitude column; by default feet, unless its name ends in _m.
-    A `spoofgym.io.files.FileError` says what is wrong with the file.
-    """
+    """Read a recorded track from a CSV, Parquet or JSON file, compressed or not. `altitude_unit`:
+    unit of the altitude column; by default feet, unless its name ends in _m. A
+    `spoofgym.io.files.FileError` says what is wrong with the file."""
     path = Path(path)
     if find_spec("pandas") is None:
         raise ImportError("reading tracks needs pandas and pyarrow: pip install spoofgym[flights]")
@@ -151,10 +149,8 @@ def track_from_frame(
     altitude_unit: Literal["ft", "m"] | None = None,
     aircraft: str | None = None,
 ) -> RawTrack:
-    """Take a recorded track from a table with one row per report.
-
-    `altitude_unit`: unit of the altitude column; by default feet, unless its name ends in _m.
-    """
+    """Take a recorded track from a table with one row per report. `altitude_unit`: unit of the
+    altitude column; by default feet, unless its name ends in _m."""
     frame = frame.rename(columns=lambda column: str(column).strip().lower())
     if frame.empty:
         raise ValueError(f"a track must have rows, got none in {name!r}")
@@ -238,10 +234,8 @@ def _as_numbers(frame: pandas.DataFrame, name: str) -> NDArray[np.float64]:
 
 
 def _seconds(frame: pandas.DataFrame, names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Times since 1970-01-01 UTC [s]; NaN without a column.
-
-    Numbers are distinguished by their size: nanoseconds, microseconds, milliseconds or seconds.
-    """
+    """Times since 1970-01-01 UTC [s]; NaN without a column. Numbers are distinguished by their
+    size: nanoseconds, microseconds, milliseconds or seconds."""
     import pandas
 
     name = next((name for name in names if name in frame), None)

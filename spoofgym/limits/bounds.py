@@ -165,7 +165,6 @@ class Bounds(NamedTuple):
 
     @property
     def known(self) -> list[Bound]:
-        """Those that were found."""
         return [each for each in self.found if isinstance(each, Bound)]
 
     @property
@@ -194,11 +193,9 @@ def _separation(
     inner: SolutionSeparation,
     cases: Sequence[Case],
 ) -> ZeroAlarm:
-    """Bound of solution separation: its threshold in metres, at the end of the command phase.
-
-    The separation shifts by the induced error, whatever the attack is, so that the bound is the
-    same for a free one; it is an upper bound, since a bank has other solutions, too.
-    """
+    """Bound of solution separation: its threshold in metres, at the end of the command phase. The
+    separation shifts by the induced error, whatever the attack is, so that the bound is the same
+    for a free one; it is an upper bound, since a bank has other solutions, too."""
     scale = detector.scale if isinstance(detector, Calibrated) else 1.0
     if scale is None:
         raise ValueError("the factor on the thresholds is not known yet")

@@ -45,10 +45,8 @@ def hold_moving_sum(
     program: Program, y: IntArray, limits: FloatArray, judged: NDArray[np.bool_], shape: FloatArray
 ) -> None:
     """Normalized sum of every row over a window below a limit (K, r), a finite moving average.
-
     `judged` (L + K, r): epochs that count, with the L before the onset; `shape` (W,): their
-    weights, the newest first.
-    """
+    weights, the newest first."""
     squares = np.apply_along_axis(np.convolve, 0, judged, shape * shape)
     before, window = len(judged) - len(y), len(shape)
     root = np.sqrt(squares[before : len(judged)])
@@ -110,9 +108,7 @@ def running_sums(program: Program, y: IntArray, known: IntArray) -> IntArray:
 
 def back(ids: IntArray, known: IntArray, by: IntArray) -> IntArray:
     """Variables (K, r) of some epochs ago, -1 before the row came into view or the run began.
-
-    `known`, `by` (K, r): values before the present one, and how many to go back.
-    """
+    `known`, `by` (K, r): values before the present one, and how many to go back."""
     k, j = np.indices(ids.shape)
     there = (by <= known) & (by <= k)
     return np.where(there, ids[np.where(there, k - by, 0), j], -1)
@@ -150,10 +146,8 @@ def hold_averages(
     past: IntArray,
     windows: IntArray,
 ) -> None:
-    """Squared norm of the normalized sum over each window below a limit (K,).
-
-    `past` (r,): epochs before the onset in which each row was judged.
-    """
+    """Squared norm of the normalized sum over each window below a limit (K,). `past` (r,): epochs
+    before the onset in which each row was judged."""
     judged = y >= 0
     total = program.variables(np.ones(y.shape, dtype=np.bool_))
     before = np.vstack([np.full_like(total[:1], -1), total[:-1]])
@@ -197,10 +191,8 @@ def hold_scan(
     baseline: int,
     ramp: bool,
 ) -> None:
-    """Evidence of a step or ramp since every onset below a limit (K, r); `known` (K, r).
-
-    Each onset is a linear row of size at most the root of the limit; those that bind are added.
-    """
+    """Evidence of a step or ramp since every onset below a limit (K, r); `known` (K, r). Each onset
+    is a linear row of size at most the root of the limit; those that bind are added."""
     judged = y >= 0
     total = running_sums(program, y, known)
     area = running_areas(program, y, total, known) if ramp else total
@@ -286,11 +278,8 @@ def hold_rate(
     started: NDArray[np.bool_],
     filtered: RateFilter,
 ) -> None:
-    """Rate of every row below a limit (K, r).
-
-    `live` (L, r): whether a row gave a sample in each epoch before the onset; `started` (K,):
-    whether samples are taken.
-    """
+    """Rate of every row below a limit (K, r). `live` (L, r): whether a row gave a sample in each
+    epoch before the onset; `started` (K,): whether samples are taken."""
     for j in range(y.shape[1]):
         covariance = np.array(FIRST_COVARIANCE)
         for taken in live[:, j]:

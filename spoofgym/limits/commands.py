@@ -95,10 +95,8 @@ def hat_functions(decisions: int, count: int) -> FloatArray:
 
 def bare(attack: Attack, decision_s: float) -> Attack:
     """The attack with perfect equipment but for the capture, and any rate by the next decision.
-
     Errors of tracking and of the spoofer's clock add divergence from clean measurements, and so do
-    other errors than the authentic ones, whatever the commands are.
-    """
+    other errors than the authentic ones, whatever the commands are."""
     perfect: Any = {"tracking": None, "spoofer_clock": None, "errors": "inherited"}
     quick = attack.rate_limit_mps / decision_s
     return replace(attack, acceleration_limit_mps2=quick, **perfect)

@@ -34,10 +34,8 @@ class Rows(NamedTuple):
 
 
 class Optimum(NamedTuple):
-    """Largest value, infinite where there is none, and where it is attained.
-
-    With a note it is an upper bound, which is attained nowhere, and the note says why.
-    """
+    """Largest value, infinite where there is none, and where it is attained. With a note it is an
+    upper bound, which is attained nowhere, and the note says why."""
 
     value: float
     x: FloatArray | None
@@ -102,17 +100,13 @@ class Program:
 
     def energy(self, ids: IntArray, energy: int, unit: float = 1.0) -> None:
         """Hold the squared norm of some variables below another one, in units of `unit` squared.
-
-        The solver finds an optimum more often where energies are near 1.
-        """
+        The solver finds an optimum more often where energies are near 1."""
         self._energies.append((ids[ids >= 0], energy, unit))
 
     def lazily(self, cuts: Cuts, ids: IntArray, far: float) -> None:
-        """Hold rows of which there are so many that they are added where they are violated.
-
-        Some variables are held below a size that is far away, so that there is an optimum while
-        rows are missing; where one gets there in the end, there is none.
-        """
+        """Hold rows of which there are so many that they are added where they are violated. Some
+        variables are held below a size that is far away, so that there is an optimum while rows are
+        missing; where one gets there in the end, there is none."""
         self._cuts.append(cuts)
         self._far.append((ids[ids >= 0], far))
         for sign in (1.0, -1.0):
@@ -203,7 +197,6 @@ class Program:
         return sparse.vstack(parts, format="csc"), np.concatenate([*rhs, *more]), cones
 
     def _bounds(self) -> list[Rows]:
-        """Finite bounds as rows."""
         found = []
         for sign, sides in ((1.0, self._upper), (-1.0, self._lower)):
             limits = np.concatenate(sides)

@@ -66,10 +66,8 @@ class WorldFrontier:
 
     def per_deflection(self, last: int | None = None, hold: int | None = None) -> FloatArray:
         """(2, 2) matrix M whose c' M c is the square of the frontier at d = 1 along c [m^2].
-
-        Infinite where the frontier has no end.  `last`, `hold`: epoch at which the displacement
-        counts, and how many are tested after it; `self.last` and all by default.
-        """
+        Infinite where the frontier has no end. `last`, `hold`: epoch at which the displacement
+        counts, and how many are tested after it; `self.last` and all by default."""
         last = self.last if last is None else last
         epochs = None if hold is None else last + 1 + hold
         n = self.victim.position[last, :2]
@@ -109,10 +107,8 @@ class WorldFrontier:
         )
 
     def limited(self, direction: FloatArray, deflection: float) -> tuple[float, FloatArray]:
-        """Frontier within the attack's limits of rate and acceleration [m], and its commands.
-
-        It takes the closed form where that keeps them, and a second-order cone program elsewhere.
-        """
+        """Frontier within the attack's limits of rate and acceleration [m], and its commands. It
+        takes the closed form where that keeps them, and a second-order cone program elsewhere."""
         n = direction @ self.victim.position[self.last, :2]
         if np.isfinite(self.per_deflection()).all():
             u = self.best(direction, deflection)

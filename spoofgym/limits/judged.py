@@ -118,27 +118,9 @@ class Case:
 
 
 def judged_by(detector: Detector, run: LinearRun, timing: Timing) -> Judged:
-    """What a detector compares over a run, and where it raises no alarm.
-
-    Parameters
-    ----------
-    detector : Detector
-        One that is calibrated takes its factors along.
-    run : LinearRun
-        K epochs.
-    timing : Timing
-        How long the detector has been live.
-
-    Returns
-    -------
-    Judged
-        Exactly its own statistic on noise-free epochs.
-
-    Raises
-    ------
-    ValueError
-        When it has no bound of this kind; with what holds instead.
-    """
+    """What a detector compares over a run, and where it raises no alarm. `detector`: one that is
+    calibrated takes its factors along; `timing`: how long the detector has been live; returns
+    exactly its own statistic on noise-free epochs."""
     inner = detector.detector if isinstance(detector, Calibrated) else detector
     check_convex(inner)
     return SETS[type(inner)](Case(copy.deepcopy(detector), run, timing))

@@ -113,11 +113,9 @@ def as_it_happens(run: LinearRun, world: World) -> LinearRun:
 
 
 def measured(run: LinearRun, world: World) -> FloatArray:
-    """(K, m, s) design of a run, with what range rates say of the position, too [1/s].
-
-    A filter leaves this out, since its own errors of position are too small for it.  A victim that
-    is 10 m away finds its range rates changed by a millimetre per second, for as long as it is.
-    """
+    """(K, m, s) design of a run, with what range rates say of the position, too [1/s]. A filter
+    leaves this out, since its own errors of position are too small for it. A victim that is 10 m
+    away finds its range rates changed by a millimetre per second, for as long as it is."""
     at = run.onset + 1 + np.arange(len(run.design))
     way = world.satellites[at, :, :3] - world.position_e[at, None]
     length = np.where(run.visible, np.linalg.norm(way, axis=2), 1.0)[:, :, None]

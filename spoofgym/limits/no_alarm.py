@@ -28,18 +28,10 @@ BoolArray = NDArray[np.bool_]
 
 
 class Timing(NamedTuple):
-    """When a detector was switched on.
-
-    Attributes
-    ----------
-    interval_s : float
-        Time between epochs [s].
-    live : int
-        Epochs without attack for which the detector has been live at the first epoch of the run;
-        the satellites in view are taken to be those of that epoch.
-    onset_s : float
-        Time of that first epoch, which tests with a start of their own go by [s].
-    """
+    """When a detector was switched on. `interval_s`: time between epochs [s]; `live`: epochs
+    without attack for which the detector has been live at the first epoch of the run; the
+    satellites in view are taken to be those of that epoch; `onset_s`: time of that first epoch,
+    which tests with a start of their own go by [s]."""
 
     interval_s: float
     live: int = 0
@@ -91,24 +83,9 @@ class Judged(NamedTuple):
 def judge_run(
     detector: Detector, run: LinearRun, timing: Timing, innovation: FloatArray | None = None
 ) -> Verdicts:
-    """What a detector says to noise-free epochs with a shift of the innovations.
-
-    Parameters
-    ----------
-    detector : Detector
-        A copy is bound and judges.
-    run : LinearRun
-        Covariances and satellites of K epochs.
-    timing : Timing
-        How long it has been live.
-    innovation : ndarray, optional
-        (K, m) shift, 0 where a slot is not visible; none by default.
-
-    Returns
-    -------
-    Verdicts
-        Without the epochs before the run.
-    """
+    """What a detector says to noise-free epochs with a shift of the innovations. `detector`: a copy
+    is bound and judges; `run`: covariances and satellites of K epochs; `innovation`: (K, m) shift,
+    0 where a slot is not visible; none by default; returns without the epochs before the run."""
     judge = copy.deepcopy(detector)
     epochs, n = run.visible.shape
     ids = tuple(f"slot {j}" for j in range(n))
@@ -188,11 +165,9 @@ class Rows(NamedTuple):
 
 
 def rows_judged(detector: Detector, run: LinearRun, timing: Timing, bias_window: int = 0) -> Rows:
-    """Satellites that are judged, and what becomes of their innovations before it.
-
-    With a first window whose mean is taken away, a satellite that is not calibrated at the onset
-    learns it from attacked epochs; what it has learnt before is 0.
-    """
+    """Satellites that are judged, and what becomes of their innovations before it. With a first
+    window whose mean is taken away, a satellite that is not calibrated at the onset learns it from
+    attacked epochs; what it has learnt before is 0."""
     epochs, n = run.visible.shape
     before = np.tile(np.eye(2 * n), (epochs, 1, 1))
     learning = np.zeros((epochs, 2 * n))

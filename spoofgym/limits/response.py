@@ -261,10 +261,8 @@ class Replay:
         *,
         rows: NDArray[np.intp] | None = None,
     ) -> Replayed:
-        """Let one of the detectors judge P attacks on some runs, all by default.
-
-        `rates` (P, decisions) along each run's target direction [m/s].
-        """
+        """Let one of the detectors judge P attacks on some runs, all by default. `rates` (P,
+        decisions) along each run's target direction [m/s]."""
         rows = np.arange(self.runs) if rows is None else rows
         in_bank = isinstance(_inner(self.detectors[number]), SolutionSeparation)
         one = self._play_bank if in_bank else self._play
@@ -347,10 +345,8 @@ class Replay:
         self, rates: FloatArray, rows: NDArray[np.intp], needs: frozenset[str]
     ) -> tuple[dict[str, FloatArray], FloatArray]:
         """What attacks add to the fields that a detector reads, and the induced horizontal errors.
-
-        (K, P, N or 1, x) by name, one row for all runs where they have one sky and one heading;
-        (K, P, N) [m].
-        """
+        (K, P, N or 1, x) by name, one row for all runs where they have one sky and one heading; (K,
+        P, N) [m]."""
         heading, group = self.heading[rows], self.group[rows]
         alike = len(self._units) == 1 and bool(np.all(heading == heading[0]))
         some = 1 if alike else len(rows)
@@ -409,7 +405,6 @@ class Replay:
         needs: frozenset[str],
         buffers: dict[str, NDArray[Any]],
     ) -> Epoch:
-        """The epoch of every attack and run, with the response, in buffers that are used again."""
         arrays = {}
         for name in ALWAYS | needs:
             array = self._epochs[name][k][rows]

@@ -73,19 +73,9 @@ class Bound:
 
 
 class Sensitivity(NamedTuple):
-    """What each innovation does to the displacement at one epoch in one direction.
-
-    Attributes
-    ----------
-    epoch : int
-        T.
-    direction : tuple of float
-        Unit vector, north and east.
-    rows : ndarray
-        (K, m) g, so that the displacement is the sum of g' r; 0 after T.
-    factor : ndarray
-        (K, m, m) L, Cholesky's factor of S.
-    """
+    """What each innovation does to the displacement at one epoch in one direction. `direction`:
+    unit vector, north and east; `rows`: (K, m) g, so that the displacement is the sum of g' r; 0
+    after T; `factor`: (K, m, m) L, Cholesky's factor of S."""
 
     epoch: int
     direction: tuple[float, float]

@@ -108,7 +108,6 @@ class PolicyCard(Record):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a card."""
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8")
@@ -125,7 +124,6 @@ class PolicyCard(Record):
             raise ValueError(f"card {path} is not JSON: {error}") from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the card, whole or not at all."""
         _ = self.decided_on  # or what is wrong with it, where it can still be mended
         try:
             text = json.dumps(self.model_dump(), indent=1, allow_nan=False)
@@ -166,7 +164,6 @@ def spaces_of(given: Spaces) -> dict[str, Any]:
 
 
 def unlike_spaces(observation: Space | None, action: Space, given: Spaces) -> list[str]:
-    """Where the spaces of a card differ from those that are given."""
     seen = spaces_of(given)["observation"]
     found = _order("action", action, given.action_names)
     if observation is not None:
@@ -195,18 +192,8 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def kind_at(path: str | os.PathLike[str]) -> str:
-    """Kind that a card states in its file; empty where it has none, or can't be read.
-
-    Parameters
-    ----------
-    path : path-like
-        Of the card.
-
-    Returns
-    -------
-    str
-        Such as ``"detector-policy"``.
-    """
+    """Kind that a card states in its file; empty where it has none, or can't be read. Returns such
+    as ``"detector-policy"``."""
     try:
         return _kind_of(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError):

@@ -260,7 +260,6 @@ def opset_of(model: ModelProto) -> int:
 def check_signature(
     model: ModelProto, observation: int, action: int, where: str, state: Sequence[State] = ()
 ) -> tuple[str, str]:
-    """Check inputs and outputs.  Returns the names of those of observation and action."""
     constant = {tensor.name for tensor in model.graph.initializer}
     inputs = [value for value in model.graph.input if value.name not in constant]
     found = []

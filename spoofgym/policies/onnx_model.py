@@ -31,12 +31,10 @@ _consistent: set[tuple[str, tuple[float, ...], tuple[float, ...]]] = set()
 
 
 class OnnxModel:
-    """The network of one file; it pickles and copies, without the session of onnxruntime.
-
-    `file`: what the card has of it; `observation`, `action`: the spaces of the card; `sha256`: a
-    digest that the file must have, besides that of the card; `state`: what a recurrent network
-    hands on.  A ValueError says what does not fit.
-    """
+    """The network of one file; it pickles and copies, without the session of onnxruntime. `file`:
+    what the card has of it; `observation`, `action`: the spaces of the card; `sha256`: a digest
+    that the file must have, besides that of the card; `state`: what a recurrent network hands on. A
+    ValueError says what does not fit."""
 
     def __init__(
         self,
@@ -121,19 +119,15 @@ class OnnxModel:
         return np.hstack([action, *now])
 
     def act(self, observation: Float32Array) -> FloatArray:
-        """Action of every receiver, of a network without states.
-
-        `observation` (B, o); returns (B, a) in [-1, 1].
-        """
+        """Action of every receiver, of a network without states. `observation` (B, o); returns (B,
+        a) in [-1, 1]."""
         return self.step(observation, ())[0]
 
     def step(
         self, observation: Float32Array, states: Sequence[Float32Array]
     ) -> tuple[FloatArray, list[Float32Array]]:
-        """Action of every receiver, and the states of the next decision.
-
-        `observation` (B, o); `states`: (B, s) of each; returns (B, a) in [-1, 1], and as many.
-        """
+        """Action of every receiver, and the states of the next decision. `observation` (B, o);
+        `states`: (B, s) of each; returns (B, a) in [-1, 1], and as many."""
         if self._session is None or self._process != os.getpid():  # or in a forked child
             self._session, self._process = make_session(self.content), os.getpid()
         given = {self._given: np.ascontiguousarray(observation, dtype=np.float32)}
@@ -160,7 +154,6 @@ class OnnxModel:
             raise NotFinite(f"{what} with a value that is not finite for receiver {row}")
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the session, which neither pickles nor copies."""
         return {**self.__dict__, "_session": None}
 
 

@@ -92,10 +92,8 @@ def _put(x, row, now, a, b, c):
 @njit
 def mechanize(x, base, samples, dt, count, active, force):
     """Run the samples of one interval through the strapdown, in the lanes that are `active`.
-
     `samples`: rows c count + i for sensor c and sample i; `dt`: lengths [s]; `active`: one row, 1
-    or 0; `force`: three rows, written: last bias-corrected specific force, body axes [m/s^2].
-    """
+    or 0; `force`: three rows, written: last bias-corrected specific force, body axes [m/s^2]."""
     C = (
         load(x, base + C_EB),
         load(x, base + C_EB + 1),
@@ -147,10 +145,8 @@ def mechanize(x, base, samples, dt, count, active, force):
 
 @njit
 def propagate(x, base, assumed, first, force, tau, terms, product):
-    """Propagate a group's covariance over one interval.
-
-    `assumed`, `first`: lane array and first row of what the group assumes.
-    """
+    """Propagate a group's covariance over one interval. `assumed`, `first`: lane array and first
+    row of what the group assumes."""
     C = (
         load(x, base + C_EB),
         load(x, base + C_EB + 1),
@@ -170,10 +166,8 @@ def propagate(x, base, assumed, first, force, tau, terms, product):
 
 @njit
 def innovate(x, base, n, tau, sky):
-    """Propagate the clock, and write lines of sight, and innovations in place of measurements.
-
-    All are 0 where a satellite is invisible.
-    """
+    """Propagate the clock, and write lines of sight, and innovations in place of measurements. All
+    are 0 where a satellite is invisible."""
     drift = load(x, base + CLOCK + 1)
     clock = load(x, base + CLOCK) + drift * tau
     store(x, base + CLOCK, clock)
@@ -223,11 +217,9 @@ def innovate(x, base, n, tau, sky):
 @njit
 def correct(x, base, assumed, first, n, weights, rules, work, precision):
     """Update a group's state and covariance; lanes with too few satellites stay as they are.
-
     `assumed`, `first`: as in `propagate`; `weights`: 2 n rows; `rules`: covariance update, fewest
     satellites, and whether to re-orthonormalize; `work`, `precision`: scratch memory of
-    `kalman.WORK` and 2 n rows; returns which lanes have satellites enough.
-    """
+    `kalman.WORK` and 2 n rows; returns which lanes have satellites enough."""
     c = base + CHANNELS
     seen = splat(0.0, x)
     for s in range(n):
@@ -400,11 +392,9 @@ def show_transition(terms, tau, index, Phi):
 
 @njit
 def sample(a, w, group, epoch, measured, base):
-    """Measure a group's inertial samples of one interval, and mechanize them.
-
-    Rows 1 and 2 of `w.index` say where in `run` each lane's interval begins, and how many samples
-    it has; lanes with as many go together.  Where `measured`, `run` has what the sensors gave.
-    """
+    """Measure a group's inertial samples of one interval, and mechanize them. Rows 1 and 2 of
+    `w.index` say where in `run` each lane's interval begins, and how many samples it has; lanes
+    with as many go together. Where `measured`, `run` has what the sensors gave."""
     first, counts, start = w.index[1], w.index[2], w.index[3]
     lanes, size = counts.shape[0], a.rules[3]
     sensor_base, key_row = group * (SENSOR_CHANNELS + 2 * a.visible.shape[1]), group * KEYS
@@ -512,24 +502,20 @@ def name_scratch(a, work):
 
 @inlined
 def assumed_row(a, group):
-    """First row of what a group assumes."""
     return group * (VARIANCE + 2 * a.visible.shape[1]) % a.assumed.shape[0]
 
 
 @inlined
 def constant_row(a, group):
-    """First row of a group's constants."""
     return group * CONSTANT_ROWS % a.constants.shape[0]
 
 
 @njit
 def predict_group(a, w, group, what):
-    """First half of an epoch of one group: measure, mechanize, propagate, innovate.
-
-    With `PREDICT` the group moves on to its next epoch, `MEASURE` alone measures where it is, and
-    without `MEASURE` `run` and the receivers have what has been measured; with `SHOW` the epoch is
-    written to where detectors look at it.
-    """
+    """First half of an epoch of one group: measure, mechanize, propagate, innovate. With `PREDICT`
+    the group moves on to its next epoch, `MEASURE` alone measures where it is, and without
+    `MEASURE` `run` and the receivers have what has been measured; with `SHOW` the epoch is written
+    to where detectors look at it."""
     receivers, n = a.visible.shape
     lanes, x = lanes_of(a.x), a.x
     base, c = group * (CHANNELS + ALL * n), group * (CHANNELS + ALL * n) + CHANNELS

@@ -70,12 +70,9 @@ def first_estimate(
     C_eb: FloatArray,
     error: FloatArray,
 ) -> None:
-    """Begin at the truth, apart from the errors of the alignment.
-
-    `state`: position, velocity and attitude are written; `position_e`, `velocity_e`, `C_eb` (B, 3),
-    (B, 3) and (B, 3, 3) truth; `error` (B, 15) in the order of the states; the biases are not
-    looked at.
-    """
+    """Begin at the truth, apart from the errors of the alignment. `state`: position, velocity and
+    attitude are written; `position_e`, `velocity_e`, `C_eb` (B, 3), (B, 3) and (B, 3, 3) truth;
+    `error` (B, 15) in the order of the states; the biases are not looked at."""
     C_el = np.empty((3, 3))
     x = np.empty(15)
     for b in range(error.shape[0]):
@@ -203,10 +200,8 @@ def predict(
 
 @njit
 def invert(S: FloatArray, out: FloatArray) -> None:
-    """Inverse of a symmetric positive definite (3, 3) matrix, by cofactors.
-
-    `S`, `out` (3, 3); `out` is written.
-    """
+    """Inverse of a symmetric positive definite (3, 3) matrix, by cofactors. `S`, `out` (3, 3);
+    `out` is written."""
     a = S[1, 1] * S[2, 2] - S[1, 2] * S[1, 2]
     b = S[0, 2] * S[1, 2] - S[0, 1] * S[2, 2]
     c = S[0, 1] * S[1, 2] - S[0, 2] * S[1, 1]
@@ -246,13 +241,9 @@ def joseph(P: FloatArray, G: FloatArray, R: FloatArray, M: FloatArray, GR: Float
 
 @njit
 def feed_back(state: LooseState, b: int, x: FloatArray, C_el: FloatArray) -> None:
-    """Take an estimated error out of one receiver's solution.
-
-    A corrected position has other local axes, and the velocity and attitude errors are those in
-    each its own axes: both turn with them.
-
-    `x` (15,) estimated error; `C_el` (3, 3) scratch memory.
-    """
+    """Take an estimated error out of one receiver's solution. A corrected position has other local
+    axes, and the velocity and attitude errors are those in each its own axes: both turn with them.
+    `x` (15,) estimated error; `C_el` (3, 3) scratch memory."""
     r, v, C = state.position_e[b], state.velocity_e[b], state.C_eb[b]
     latitude, longitude, height = geodetic_point(r[0], r[1], r[2])
     fill_local_axes(latitude, longitude, C_el)
@@ -287,10 +278,8 @@ def feed_back(state: LooseState, b: int, x: FloatArray, C_el: FloatArray) -> Non
 @njit
 def update(state: LooseState, weights: FloatArray, rule: int, floor: float) -> None:
     """Correct the predicted state with the weighted gain, feed it back, and tune the noise.
-
-    `state`: after `predict`; corrected in place.  Where the window of residuals is empty, R stays;
-    `weights` (B, 3) on the columns of the gain; `floor`: least variance of a coordinate [m^2].
-    """
+    `state`: after `predict`; corrected in place. Where the window of residuals is empty, R stays;
+    `weights` (B, 3) on the columns of the gain; `floor`: least variance of a coordinate [m^2]."""
     S_inverse, G, GR = np.empty((3, 3)), np.empty((15, 3)), np.empty((15, 3))
     M, x, C_el = np.empty((15, 15)), np.empty(15), np.empty((3, 3))
     for b in range(weights.shape[0]):

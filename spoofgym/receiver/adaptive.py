@@ -67,7 +67,6 @@ class SelfTuning:
     floor_m: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if not 2 <= self.window <= 100_000:
             raise ValueError(f"`window` must be 2 to 100000 epochs, got {self.window}")
         check_choice("process", self.process, PROCESS)

@@ -45,10 +45,8 @@ FIRST = STATES + MATRICES
 
 class SignalModel(NamedTuple):
     """States of the signals: how they go on, and what of them is in codes and range rates.
-
     `transition`, `driving` (q, q) over one interval; `first` (q,) variances at the start; `places`:
-    first state of every kind that there is; `smoothed` (4,) amplitudes of multipath and noise.
-    """
+    first state of every kind that there is; `smoothed` (4,) amplitudes of multipath and noise."""
 
     transition: FloatArray
     driving: FloatArray
@@ -153,11 +151,9 @@ def matrix_variances(grade: str) -> FloatArray:
 
 
 class Predicted(NamedTuple):
-    """What an update needs of the prediction.
-
-    `gain` (B, N, m) P H'; `S` (B, m, m); `innovation` (B, m); `drift` (B, 17) error of the
-    strapdown that the matrices have brought; `enough` (B,) bool, satellites for an update.
-    """
+    """What an update needs of the prediction. `gain` (B, N, m) P H'; `S` (B, m, m); `innovation`
+    (B, m); `drift` (B, 17) error of the strapdown that the matrices have brought; `enough` (B,)
+    bool, satellites for an update."""
 
     gain: FloatArray
     S: FloatArray

@@ -109,12 +109,9 @@ def update_positions(
     covariance: FloatArray,
     outage: FloatArray,
 ) -> None:
-    """Second half of an epoch: the weighted update, in Joseph's form.
-
-    `interval`: tau [s]; `weights` (B, 2) w; `noise_variance`: R [m^2]; `position`, `covariance`
-    (B, 3), (B, 2, 2), overwritten; `outage` (B,) t [s], overwritten: 0 once a fix has been believed
-    at all.
-    """
+    """Second half of an epoch: the weighted update, in Joseph's form. `interval`: tau [s];
+    `weights` (B, 2) w; `noise_variance`: R [m^2]; `position`, `covariance` (B, 3), (B, 2, 2),
+    overwritten; `outage` (B,) t [s], overwritten: 0 once a fix has been believed at all."""
     for b in range(weights.shape[0]):
         believed = False
         for i in range(2):
@@ -141,7 +138,6 @@ class CredibleFilter:
     drift_rate_mps: float = 0.04
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if not 0.0 < self.gain < 1.0:
             raise ValueError(f"`gain` must lie between 0 and 1, both excluded, got {self.gain}")
         if not (math.isfinite(self.noise_sd_m) and self.noise_sd_m > 0.0):
@@ -172,11 +168,9 @@ class CredibleFilter:
 
 
 class CredibleBatch:
-    """B filters in step; all that they remember lies in a memory that is handed in.
-
-    `memory`: of B receivers; ``position``, ``covariance``, ``odometry``, ``outage``,
-    ``interrupted`` are declared in it; `fields`: optional ones that its epochs have.
-    """
+    """B filters in step; all that they remember lies in a memory that is handed in. `memory`: of B
+    receivers; ``position``, ``covariance``, ``odometry``, ``outage``, ``interrupted`` are declared
+    in it; `fields`: optional ones that its epochs have."""
 
     def __init__(
         self,
@@ -207,11 +201,8 @@ class CredibleBatch:
         self.memory["odometry"][:, :AXES] = fix
 
     def predict(self, time: FloatArray, increment: FloatArray, fix: FloatArray) -> Epoch:
-        """First half of an epoch.
-
-        `time` (B,) of the epoch [s]; `increment`, `fix` (B, 2) dead reckoning since the last epoch,
-        GNSS position [m].
-        """
+        """First half of an epoch. `time` (B,) of the epoch [s]; `increment`, `fix` (B, 2) dead
+        reckoning since the last epoch, GNSS position [m]."""
         memory, settings = self.memory, self.settings
         predict_positions(
             self.interval_s,

@@ -94,18 +94,15 @@ class TracedEpoch(Epoch):
 
     @property
     def read(self) -> set[str]:
-        """Names of the fields."""
         found: set[str] = self.__dict__.setdefault("read", set())
         return found
 
     def __getattribute__(self, name: str) -> Any:
-        """Note an optional field."""
         if name in OPTIONAL:
             self.read.add(name)
         return super().__getattribute__(name)
 
     def _replace(self, /, **changed: Any) -> TracedEpoch:
-        """Go on noting in a changed copy."""
         other = super()._replace(**changed)
         other.__dict__["read"] = self.read
         return other
@@ -113,9 +110,7 @@ class TracedEpoch(Epoch):
 
 def epoch_view(buffers: ReceiverBuffers, shown: Mapping[str, NDArray[Any]] | None = None) -> Epoch:
     """Read-only view of a batch's current epoch, with those of the optional fields that it has.
-
-    `shown`: fields by name that are not those of the buffers.
-    """
+    `shown`: fields by name that are not those of the buffers."""
     arrays = {
         "time": buffers.time,
         "interval": buffers.interval,
@@ -141,9 +136,7 @@ _OWNERS: WeakKeyDictionary[_Seal, NDArray[Any]] = WeakKeyDictionary()
 
 def _sealed(array: NDArray[Any]) -> NDArray[Any]:
     """View of an array that can't be made writable again: its base is no array, and has no buffer.
-
-    A forged address gets at the memory all the same, as ``ctypes`` does.
-    """
+    A forged address gets at the memory all the same, as ``ctypes`` does."""
     seal, interface = _Seal(), dict(array.__array_interface__)
     interface["data"] = (interface["data"][0], True)
     seal.__array_interface__ = interface

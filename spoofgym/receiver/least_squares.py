@@ -37,14 +37,9 @@ FIXED, TOO_FEW, SINGULAR, DIVERGED = range(4)
 def write_products(
     lines: FloatArray, j: int, offset: float, weight: float, table: FloatArray, i: int
 ) -> None:
-    """Products of one satellite.
-
-    Rows are given by array and number here and below: a row as an array of its own costs more than
-    what is done with it.
-
-    `lines` (n, 3) g, minus the lines of sight; `offset`: y [m]; `table` (N, PRODUCTS), of which row
-    i is written.
-    """
+    """Products of one satellite. Rows are given by array and number here and below: a row as an
+    array of its own costs more than what is done with it. `lines` (n, 3) g, minus the lines of
+    sight; `offset`: y [m]; `table` (N, PRODUCTS), of which row i is written."""
     x, y, z = lines[j, 0], lines[j, 1], lines[j, 2]
     wx, wy, wz = weight * x, weight * y, weight * z
     table[i, 0], table[i, 1], table[i, 2], table[i, 3] = weight, wx, wy, wz
@@ -57,11 +52,8 @@ def write_products(
 
 @inlined
 def add(a: FloatArray, i: int, b: FloatArray, j: int, out: FloatArray, k: int) -> None:
-    """Sum of two rows of products.
-
-    `a` (N, PRODUCTS) one table; `b` (N, PRODUCTS) another one, or the same; `out` (N, PRODUCTS), of
-    which row k is written.
-    """
+    """Sum of two rows of products. `a` (N, PRODUCTS) one table; `b` (N, PRODUCTS) another one, or
+    the same; `out` (N, PRODUCTS), of which row k is written."""
     for c in range(PRODUCTS):
         out[k, c] = a[i, c] + b[j, c]
 
@@ -84,10 +76,8 @@ def eliminate(
     bz: float,
     ss: float,
 ) -> float:
-    """Sum of the squared residuals of a least-squares fit, by elimination of its unknowns.
-
-    Returns s^2 [m^2]; infinite where the geometry is singular.
-    """
+    """Sum of the squared residuals of a least-squares fit, by elimination of its unknowns. Returns
+    s^2 [m^2]; infinite where the geometry is singular."""
     inverse = 1.0 / n
     x, y, z, m = sx * inverse, sy * inverse, sz * inverse, s * inverse
     d1 = xx - sx * x
@@ -113,11 +103,8 @@ def eliminate(
 
 @inlined
 def squared_residual(a: FloatArray, i: int) -> float:
-    """Sum of the squared residuals of a fit.
-
-    `a` (N, PRODUCTS), of which row i holds sums over the satellites of the fit; returns s^2 [m^2];
-    infinite where the geometry is singular.
-    """
+    """Sum of the squared residuals of a fit. `a` (N, PRODUCTS), of which row i holds sums over the
+    satellites of the fit; returns s^2 [m^2]; infinite where the geometry is singular."""
     return eliminate(
         a[i, 0],
         a[i, 1],
@@ -139,11 +126,9 @@ def squared_residual(a: FloatArray, i: int) -> float:
 
 @inlined
 def squared_residual_of_both(a: FloatArray, i: int, b: FloatArray, j: int) -> float:
-    """Sum of the squared residuals of a fit to two sets of satellites together.
-
-    `a` (N, PRODUCTS), of which row i holds sums over one set; `b` (N, PRODUCTS), of which row j
-    holds sums over the other; returns s^2 [m^2]; infinite where the geometry is singular.
-    """
+    """Sum of the squared residuals of a fit to two sets of satellites together. `a` (N, PRODUCTS),
+    of which row i holds sums over one set; `b` (N, PRODUCTS), of which row j holds sums over the
+    other; returns s^2 [m^2]; infinite where the geometry is singular."""
     return eliminate(
         a[i, 0] + b[j, 0],
         a[i, 1] + b[j, 1],
@@ -165,11 +150,8 @@ def squared_residual_of_both(a: FloatArray, i: int, b: FloatArray, j: int) -> fl
 
 @njit
 def solve(sums: FloatArray, i: int, x: FloatArray) -> None:
-    """Least-squares solution, of a geometry that isn't singular.
-
-    `sums` (N, PRODUCTS), of which row i holds sums over the satellites of the fit; `x` (4,),
-    written: position and clock [m].
-    """
+    """Least-squares solution, of a geometry that isn't singular. `sums` (N, PRODUCTS), of which row
+    i holds sums over the satellites of the fit; `x` (4,), written: position and clock [m]."""
     a = sums[i]
     n = a[0]
     d1 = a[5] - a[1] * a[1] / n
@@ -217,11 +199,8 @@ def tabulate(n: int, lines: FloatArray, offsets: FloatArray, table: FloatArray) 
 def geometry(
     satellites: FloatArray, position: FloatArray, lines: FloatArray, distances: FloatArray
 ) -> None:
-    """Lines and ranges of one receiver.
-
-    `satellites` (n, 3) ECEF [m]; `position` (3,) ECEF [m]; `lines`, `distances` (n, 3), (n,),
-    written: minus the lines of sight, and ranges [m].
-    """
+    """Lines and ranges of one receiver. `satellites` (n, 3) ECEF [m]; `position` (3,) ECEF [m];
+    `lines`, `distances` (n, 3), (n,), written: minus the lines of sight, and ranges [m]."""
     for j in range(distances.shape[0]):
         distance, _, ux, uy, uz = range_and_rate(
             satellites[j, 0],
@@ -252,12 +231,10 @@ def iterate(
     distances: FloatArray,
     sums: FloatArray,
 ) -> int:
-    """Fix of one receiver; it keeps position and clock where there is none.
-
-    `pseudorange`, `satellites`, `weights` (n,), (n, 3), (n,); what isn't finite has no weight;
-    `position`, `clock` (3,) ECEF and (1,) [m], guess, overwritten by the fix; `lines`, `distances`
-    (n, 3), (n,) scratch; `sums` (2, PRODUCTS) scratch.
-    """
+    """Fix of one receiver; it keeps position and clock where there is none. `pseudorange`,
+    `satellites`, `weights` (n,), (n, 3), (n,); what isn't finite has no weight; `position`, `clock`
+    (3,) ECEF and (1,) [m], guess, overwritten by the fix; `lines`, `distances` (n, 3), (n,)
+    scratch; `sums` (2, PRODUCTS) scratch."""
     r, step = position.copy(), np.zeros(4)
     bias, used = clock[0], 0
     for j in range(pseudorange.shape[0]):
@@ -296,12 +273,9 @@ def fix_receivers(
     clock: FloatArray,
     status: NDArray[np.int64],
 ) -> None:
-    """Fixes of a batch.
-
-    `pseudorange`, `satellites`, `weights` (B, n), (B, n, 3), (B, at least n); `position`, `clock`
-    (B, 3), (B, 1) guesses, ECEF [m], overwritten by fixes where there are any; `status` (B,),
-    written, as by `iterate`.
-    """
+    """Fixes of a batch. `pseudorange`, `satellites`, `weights` (B, n), (B, n, 3), (B, at least n);
+    `position`, `clock` (B, 3), (B, 1) guesses, ECEF [m], overwritten by fixes where there are any;
+    `status` (B,), written, as by `iterate`."""
     n = pseudorange.shape[1]
     lines, distances = np.empty((n, 3)), np.empty(n)
     sums = np.empty((2, PRODUCTS))
@@ -343,11 +317,8 @@ def fit_rates(
     r: FloatArray,
     step: FloatArray,
 ) -> None:
-    """Velocity and clock drift at a position, of all satellites.
-
-    `range_rate`, `satellites`, `velocities` (n,), (n, 3), (n, 3); `r` (3,) ECEF [m]; `step` (4,),
-    written [m/s].
-    """
+    """Velocity and clock drift at a position, of all satellites. `range_rate`, `satellites`,
+    `velocities` (n,), (n, 3), (n, 3); `r` (3,) ECEF [m]; `step` (4,), written [m/s]."""
     lines, sums = np.empty((1, 3)), np.zeros((2, PRODUCTS))
     for j in range(range_rate.shape[0]):
         s, v = satellites[j], velocities[j]

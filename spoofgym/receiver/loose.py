@@ -67,7 +67,6 @@ class LooselyCoupled:
     self_tuning: SelfTuning | Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for name, value in vars(self).items():
             if name != "self_tuning" and not (math.isfinite(value) and value >= 0.0):
                 raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
@@ -177,11 +176,9 @@ class LooseReceivers:
     def begin(
         self, position_e: FloatArray, velocity_e: FloatArray, C_eb: FloatArray, error: FloatArray
     ) -> None:
-        """Begin at a true state, apart from the errors of the alignment.
-
-        `position_e`, `velocity_e`, `C_eb` (B, 3), (B, 3) and (B, 3, 3) truth; `error` (B, 15)
-        errors, in the order of the states; the biases are not looked at.
-        """
+        """Begin at a true state, apart from the errors of the alignment. `position_e`,
+        `velocity_e`, `C_eb` (B, 3), (B, 3) and (B, 3, 3) truth; `error` (B, 15) errors, in the
+        order of the states; the biases are not looked at."""
         first_estimate(self.state, position_e, velocity_e, C_eb, error)
 
     def predict(self) -> None:
@@ -197,18 +194,13 @@ class LooseReceivers:
         )
 
     def update(self, weights: FloatArray | None) -> None:
-        """Correct the solution, and tune the noise.
-
-        `weights` (B, 3) on the columns of the gain; None for ones.
-        """
+        """Correct the solution, and tune the noise. `weights` (B, 3) on the columns of the gain;
+        None for ones."""
         update(self.state, self._ones if weights is None else weights, self._rule, self._floor)
 
     def epoch(self, time: FloatArray) -> Epoch:
-        """What a detector may see, between `predict` and `update`.
-
-        `time` (B,) of the epoch [s]; returns read-only copies; n = 0, and m = 3 coordinates, east,
-        north, up.
-        """
+        """What a detector may see, between `predict` and `update`. `time` (B,) of the epoch [s];
+        returns read-only copies; n = 0, and m = 3 coordinates, east, north, up."""
         state = self.state
         arrays = {
             "time": time,

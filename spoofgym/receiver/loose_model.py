@@ -47,13 +47,9 @@ ATTITUDE, VELOCITY, POSITION, GYRO_BIAS, ACCEL_BIAS = 0, 3, 6, 9, 12
 
 @inlined
 def geodetic_point(x: float, y: float, z: float) -> tuple[float, float, float]:
-    r"""Latitude, longitude and height of a position.
-
-    Bowring's closed form, good to 1e-11 rad up to 30 km of height.
-
-    `x`, `y`, `z`: ECEF [m], not at a pole; returns `latitude`, `longitude`, `height` [rad], [rad],
-    [m].
-    """
+    r"""Latitude, longitude and height of a position. Bowring's closed form, good to 1e-11 rad up to
+    30 km of height. `x`, `y`, `z`: ECEF [m], not at a pole; returns `latitude`, `longitude`,
+    `height` [rad], [rad], [m]."""
     p = math.sqrt(x * x + y * y)
     ratio = math.sqrt(1.0 - ECCENTRICITY_SQUARED)
     a, b = z, p * ratio
@@ -71,11 +67,8 @@ def geodetic_point(x: float, y: float, z: float) -> tuple[float, float, float]:
 
 @njit
 def fill_local_axes(latitude: float, longitude: float, C_el: FloatArray) -> None:
-    """Write the matrix to ECEF from local east-north-up axes.
-
-    `latitude`, `longitude`: geodetic [rad]; `C_el` (3, 3), written; its columns are east, north and
-    up.
-    """
+    """Write the matrix to ECEF from local east-north-up axes. `latitude`, `longitude`: geodetic
+    [rad]; `C_el` (3, 3), written; its columns are east, north and up."""
     sl, cl = math.sin(latitude), math.cos(latitude)
     so, co = math.sin(longitude), math.cos(longitude)
     C_el[0, 0], C_el[0, 1], C_el[0, 2] = -so, -sl * co, cl * co
@@ -110,12 +103,9 @@ def fill_dynamics(
     height: float,
     down: float,
 ) -> None:
-    """Write the derivative of the first nine states with respect to themselves.
-
-    `F` (9, 9), written; `v`, `f`: velocity with respect to the Earth [m/s] and specific force
-    [m/s^2], east, north, up; `latitude`, `height`: geodetic [rad], [m]; `down`: size of gravity
-    [m/s^2].
-    """
+    """Write the derivative of the first nine states with respect to themselves. `F` (9, 9),
+    written; `v`, `f`: velocity with respect to the Earth [m/s] and specific force [m/s^2], east,
+    north, up; `latitude`, `height`: geodetic [rad], [m]; `down`: size of gravity [m/s^2]."""
     vE, vN, vU = v
     meridian, transverse = radii_of_curvature(latitude)
     RM, RN = meridian + height, transverse + height

@@ -94,11 +94,8 @@ LEAST_SD = 1e-4
 
 
 class Motion(NamedTuple):
-    """How much a vehicle manoeuvres.
-
-    `turning`: squared rotation by time [rad^2/s]; `forcing`: squared change of the specific force
-    by time [m^2/s^5].
-    """
+    """How much a vehicle manoeuvres. `turning`: squared rotation by time [rad^2/s]; `forcing`:
+    squared change of the specific force by time [m^2/s^5]."""
 
     turning: float = 0.0
     forcing: float = 0.0
@@ -188,12 +185,10 @@ def assumed_noise(
     epochs: int,
     flown: int | None = None,
 ) -> tuple[FloatArray, NoiseModel]:
-    r"""Measurement noise variances, clock and inertial sensors that a receiver assumes.
-
-    `bias_sd` (n,) standard deviation of the constant biases [m]; `flown`: epochs of the world whose
+    r"""Measurement noise variances, clock and inertial sensors that a receiver assumes. `bias_sd`
+    (n,) standard deviation of the constant biases [m]; `flown`: epochs of the world whose
     manoeuvres it may meet; as many as `epochs` by default; returns `variance` (2n,) R, pseudoranges
-    first [m^2], [m^2/s^2].
-    """
+    first [m^2], [m^2/s^2]."""
     n = len(bias_sd)
     interval_s = float(world.epoch_time[1] - world.epoch_time[0])
     if receiver.tuning == "augmented":

@@ -24,8 +24,6 @@ def normalized_innovation_squared(
     degree of freedom for each visible row where the filter's belief is right, and infinite where S
     is not positive definite.
 
-    Notes
-    -----
     By Cholesky's factor: :math:`S = L L^T`, :math:`q = |L^{-1} z|^2`.
     """
     out = np.empty(innovation.shape[0])
@@ -45,10 +43,8 @@ def _square_all(
     work: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """All receivers, as many side by side as the lane array `work` has lanes.
-
-    Its rows are the lower triangle of S, line after line, and z as one more line.
-    """
+    """All receivers, as many side by side as the lane array `work` has lanes. Its rows are the
+    lower triangle of S, line after line, and z as one more line."""
     receivers, size = innovation.shape
     for group in range(0, receivers, lanes_of(work)):
         for k in range(lanes_of(work)):

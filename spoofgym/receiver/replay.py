@@ -62,7 +62,6 @@ class Recording:
     satellite_velocity_e: ArrayLike
 
     def __post_init__(self) -> None:
-        """Check and freeze the arrays."""
         sizes: dict[str, int] = {"3": 3}
         for field in fields(self):
             array = np.array(getattr(self, field.name), dtype=np.float64)
@@ -103,10 +102,8 @@ class Recording:
         self.epoch_samples()
 
     def epoch_samples(self) -> NDArray[np.int64]:
-        """Match the epochs to the samples.
-
-        Returns (K,) number of samples up to and including the one that ends at the epoch.
-        """
+        """Match the epochs to the samples. Returns (K,) number of samples up to and including the
+        one that ends at the epoch."""
         imu_time = np.asarray(self.imu_time)
         gnss_time = np.asarray(self.gnss_time)
         after = np.clip(np.searchsorted(imu_time, gnss_time), 0, len(imu_time) - 1)

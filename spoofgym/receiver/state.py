@@ -126,12 +126,10 @@ class ReceiverBuffers:
         }
 
     def __getstate__(self) -> dict[str, object]:
-        """Buffers without their views, which a copy makes of its own buffer."""
         views = ("time", "interval", "position_e", "velocity_e", "seen")
         return {name: value for name, value in self.__dict__.items() if name not in views}
 
     def __setstate__(self, state: dict[str, object]) -> None:
-        """Take over the buffers, and name their arrays."""
         self.__dict__.update(state)
         self._name_arrays()
 
@@ -161,11 +159,9 @@ class ReceiverBuffers:
 def kernel_table(
     buffers: ReceiverBuffers, sensors: SensorBuffers, *more: NDArray[Any]
 ) -> ArrayTable:
-    """Arrays of `_kernels.Arrays` as one argument of a kernel.
-
-    `more`: `run`, `epoch_time`, `epoch_end`, `satellites`, `rules`, `signals` and `mappings` there,
-    then what else a kernel takes.
-    """
+    """Arrays of `_kernels.Arrays` as one argument of a kernel. `more`: `run`, `epoch_time`,
+    `epoch_end`, `satellites`, `rules`, `signals` and `mappings` there, then what else a kernel
+    takes."""
     return ArrayTable(
         [
             buffers.fields.data,

@@ -157,7 +157,6 @@ class TightlyCoupled:
     noise: NoiseModel | None = None
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         _choice("grade", self.grade, tuple(FILTER_GRADES))
         _choice("tuning", self.tuning, TUNINGS)
         _choice("covariance_update", self.covariance_update, tuple(COVARIANCE_UPDATES))
@@ -258,7 +257,6 @@ class NavState:
     clock_drift_mps: float
 
     def __post_init__(self) -> None:
-        """Check shapes and finiteness."""
         for name, shape in (("position_e", (3,)), ("velocity_e", (3,)), ("C_eb", (3, 3))):
             array = np.array(getattr(self, name), dtype=np.float64)
             if array.shape != shape or not np.isfinite(array).all():

@@ -59,11 +59,9 @@ SKY = 8
 
 @njit
 def fill_ranges(satellites, visible, position_e, velocity_e):
-    """Write true range and range rate of all visible satellites into columns 6 and 7.
-
-    `satellites` (K, n, 8) position, velocity, range, range rate; `visible` (K, n) bool;
-    `position_e`, `velocity_e` (K, 3) antenna.
-    """
+    """Write true range and range rate of all visible satellites into columns 6 and 7. `satellites`
+    (K, n, 8) position, velocity, range, range rate; `visible` (K, n) bool; `position_e`,
+    `velocity_e` (K, 3) antenna."""
     for k in range(satellites.shape[0]):
         r, v = position_e[k], velocity_e[k]
         for s in range(satellites.shape[1]):
@@ -110,14 +108,12 @@ def _rounded(total, level, inverse):
 
 @inlined
 def _row(matrix, row, f0, f1, f2):
-    """Product of a row of a matrix and a vector."""
     m = load(matrix, row) * f0 + load(matrix, row + 1) * f1
     return m + load(matrix, row + 2) * f2
 
 
 @inlined
 def _keep(sensors, row, now, value):
-    """Write a row in some lanes."""
     store(sensors, row, select(now, value, load(sensors, row)))
 
 

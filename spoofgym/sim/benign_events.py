@@ -52,7 +52,6 @@ class BenignEvents:
     front_speed_mps: tuple[float, float] = (100.0, 300.0)
 
     def __post_init__(self) -> None:
-        """Check parts and ranges."""
         for item in fields(self):
             value = getattr(self, item.name)
             if item.name in ("clock_step", "satellite_loss", "front"):
@@ -68,16 +67,12 @@ class BenignEvents:
 
     @property
     def any(self) -> bool:
-        """Whether there can be an event."""
         return max(self.clock_step, self.satellite_loss, self.front) > 0.0
 
 
 class Window(NamedTuple):
-    """When events may come, and what is in view.
-
-    `first`, `last`: epochs; `interval_s` between epochs; `visible`, `azimuth`, `elevation` (K, n)
-    at all epochs.
-    """
+    """When events may come, and what is in view. `first`, `last`: epochs; `interval_s` between
+    epochs; `visible`, `azimuth`, `elevation` (K, n) at all epochs."""
 
     first: int
     last: int
@@ -88,11 +83,9 @@ class Window(NamedTuple):
 
 
 def draw_events(events: BenignEvents, key: NDArray[np.uint64], window: Window) -> dict[str, Any]:
-    """Events of one episode, by fields of `signal_errors.signal_shapes`.
-
-    `key` (2,) of the episode's domain.  All numbers are drawn, so that one event does not depend on
-    whether another may come.
-    """
+    """Events of one episode, by fields of `signal_errors.signal_shapes`. `key` (2,) of the
+    episode's domain. All numbers are drawn, so that one event does not depend on whether another
+    may come."""
     rng = np.random.default_rng([*key.tolist(), STREAM])
     u = rng.random(12)
     span = window.last - window.first + 1

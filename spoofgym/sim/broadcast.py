@@ -47,12 +47,9 @@ LEAP_SECOND_DATES = (
 
 
 def gps_seconds(moment: datetime) -> float:
-    """GPS seconds of a calendar date.
-
-    `moment`: without a time zone, the date is in the GPS time scale, like the dates in a RINEX
-    navigation file; with one, it is civil time, and leap seconds are added; returns seconds since
-    1980-01-06 00:00 GPS time [s].
-    """
+    """GPS seconds of a calendar date. `moment`: without a time zone, the date is in the GPS time
+    scale, like the dates in a RINEX navigation file; with one, it is civil time, and leap seconds
+    are added; returns seconds since 1980-01-06 00:00 GPS time [s]."""
     leap_seconds = 0
     if moment.tzinfo is not None:
         moment = moment.astimezone(UTC).replace(tzinfo=None)
@@ -160,11 +157,8 @@ class Ephemerides:
         return np.asarray(self.health == 0.0)
 
     def take(self, records: ArrayLike) -> Ephemerides:
-        """Some of the records.
-
-        `records` (S,) indices, or (R,) booleans; returns the S records, in the order of the
-        indices.
-        """
+        """Some of the records. `records` (S,) indices, or (R,) booleans; returns the S records, in
+        the order of the indices."""
         index = np.asarray(records)
         return Ephemerides(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
@@ -289,11 +283,9 @@ class BroadcastConstellation:
         return _Schedule(record, np.where(e.healthy[record], epoch, np.nan), switch)
 
     def states(self, time: ArrayLike) -> SatelliteStates:
-        """Positions and velocities of all satellites.
-
-        `time` (K,) time of the simulation [s]; returns (K, n, 3) position and velocity, ECEF [m],
-        [m/s]; NaN while the nearest record is unhealthy or more than 2 h away.
-        """
+        """Positions and velocities of all satellites. `time` (K,) time of the simulation [s];
+        returns (K, n, 3) position and velocity, ECEF [m], [m/s]; NaN while the nearest record is
+        unhealthy or more than 2 h away."""
         t = checked_time(time)
         schedule = self._schedule
         column = (t[:, None, None] >= schedule.switch).sum(axis=-1)

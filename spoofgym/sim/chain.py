@@ -13,11 +13,9 @@ from .world import World
 
 
 def chain_worlds(worlds: Sequence[World]) -> World:
-    """World in which the epochs of some worlds follow one another.
-
-    World w of K epochs each has the epochs ``w K`` to ``(w + 1) K - 1``.  Times start again with
-    each; nothing may cross from one to the next.
-    """
+    """World in which the epochs of some worlds follow one another. World w of K epochs each has the
+    epochs ``w K`` to ``(w + 1) K - 1``. Times start again with each; nothing may cross from one to
+    the next."""
     first = worlds[0]
     if len(worlds) == 1:
         return first
@@ -33,7 +31,6 @@ def chain_worlds(worlds: Sequence[World]) -> World:
     ids = first.satellite_ids if same else tuple(f"slot{s:02d}" for s in range(first.channels))
 
     def joined(name: str) -> NDArray[Any]:
-        """One array of all worlds."""
         return np.concatenate([getattr(world, name) for world in worlds])
 
     return replace(

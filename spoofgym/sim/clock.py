@@ -28,7 +28,6 @@ class ReceiverClock:
     frequency_psd: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values."""
         for item in fields(self):
             value = getattr(self, item.name)
             if not math.isfinite(value) or (item.name.endswith("psd") and value < 0.0):

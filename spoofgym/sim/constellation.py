@@ -22,11 +22,9 @@ PLANES = 6
 
 
 class SatelliteStates(NamedTuple):
-    """Positions and velocities of n satellites at K times.
-
-    `position_e` (K, n, 3) position, ECEF [m]; NaN where a satellite has no usable ephemeris;
-    `velocity_e` (K, n, 3) velocity with respect to the rotating Earth, ECEF [m/s]; NaN likewise.
-    """
+    """Positions and velocities of n satellites at K times. `position_e` (K, n, 3) position, ECEF
+    [m]; NaN where a satellite has no usable ephemeris; `velocity_e` (K, n, 3) velocity with respect
+    to the rotating Earth, ECEF [m/s]; NaN likewise."""
 
     position_e: NDArray[np.float64]
     velocity_e: NDArray[np.float64]
@@ -44,10 +42,8 @@ class Constellation(Protocol):
 
 
 def checked_time(time: ArrayLike) -> NDArray[np.float64]:
-    """Times of the simulation as a (K,) array of finite numbers.
-
-    `time` (K,) time of the simulation [s]; returns (K,) time of the simulation [s].
-    """
+    """Times of the simulation as a (K,) array of finite numbers. `time` (K,) time of the simulation
+    [s]; returns (K,) time of the simulation [s]."""
     times = np.asarray(time, dtype=np.float64)
     if times.ndim != 1:
         raise ValueError(f"`time` must have shape (K,), got {times.shape}")
@@ -156,11 +152,8 @@ class CircularConstellation:
         return math.sqrt(GRAVITATIONAL_CONSTANT / self.radius_m**3)
 
     def states(self, time: ArrayLike) -> SatelliteStates:
-        """Positions and velocities of all satellites.
-
-        `time` (K,) time of the simulation [s]; returns (K, N, 3) position and velocity, ECEF [m],
-        [m/s].
-        """
+        """Positions and velocities of all satellites. `time` (K,) time of the simulation [s];
+        returns (K, N, 3) position and velocity, ECEF [m], [m/s]."""
         t = checked_time(time)[:, None] + self.time_offset_s
         j = np.arange(1, self.satellites + 1)
         return ecef_from_orbit(
@@ -177,10 +170,8 @@ class CircularConstellation:
 
 @dataclass(frozen=True)
 class CombinedConstellation:
-    """Several constellations as one, on one system time.
-
-    `parts`: with different satellite ids; a receiver hears them all, and has one clock for them.
-    """
+    """Several constellations as one, on one system time. `parts`: with different satellite ids; a
+    receiver hears them all, and has one clock for them."""
 
     parts: tuple[Constellation, ...]
 
@@ -200,15 +191,11 @@ class CombinedConstellation:
 
     @property
     def satellite_ids(self) -> tuple[str, ...]:
-        """Ids of all parts, sorted."""
         return tuple(sorted(name for part in self.parts for name in part.satellite_ids))
 
     def states(self, time: ArrayLike) -> SatelliteStates:
-        """Positions and velocities of all satellites.
-
-        `time` (K,) time of the simulation [s]; returns (K, n, 3) position and velocity, ECEF [m],
-        [m/s].
-        """
+        """Positions and velocities of all satellites. `time` (K,) time of the simulation [s];
+        returns (K, n, 3) position and velocity, ECEF [m], [m/s]."""
         states = [part.states(time) for part in self.parts]
         position, velocity = (np.concatenate(group, axis=1) for group in zip(*states, strict=True))
         return SatelliteStates(position[:, self._order], velocity[:, self._order])

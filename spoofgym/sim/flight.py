@@ -36,9 +36,7 @@ class Flight:
     - `velocity_e` (N+1, 3) velocity with respect to the Earth, ECEF [m/s];
     - `C_eb` (N+1, 3, 3) attitude, to ECEF from body axes (forward, right, down).
 
-    Notes
-    -----
-    The arrays are C-contiguous float64 copies and must not be written to.  They aren't locked,
+    The arrays are C-contiguous float64 copies and must not be written to. They aren't locked,
     because a compiled kernel is compiled again for read-only arrays.
     """
 
@@ -49,7 +47,6 @@ class Flight:
     C_eb: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        """Copy and check the histories."""
         count = np.size(self.time)
         if count < 2:
             raise ValueError(f"`time` must have at least 2 samples, got {count}")
@@ -160,11 +157,9 @@ def turned(flight: Flight, angle: float) -> Flight:
 def check_closure(
     position_e: NDArray[np.float64], closed_e: NDArray[np.float64], step: float, tolerance: float
 ) -> None:
-    """Raise where positions stray from the integral of the velocities.
-
-    `position_e`, `closed_e` (N+1, 3) given and integrated positions, ECEF [m]; `step`: interval of
-    the samples [s]; `tolerance`: largest distance allowed [m].
-    """
+    """Raise where positions stray from the integral of the velocities. `position_e`, `closed_e`
+    (N+1, 3) given and integrated positions, ECEF [m]; `step`: interval of the samples [s];
+    `tolerance`: largest distance allowed [m]."""
     distance = np.linalg.norm(position_e - closed_e, axis=1)
     worst = int(distance.argmax())
     if distance[worst] > tolerance:

@@ -53,7 +53,6 @@ class GnssErrors:
     signals: SignalErrors | None = field(default=None, metadata=OMITTED)
 
     def __post_init__(self) -> None:
-        """Check that the standard deviations are finite and not negative."""
         if isinstance(self.signals, Mapping):
             object.__setattr__(self, "signals", build_record("signals", SignalErrors, self.signals))
         if self.carrier_sd_m > 0.0 and self.range_rate_sd_mps > 0.0:
@@ -85,10 +84,8 @@ class GnssErrors:
         return total if self.signals is None else total + self.signals.code_variance(elevation)
 
     def bias_sd(self, elevation: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Standard deviation of the constant biases.
-
-        `elevation`: elevation of the satellites, any shape [rad]; returns the same shape [m].
-        """
+        """Standard deviation of the constant biases. `elevation`: elevation of the satellites, any
+        shape [rad]; returns the same shape [m]."""
         cos2 = np.cos(elevation) ** 2
         return np.sqrt(
             self.signal_in_space_sd_m**2

@@ -42,8 +42,6 @@ class InertialErrors:
     - `velocity_mps`: initial velocity of every axis;
     - `horizontal_m`, `vertical_m`: initial position to the east and north, and upwards.
 
-    Notes
-    -----
     The defaults are what the filter of `shadmehri2025` assumes of its sensors (section 4.2), before
     the factor of 3 of its initial covariance.
     """
@@ -59,7 +57,6 @@ class InertialErrors:
     vertical_m: float = 6.0
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for name, value in vars(self).items():
             if not (math.isfinite(value) and value >= 0.0):
                 raise ValueError(f"`{name}` must be finite and >= 0, got {value}")
@@ -118,7 +115,6 @@ class LooseWorld:
 
 
 def loose_world(trajectory: Trajectory, interval_s: float) -> LooseWorld:
-    """World of a trajectory."""
     step = trajectory.step
     each = round(interval_s / step)
     if each < 1 or abs(each * step - interval_s) > _GRID:
@@ -156,13 +152,10 @@ def first_errors(
     initial: FloatArray,
     error: FloatArray,
 ) -> None:
-    """Draw what an episode starts with.
-
-    `keys` (B, 3, 2) key of every source; `initial_sd`, `position_sd` (15,) and (3,), of the state
-    and of the GNSS position; `deviates` (64,) scratch memory; `initial` (B, 15), written: errors
-    of the first estimate, then sensor biases; `error` (B, 3), written: GNSS position errors, east,
-    north, up [m].
-    """
+    """Draw what an episode starts with. `keys` (B, 3, 2) key of every source; `initial_sd`,
+    `position_sd` (15,) and (3,), of the state and of the GNSS position; `deviates` (64,) scratch
+    memory; `initial` (B, 15), written: errors of the first estimate, then sensor biases; `error`
+    (B, 3), written: GNSS position errors, east, north, up [m]."""
     for b in range(keys.shape[0]):
         normals(keys[b, INITIAL, 0], keys[b, INITIAL, 1], 0, deviates)
         for i in range(15):

@@ -46,26 +46,21 @@ class Straight:
     duration_s: float
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         _check_between("duration_s", self.duration_s, 0.0, math.inf)
 
     def pulse(self, speed: float, start: float) -> Pulse:
-        """No rate at all."""
         return Pulse.idle(self.duration_s)
 
 
 @dataclass(frozen=True)
 class Until:
-    """Straight and level motion until a time of the flight.
-
-    `time_s`: time since the start of the flight [s].
-    """
+    """Straight and level motion until a time of the flight. `time_s`: time since the start of the
+    flight [s]."""
 
     axis: ClassVar[Axis] = "none"
     time_s: float
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         _check_between("time_s", self.time_s, 0.0, math.inf)
 
     def pulse(self, speed: float, start: float) -> Pulse:
@@ -102,7 +97,6 @@ class Turn:
     ramp_s: float = 5.0
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         _check_finite("angle_deg", self.angle_deg)
         _check_between("bank_deg", self.bank_deg, 0.0, STEEPEST_BANK_DEG)
         _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
@@ -130,7 +124,6 @@ class Steer:
     ramp_s: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         _check_finite("angle_deg", self.angle_deg)
         _check_between("rate_degps", self.rate_degps, 0.0, math.inf)
         _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
@@ -157,7 +150,6 @@ class Climb:
     ramp_s: float = 10.0
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         _check_finite("height_m", self.height_m)
         _check_between("rate_mps", self.rate_mps, 0.0, math.inf)
         _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
@@ -188,7 +180,6 @@ class Accelerate:
     ramp_s: float = 2.0
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         _check_finite("change_mps", self.change_mps)
         _check_between("acceleration_mps2", self.acceleration_mps2, 0.0, math.inf)
         _check_between("ramp_s", self.ramp_s, 0.0, math.inf)
@@ -263,7 +254,6 @@ class _Placed:
 
 
 def _chain(manoeuvres: Sequence[Manoeuvre], speed: float) -> list[_Placed]:
-    """Place the pulses one after the other."""
     placed = []
     start = 0.0
     for manoeuvre in manoeuvres:
@@ -298,11 +288,9 @@ def _check_between(name: str, value: float, low: float, high: float) -> None:
 
 
 def zhong2025() -> Flight:
-    """Flight of zhong2025: 418 s at 200 m/s, two turns of 45 deg and a climb of 500 m.
-
-    Its own equivalent of the aircraft profile of Groves' software: the manoeuvres lie on the
-    same middles in time, with smooth edges where the profile's bank has steps.
-    """
+    """Flight of zhong2025: 418 s at 200 m/s, two turns of 45 deg and a climb of 500 m. Its own
+    equivalent of the aircraft profile of Groves' software: the manoeuvres lie on the same middles
+    in time, with smooth edges where the profile's bank has steps."""
     return fly(
         [
             Until(18.0),
@@ -323,11 +311,8 @@ def zhong2025() -> Flight:
 
 
 def car() -> Flight:
-    """Drive of 60 s, after the car profile of Groves' software.
-
-    From a standstill to 20 m/s northwards, right by 90 deg, up a ramp, left by 90 deg, and to a
-    stop.
-    """
+    """Drive of 60 s, after the car profile of Groves' software. From a standstill to 20 m/s
+    northwards, right by 90 deg, up a ramp, left by 90 deg, and to a stop."""
     return fly(
         [
             Until(1.0),
@@ -351,11 +336,9 @@ def car() -> Flight:
 
 
 def ke2022() -> Flight:
-    """Flight of ke2022: 746 s at 200 m/s, two turns of 45 deg and two climbs of 500 m.
-
-    The paper gives the duration, the speed, the two turns and that there are climbs, but not when
-    they come.  Here one climb lies before the attack at 350 to 550 s and one after it.
-    """
+    """Flight of ke2022: 746 s at 200 m/s, two turns of 45 deg and two climbs of 500 m. The paper
+    gives the duration, the speed, the two turns and that there are climbs, but not when they come.
+    Here one climb lies before the attack at 350 to 550 s and one after it."""
     return fly(
         [
             Until(60.0),
@@ -379,11 +362,9 @@ def ke2022() -> Flight:
 
 def shadmehri2025() -> Flight:
     """Flight of shadmehri2025: an airliner for a minute, 200 m/s eastwards and 50 m/s northwards.
-
-    The paper takes a recorded flight that it does not name, and gives these two velocities and
-    the rate of the inertial sensors, 160 Hz.  Here the manoeuvres are mild: 6 deg to the right, a
-    climb of 30 m, and 6 deg back, which ends after the paper's onset at 20 s.
-    """
+    The paper takes a recorded flight that it does not name, and gives these two velocities and the
+    rate of the inertial sensors, 160 Hz. Here the manoeuvres are mild: 6 deg to the right, a climb
+    of 30 m, and 6 deg back, which ends after the paper's onset at 20 s."""
     return fly(
         [
             Until(2.0),
@@ -404,10 +385,8 @@ def shadmehri2025() -> Flight:
 
 def airway() -> Flight:
     """Flight of 40 minutes along an airway: 200 m/s, a turn or a change of level every few minutes.
-
-    No paper's flight: for attacks of half an hour.  Turns are of 20 to 40 deg at standard rate or
-    less, levels change by 1000 ft and 2000 ft.
-    """
+    No paper's flight: for attacks of half an hour. Turns are of 20 to 40 deg at standard rate or
+    less, levels change by 1000 ft and 2000 ft."""
     legs: list[Manoeuvre] = []
     for k, (turn, climb) in enumerate(
         [(30.0, 0.0), (-40.0, 304.8), (0.0, 609.6), (20.0, 0.0), (-30.0, -304.8), (40.0, 0.0)]
@@ -431,12 +410,10 @@ def airway() -> Flight:
 
 
 def approach() -> Flight:
-    """Flight of ten minutes that ends on an approach: downwind, two turns, down the glide path.
-
-    No paper's flight.  A jet flies downwind at 90 m/s and 1500 m, descends by 300 m, turns left by
-    90 deg onto base at 230 s and again onto final at 275 s, slows down to 75 m/s, and goes down a
-    path of 3 deg to 300 m: an attack of 150 s after a warm-up of 200 s meets both turns.
-    """
+    """Flight of ten minutes that ends on an approach: downwind, two turns, down the glide path. No
+    paper's flight. A jet flies downwind at 90 m/s and 1500 m, descends by 300 m, turns left by 90
+    deg onto base at 230 s and again onto final at 275 s, slows down to 75 m/s, and goes down a path
+    of 3 deg to 300 m: an attack of 150 s after a warm-up of 200 s meets both turns."""
     return fly(
         [
             Until(100.0),

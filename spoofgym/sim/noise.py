@@ -66,13 +66,9 @@ def _mix(x: np.uint64, y: np.uint64, turn: int) -> tuple[np.uint64, np.uint64]:
 def threefry(
     x: np.uint64, y: np.uint64, k0: np.uint64, k1: np.uint64
 ) -> tuple[np.uint64, np.uint64]:
-    """Threefry-2x64-20: 128 random bits of a counter under a key.
-
-    Notes
-    -----
-    Salmon et al. (2011), section 3.3.  The rounds are written out, since compilers vectorize only
-    a loop that has no loop in it.
-    """
+    """Threefry-2x64-20: 128 random bits of a counter under a key. Salmon et al. (2011), section
+    3.3. The rounds are written out, since compilers vectorize only a loop that has no loop in
+    it."""
     k2 = k0 ^ k1 ^ _PARITY
     x, y = x + k0, y + k1
     x, y = _mix(x, y, 16)
@@ -171,13 +167,11 @@ def deviates(
     """Write the first standard normal deviates of one epoch into the rows of a lane array.
 
     `k0`, `k1`, `epoch`: key and counter, a number or a vector of one a lane; `size`: a multiple of
-    `BLOCK`, how many the epoch has, which says where in the stream each lies; `count`: how many
-    are wanted; rows behind them may be written, too.
+    `BLOCK`, how many the epoch has, which says where in the stream each lies; `count`: how many are
+    wanted; rows behind them may be written, too.
 
-    Notes
-    -----
-    Counter q gives the deviates q, n + q, 2 n + q and 3 n + q, n = `size` / 4.  Two rows of them
-    are computed side by side; those of a single receiver have eight counters each.
+    Counter q gives the deviates q, n + q, 2 n + q and 3 n + q, n = `size` / 4. Two rows of them are
+    computed side by side; those of a single receiver have eight counters each.
     """
     n = size // 4
     both = count > 2 * n
@@ -201,10 +195,8 @@ def deviates(
 
 @njit
 def normals(k0: np.uint64, k1: np.uint64, epoch: int, out: NDArray[np.float64]) -> None:
-    """Fill an array with the standard normal deviates of one epoch.
-
-    `out` (N,), N a multiple of `BLOCK`, written.
-    """
+    """Fill an array with the standard normal deviates of one epoch. `out` (N,), N a multiple of
+    `BLOCK`, written."""
     deviates(k0, k1, np.uint64(epoch), out.shape[0], out.shape[0], out)
 
 

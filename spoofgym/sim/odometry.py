@@ -62,7 +62,6 @@ class Odometer:
     yaw_noise_deg: float = 0.35
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if self.counts_per_turn < 1:
             raise ValueError(f"`counts_per_turn` must be at least 1, got {self.counts_per_turn}")
         for name in ("wheel_radius_m", "wheel_base_m", "sample_interval_s"):
@@ -82,17 +81,14 @@ class Odometer:
 
 @dataclass(frozen=True, kw_only=True)
 class FixErrors:
-    """GNSS position errors, alike in north and east.
-
-    `correlation_time_s`: its time constant, above 0; `white_sd_m`: white noise at every fix.
-    """
+    """GNSS position errors, alike in north and east. `correlation_time_s`: its time constant, above
+    0; `white_sd_m`: white noise at every fix."""
 
     correlated_sd_m: float = 1.0
     correlation_time_s: float = 60.0
     white_sd_m: float = 0.2
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for item in fields(self):
             value = getattr(self, item.name)
             least = item.name == "correlation_time_s"
@@ -106,11 +102,8 @@ class FixErrors:
 
 
 def episode_keys(episode: np.random.SeedSequence) -> tuple[NDArray[np.uint64], FloatArray]:
-    """Keys of all noise of a new episode.
-
-    Returns `keys` (2, 2) of each of `SOURCES`; `phase` (2,) part of a count at which the left and
-    the right encoder start, in [0, 1).
-    """
+    """Keys of all noise of a new episode. Returns `keys` (2, 2) of each of `SOURCES`; `phase` (2,)
+    part of a count at which the left and the right encoder start, in [0, 1)."""
     words = 2 * len(SOURCES)
     state = np.asarray(episode.generate_state(words + 2, np.uint64), dtype=np.uint64)
     phase = np.asarray((state[words:] >> np.uint64(11)) * 2.0**-53, dtype=np.float64)

@@ -40,7 +40,6 @@ class PositionErrors:
     decay: float = 0.999
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for name in ("horizontal_sd_m", "vertical_sd_m"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Pulse:
-    """A rate that rises, holds and falls, with raised-cosine edges.
-
-    `ramp`: duration of each edge [s]; `hold`: duration between them [s].
-    """
+    """A rate that rises, holds and falls, with raised-cosine edges. `ramp`: duration of each edge
+    [s]; `hold`: duration between them [s]."""
 
     peak: float
     ramp: float
@@ -21,10 +19,8 @@ class Pulse:
 
     @classmethod
     def of_area(cls, area: float, peak: float, ramp: float) -> Pulse:
-        """Pulse of a given integral; its peak is lowered when the edges alone are too much.
-
-        `ramp`: duration of each edge [s].
-        """
+        """Pulse of a given integral; its peak is lowered when the edges alone are too much. `ramp`:
+        duration of each edge [s]."""
         hold = max(0.0, abs(area) / peak - ramp)
         return cls(area / (ramp + hold), ramp, hold)
 

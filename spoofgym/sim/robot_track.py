@@ -35,11 +35,9 @@ class RobotTrack:
     distance: FloatArray
 
     def wheels(self, wheel_base: float) -> tuple[FloatArray, FloatArray]:
-        """Distance that the left and the right wheel have rolled.
-
-        `wheel_base`: distance between the wheels [m]; returns `left`, `right` (N+1,) [m]; the left
-        wheel is the outer one of a turn to the right.
-        """
+        """Distance that the left and the right wheel have rolled. `wheel_base`: distance between
+        the wheels [m]; returns `left`, `right` (N+1,) [m]; the left wheel is the outer one of a
+        turn to the right."""
         turned = 0.5 * wheel_base * (self.yaw - self.yaw[0])
         return self.distance + turned, self.distance - turned
 
@@ -62,7 +60,6 @@ class RobotLoop:
     speed_mps: float = 0.5
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for item in fields(self):
             value = getattr(self, item.name)
             if not math.isfinite(value):

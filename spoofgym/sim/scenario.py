@@ -19,7 +19,7 @@ from .constellation import (
 )
 from .flight import Flight, turned
 from .gnss import ERRORS, RENAMED, GnssErrors
-from .imu import IMU_GRADES, ImuGrade
+from .imu import IMU_GRADES
 from .manoeuvres import FLIGHTS
 from .trajectory import trajectory_at
 from .world import CHANNELS, MASK_DEG, World, build_world
@@ -69,7 +69,6 @@ class Scenario:
     events: BenignEvents | None = field(default=None, metadata=OMITTED)
 
     def __post_init__(self) -> None:
-        """Check the names."""
         if isinstance(self.flight, str):
             check_choice("flight", self.flight, FLIGHTS)
         if isinstance(self.errors, str):
@@ -104,15 +103,9 @@ class Scenario:
 
     @property
     def assumed_errors(self) -> GnssErrors:
-        """Errors that a matched receiver assumes."""
         if self.assumed is None:
             return self.gnss_errors
         return ERRORS[self.assumed] if isinstance(self.assumed, str) else self.assumed
-
-    @property
-    def imu_grade(self) -> ImuGrade:
-        """Errors of the inertial sensors."""
-        return IMU_GRADES[self.imu]
 
     def world(self) -> World:
         """Compute the truth; the last few named flights are remembered."""

@@ -21,11 +21,8 @@ DUPLICATE_RTOL = 1e-10
 
 
 class Rejection(NamedTuple):
-    """A record that its neighbours contradict.
-
-    `time_of_ephemeris`: its reference time, GPS seconds [s]; `disagreement`: distance to the
-    position by the neighbour that it contradicts least [m].
-    """
+    """A record that its neighbours contradict. `time_of_ephemeris`: its reference time, GPS seconds
+    [s]; `disagreement`: distance to the position by the neighbour that it contradicts least [m]."""
 
     satellite_id: str
     time_of_ephemeris: float

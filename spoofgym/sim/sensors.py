@@ -115,12 +115,9 @@ class SensorBuffers:
             self.authentic[to] = other.authentic[rows]
 
     def draw_keys(self, rows: NDArray[np.intp], rngs: Sequence[np.random.Generator]) -> None:
-        """Take the keys of a new episode.
-
-        `rngs`: one per row.  Its seed sequence spawns one child an episode, and that gives every
-        source a key, so that no source depends on how much another draws, or on when the last
-        episode ended.
-        """
+        """Take the keys of a new episode. `rngs`: one per row. Its seed sequence spawns one child
+        an episode, and that gives every source a key, so that no source depends on how much another
+        draws, or on when the last episode ended."""
         spawned = [rng.bit_generator.seed_seq.spawn(1) for rng in rngs]  # type: ignore[attr-defined]
         self.put_keys(rows, [episode for (episode,) in spawned])
 
@@ -130,7 +127,6 @@ class SensorBuffers:
         episodes: Sequence[np.random.SeedSequence],
         sources: Sequence[str] = SOURCES,
     ) -> None:
-        """Take the keys of some sources from the seeds of episodes."""
         drawn = keys_of(episodes)
         for source in sources:
             self.words.put(source, rows, drawn[source])
@@ -145,12 +141,10 @@ class SensorBuffers:
         interval_s: float = 0.0,
         drawn: bool = False,
     ) -> None:
-        """Draw the errors of a new episode, by its keys.
-
-        `bias_sd` (n,) standard deviation of the satellite biases [m]; `interval_s` between epochs,
-        for errors of signals; `drawn`: whether the inertial sensors' constants are others in every
-        episode, as large as those of the grade.
-        """
+        """Draw the errors of a new episode, by its keys. `bias_sd` (n,) standard deviation of the
+        satellite biases [m]; `interval_s` between epochs, for errors of signals; `drawn`: whether
+        the inertial sensors' constants are others in every episode, as large as those of the
+        grade."""
         clock, n = errors.clock, len(bias_sd)
         constants: dict[str, Any] = {
             "accel_bias": grade.accel_bias,

@@ -93,9 +93,7 @@ class SignalErrors:
 
     def wandering(self, elevation: FloatArray) -> list[tuple[FloatArray, float, bool]]:
         """Standard deviation [m], time [s] and whether second-order, of what wanders in a code.
-
-        `elevation`: any shape [rad].
-        """
+        `elevation`: any shape [rad]."""
         ionosphere, troposphere, multipath, noise = obliquities(elevation)
         shape = np.ones_like(elevation)
         (a, b), (c, d) = self.multipath_sd_m, self.noise_sd_m
@@ -120,9 +118,7 @@ def correlation(lag_s: FloatArray, time_s: float, second_order: bool) -> FloatAr
 
 def obliquities(elevation: FloatArray) -> tuple[FloatArray, ...]:
     """Obliquities of ionosphere and troposphere, and exponentials of multipath and noise.
-
-    `elevation`: any shape [rad]; below the horizon as at it.
-    """
+    `elevation`: any shape [rad]; below the horizon as at it."""
     E = np.maximum(elevation, 0.0)
     inside = SHELL_RADIUS_M / (SHELL_RADIUS_M + IONOSPHERE_HEIGHT_M) * np.cos(E)
     degrees = np.degrees(E)
@@ -135,10 +131,8 @@ def obliquities(elevation: FloatArray) -> tuple[FloatArray, ...]:
 
 
 def mappings_of(elevation: FloatArray, interval_s: float, epochs_each: int) -> FloatArray:
-    """(K, n, 6) what is known of every line of sight at every epoch (`MAPPINGS`).
-
-    `elevation` (K, n) [rad], of worlds of `epochs_each` epochs one after the other.
-    """
+    """(K, n, 6) what is known of every line of sight at every epoch (`MAPPINGS`). `elevation` (K,
+    n) [rad], of worlds of `epochs_each` epochs one after the other."""
     ionosphere, troposphere, multipath, noise = obliquities(elevation)
 
     def rate(mapping: FloatArray) -> FloatArray:
@@ -226,9 +220,7 @@ def begin_signals(
     fields_: Any, rows: NDArray[np.intp], errors: SignalErrors, interval_s: float, keys: FloatArray
 ) -> None:
     """Draw the signals of new episodes, stationary from the first epoch on, without events.
-
-    `fields_`: of `signal_shapes`; `keys`: (b,) of the noise, two arrays.
-    """
+    `fields_`: of `signal_shapes`; `keys`: (b,) of the noise, two arrays."""
     n = fields_.shapes["noise"][0]
     each = (
         (errors.ionosphere_sd_m, errors.ionosphere_s),

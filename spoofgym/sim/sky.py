@@ -26,21 +26,10 @@ MASK_DEG = 5.0
 
 
 class Sky(NamedTuple):
-    """Where vehicle and satellites are.
-
-    Attributes
-    ----------
-    time : ndarray
-        (K,) [s].
-    position_e, velocity_e : ndarray
-        (K, 3), (3,) of the vehicle, ECEF [m], [m/s].
-    C_en : ndarray
-        (3, 3) to ECEF from north-east-down axes at the start.
-    satellite_position_e, satellite_velocity_e : ndarray
-        (K, n, 3) ECEF [m], [m/s].
-    satellite_ids : tuple of str
-        (n,) in the order of the slots.
-    """
+    """Where vehicle and satellites are. `time`: (K,) [s]; `position_e`, `velocity_e`: (K, 3), (3,)
+    of the vehicle, ECEF [m], [m/s]; `C_en`: (3, 3) to ECEF from north-east-down axes at the start;
+    `satellite_position_e`, `satellite_velocity_e`: (K, n, 3) ECEF [m], [m/s]; `satellite_ids`: (n,)
+    in the order of the slots."""
 
     time: FloatArray
     position_e: FloatArray
@@ -59,10 +48,8 @@ def straight_line(
     speed_mps: float,
     heading_deg: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Straight line that begins level.
-
-    `time` (K,) [s]; returns `position_e`, `velocity_e`, `C_en` (K, 3), (3,), (3, 3), as in `Sky`.
-    """
+    """Straight line that begins level. `time` (K,) [s]; returns `position_e`, `velocity_e`, `C_en`
+    (K, 3), (3,), (3, 3), as in `Sky`."""
     latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
     start = geodetic_to_ecef(latitude, longitude, height_m)
     C_en = dcm_e_from_n(latitude, longitude)
@@ -83,10 +70,8 @@ def make_sky(
     speed_mps: float = 0.0,
     heading_deg: float = 0.0,
 ) -> Sky:
-    """Vehicle and the satellites that are highest over all of its way.
-
-    Returns slots in the order of the ids.
-    """
+    """Vehicle and the satellites that are highest over all of its way. Returns slots in the order
+    of the ids."""
     time = interval_s * np.arange(epochs, dtype=np.float64)
     position, velocity, C_en = straight_line(
         time, latitude_deg, longitude_deg, height_m, speed_mps, heading_deg
@@ -114,11 +99,9 @@ def make_sky(
 
 
 def chain_skies(skies: Sequence[Sky]) -> Sky:
-    """Sky in which the epochs of some skies of one place and length follow one another.
-
-    Times start again with each; `velocity_e` is that of the first.  Satellites are named by their
-    slots where they differ.
-    """
+    """Sky in which the epochs of some skies of one place and length follow one another. Times start
+    again with each; `velocity_e` is that of the first. Satellites are named by their slots where
+    they differ."""
     first = skies[0]
     if len(skies) == 1:
         return first

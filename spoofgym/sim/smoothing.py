@@ -95,7 +95,6 @@ class SmoothPath:
 
 
 def smooth_path(track: Track) -> SmoothPath:
-    """Smooth path through a track."""
     intervals = max(2, round(track.duration / KNOT_INTERVAL))
     edges = np.linspace(0.0, track.duration, intervals + 1)
     knots = np.concatenate([np.zeros(DEGREE), edges, np.full(DEGREE, track.duration)])
@@ -115,11 +114,8 @@ def smooth_path(track: Track) -> SmoothPath:
 
 
 def metres_per_radian(latitude: Floats | float, height: Floats | float) -> tuple[Floats, Floats]:
-    """North and east distance per radian of latitude and longitude.
-
-    `latitude`: geodetic [rad]; `height`: above the ellipsoid [m]; returns `north`, `east`: R_N + h
-    and (R_E + h) cos L [m].
-    """
+    """North and east distance per radian of latitude and longitude. `latitude`: geodetic [rad];
+    `height`: above the ellipsoid [m]; returns `north`, `east`: R_N + h and (R_E + h) cos L [m]."""
     w = 1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
     transverse = EQUATORIAL_RADIUS / np.sqrt(w)
     meridian = transverse * (1.0 - ECCENTRICITY_SQUARED) / w
@@ -172,10 +168,8 @@ class _Plane:
         return _solve(rows, [self.fixes / POSITION_SD, np.zeros(jerks.shape[0])])
 
     def _measurements(self, solution: Floats) -> tuple[csr_array, Floats]:
-        """Rows and values of all measurements over their standard deviation; 0 where missing.
-
-        A groundspeed without a course weighs along the course of the pass before.
-        """
+        """Rows and values of all measurements over their standard deviation; 0 where missing. A
+        groundspeed without a course weighs along the course of the pass before."""
         speed, course = self.track.groundspeed, self.track.track_angle
         reported = np.isfinite(course)
         flown = np.arctan2(self.rate[1] @ solution, self.rate[0] @ solution)
@@ -224,7 +218,6 @@ def _turned(pair: tuple[csr_array, csr_array], course: Floats) -> tuple[csr_arra
 
 
 def _scaled(rows: csr_array, factor: Floats) -> csr_array:
-    """Rows times a factor each."""
     return csr_array(diags_array(np.asarray(factor, dtype=np.float64)) @ rows)
 
 

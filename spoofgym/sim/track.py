@@ -37,7 +37,6 @@ class Track:
     track_angle: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        """Copy and check the fixes."""
         if self.start_utc.tzinfo is None:
             raise ValueError(f"`start_utc` must have a time zone, got {self.start_utc}")
         count = np.size(self.time)

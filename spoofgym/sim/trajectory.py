@@ -34,18 +34,15 @@ class Trajectory(Flight):
     decimation: int = 1
 
     def __post_init__(self) -> None:
-        """Copy and check the histories."""
         super().__post_init__()
         self._settle("specific_force_b", (self.time.size - 1, 3))
         self._settle("angular_rate_b", (self.time.size - 1, 3))
 
 
 def trajectory_at(flight: Flight, imu_rate_hz: float | None, epoch_interval_s: float) -> Trajectory:
-    """Trajectory whose inertial samples come at another rate; None for that of the flight.
-
-    Velocity and attitude are those of the flight; the position is the integral of that velocity
-    over the longer samples, as of any flight, and so differs by millimetres.
-    """
+    """Trajectory whose inertial samples come at another rate; None for that of the flight. Velocity
+    and attitude are those of the flight; the position is the integral of that velocity over the
+    longer samples, as of any flight, and so differs by millimetres."""
     count = 1
     if imu_rate_hz is not None:
         count = decimation_of(flight.step, imu_rate_hz, epoch_interval_s)

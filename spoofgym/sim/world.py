@@ -86,10 +86,8 @@ class World:
         return np.ascontiguousarray(turning_of_local_axes(self.position_e, self.velocity_e))
 
     def local_frame(self, epoch: int) -> FloatArray:
-        """North-east-down axes at the true position of an epoch.
-
-        Returns (3, 3) `C_en`, to ECEF from local axes.
-        """
+        """North-east-down axes at the true position of an epoch. Returns (3, 3) `C_en`, to ECEF
+        from local axes."""
         C_en: FloatArray = self.C_en[epoch]
         return C_en
 
@@ -102,11 +100,8 @@ def build_world(
     channels: int = CHANNELS,
     mask_deg: float = MASK_DEG,
 ) -> World:
-    """Compute the truth of a run.
-
-    `constellation`: satellites; where more rise above the mask than there are channels, those that
-    stay longest are taken.
-    """
+    """Compute the truth of a run. `constellation`: satellites; where more rise above the mask than
+    there are channels, those that stay longest are taken."""
     time = trajectory.time
     step = time[1] - time[0]
     per_epoch = round(epoch_interval_s / step)

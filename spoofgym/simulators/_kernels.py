@@ -210,12 +210,10 @@ def displace(
 
 @njit
 def local_motion(position_e, velocity_e, C_en, epochs, onset, per_position, per_velocity, out):
-    """Motion since the onset in the local axes there, scaled.
-
-    `position_e`, `velocity_e` (K, 3) true, ECEF [m], [m/s]; `C_en` (K, 3, 3) local axes at all
-    epochs; `epochs`, `onset` (B,) epoch that each receiver is at, and that of its onset; `out`
-    (B, 6), written: position less that at the onset, and velocity; north, east, down.
-    """
+    """Motion since the onset in the local axes there, scaled. `position_e`, `velocity_e` (K, 3)
+    true, ECEF [m], [m/s]; `C_en` (K, 3, 3) local axes at all epochs; `epochs`, `onset` (B,) epoch
+    that each receiver is at, and that of its onset; `out` (B, 6), written: position less that at
+    the onset, and velocity; north, east, down."""
     for b in range(out.shape[0]):
         k, first = epochs[b], onset[b]
         axes = C_en[first]
@@ -242,12 +240,10 @@ def shift_response(
     shift,
     divergence,
 ):
-    """Move the attack's shift of the filter over one epoch, and add the divergence of it.
-
-    `weights` (B, 2n) on the columns of the gain; `range_offset`, `rate_offset` (B, n) what the
-    attack adds [m], [m/s]; `shift` (B, 17) of the filter's error, overwritten; `divergence` (B,)
-    [nats], added to.
-    """
+    """Move the attack's shift of the filter over one epoch, and add the divergence of it. `weights`
+    (B, 2n) on the columns of the gain; `range_offset`, `rate_offset` (B, n) what the attack adds
+    [m], [m/s]; `shift` (B, 17) of the filter's error, overwritten; `divergence` (B,) [nats], added
+    to."""
     receivers, n = visible.shape
     states = shift.shape[1]
     before, used = np.empty(states), np.empty(2 * n, dtype=np.int64)
@@ -314,11 +310,9 @@ REPORTS = 0xAD5B
 
 @njit
 def latest_reports(epochs, onset, keys, every, latency, out):
-    """Epoch of the newest report that has arrived by the epochs (B,): `out` (B,), written.
-
-    `keys` (B, 2) of the episodes; a report of every `every` epochs counted from the onset, with a
-    latency of its own between 0 and `latency` epochs, drawn by its key and its epoch.
-    """
+    """Epoch of the newest report that has arrived by the epochs (B,): `out` (B,), written. `keys`
+    (B, 2) of the episodes; a report of every `every` epochs counted from the onset, with a latency
+    of its own between 0 and `latency` epochs, drawn by its key and its epoch."""
     for b in range(out.shape[0]):
         newest = epochs[b] - (epochs[b] - onset[b]) % every
         while True:

@@ -52,11 +52,9 @@ DOMAIN_STREAM = 0xD0
 
 
 class Sequel(Protocol):
-    """What follows an epoch, such as its score, for `Simulator.step`.
-
-    A simulator calls it after the epoch, or gives its `arrays` to `Setup.kernel` before those of
-    its own; then `hold` is called where that found receivers that have come to the time to alert.
-    """
+    """What follows an epoch, such as its score, for `Simulator.step`. A simulator calls it after
+    the epoch, or gives its `arrays` to `Setup.kernel` before those of its own; then `hold` is
+    called where that found receivers that have come to the time to alert."""
 
     def arrays(self, simulator: Any) -> tuple[NDArray[Any], ...]:
         """First arguments of `Setup.kernel`."""
@@ -272,7 +270,6 @@ class Simulator(ABC):
             )
 
     def monitor(self, kind: type[M]) -> M:
-        """Monitor of a class."""
         for monitor in self.monitors:
             if isinstance(monitor, kind):
                 return monitor
@@ -292,7 +289,6 @@ class Simulator(ABC):
         self.verdict, self.weights = None, self.ones
 
     def _choose(self, keys: NDArray[np.uint64], given: Given | None) -> Choice:
-        """Choose the circumstances of new episodes."""
         setup = self.setup
         choice = draw(setup.bounds, keys)
         if given:
@@ -360,10 +356,8 @@ class Simulator(ABC):
         return False
 
     def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
-        """Run epochs with the detector and without commands; (count, B) bool alarms.
-
-        `holding` says that the attack holds its rate; if not, it has not started.
-        """
+        """Run epochs with the detector and without commands; (count, B) bool alarms. `holding` says
+        that the attack holds its rate; if not, it has not started."""
         alarms = np.zeros((count, self.receivers), dtype=np.bool_)
         for k in range(count):
             alarms[k] = self.step(attacked=holding).alarm.any(axis=1)
@@ -392,9 +386,7 @@ class Simulator(ABC):
 
     def start_from(self, pool: Self, rows: Rows, rngs: Rngs) -> None:
         """Let some receivers start new episodes as copies of a pool's that have come to the onset.
-
-        The seed of an episode picks the copy, and gives all noise after the onset.
-        """
+        The seed of an episode picks the copy, and gives all noise after the onset."""
         episodes = episode_seeds(rngs)
         picked = domain_keys(episodes)[:, 0] % np.uint64(pool.receivers)
         self.copy_rows(rows, pool, picked.astype(np.intp))
@@ -439,11 +431,9 @@ class Simulator(ABC):
         return self.error_n()[:, :2]
 
     def displacement(self, origin: FloatArray, twin: Self | None, out: FloatArray) -> None:
-        """Write the displacement that counts, (B,) [m].
-
-        It is the horizontal error less `origin` (B, 2), or the distance from the clean twin, along
-        the target direction; its size where that is ``"worst"``.
-        """
+        """Write the displacement that counts, (B,) [m]. It is the horizontal error less `origin`
+        (B, 2), or the distance from the clean twin, along the target direction; its size where that
+        is ``"worst"``."""
         apart = self.error_n()[:, :2]
         if twin is not None:
             apart = apart - twin.error_n()[:, :2]
@@ -492,7 +482,6 @@ class Simulator(ABC):
 
 
 def _merge(mine: Verdict | None, theirs: Verdict, to: Rows, rows: Rows, receivers: int) -> Verdict:
-    """Verdict with some rows of another."""
     merged: list[Any] = []
     for k, source in enumerate(theirs):
         if source is None:
@@ -507,7 +496,6 @@ def _merge(mine: Verdict | None, theirs: Verdict, to: Rows, rows: Rows, receiver
 
 
 def episode_seeds(rngs: Rngs) -> list[np.random.SeedSequence]:
-    """Seed of the next episode of every generator."""
     return [rng.bit_generator.seed_seq.spawn(1)[0] for rng in rngs]  # type: ignore[attr-defined]
 
 

@@ -23,15 +23,12 @@ KEPT = 64
 
 class PastPositions(Monitor):
     """Positions that the victims have believed at the last `KEPT` epochs that were judged.
-
-    `memory`: ``position`` (B, KEPT, d) in the axes of `Setup.true_position` [m], and ``of``
-    (B, KEPT) the epoch of each, -1 for none; that of epoch k is at the place k modulo `KEPT`.
-    """
+    `memory`: ``position`` (B, KEPT, d) in the axes of `Setup.true_position` [m], and ``of`` (B,
+    KEPT) the epoch of each, -1 for none; that of epoch k is at the place k modulo `KEPT`."""
 
     needs: ClassVar[frozenset[str]] = frozenset()
 
     def bind(self, simulator: Monitored) -> None:
-        """Prepare for the receivers of a simulator."""
         receivers, setup = simulator.receivers, simulator.setup  # type: ignore[attr-defined]
         axes = setup.true_position.shape[1]
         self.memory = Memory(receivers)
@@ -42,7 +39,6 @@ class PastPositions(Monitor):
         """Nothing: what the victim believes of the epoch is known after the update."""
 
     def corrected(self, simulator: Any) -> None:
-        """Keep the position of the epoch."""
         rows, epochs = np.arange(simulator.receivers), simulator.epochs
         self.memory["position"][rows, epochs % KEPT] = simulator.position
         self.memory["of"][rows, epochs % KEPT] = epochs
@@ -51,11 +47,9 @@ class PastPositions(Monitor):
 def reports(
     simulator: Any, every: int, latency_epochs: float
 ) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Positions of the newest reports that have arrived, (B, d), and their epochs, (B,).
-
-    A report is of every so many epochs from the onset on, before it, too; its latency is uniform
-    between 0 and `latency_epochs`.  Where none has arrived yet the epoch is -1 and the position 0.
-    """
+    """Positions of the newest reports that have arrived, (B, d), and their epochs, (B,). A report
+    is of every so many epochs from the onset on, before it, too; its latency is uniform between 0
+    and `latency_epochs`. Where none has arrived yet the epoch is -1 and the position 0."""
     past = simulator.monitor(PastPositions).memory
     epochs, onset, keys = simulator.epochs, simulator.onset, simulator.memory["key"]
     newest = np.empty(len(epochs), dtype=np.int64)

@@ -150,7 +150,6 @@ def expected_runs(
 
 
 def rates_of(given: float | Sequence[float]) -> tuple[float, ...]:
-    """One rate or several, checked."""
     several = given if isinstance(given, Sequence | np.ndarray) else [given]
     return tuple(map(check_rate, several))
 
@@ -170,10 +169,8 @@ def inner_detectors(specs: DetectorSpec | Iterable[DetectorSpec]) -> list[Detect
 
 
 def suitable_detectors(setup: Setup) -> list[Detector]:
-    """All detectors of the package that fit this victim, with their own settings.
-
-    Without pools, oracles, and those that never alarm.
-    """
+    """All detectors of the package that fit this victim, with their own settings. Without pools,
+    oracles, and those that never alarm."""
     measured = "satellites" if setup.geometry_names else "position"
     kinds = [kind for name, kind in DETECTORS.items() if name != "pool"]
     wanted = [kind for kind in kinds if kind.calibrates and not kind.oracle]
@@ -329,11 +326,9 @@ def bisect(
     alarms: Callable[[float, NDArray[np.int64]], NDArray[np.bool_]],
 ) -> float:
     """Smallest factor on the threshold, of the ratios, at which fewer than `rank` runs alarm.
-
-    `before`, `judged` (R,) largest ratios of runs without any alarm.  Up to its first alarm a run
-    is the same at any factor, so that only those above it before the attack are played again, by
-    ``alarms(factor, runs)``.
-    """
+    `before`, `judged` (R,) largest ratios of runs without any alarm. Up to its first alarm a run is
+    the same at any factor, so that only those above it before the attack are played again, by
+    ``alarms(factor, runs)``."""
     values = rounded_up(np.unique(np.concatenate([before, judged])))
 
     def count(scale: float) -> int:
@@ -359,20 +354,16 @@ def bisect(
 
 class InnovationSums(Monitor):
     """Squares of the innovations' common mode and complement, as they are and as believed.
-
     `memory`: ``sums`` (B, 8): of pseudoranges, then of range rates, common mode and its belief,
-    complement and its belief.
-    """
+    complement and its belief."""
 
     needs = frozenset({"innovation_cov"})
 
     def bind(self, simulator: Any) -> None:
-        """Prepare for the receivers of a simulator."""
         self.memory = Memory(simulator.receivers)
         self.memory.declare("sums", np.zeros((simulator.receivers, 8)))
 
     def update(self, simulator: Any) -> None:
-        """Add an epoch."""
         epoch, sums = simulator.epoch, self.memory["sums"]
         visible = epoch.visible.astype(np.float64)
         n = visible.shape[1]

@@ -70,7 +70,6 @@ class CleanRuns(NamedTuple):
     world: NDArray[np.int64]
 
     def first(self, runs: int) -> CleanRuns:
-        """Some of the runs."""
         return CleanRuns._make(part[:runs] for part in self)
 
     def column(self, k: int) -> CleanRuns:
@@ -80,9 +79,7 @@ class CleanRuns(NamedTuple):
 
 class RunMaxima(Monitor):
     """Largest ratios and alarms since the last look, of passive detectors or of that in the loop.
-
-    `detectors` is empty for that in the loop; `memory`: ``ratio`` and ``alarmed`` (B, D).
-    """
+    `detectors` is empty for that in the loop; `memory`: ``ratio`` and ``alarmed`` (B, D)."""
 
     def __init__(self, detectors: Sequence[Detector]) -> None:
         self._passive = PassiveDetectors(detectors)
@@ -90,7 +87,6 @@ class RunMaxima(Monitor):
         self.in_loop = not detectors
 
     def bind(self, simulator: Monitored) -> None:
-        """Prepare for the receivers of a simulator."""
         self._passive.bind(simulator)
         shape = simulator.receivers, len(self._passive.detectors) or 1
         self.memory = Memory(simulator.receivers)
@@ -98,17 +94,14 @@ class RunMaxima(Monitor):
         self.memory.declare("alarmed", np.zeros(shape, dtype=np.bool_))
 
     def begin(self) -> None:
-        """Start new episodes in all receivers."""
         super().begin()
         self._passive.begin()
 
     def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
-        """Take over receivers of another simulator."""
         super().copy_rows(to, other, rows)
         self._passive.copy_rows(to, other._passive, rows)
 
     def update(self, simulator: Any) -> None:
-        """Look at the verdicts on an epoch."""
         detectors = [simulator.detector] if self.in_loop else self._passive.detectors
         ratio, alarmed = self.memory["ratio"], self.memory["alarmed"]
         for k, detector in enumerate(detectors):
@@ -136,10 +129,8 @@ def weighs(setup: Setup, detector: Detector) -> bool:
 
 
 def measuring(detector: Detector) -> tuple[Detector, float]:
-    """Detector whose ratios are to be found, and what they are to be multiplied by.
-
-    An alarm that is a state must not come, since what follows depends on it.
-    """
+    """Detector whose ratios are to be found, and what they are to be multiplied by. An alarm that
+    is a state must not come, since what follows depends on it."""
     if isinstance(detector, Calibrated | PooledDetector):
         raise TypeError(f"{type(detector).__name__} has no ratios of its own to be found")
     if detector.alarm_is_state:
@@ -149,11 +140,9 @@ def measuring(detector: Detector) -> tuple[Detector, float]:
 
 
 class Player:
-    """Plays clean runs of one world.
-
-    `threads` share the chunks of runs, each of which has a simulator of its own; `store` is a
-    folder for what has been played so far, so that a killed process goes on from there.
-    """
+    """Plays clean runs of one world. `threads` share the chunks of runs, each of which has a
+    simulator of its own; `store` is a folder for what has been played so far, so that a killed
+    process goes on from there."""
 
     def __init__(
         self,
@@ -282,7 +271,6 @@ def _check(stopped: threading.Event) -> None:
 
 
 def _play(setup: Setup, rngs: list[np.random.Generator], stopped: threading.Event) -> CleanRuns:
-    """Clean runs side by side."""
     simulator: Simulator = setup.simulator(len(rngs), run_serially)
     maxima = simulator.monitor(RunMaxima)
     for _ in simulator.warming(rngs, piece=20 * len(rngs)):
@@ -321,7 +309,6 @@ def in_order(
 
 
 def _nothing(detectors: int) -> CleanRuns:
-    """No runs yet."""
     numbers, flags = np.zeros((0, detectors)), np.zeros((0, detectors), dtype=np.bool_)
     return CleanRuns(numbers, numbers, flags, flags, np.zeros(0, dtype=np.int64))
 

@@ -48,7 +48,6 @@ class Combination(NamedTuple):
 
 
 def worlds_of(scenario: Scenario, domain: Domain) -> list[World]:
-    """Worlds of a domain."""
     if not domain.varies and domain.worlds is None and domain.pairs() == [(0.0, 0.0)]:
         return [scenario.world()]
     constellation = scenario.constellation
@@ -81,12 +80,9 @@ def _variants(scenario: Scenario, base: CircularConstellation, domain: Domain) -
 
 
 class Combinations:
-    """All combinations of world, grade and errors.
-
-    `epochs`: of an episode, which a matched receiver knows; `flown`: epochs of the flight that any
-    episode may come to; `world`: all worlds, one after the other; `names`: of the grades,
-    ``"imu"``, and of the errors, ``"errors"``.
-    """
+    """All combinations of world, grade and errors. `epochs`: of an episode, which a matched
+    receiver knows; `flown`: epochs of the flight that any episode may come to; `world`: all worlds,
+    one after the other; `names`: of the grades, ``"imu"``, and of the errors, ``"errors"``."""
 
     def __init__(
         self,
@@ -137,7 +133,6 @@ class Combinations:
         return signal_model(first.assumed, first.assumed_bias_sd, interval_s)
 
     def __getitem__(self, index: int) -> Combination:
-        """Return the combination of an index."""
         return self._all[index]
 
     @property

@@ -34,15 +34,12 @@ from .tightly_coupled import tightly_coupled
 
 
 class Divergence(Monitor):
-    """Divergence of the innovations by the belief of tightly coupled filters.
-
-    `memory`: ``divergence`` (B,) accumulated [nats]; ``shift`` (B, 17) e, in the filter's states.
-    """
+    """Divergence of the innovations by the belief of tightly coupled filters. `memory`:
+    ``divergence`` (B,) accumulated [nats]; ``shift`` (B, 17) e, in the filter's states."""
 
     needs: ClassVar = frozenset({"transition", "design", "predicted_cov", "innovation_cov"})
 
     def bind(self, simulator: Monitored) -> None:
-        """Prepare for the receivers of a simulator."""
         victims = tightly_coupled(simulator, "the divergence of an attack")
         receivers = victims.receivers
         if victims.setup.receiver.tuning == "augmented":
@@ -52,7 +49,6 @@ class Divergence(Monitor):
         self.memory.declare("shift", np.zeros((receivers, STATES)))
 
     def update(self, simulator: Monitored) -> None:
-        """Add the part of an epoch."""
         victims = tightly_coupled(simulator, "the divergence of an attack")
         epoch, verdict, sensors = victims.epoch, victims.verdict, victims.sensors
         weights = victims.ones if verdict is None or verdict.weights is None else verdict.weights

@@ -69,7 +69,6 @@ class Domain:
     events: BenignEvents | None = field(default=None, metadata=OMITTED)
 
     def __post_init__(self) -> None:
-        """Check ranges and names."""
         self._check_options()
         for name in ("start_s", "turned_deg", "constellation_time_s"):
             object.__setattr__(self, name, _range(name, getattr(self, name), name == "start_s"))
@@ -100,7 +99,6 @@ class Domain:
             raise ValueError(f"`world_seed` must be at least 0, got {self.world_seed}")
 
     def _check_options(self) -> None:
-        """Check what the scenario has of its own, too."""
         if self.turn_on is not None:
             check_choice("turn_on", self.turn_on, TURN_ON)
         if self.events is not None:
@@ -138,12 +136,9 @@ def _range(name: str, given: Any, open_end: bool) -> tuple[float, float | None]:
 
 
 class Choice(NamedTuple):
-    """Circumstances of some receivers' episodes, (b,) each.
-
-    `world`, `grade`, `error`: index of the world, and in `Domain.imu` and `Domain.errors`; `start`:
-    epoch of the world at which the episode starts; `heading`: direction in which displacement
-    counts, clockwise from north [rad].
-    """
+    """Circumstances of some receivers' episodes, (b,) each. `world`, `grade`, `error`: index of the
+    world, and in `Domain.imu` and `Domain.errors`; `start`: epoch of the world at which the episode
+    starts; `heading`: direction in which displacement counts, clockwise from north [rad]."""
 
     world: IntArray
     grade: IntArray
@@ -228,7 +223,6 @@ def given_choice(
 
 
 def each_of(name: str, value: Any, count: int) -> list[Any]:
-    """One value for every receiver."""
     if isinstance(value, str) or np.ndim(value) == 0:
         return [value] * count
     values = list(value)

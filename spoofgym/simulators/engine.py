@@ -129,11 +129,9 @@ class Engine:
         self._workers.run(work, bounds)
 
     def reset(self, rngs: Rngs, rows: Rows | None = None, given: Given | None = None) -> None:
-        """Start new episodes of some receivers, all by default, and run their warm-up.
-
-        `rngs` has one generator a row; `given` are circumstances that are not to be drawn, one
-        value, or one per row (see `domain.CHOICES`).
-        """
+        """Start new episodes of some receivers, all by default, and run their warm-up. `rngs` has
+        one generator a row; `given` are circumstances that are not to be drawn, one value, or one
+        per row (see `domain.CHOICES`)."""
         self._workers.settle()
         where = self._everyone if rows is None else rows
         if given and self.warm_pool is not None:
@@ -255,7 +253,6 @@ def available_threads(receivers: int) -> int:
 
 
 def processors() -> int:
-    """Processors that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:

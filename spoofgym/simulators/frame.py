@@ -11,11 +11,9 @@ FloatArray = NDArray[np.float64]
 
 
 class SkyData(NamedTuple):
-    """The satellites over one receiver, by slot (n,).
-
-    Angles in radians; `spoofed` where the spoofer changes the signal; `weight` of the pseudorange
-    in the receiver, 0 where the detector excludes it; `names` is ``""`` for an empty slot.
-    """
+    """The satellites over one receiver, by slot (n,). Angles in radians; `spoofed` where the
+    spoofer changes the signal; `weight` of the pseudorange in the receiver, 0 where the detector
+    excludes it; `names` is ``""`` for an empty slot."""
 
     names: tuple[str, ...]
     azimuth: FloatArray
@@ -26,13 +24,10 @@ class SkyData(NamedTuple):
 
 
 class FrameData(NamedTuple):
-    """One receiver at one instant.
-
-    `position_ne` (2,) true position from that at the onset, `error_ne` (2,) estimate minus truth,
-    `displacement_ne` (2,) commanded, None where the spoofer commands no position [m]; `ratio` the
-    largest statistic over its threshold, NaN before the first verdict; `sky` None where the
-    receiver takes positions.
-    """
+    """One receiver at one instant. `position_ne` (2,) true position from that at the onset,
+    `error_ne` (2,) estimate minus truth, `displacement_ne` (2,) commanded, None where the spoofer
+    commands no position [m]; `ratio` the largest statistic over its threshold, NaN before the first
+    verdict; `sky` None where the receiver takes positions."""
 
     position_ne: FloatArray
     error_ne: FloatArray
@@ -42,11 +37,8 @@ class FrameData(NamedTuple):
 
 
 class EpisodeLayout(NamedTuple):
-    """What stays the same in a picture for a whole episode.
-
-    `track_ne` (K, 2) is the true ground track from the onset to the end of the time to alert [m];
-    `onset_s` the time of the onset.
-    """
+    """What stays the same in a picture for a whole episode. `track_ne` (K, 2) is the true ground
+    track from the onset to the end of the time to alert [m]; `onset_s` the time of the onset."""
 
     title: str
     track_ne: FloatArray

@@ -54,11 +54,9 @@ class HoldOut(NamedTuple):
 
     @property
     def worst_world(self) -> tuple[float, float] | None:
-        """Largest rate an hour of a world, and that which chance alone shows if all are alike.
-
-        The second is the median of the largest, of binomial counts with the share of all runs;
-        None where a single world was drawn.
-        """
+        """Largest rate an hour of a world, and that which chance alone shows if all are alike. The
+        second is the median of the largest, of binomial counts with the share of all runs; None
+        where a single world was drawn."""
         if len(self.worlds) < 2:
             return None
         from scipy.stats import binom
@@ -78,7 +76,6 @@ class HoldOut(NamedTuple):
         return self.low <= self.alarms <= self.high
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, JSON-able."""
         worst = self.worst_world or (None, None)
         return {
             **self._asdict(),
@@ -94,7 +91,6 @@ def _finite(rate: float | None) -> float | None:
 
 
 def calibrated(calibration: Calibration, detector: Detector, rate: float) -> Calibrated:
-    """Detector with the thresholds of a calibration at a rate."""
     made = Calibrated(
         detector, false_alarms_per_hour=rate, rescaled=calibration.rescale is not None
     )
@@ -120,31 +116,13 @@ def hold_out(
 
     Killed, it goes on from what it has played when it is called again.
 
-    Parameters
-    ----------
-    setup : Setup
-        The world that is played.
-    calibrations : sequence of Calibration
-        In the order of the detectors.
-    detectors : str, mapping, Detector, or a sequence of them
-        As `calibrate` takes them.
-    false_alarms_per_hour : float or sequence of float
-        Rate at which they work; several share their runs, but for an alarm that is a state.
-    runs : int, optional
-        By default `HOLDOUT_PASSIVE`, or `HOLDOUT_WEIGHING` for a detector that de-weights.
-    cells : int, optional
-        Hold-outs that are made together, whose intervals hold together; all of these by default.
-    threads, chunk, progress
-        As in `calibrate`.
-    split : str
-        Of the seeds.
-    predicted : bool
-        Whether the ranks of the calibration predict the count: they do in its own world alone.
-
-    Returns
-    -------
-    list of HoldOut
-        In the order of the detectors; of several rates one after the other.
+    `calibrations`: in the order of the detectors; `detectors`: as `calibrate` takes them;
+    `false_alarms_per_hour`: rate at which they work; several share their runs, but for an alarm
+    that is a state; `runs`: by default `HOLDOUT_PASSIVE`, or `HOLDOUT_WEIGHING` for a detector that
+    de-weights; `cells`: hold-outs that are made together, whose intervals hold together; all of
+    these by default; `threads`, `chunk`, `progress`: as in `calibrate`; `predicted`: whether the
+    ranks of the calibration predict the count: they do in its own world alone; returns in the order
+    of the detectors; of several rates one after the other.
     """
     rates = rates_of(false_alarms_per_hour)
     parts = list(zip(calibrations, inner_detectors(detectors), strict=True))
@@ -212,11 +190,9 @@ def _counted(
 
 
 def predictive_interval(runs: int, calibrated: int, rank: int, cells: int = 1) -> tuple[int, int]:
-    """Central interval of the fresh runs that exceed an order statistic, of all cells together.
-
-    How often a fresh run exceeds the order statistic of `rank` from the top of n is beta
-    distributed, and their count beta-binomial.  `runs`: fresh ones; `calibrated`: n.
-    """
+    """Central interval of the fresh runs that exceed an order statistic, of all cells together. How
+    often a fresh run exceeds the order statistic of `rank` from the top of n is beta distributed,
+    and their count beta-binomial. `runs`: fresh ones; `calibrated`: n."""
     from scipy.stats import betabinom
 
     tail = 0.5 * (1.0 - CONFIDENCE) / cells
@@ -231,21 +207,8 @@ def transfer(
     **settings: Any,
 ) -> list[HoldOut]:
     """Count the alarms of detectors that were calibrated elsewhere on clean runs of this world.
-
-    Parameters
-    ----------
-    setup : Setup
-        Another world.
-    calibrations, detectors
-        As in `hold_out`.
-    **settings
-        The others of `hold_out`.
-
-    Returns
-    -------
-    list of HoldOut
-        Without intervals: nothing is promised elsewhere.
-    """
+    `calibrations`, `detectors`: as in `hold_out`; `settings`: the others of `hold_out`; returns
+    without intervals: nothing is promised elsewhere."""
     return hold_out(setup, calibrations, detectors, predicted=False, **settings)
 
 
@@ -256,27 +219,10 @@ def check(
     *,
     threads: int | None = None,
 ) -> None:
-    """Replay the first runs of calibrations, and raise where a maximum is another one.
-
-    Not those of a detector that draws by the last bits of innovations, which differ between kinds
-    of processors: its runs are others there, and its rate is the same.
-
-    Parameters
-    ----------
-    setup : Setup
-        Their world.
-    calibrations : sequence of Calibration
-        In the order of the detectors.
-    detectors : str, mapping, Detector, or a sequence of them
-        As `calibrate` takes them.
-    threads : int, optional
-        As in `calibrate`.
-
-    Raises
-    ------
-    ValueError
-        When a calibration is of something else, or the code behaves differently now.
-    """
+    """Replay the first runs of calibrations, and raise where a maximum is another one. Not those of
+    a detector that draws by the last bits of innovations, which differ between kinds of processors:
+    its runs are others there, and its rate is the same. `calibrations`: in the order of the
+    detectors; `detectors`: as `calibrate` takes them; `threads`: as in `calibrate`."""
     parts = inner_detectors(detectors)
     pairs = list(zip(calibrations, parts, strict=True))
     for calibration, detector in pairs:

@@ -36,9 +36,7 @@ class Monitored(Protocol):
 
 class Monitor(ABC):
     """What looks at the epochs of a simulator; `memory` is all that it remembers of receivers.
-
-    `needs`: optional fields of `Epoch` that it reads, as of a `Detector`.
-    """
+    `needs`: optional fields of `Epoch` that it reads, as of a `Detector`."""
 
     needs: ClassVar[frozenset[str]] = frozenset()
     memory: Memory
@@ -65,11 +63,9 @@ class Monitor(ABC):
 
 class PassiveDetectors(Monitor):
     """Detectors that judge the same epochs as the one in the loop; their weights are not used.
-
     `names`: name of each in ``info``: its `label`, or that of its class in `DETECTORS`, numbered
     where it is not alone; `memory`: ``alarmed`` (B, w) bool, whether each has alarmed since it was
-    last set to False; ``ratio`` (B, w) largest statistic over threshold at the last epoch.
-    """
+    last set to False; ``ratio`` (B, w) largest statistic over threshold at the last epoch."""
 
     def __init__(self, detectors: Sequence[Detector]) -> None:
         self.detectors = [copy.deepcopy(detector) for detector in detectors]
@@ -78,7 +74,6 @@ class PassiveDetectors(Monitor):
         self.needs = frozenset().union(*map(check_needs, self.detectors))  # type: ignore[misc]
 
     def bind(self, simulator: Monitored) -> None:
-        """Prepare for the receivers of a simulator."""
         for detector in self.detectors:
             simulator.bind_detector(detector)
         receivers, count = simulator.receivers, len(self.detectors)
@@ -87,13 +82,11 @@ class PassiveDetectors(Monitor):
         self.memory.declare("ratio", np.zeros((receivers, count)))
 
     def begin(self) -> None:
-        """Start new episodes in all receivers."""
         super().begin()
         for detector in self.detectors:
             detector.reset()
 
     def update(self, simulator: Monitored) -> None:
-        """Let every detector judge the epoch."""
         alarmed, ratio = self.memory["alarmed"], self.memory["ratio"]
         for k, detector in enumerate(self.detectors):
             verdict = judged(detector, simulator.epoch)
@@ -101,7 +94,6 @@ class PassiveDetectors(Monitor):
             ratio[:, k] = (verdict.statistic / verdict.threshold).max(axis=1)
 
     def copy_rows(self, to: NDArray[np.intp], other: Self, rows: NDArray[np.intp]) -> None:
-        """Take over receivers of another simulator."""
         super().copy_rows(to, other, rows)
         for mine, theirs in zip(self.detectors, other.detectors, strict=True):
             mine.memory.copy_rows(to, theirs.memory, rows)
@@ -114,7 +106,6 @@ def needed_monitors(terms: Iterable[Any]) -> list[Monitor]:
 
 
 def names_of(detectors: Sequence[Detector]) -> tuple[str, ...]:
-    """Names of detectors, with underscores."""
     known = {kind: name for name, kind in DETECTORS.items()}
     detectors = [d.detector if isinstance(d, Calibrated) else d for d in detectors]
     named = [d.label or known.get(type(d), type(d).__name__) for d in detectors]

@@ -34,11 +34,9 @@ PIECE = 64
 
 
 class Group:
-    """Some receivers on their way to the onset, in pieces that any thread may do.
-
-    `slots` and `episodes` are where they go to and their generators; `failure` is what the warm-up
-    raised; it is `over` with that, or with `batch`.
-    """
+    """Some receivers on their way to the onset, in pieces that any thread may do. `slots` and
+    `episodes` are where they go to and their generators; `failure` is what the warm-up raised; it
+    is `over` with that, or with `batch`."""
 
     batch: Simulator
 
@@ -78,12 +76,10 @@ class Group:
 
 
 class NextEpisodes:
-    """Receivers that wait at the onset of their next episodes.
-
-    `waiting` has `STOCK` times the B receivers of the engine, in slots ``row`` and ``row + B`` in
-    turn.  ``warm_up(rngs)`` makes a batch, and stops between pieces of its warm-up.  Threads do no
-    more than such pieces; the books are the owner's alone.
-    """
+    """Receivers that wait at the onset of their next episodes. `waiting` has `STOCK` times the B
+    receivers of the engine, in slots ``row`` and ``row + B`` in turn. ``warm_up(rngs)`` makes a
+    batch, and stops between pieces of its warm-up. Threads do no more than such pieces; the books
+    are the owner's alone."""
 
     def __init__(self, waiting: Simulator, warm_up: WarmUp, workers: Workers) -> None:
         self._waiting, self._warm_up, self._workers = waiting, warm_up, workers
@@ -104,7 +100,6 @@ class NextEpisodes:
         self._asked, self._sources = {}, [None] * self._receivers
 
     def _ask_again(self, groups: Iterable[Group]) -> None:
-        """Take groups apart."""
         self._asked = {**self._open(groups), **self._asked}
         self._groups = [group for group in self._groups if group not in groups]
         self._workers.pieces[:] = self._groups
@@ -128,7 +123,6 @@ class NextEpisodes:
             self._generation = _threads.generation()
 
     def __getstate__(self) -> dict[str, Any]:
-        """State in which all that is not ready has yet to be started."""
         asked = {**self._open(self._groups), **self._asked}
         return {**self.__dict__, "_asked": asked, "_groups": [], "_generation": None}
 
@@ -137,11 +131,9 @@ class NextEpisodes:
         return rows + self._receivers * ((self._taken[rows] + ahead) % STOCK)
 
     def prepare(self, rows: NDArray[np.intp], rngs: Rngs) -> None:
-        """Ask for the next episodes of some receivers, each from its generator.
-
-        A generator that is new gets one, in place of what waited for the receiver before; a known
-        one as many as it lacks of its stock.
-        """
+        """Ask for the next episodes of some receivers, each from its generator. A generator that is
+        new gets one, in place of what waited for the receiver before; a known one as many as it
+        lacks of its stock."""
         self._check_fork()
         known = self.prepared(rows, rngs, least=0)
         self._stock[rows[~known]] = 0
@@ -165,7 +157,6 @@ class NextEpisodes:
             self._workers.wake()
 
     def _group(self, slots: list[int]) -> None:
-        """Make groups of what has been asked for."""
         for part in np.array_split(slots, -(-len(slots) // MOST_TOGETHER)):
             episodes = [self._episodes[slot] for slot in part.tolist()]
             self._groups.append(Group(part.tolist(), episodes, self._warm_up))

@@ -13,10 +13,8 @@ FloatArray = NDArray[np.float64]
 
 
 class RateSimulator(Simulator):
-    """B receivers under `RateCommands`; all that they remember lies in `memory`.
-
-    ``epoch`` (B,), ``displacement`` and ``rate`` (B, a), in the order of `Setup.action_names`.
-    """
+    """B receivers under `RateCommands`; all that they remember lies in `memory`. ``epoch`` (B,),
+    ``displacement`` and ``rate`` (B, a), in the order of `Setup.action_names`."""
 
     def _allocate(self) -> None:
         none = np.zeros((self.receivers, len(self.setup.action_names)))

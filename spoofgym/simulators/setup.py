@@ -35,10 +35,8 @@ Run = Callable[[Callable[[int, int], None], int], None]
 
 @dataclass(frozen=True)
 class RateCommands:
-    """Displacement commanded by rates, one an axis, as an `Attack` of a smaller victim.
-
-    `limits` (a,) are what an action of 1 means [m/s].
-    """
+    """Displacement commanded by rates, one an axis, as an `Attack` of a smaller victim. `limits`
+    (a,) are what an action of 1 means [m/s]."""
 
     kind: str
     names: tuple[str, ...]
@@ -58,15 +56,12 @@ class RateCommands:
         return self.limits[0] if len(set(self.limits)) == 1 else self.limits
 
     def action_names(self, world: object) -> tuple[str, ...]:
-        """Name of every element."""
         return self.names
 
 
 class SequelKernel(NamedTuple):
-    """Kernel that begins with a simulator's own, and what it is given where nothing follows.
-
-    A simulator runs it for everything, so that its own is compiled as a part of it alone.
-    """
+    """Kernel that begins with a simulator's own, and what it is given where nothing follows. A
+    simulator runs it for everything, so that its own is compiled as a part of it alone."""
 
     function: Callable[..., int]
     nothing: tuple[NDArray[Any], ...]
@@ -173,7 +168,6 @@ class Setup(ABC):
         decision_interval_s: float | None,
         between: str,
     ) -> None:
-        """Take detector, phases and decisions."""
         self.detector, self.timeline = detector_in_world(detector), timeline
         self.interval_s = interval_s
         self.monitors: tuple[Monitor, ...] = ()
@@ -339,12 +333,9 @@ class Setup(ABC):
         kernel: SequelKernel | None = None,
         pace: tuple[float | None, str] | None = None,
     ) -> Setup:
-        """The same world and attack, with something else in it.
-
-        Another detector, other monitors, another kernel, or another pace of the spoofer:
-        ``decision_interval_s`` and ``between``, which change neither when an episode may start nor
-        how long it takes.
-        """
+        """The same world and attack, with something else in it. Another detector, other monitors,
+        another kernel, or another pace of the spoofer: ``decision_interval_s`` and ``between``,
+        which change neither when an episode may start nor how long it takes."""
         other = copy.copy(self)
         if pace is not None:
             other._decide_every(*pace)
@@ -358,7 +349,6 @@ class Setup(ABC):
 
 
 def checked_target(target_heading_deg: float | str) -> float | str:
-    """Target direction, or a ValueError."""
     if isinstance(target_heading_deg, str):
         check_choice("target_heading_deg", target_heading_deg, TARGETS)
     elif not (is_number(target_heading_deg) and math.isfinite(target_heading_deg)):

@@ -141,7 +141,6 @@ class SnapshotSetup(Setup):
         )
 
     def world_settings(self) -> dict[str, Any]:
-        """Sky, noise and domain."""
         return {**self._flown, "noise_m": self.noise_m, "domain": describe(self.domain)}
 
     def simulator(self, receivers: int, run: Run) -> SnapshotSimulator:
@@ -150,7 +149,6 @@ class SnapshotSetup(Setup):
 
 
 def _which(spoofed: int | Sequence[int], satellites: int) -> int | list[int]:
-    """Count of spoofed satellites, or their slots."""
     if isinstance(spoofed, int | np.integer):
         if not 0 <= spoofed <= satellites:
             raise ValueError(
@@ -170,7 +168,6 @@ def _which(spoofed: int | Sequence[int], satellites: int) -> int | list[int]:
 
 
 def _rates(rate_limit_mps: float | Sequence[float]) -> tuple[float, ...]:
-    """Limit of every axis."""
     given = np.atleast_1d(np.asarray(rate_limit_mps, dtype=object))
     numbers = all(map(is_number, given.flat))
     limits = np.asarray(rate_limit_mps if numbers else np.nan, dtype=np.float64)

@@ -25,21 +25,17 @@ SPLITS = {
 def seed_sequences(
     entropy: int, split: str, scenario: str, runs: int, first: int = 0
 ) -> list[np.random.SeedSequence]:
-    """Seeds of the runs of a split; the first ones are the same for any number of runs.
-
-    `entropy`: of the campaign, at least 0; `first`: run to start with.
-    """
+    """Seeds of the runs of a split; the first ones are the same for any number of runs. `entropy`:
+    of the campaign, at least 0; `first`: run to start with."""
     return seeds_of_runs(entropy, split, scenario, range(first, runs))
 
 
 def seeds_of_runs(
     entropy: int, split: str, scenario: str, runs: Iterable[int]
 ) -> list[np.random.SeedSequence]:
-    """Seeds of some runs of a split, by their numbers."""
     key = zlib.crc32(scenario.encode())
     return [np.random.SeedSequence(entropy, spawn_key=(SPLITS[split], key, run)) for run in runs]
 
 
 def generators_of(seeds: Iterable[np.random.SeedSequence]) -> list[np.random.Generator]:
-    """Generators of runs, as simulators take them."""
     return [np.random.Generator(np.random.PCG64(seed)) for seed in seeds]

@@ -61,10 +61,8 @@ class Workers:
         self._jobs: list[SimpleQueue[Job | None]] = []
 
     def run(self, work: Work, bounds: Sequence[int]) -> None:
-        """Call ``work(lo, hi)`` for all neighbouring bounds, here and in the threads.
-
-        What the work raised, or an interrupt, is raised after all slices have ended.
-        """
+        """Call ``work(lo, hi)`` for all neighbouring bounds, here and in the threads. What the work
+        raised, or an interrupt, is raised after all slices have ended."""
         self._start()
         if self._busy:
             self.settle()
@@ -89,11 +87,9 @@ class Workers:
             queue.put(_nothing)
 
     def settle(self) -> None:
-        """Wait until no slice of an interrupted `run` is left; interrupts have to wait, too.
-
-        An interrupt may have lost an end, or have come before a slice was handed out.  So nothing
-        is counted: every thread is given one more job, which it comes to after all others.
-        """
+        """Wait until no slice of an interrupted `run` is left; interrupts have to wait, too. An
+        interrupt may have lost an end, or have come before a slice was handed out. So nothing is
+        counted: every thread is given one more job, which it comes to after all others."""
         interrupt: BaseException | None = None
         while self._busy and self._generation is _threads.generation():
             try:
@@ -146,11 +142,9 @@ class Workers:
         self._stop()
 
     def __getstate__(self) -> dict[str, Any]:
-        """State without the threads and their pieces."""
         return {"count": self.count}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Start without threads."""
         self.__init__(state["count"])  # type: ignore[misc]
 
 

@@ -151,7 +151,6 @@ class TightlyCoupledSetup(Setup):
         self._check_first_fixes()
 
     def world_settings(self) -> dict[str, Any]:
-        """Scenario but for its name, receiver and domain."""
         scenario = describe(self.scenario)
         del scenario["name"]
         domain = self.domain
@@ -166,12 +165,10 @@ class TightlyCoupledSetup(Setup):
 
     @property
     def title(self) -> str:
-        """Scenario and attack."""
         return f"{self.name}: {self.attack.label}"
 
     @property
     def combination_names(self) -> Mapping[str, Sequence[str]]:
-        """Names of the grades and errors of the domain."""
         return self.combinations.names
 
     @property
@@ -218,7 +215,6 @@ class TightlyCoupledSetup(Setup):
 
 
 def _victim(given: Any, scenario: Scenario, domain: Domain) -> TightlyCoupled:
-    """Victim by name or settings."""
     if isinstance(given, str):
         check_choice("receiver", given, RECEIVERS)
         given = RECEIVERS[given]
@@ -240,11 +236,9 @@ def _unscaled(detector: Detector) -> tuple[Detector, float]:
 
 
 class TightlyCoupledSimulator(Simulator):
-    """B tightly coupled receivers; kernels work on slices of them, possibly in threads.
-
-    `buffers` has the estimates and measurements, `sensors` their errors; `attack` is bound;
-    `augmented` is the filter with more states, or None.
-    """
+    """B tightly coupled receivers; kernels work on slices of them, possibly in threads. `buffers`
+    has the estimates and measurements, `sensors` their errors; `attack` is bound; `augmented` is
+    the filter with more states, or None."""
 
     setup: TightlyCoupledSetup
 
@@ -322,12 +316,10 @@ class TightlyCoupledSimulator(Simulator):
         return DetectorContext(*known, states, setup.receiver.min_satellites)
 
     def __getstate__(self) -> dict[str, Any]:
-        """State without views of the buffers, which a copy makes of its own."""
         views = ("epoch", "_table", "_memories", "_no_memories", "_known", "_spare", "_history")
         return {name: value for name, value in self.__dict__.items() if name not in views}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over the state, and view the epoch."""
         self.__dict__.update(state)
         self.epoch = self._view()
         self._hold_arguments()
@@ -349,7 +341,6 @@ class TightlyCoupledSimulator(Simulator):
 
     @property
     def commands(self) -> Memory:
-        """Memory of the attack."""
         memory: Memory = self.attack.memory
         return memory
 
@@ -581,7 +572,6 @@ class TightlyCoupledSimulator(Simulator):
         return ArrayTable(arrays)
 
     def _compiled_verdict(self, detector: int) -> Verdict:
-        """The verdict of a compiled detector, which every epoch overwrites."""
         if detector not in self._verdicts:
             never = detector == _kernels.NEVER
             shape = (self.receivers, 1) if never else self.buffers.visible.shape
@@ -610,10 +600,8 @@ class TightlyCoupledSimulator(Simulator):
         attacked: bool = True,
         sequel: Sequel | None = None,
     ) -> Verdict:
-        """Both halves of an epoch, in one kernel where nothing in Python comes between.
-
-        The `sequel` is part of it where nothing in Python comes before it, either.
-        """
+        """Both halves of an epoch, in one kernel where nothing in Python comes between. The
+        `sequel` is part of it where nothing in Python comes before it, either."""
         detector = self._compiled_detector()
         if detector == _kernels.NO_FORM:
             return super().step(command, attacked=attacked, sequel=sequel)
@@ -630,14 +618,11 @@ class TightlyCoupledSimulator(Simulator):
 
     @property
     def judges_compiled(self) -> bool:
-        """Whether the detector is part of the kernel."""
         return self._compiled_detector() != _kernels.NO_FORM
 
     def live_epochs(self, count: int, *, holding: bool = False) -> NDArray[np.bool_]:
         """Run epochs with the detector and without commands, in one kernel where that is possible.
-
-        (`count`, B) bool alarms.
-        """
+        (`count`, B) bool alarms."""
         detector = self._compiled_detector()
         form = self._compiled_attack() if holding else _kernels.NO_FORM
         in_python = holding and form == _kernels.NO_FORM
@@ -706,7 +691,6 @@ class TightlyCoupledSimulator(Simulator):
         return result
 
     def displacement(self, origin: FloatArray, twin: Self | None, out: FloatArray) -> None:
-        """Write the displacement that counts, in one kernel."""
         setup, memory = self.setup, self.memory
         reference = (setup.true_position, self.sensors.epoch)
         if twin is not None:
@@ -723,7 +707,6 @@ class TightlyCoupledSimulator(Simulator):
         return *now, *position_e, setup.C_en, self.memory["direction"]
 
     def copy_rows(self, to: Rows, other: Self, rows: Rows) -> None:
-        """Take over receivers of another simulator, with all that they remember."""
         self.buffers.copy_rows(to, other.buffers, rows)
         self.sensors.copy_rows(to, other.sensors, rows)
         self.attack.memory.copy_rows(to, other.attack.memory, rows)
@@ -748,7 +731,6 @@ class TightlyCoupledSimulator(Simulator):
         )
 
     def recorded(self) -> dict[str, NDArray[Any]]:
-        """What the attack adds to the measurements."""
         offsets = self.sensors
         return {"range_offset_m": offsets.range_offset, "rate_offset_mps": offsets.rate_offset}
 

@@ -35,7 +35,6 @@ class Timeline:
     time_to_alert_s: float = 10.0
 
     def __post_init__(self) -> None:
-        """Check the lengths."""
         for name, value in vars(self).items():
             check_finite(name, value, "> 0" if name == "attack_s" else ">= 0")
         if self.live_s > self.warmup_s:

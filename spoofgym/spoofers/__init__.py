@@ -15,7 +15,6 @@ from .feedback import Feedback, FeedbackProfile
 from .intermittent import Intermittent
 from .learned import OnnxPolicy
 from .none import NoSpoofer
-from .paper_attacks import PAPER_ATTACKS, PaperAttack
 from .profile import BlindOptimum, Profile
 from .ramp import Ramp
 from .scaled import Scaled, split_amplitude, with_amplitude
@@ -25,7 +24,6 @@ from .zoo import card_of, shipped, spec_of_shipped
 
 __all__ = [
     "KNOWLEDGE",
-    "PAPER_ATTACKS",
     "SPOOFERS",
     "SUFFIX",
     "AcceleratingRamp",
@@ -37,7 +35,6 @@ __all__ = [
     "Intermittent",
     "NoSpoofer",
     "OnnxPolicy",
-    "PaperAttack",
     "Profile",
     "Ramp",
     "Scaled",

@@ -29,31 +29,24 @@ class AcceleratingRamp(ScriptedSpoofer):
     tunable: ClassVar[str | None] = "acceleration_mps2"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_finite("acceleration_mps2", self.acceleration_mps2)
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         if context.control != "rate":
             limit = context.acceleration_limit_mps2
             check_limit(self, "acceleration_mps2", "acceleration_limit_mps2", limit)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch.
-
-        `step`, `rate`, `displacement` (B,) so far; returns (B,) the rate so far, and what an
-        epoch's acceleration adds [m/s].
-        """
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) the rate so far, and what an epoch's acceleration adds [m/s]."""
         return rate + self.acceleration_mps2 * self.context.interval_s
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """Up to the limit of the acceleration; by rate, to its limit within ten epochs.
-
-        Returns `low`, `high` [m/s^2].
-        """
+        """Up to the limit of the acceleration; by rate, to its limit within ten epochs. Returns
+        `low`, `high` [m/s^2]."""
         high = context.acceleration_limit_mps2
         if context.control == "rate":
             high = context.rate_limit_mps / (10.0 * context.interval_s)

@@ -21,10 +21,8 @@ UNIT = 1e-3
 
 
 def axes_of(action_names: tuple[str, ...]) -> list[str]:
-    """What an action's elements are of: axes, or channels.
-
-    Returns (a,) names without their unit.
-    """
+    """What an action's elements are of: axes, or channels. Returns (a,) names without their
+    unit."""
     return [name.rsplit("_", 1)[0] for name in action_names]
 
 
@@ -83,11 +81,8 @@ class Aim:
             self._fixed = direction(names, fixed + turned_deg)
 
     def __call__(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Unit command.
-
-        `observation` (B, o); looked at for the target direction alone; returns (a,) the same for
-        all receivers, or (B, a).
-        """
+        """Unit command. `observation` (B, o); looked at for the target direction alone; returns
+        (a,) the same for all receivers, or (B, a)."""
         if not self._columns:
             return self._fixed
         north, east = (observation[:, k].astype(np.float64) for k in self._columns)
@@ -119,7 +114,6 @@ def _columns(context: SpooferContext) -> list[int]:
 
 
 def _places(action_names: tuple[str, ...]) -> list[int]:
-    """Where north and east are in an action."""
     axes = axes_of(action_names)
     for name in AXES[:2]:
         if name not in axes:

@@ -132,7 +132,6 @@ class ScriptedSpoofer(Spoofer):
     knowledge = "blind"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         check_heading(self.heading_deg)
 
     def bind(self, context: SpooferContext) -> None:

@@ -24,11 +24,9 @@ NAME = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 
 class Conditions(Record):
     """What an attack has to be like for the actions to mean what they meant.
-
     `acceleration_limit_mps2`, `rate_limit_mps`: of the attack; with control by rate the first one
     does not matter, and may be None; `setpoint_mps`: rate that an action of 1 asks for, with
-    control by set-point.
-    """
+    control by set-point."""
 
     interval_s: PositiveFloat
     steps: PositiveInt
@@ -39,11 +37,8 @@ class Conditions(Record):
 
 
 class Knowledge(Record):
-    """What a spoofer knows.
-
-    `run_time`: what it observes during an attack; `design_time`: what it was optimised on before:
-    detector, receiver, scenario.
-    """
+    """What a spoofer knows. `run_time`: what it observes during an attack; `design_time`: what it
+    was optimised on before: detector, receiver, scenario."""
 
     run_time: Literal[
         "blind",
@@ -183,10 +178,8 @@ class Card(PolicyCard):
 
 
 def fields_of(context: SpooferContext) -> dict[str, Any]:
-    """Fields of a card that follow from the context of a spoofer.
-
-    Returns ``observation`` (None without names or bounds), ``action`` and ``conditions``.
-    """
+    """Fields of a card that follow from the context of a spoofer. Returns ``observation`` (None
+    without names or bounds), ``action`` and ``conditions``."""
     return {**spaces_of(context), "conditions": _conditions_of(context)}
 
 

@@ -38,16 +38,13 @@ class Dash(ScriptedSpoofer):
     tunable: ClassVar[str | None] = "rate_mps"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_finite("rate_mps", self.rate_mps)
         check_finite("last_s", self.last_s, "> 0")
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch.
-
-        `step`, `rate`, `displacement` (B,) so far; returns (B,) 0 before the dash [m/s].
-        """
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) 0 before the dash [m/s]."""
         begins = self.context.steps - round(self.last_s / self.context.interval_s)
         return np.where(step >= begins, self.rate_mps, 0.0)
 

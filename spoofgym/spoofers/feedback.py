@@ -20,17 +20,11 @@ RATIO = "statistic_ratio"
 @dataclass(kw_only=True)
 class ByStatistic(ScriptedSpoofer):
     """Base of spoofers that see the detector's statistic, and nothing else of the victim.
-
-    Parameters
-    ----------
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
-    """
+    `heading_deg`: as in `ScriptedSpoofer`."""
 
     knowledge = "oracle"
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         if RATIO not in context.observation_names:
             raise ValueError(
@@ -47,34 +41,23 @@ class ByStatistic(ScriptedSpoofer):
 
 @dataclass(kw_only=True)
 class AlongCurve(ByStatistic):
-    """Base of those that have a curve of the rate for what they would do unseen.
-
-    Parameters
-    ----------
-    rates_mps : tuple of float
-        (n,) rate at equally spaced knots, as of a `Profile`.
-    heading_deg : float or "target"
-        As in `ScriptedSpoofer`.
-    """
+    """Base of those that have a curve of the rate for what they would do unseen. `rates_mps`: (n,)
+    rate at equally spaced knots, as of a `Profile`; `heading_deg`: as in `ScriptedSpoofer`."""
 
     rates_mps: tuple[float, ...] = (0.24, 0.9)
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         self.rates_mps = checked_rates("rates_mps", self.rates_mps)
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         check_fastest("`rates_mps`", np.abs(self.rates_mps).max(), *context.largest_rate)
         self._curve = sampled(self.rates_mps, context.steps)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate of the curve at the end of the coming epoch.
-
-        `step`, `rate`, `displacement` (B,) so far; returns (B,) [m/s].
-        """
+        """Rate of the curve at the end of the coming epoch. `step`, `rate`, `displacement` (B,) so
+        far; returns (B,) [m/s]."""
         return np.asarray(self._curve[np.minimum(step.astype(np.int64), len(self._curve) - 1)])
 
 
@@ -105,7 +88,6 @@ class HeldBack(ByStatistic):
     back: float = -0.79
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_finite("full_ratio", self.full_ratio, ">= 0")
         check_finite("zero_ratio", self.zero_ratio, "> 0")
@@ -151,21 +133,17 @@ class Feedback(HeldBack):
     tunable: ClassVar[str | None] = "rate_mps"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_finite("rate_mps", self.rate_mps)
         check_finite("growth", self.growth, ">= 0")
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         check_limit(self, "rate_mps", *context.largest_rate)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch while there is room.
-
-        `step`, `rate`, `displacement` (B,) so far; returns (B,) [m/s].
-        """
+        """Rate that is wanted at the end of the coming epoch while there is room. `step`, `rate`,
+        `displacement` (B,) so far; returns (B,) [m/s]."""
         part = np.minimum(step / self.context.steps, 1.0)
         return np.asarray(self.rate_mps * (1.0 + (self.growth - 1.0) * part))
 

@@ -51,7 +51,6 @@ class Intermittent(ScriptedSpoofer):
     tunable: ClassVar[str | None] = "scale"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         self.shapes, self.sizes_m = tuple(self.shapes), tuple(self.sizes_m)
         for shape in self.shapes:
@@ -76,7 +75,6 @@ class Intermittent(ScriptedSpoofer):
             raise ValueError(f"`bursts` must be at least 1 or None, got {self.bursts}")
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         self._on = max(1, round(self.on_s / context.interval_s))
         self._off = round(self.off_s / context.interval_s)
@@ -84,11 +82,9 @@ class Intermittent(ScriptedSpoofer):
         self._is_ramp = np.array([shape == "ramp" for shape in self.shapes])
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch.
-
-        `step`, `rate`, `displacement` (B,) so far; returns (B,) of the ramp, or the largest from
-        which the displacement that is wanted is not overshot [m/s].
-        """
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) of the ramp, or the largest from which the displacement that is wanted
+        is not overshot [m/s]."""
         burst, place = np.divmod(step.astype(np.int64), self._on + self._off)
         is_on = place < self._on
         if self.bursts is not None:
@@ -100,7 +96,6 @@ class Intermittent(ScriptedSpoofer):
         return np.where(is_on & self._is_ramp[number], slope, toward)
 
     def _toward(self, wanted: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Largest rate from which a displacement is not overshot."""
         interval = self.context.interval_s
         rest = wanted - displacement
         if self.context.control == "rate":

@@ -41,7 +41,6 @@ class OnnxPolicy(Spoofer):
     knowledge = "of its card"
 
     def __post_init__(self) -> None:
-        """Check file and card, and try the network once."""
         self.file = os.fspath(self.file)
         path = path_of(self.file)
         if not path.is_file():
@@ -61,22 +60,18 @@ class OnnxPolicy(Spoofer):
         self.between = card.env_kwargs.get("between", "hold")
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         found = self.card.differences(context)
         if found:
             raise ValueError(f"{self.file} does not fit this attack: {'; '.join(found)}")
         super().bind(context)
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:
-        """Command the attack for the coming epoch.
-
-        `observation` (B, o) of all receivers; returns (B, a) in [-1, 1], C-contiguous.
-        """
+        """Command the attack for the coming epoch. `observation` (B, o) of all receivers; returns
+        (B, a) in [-1, 1], C-contiguous."""
         return self.model.act(observation)
 
 
 def path_of(file: str) -> Path:
-    """Path of a policy."""
     if file.endswith(SUFFIX):
         return Path(file)
     if file not in shipped():

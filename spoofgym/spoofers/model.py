@@ -28,20 +28,11 @@ class ModelPolicy(Spoofer):
 
     The model is neither copied nor changed, but for the mode in which a network is evaluated.
 
-    Parameters
-    ----------
-    model : object
-        As `function_of` takes it.
-    knowledge : str
-        What it observes, one of `KNOWLEDGE`.
-    action : str, mapping or sequence, optional
-        How its actions command the attack, as ``action=`` of `SpoofEnv`.
-    observation : Space, optional
-        What it has been trained to observe; anything else is refused then.
-    decision_interval_s, between : optional
-        How often it decides, and what it commands in between, as in environments.
-    label : str, optional
-        Short name in results; by default that of its class.
+    `model`: as `function_of` takes it; `knowledge`: what it observes, one of `KNOWLEDGE`; `action`:
+    how its actions command the attack, as ``action=`` of `SpoofEnv`; `observation`: what it has
+    been trained to observe; anything else is refused then; `decision_interval_s`, `between`: how
+    often it decides, and what it commands in between, as in environments; `label`: short name in
+    results; by default that of its class.
     """
 
     def __init__(
@@ -63,7 +54,6 @@ class ModelPolicy(Spoofer):
         self._function = function_of(model)
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         if self.observation is not None:
             size = len(context.action_names)
             same = Space(names=context.action_names, low=(-1.0,) * size, high=(1.0,) * size)
@@ -79,7 +69,6 @@ class ModelPolicy(Spoofer):
         return checked_action(self._function(observation), len(observation), size, str(self.label))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Another memory for the same model."""
         twin = object.__new__(type(self))
         twin.__dict__.update(self.__dict__)
         twin.__dict__.pop("context", None)
@@ -88,17 +77,13 @@ class ModelPolicy(Spoofer):
 
 
 def name_of(model: Any) -> str:
-    """Short name of a model."""
     return str(getattr(model, "__name__", None) or type(model).__name__)
 
 
 def function_of(model: Any) -> Function:
-    """Function of observations behind a model.
-
-    `model`: of stable-baselines3, with the `VecNormalize` that it was trained in folded in; with
-    ``predict``, as libraries have it; a torch module; or a function.  A TypeError says what else it
-    is.
-    """
+    """Function of observations behind a model. `model`: of stable-baselines3, with the
+    `VecNormalize` that it was trained in folded in; with ``predict``, as libraries have it; a torch
+    module; or a function. A TypeError says what else it is."""
     policy = getattr(model, "policy", None)
     if policy is not None and hasattr(policy, "obs_to_tensor"):
         return _of_stable_baselines(model, policy)
@@ -223,10 +208,8 @@ def _of_module(torch: Any, module: Any) -> Function:
 
 
 def inner_env(env: Any) -> Any:
-    """Environment with a core inside all wrappers; None where there is none.
-
-    Of several that run in this process side by side it is the first one.
-    """
+    """Environment with a core inside all wrappers; None where there is none. Of several that run in
+    this process side by side it is the first one."""
     while env is not None and getattr(env, "core", None) is None:
         several = getattr(env, "envs", None) or [None]
         env = getattr(env, "venv", None) or getattr(env, "env", None) or several[0]
@@ -234,10 +217,8 @@ def inner_env(env: Any) -> Any:
 
 
 def trained_in(model: Any) -> Mapping[str, Any]:
-    """What a model's own environment says of it: arguments of `ModelPolicy`.
-
-    Warns of a model of stable-baselines3 whose environment can't be read.
-    """
+    """What a model's own environment says of it: arguments of `ModelPolicy`. Warns of a model of
+    stable-baselines3 whose environment can't be read."""
     if not hasattr(model, "get_env"):
         return {}
     found = describe_env(model.get_env())
@@ -253,10 +234,8 @@ def trained_in(model: Any) -> Mapping[str, Any]:
 
 
 def describe_env(env: Any) -> Mapping[str, Any]:
-    """What a spoofer knows and commands in an environment: arguments of `ModelPolicy`.
-
-    `env`: any that has a core of the spoofer's side, in wrappers of stable-baselines3 or Gymnasium.
-    """
+    """What a spoofer knows and commands in an environment: arguments of `ModelPolicy`. `env`: any
+    that has a core of the spoofer's side, in wrappers of stable-baselines3 or Gymnasium."""
     inner = inner_env(env)
     settings = None if inner is None else getattr(inner.core, "settings", None)
     if inner is None or settings is None:

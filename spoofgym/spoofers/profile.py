@@ -54,13 +54,11 @@ class Profile(ScriptedSpoofer):
     designed_on: str = "nothing"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         self.rates_mps = checked_rates("rates_mps", self.rates_mps)
         self.cross_rates_mps = checked_rates("cross_rates_mps", self.cross_rates_mps, none=True)
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         self._along = sampled(self.rates_mps, context.steps)
         self._across = sampled(self.cross_rates_mps or (0.0, 0.0), context.steps)
@@ -81,11 +79,9 @@ class Profile(ScriptedSpoofer):
             check_fastest(name, rate, limit_name, limit)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate along the heading that is wanted at the end of the coming epoch.
-
-        `step`, `rate`, `displacement` (B,) so far; returns (B,) of the curve [m/s]; its last value
-        after the end of the window.
-        """
+        """Rate along the heading that is wanted at the end of the coming epoch. `step`, `rate`,
+        `displacement` (B,) so far; returns (B,) of the curve [m/s]; its last value after the end of
+        the window."""
         return self._along[self._row(step)]
 
     def _row(self, step: FloatArray) -> NDArray[np.int64]:
@@ -137,7 +133,6 @@ class BlindOptimum(Profile):
     designed_on: str = "detector, receiver and scenario, by a search"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         found = self.rates_mps
         if not len(found):
             self.rates_mps = (0.0, 0.0)
@@ -164,11 +159,8 @@ def check_fastest(name: str, rate: float, limit_name: str, limit: float) -> None
 
 
 def sampled(rates_mps: tuple[float, ...], steps: int) -> FloatArray:
-    """Curve through equally spaced knots at the ends of the epochs.
-
-    `rates_mps` (n,) at the knots, the first one at the onset, the last one at the end of the
-    window; returns (steps,) [m/s].
-    """
+    """Curve through equally spaced knots at the ends of the epochs. `rates_mps` (n,) at the knots,
+    the first one at the onset, the last one at the end of the window; returns (steps,) [m/s]."""
     from scipy.interpolate import PchipInterpolator  # half of the start of an environment
 
     knots = np.linspace(0.0, 1.0, len(rates_mps))
@@ -183,7 +175,6 @@ def shortened(vector: FloatArray, limit: float) -> FloatArray:
 
 
 def _to_the_right(context: SpooferContext, heading_deg: float | str) -> Aim:
-    """Unit command to the right of the heading."""
     commands = ", ".join(context.action_names)
     if not has_heading(context.action_names):
         raise ValueError(

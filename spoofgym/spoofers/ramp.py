@@ -31,28 +31,22 @@ class Ramp(ScriptedSpoofer):
     tunable: ClassVar[str | None] = "rate_mps"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_finite("rate_mps", self.rate_mps)
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         check_limit(self, "rate_mps", *context.largest_rate)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch.
-
-        `step`, `rate`, `displacement` (B,) so far; returns (B,) the constant rate [m/s].
-        """
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) the constant rate [m/s]."""
         return np.full_like(rate, self.rate_mps)
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """Up to the limit of the rate, or what the episode allows to reach.
-
-        Returns `low`, `high` [m/s].
-        """
+        """Up to the limit of the rate, or what the episode allows to reach. Returns `low`, `high`
+        [m/s]."""
         _, high = context.largest_rate
         if context.control != "rate":
             reached = context.acceleration_limit_mps2 * context.steps * context.interval_s

@@ -63,13 +63,11 @@ class Scaled(Spoofer):
             self.card = spoofer.card
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         self.spoofer.bind(context)
         self.context, self.memory = context, self.spoofer.memory
         self._own = own_columns(context.observation_names)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget everything about some receivers."""
         self.spoofer.reset(mask)
 
     def act(self, observation: NDArray[np.float32]) -> FloatArray:

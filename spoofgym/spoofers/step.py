@@ -45,16 +45,12 @@ class Step(ScriptedSpoofer):
     tunable: ClassVar[str | None] = "size_m"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_finite("size_m", self.size_m)
 
     def next_rate(self, step: FloatArray, rate: FloatArray, displacement: FloatArray) -> FloatArray:
-        """Rate that is wanted at the end of the coming epoch.
-
-        `step`, `rate`, `displacement` (B,) so far; returns (B,) the largest from which the
-        displacement is not overshot [m/s].
-        """
+        """Rate that is wanted at the end of the coming epoch. `step`, `rate`, `displacement` (B,)
+        so far; returns (B,) the largest from which the displacement is not overshot [m/s]."""
         interval = self.context.interval_s
         rest = self.size_m - displacement
         if self.context.control == "rate":
@@ -70,12 +66,10 @@ class Step(ScriptedSpoofer):
 
 
 def fastest(rest: FloatArray, rate: FloatArray, gain: float, interval: float) -> FloatArray:
-    """Largest rate at the end of an epoch from which the rest of a way suffices to brake.
-
-    `rest`: way left [m]; what rounding made negative counts as 0; `rate`: rate at the start of the
-    epoch [m/s], of the same shape; `gain`: largest change of the rate in an epoch [m/s];
-    `interval`: length of an epoch [s]; returns [m/s].
-    """
+    """Largest rate at the end of an epoch from which the rest of a way suffices to brake. `rest`:
+    way left [m]; what rounding made negative counts as 0; `rate`: rate at the start of the epoch
+    [m/s], of the same shape; `gain`: largest change of the rate in an epoch [m/s]; `interval`:
+    length of an epoch [s]; returns [m/s]."""
     # way beyond the first half of the present epoch, in units of a tau^2
     way = np.maximum(rest - 0.5 * rate * interval, 0.0) / (gain * interval)
     full = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * way) - 1.0))

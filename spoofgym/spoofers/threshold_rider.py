@@ -72,14 +72,12 @@ class ThresholdRider(AlongCurve):
     tunable: ClassVar[str | None] = "margin"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         for name in ("margin", "horizon_s", "band"):
             check_finite(name, getattr(self, name), "> 0")
         check_finite("deviations", self.deviations, ">= 0")
 
     def bind(self, context: SpooferContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         many, h = context.receivers, max(round(self.horizon_s / context.interval_s), 1)
         self.memory.declare("found", np.tile([0.0, 1.0, 0.0], (many, 1)))
@@ -121,5 +119,4 @@ class ThresholdRider(AlongCurve):
 
     @classmethod
     def tuning_range(cls, context: SpooferContext) -> tuple[float, float]:
-        """Of the margin."""
         return LEAST, MOST

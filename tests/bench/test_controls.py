@@ -1,4 +1,4 @@
-"""A campaign at one rate of false alarms: controls, a toy detector, and thresholds as published."""
+"""A campaign at one rate of false alarms: controls, and a toy detector."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from spoofgym.bench.tables import (
     detector_rows,
     groups,
     mark_of,
-    published_rows,
 )
 from spoofgym.detectors import DETECTORS, Detector, Verdict
 
@@ -74,7 +73,6 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Any:
             tuning=Tuning(runs=24, sift_runs=8, values=5, refined=2, budget=0.2),
             attack={"name": "false-position", "acceleration_limit_mps2": 0.5},
             selection=Selection(runs=24, sift_runs=8, values=4),
-            published=True,
             runs=RUNS,
         )
         calibrate_suite(suite, threads=1)
@@ -198,7 +196,6 @@ def test_a_new_detector_is_calibrated_and_scored_by_its_name_alone(played: Any) 
         for share in (0.5, 0.05)
     )
     assert 0.0 < half["value"] <= few["value"]
-    assert "toy, as published" in {row["detector"] for row in summary["published"]}
 
 
 def test_a_detector_helps_where_never_does_not(played: Any) -> None:
@@ -211,7 +208,7 @@ def test_a_detector_helps_where_never_does_not(played: Any) -> None:
     assert gaps[f"toy({LABEL})"] < 0.0
 
 
-def test_every_table_has_one_rate_and_thresholds_as_published_have_their_own(played: Any) -> None:
+def test_every_table_has_one_rate(played: Any) -> None:
     _, folder, summary = played
     (group,) = groups(summary)
     assert (group.rate, len(group.detectors)) == ("20", 4)
@@ -229,14 +226,9 @@ def test_every_table_has_one_rate_and_thresholds_as_published_have_their_own(pla
     marked = [row[worst] for row in detector_rows(told, group) if row[worst] != "-"]
     assert marked
     assert all(row.startswith("(e) ") and " (oracle), " in row for row in marked)
-    rows = published_rows(summary)
-    names = [row[1] for row in rows]
-    assert names == sorted(names) == ["lottery", "snapshot-chi2", "toy"]
     text = markdown(folder.config(), summary)
     for part in (
         "## Detectors at 20 false alarms an hour",
-        "## As published",
-        "| clean runs with an alarm [%] | detector |",
         "the suite spoofgym-scripted 2",
         "lottery(false_alarms_per_hour=20) less never",
     ):

@@ -83,7 +83,6 @@ def test_its_sizes_are_defaults(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found["runs"] == standard.SIZES["seeds"]
     assert found["tuning"].runs == standard.SIZES["training_seeds"]
     assert found["selection"].runs == standard.SIZES["selection_seeds"]
-    assert not found["published"]
     assert len(found["spoofers"]) == len(standard.SPOOFERS)
 
 

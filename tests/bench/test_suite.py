@@ -58,7 +58,6 @@ def test_the_digest_follows_everything_that_results_depend_on() -> None:
             {"spoofers": ("step",)},
             {"tuning": Tuning(budget=0.1)},
             {"selection": Selection(runs=7)},
-            {"published": True, "detectors": ({"name": "ewma", "threshold_scale": 2.0},)},
         )
     ]
     assert len(set(digests)) == len(digests)

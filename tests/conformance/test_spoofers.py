@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spoofgym.spoofers import PAPER_ATTACKS, SPOOFERS, Profile, Spoofer, shipped
+from baselines.paper_attacks import PAPER_ATTACKS
+from spoofgym.spoofers import SPOOFERS, Profile, Spoofer, shipped
 from spoofgym.testing import check_spoofer
 
 ATTACKS = [

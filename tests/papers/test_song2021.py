@@ -36,7 +36,7 @@ from baselines.papers.song2021.runs import (
     ramp_offsets,
     record,
 )
-from spoofgym.attacks.robot_data_sets import DATA_SETS
+from baselines.robot_data_sets import DATA_SETS
 from spoofgym.simulators import Engine
 
 SEED, RUNS = 1, 100

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from baselines.paper_attacks import PAPER_ATTACKS
 from spoofgym.attacks import make_attack
-from spoofgym.spoofers import PAPER_ATTACKS, Intermittent, SpooferContext, make_spoofer
+from spoofgym.spoofers import Intermittent, SpooferContext, make_spoofer
 
 pytestmark = pytest.mark.nojit
 

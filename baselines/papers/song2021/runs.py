@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.robot_data_sets import DATA_SETS, RobotDataSet
 from spoofgym._memory import Memory
-from spoofgym.attacks.robot_data_sets import DATA_SETS, RobotDataSet
 from spoofgym.detectors import DetectorContext, make_detector
 from spoofgym.receiver.credible import CredibleBatch, CredibleFilter
 from spoofgym.simulators import Engine, WheeledRobotSetup

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spoofgym.attacks.robot_data_sets import DATA_SETS, RobotDataSet
+from baselines.robot_data_sets import DATA_SETS, RobotDataSet
 
 from .measures import accuracy, latency, rates, recovery, retroactive
 from .runs import FILTERS, Recording, judge, ramp_offsets, record

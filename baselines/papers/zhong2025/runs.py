@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.paper_attacks import PAPER_ATTACKS
 from spoofgym.detectors import Detector, DetectorContext, Verdict, make_detector
 from spoofgym.envs.spoofer_binding import spoofer_context
 from spoofgym.receiver import TightlyCoupled
@@ -16,7 +17,7 @@ from spoofgym.receiver.epoch import Epoch
 from spoofgym.receiver.tight import NoiseModel
 from spoofgym.sim.gnss import ERRORS
 from spoofgym.simulators import Engine, TightlyCoupledSetup
-from spoofgym.spoofers import PAPER_ATTACKS, make_spoofer
+from spoofgym.spoofers import make_spoofer
 
 FloatArray = NDArray[np.float64]
 Spec = Mapping[str, Any]

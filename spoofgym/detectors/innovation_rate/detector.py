@@ -218,7 +218,6 @@ class InnovationRate(Detector):
     scope: ClassVar[str] = "channel"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         check_probability("false_alarm", self.false_alarm)
         if self.weight_scale is not None and not 0.0 < self.weight_scale <= 1.0:
             raise ValueError(f"`weight_scale` must be in (0, 1] or None, got {self.weight_scale}")
@@ -248,7 +247,6 @@ class InnovationRate(Detector):
         return on
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the filters of all satellites."""
         super().bind(context)
         shape = (context.receivers, context.channels)
         self.memory.declare("state", np.zeros((*shape, 3)))
@@ -264,11 +262,8 @@ class InnovationRate(Detector):
         return self._nothing
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Judge one epoch.
-
-        Returns (B, n) size of the rates [1/s], thresholds, alarms; (B, 2n) weights, 1 for range
-        rates.
-        """
+        """Judge one epoch. Returns (B, n) size of the rates [1/s], thresholds, alarms; (B, 2n)
+        weights, 1 for range rates."""
         shape = epoch.visible.shape
         size, threshold = np.empty(shape), np.empty(shape)
         weights, alarm = np.empty(epoch.innovation.shape), np.empty(shape, dtype=np.bool_)

@@ -45,7 +45,6 @@ class _Oracle(InnovationRate):
     oracle: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         if not 0.0 <= self.onset_s < math.inf:
             raise ValueError(f"`onset_s` must be finite and >= 0, got {self.onset_s}")
@@ -53,7 +52,6 @@ class _Oracle(InnovationRate):
             self.channels = tuple(self.channels)
 
     def bind(self, context: DetectorContext) -> None:
-        """Begin the filters, and find the slots of the channels."""
         super().bind(context)
         ids = context.satellite_ids
         unknown = [name for name in self.channels or () if name not in ids]
@@ -97,7 +95,6 @@ class OracleStep(_Oracle):
     size_m: float = 10.0
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         if not math.isfinite(self.size_m):
             raise ValueError(f"`size_m` must be finite, got {self.size_m}")
@@ -128,7 +125,6 @@ class OracleRamp(_Oracle):
     rate_mps: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         if not math.isfinite(self.rate_mps):
             raise ValueError(f"`rate_mps` must be finite, got {self.rate_mps}")

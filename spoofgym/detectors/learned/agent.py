@@ -72,7 +72,6 @@ class DetectorAgent(Detector):
     paper: ClassVar[str] = "groves2013"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         check_choice("statistic", self.statistic, STATISTICS)
         if not isinstance(self.weighs, bool | np.bool_):
             raise ValueError(f"`weighs` must be True or False, got {self.weighs!r}")
@@ -91,13 +90,11 @@ class DetectorAgent(Detector):
 
     @property
     def observed(self) -> tuple[DetectorTerm, ...]:
-        """Terms of the observation."""
         if self.terms is not None:
             return tuple(self.terms)
         return (*ALL_TERMS, ExclusionLeft(self.exclusion_s))
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare what is observed."""
         super().bind(context)
         n = context.channels
         self.observer = DetectorObserver(self.observed, n)
@@ -112,14 +109,11 @@ class DetectorAgent(Detector):
         return self.observer.bind(context)
 
     def look(self, epoch: Epoch) -> None:
-        """Take in one epoch."""
         self.observer.look(epoch, self.memory)
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Take in an epoch of the warm-up, where nobody is asked.
-
-        Returns (B, c) zeros, ones and no alarm; no weights.
-        """
+        """Take in an epoch of the warm-up, where nobody is asked. Returns (B, c) zeros, ones and no
+        alarm; no weights."""
         self.look(epoch)
         shape = (len(epoch.time), self._columns)
         return Verdict(np.zeros(shape), np.ones(shape), np.zeros(shape, dtype=np.bool_))
@@ -188,7 +182,6 @@ class PolicyDetector(DetectorAgent):
     quiet_epochs: int | None = None
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         if not isinstance(self.policy, DetectorPolicy):
             raise TypeError(f"`policy` must be a DetectorPolicy, got {self.policy!r}")
@@ -223,13 +216,11 @@ class PolicyDetector(DetectorAgent):
         return self.quiet_epochs or 0
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the policy."""
         super().bind(context)
         self.silent_epochs = self.quiet
         self.memory.declare("judged", np.zeros(context.receivers, dtype=np.int64))
 
     def _bound_parts(self, context: DetectorContext) -> list[Memory]:
-        """Bind the terms and the policy."""
         parts, policy = super()._bound_parts(context), self._policy()
         policy.bind(policy_context(self, context))
         return [*parts, policy.memory]
@@ -240,7 +231,6 @@ class PolicyDetector(DetectorAgent):
         return self.policy
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Ask the policy, and compare."""
         policy = self._policy()
         if self.decision_delay:
             action = policy.decide(self.memory["observation"])
@@ -259,7 +249,6 @@ class PolicyDetector(DetectorAgent):
 
 
 def policy_context(agent: DetectorAgent, context: DetectorContext) -> PolicyContext:
-    """What a policy knows of an agent."""
     return PolicyContext(
         receivers=context.receivers,
         interval_s=context.epoch_interval_s,

@@ -135,7 +135,6 @@ class OnnxDetector(DetectorPolicy):
         self.model = OnnxModel(path, card.file, card.observation, card.action, sha256, card.state)
 
     def bind(self, context: PolicyContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         found = unlike_spaces(self.card.observation, self.card.action, context)
         interval_s = self.card.interval_s
@@ -159,5 +158,4 @@ class OnnxDetector(DetectorPolicy):
         return action
 
     def digest(self) -> str:
-        """Digest of the file."""
         return self.card.file.sha256[:16]

@@ -45,7 +45,6 @@ class Classic(DetectorTerm):
     _judge: ClassVar[Detector]
 
     def __post_init__(self) -> None:
-        """Make the detector."""
         from .. import DETECTORS, make_detector
 
         made = make_detector(self.detector)
@@ -76,7 +75,6 @@ class Classic(DetectorTerm):
         return -LARGEST, LARGEST
 
     def bound(self, context: DetectorContext) -> Self:
-        """Term with a detector of its own, which is bound."""
         own = replace(self)
         own._judge.bind(context)
         return own
@@ -87,7 +85,6 @@ class Classic(DetectorTerm):
         return self._judge.memory
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        """Let the detector judge the epoch."""
         verdict = judged(self._judge, epoch)
         if verdict.weights is not None:
             raise ValueError(

@@ -57,7 +57,6 @@ class LearnedDetector(Detector):
     paper: ClassVar[str] = PolicyDetector.paper
 
     def __post_init__(self) -> None:
-        """Read file and card."""
         self.file = os.fspath(self.file)
         policy = OnnxDetector(self.file, self.sha256)
         self.card, self.sha256 = policy.card, policy.card.file.sha256
@@ -89,7 +88,6 @@ class LearnedDetector(Detector):
         return {"name": self.file, **further}
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare for a batch of receivers."""
         super().bind(context)
         if self.card.channels not in (None, context.channels):
             raise ValueError(
@@ -101,7 +99,6 @@ class LearnedDetector(Detector):
         self.silent_epochs = self.judge_by.silent_epochs
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Ask the network."""
         return self.judge_by.judge(epoch)
 
 
@@ -120,11 +117,9 @@ def unscaled(spec: Any) -> LearnedDetector:
 
 
 def of_file(plain: Mapping[str, Any], asked: Asked) -> Detector:
-    """Detector of an ONNX file with the thresholds that are asked for.
-
-    `plain`: its name and settings.  Its own threshold is 1, so that a factor on it is a threshold;
-    the nominal one is that of the card.
-    """
+    """Detector of an ONNX file with the thresholds that are asked for. `plain`: its name and
+    settings. Its own threshold is 1, so that a factor on it is a threshold; the nominal one is that
+    of the card."""
     made, name, own = unscaled(plain), plain["name"], plain.get("threshold")
     nominal = asked in (Asked(), Asked(thresholds="nominal"))
     if own is not None:
@@ -160,10 +155,8 @@ def detector_card(
     calibration: Mapping[str, Any] | None = None,
     training: Mapping[str, Any] | None = None,
 ) -> DetectorCard:
-    """Card of an ONNX file for what an agent observes and decides; not written yet.
-
-    `state`: size of each by name.
-    """
+    """Card of an ONNX file for what an agent observes and decides; not written yet. `state`: size
+    of each by name."""
     content, where = Path(file).read_bytes(), os.fspath(file)
     card_path(file)
     observer = DetectorObserver(agent.observed, channels)

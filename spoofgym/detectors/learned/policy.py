@@ -97,7 +97,6 @@ class FunctionPolicy(DetectorPolicy):
         return checked_action(self.function(observation), receivers, size, repr(self.function))
 
     def digest(self) -> str | None:
-        """Digest of the name, if it has one."""
         if self.name is None:
             return None
         return hashlib.sha256(self.name.encode()).hexdigest()[:16]

@@ -55,7 +55,6 @@ class DetectorTerm(ABC):
 
 
 def slots(word: str, channels: int) -> tuple[str, ...]:
-    """Names of one element for every slot."""
     return tuple(f"{word}_slot{s:02d}" for s in range(channels))
 
 
@@ -104,7 +103,6 @@ class AverageInnovation(DetectorTerm):
     smoothing: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check the setting."""
         if not 0.0 < self.smoothing <= 1.0:
             raise ValueError(f"`smoothing` must be in (0, 1], got {self.smoothing}")
 
@@ -121,7 +119,6 @@ class AverageInnovation(DetectorTerm):
         memory.declare("average", np.zeros((memory.receivers, 2 * channels)))
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        """Advance and write the averages."""
         present = np.concatenate([epoch.visible, epoch.visible], axis=1)
         value = epoch.innovation / innovation_sd(epoch)
         before = memory["average"]
@@ -263,11 +260,9 @@ class Elapsed(DetectorTerm):
         return 0.0, 10.0
 
     def declare(self, memory: Memory, channels: int) -> None:
-        """Time so far."""
         memory.declare("elapsed", np.zeros(memory.receivers))
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        """Add the interval."""
         memory["elapsed"] = memory["elapsed"] + epoch.interval
         out[:, 0] = memory["elapsed"] * (1.0 / self.scale_s)
 
@@ -293,7 +288,6 @@ class ExclusionLeft(DetectorTerm):
         return 0.0, 1.0
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        """Write the part."""
         out[:, 0] = 1.0
         if self.exclusion_s:
             out[:, 0] -= memory["excluded_s"] / self.exclusion_s
@@ -318,7 +312,6 @@ class LineOfSight(DetectorTerm):
         return -1.0, 1.0
 
     def __call__(self, epoch: Epoch, memory: Memory, out: Written) -> None:
-        """Write the vectors."""
         place = cast(FloatArray, epoch.satellite_position)
         away = np.where(epoch.visible[:, :, None], place - epoch.predicted_position[:, None], 0.0)
         length = np.sqrt((away * away).sum(axis=2, keepdims=True))

@@ -28,10 +28,8 @@ FloatArray = NDArray[np.float64]
 
 
 class ConsistencyTest(Detector):
-    """Residual test of all satellites in view; after an alarm, a search of groups that agree.
-
-    A subclass is a dataclass with the settings below, which `Raim` describes.
-    """
+    """Residual test of all satellites in view; after an alarm, a search of groups that agree. A
+    subclass is a dataclass with the settings below, which `Raim` describes."""
 
     sigma_m: float | None
     confidence: float
@@ -42,12 +40,10 @@ class ConsistencyTest(Detector):
     needs: ClassVar[frozenset[str]] = frozenset({"pseudorange", "satellite_position"})
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         check_test(self.sigma_m, self.confidence)
         check_probability("false_alarm", self.false_alarm)
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the limits for every number of satellites."""
         super().bind(context)
         b, n = context.receivers, context.channels
         check_channels(n)
@@ -64,10 +60,8 @@ class ConsistencyTest(Detector):
         """Divide the satellites of every receiver with an alarm: `found` and `mask`."""
 
     def judge(self, epoch: Epoch) -> Verdict:
-        """Test one epoch.
-
-        Returns (B, 1) SSE of all in view [m], threshold and alarm; (B, 2n) weights with `exclude`.
-        """
+        """Test one epoch. Returns (B, 1) SSE of all in view [m], threshold and alarm; (B, 2n)
+        weights with `exclude`."""
         b, n = epoch.visible.shape
         statistic, threshold = np.empty((b, 1)), np.empty((b, 1))
         weights = np.empty((b, 2 * n))

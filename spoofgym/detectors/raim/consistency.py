@@ -78,9 +78,7 @@ def search_data(receivers: int, n: int) -> SearchData:
 @njit
 def tabulate_cases(lines: FloatArray, offsets: FloatArray, data: SearchData) -> None:
     """Prepare the search of many sets of pseudoranges of one geometry, which isn't singular.
-
-    `lines` (n, 3) g, minus the lines of sight; `offsets` (C, n) y [m], finite.
-    """
+    `lines` (n, 3) g, minus the lines of sight; `offsets` (C, n) y [m], finite."""
     for c in range(offsets.shape[0]):
         data.lines[c], data.offsets[c] = lines, offsets[c]
         tabulate(offsets.shape[1], lines, data.offsets[c], data.table[c])
@@ -101,11 +99,9 @@ class Partition(NamedTuple):
 
 
 def checked_rows(line_of_sight: ArrayLike, offset: ArrayLike) -> tuple[SearchData, float]:
-    """Rows of one epoch of one receiver, checked, and s^2 of all [m^2].
-
-    `line_of_sight` (n, 3) unit vectors to the satellites; `offset` (n,) pseudorange minus predicted
-    range [m]; what isn't finite is left out.
-    """
+    """Rows of one epoch of one receiver, checked, and s^2 of all [m^2]. `line_of_sight` (n, 3) unit
+    vectors to the satellites; `offset` (n,) pseudorange minus predicted range [m]; what isn't
+    finite is left out."""
     u, y = np.asarray(line_of_sight, dtype=np.float64), np.asarray(offset, dtype=np.float64)
     if y.ndim != 1 or u.shape != (len(y), 3):
         raise ValueError(
@@ -146,13 +142,10 @@ def line_up(
     lines: FloatArray,
     offsets: FloatArray,
 ) -> int:
-    """Rows of the satellites that one receiver can use.
-
-    `pseudorange`, `satellite_position`, `visible` (n,), (n, 3), (n,) of an epoch; `position` (3,)
-    predicted, ECEF [m]; `axes` (3, 3) from the frame of the test to ECEF; `slots` (n,), written:
-    slot of each row; `lines`, `offsets` (n, 3), (n,), written: g in the frame of the test, and y
-    [m].
-    """
+    """Rows of the satellites that one receiver can use. `pseudorange`, `satellite_position`,
+    `visible` (n,), (n, 3), (n,) of an epoch; `position` (3,) predicted, ECEF [m]; `axes` (3, 3)
+    from the frame of the test to ECEF; `slots` (n,), written: slot of each row; `lines`, `offsets`
+    (n, 3), (n,), written: g in the frame of the test, and y [m]."""
     count = 0
     for j in range(visible.shape[0]):
         if not visible[j]:
@@ -189,11 +182,9 @@ def write_groups(
     group: NDArray[np.int8],
     weights: FloatArray,
 ) -> None:
-    """Groups and weights of all receivers.
-
-    `group` (B, n) int8, written: 0 unknown, 1 and 2 the groups; `weights` (B, 2n), written: 0 for
-    the second group and for visible satellites without a finite offset.
-    """
+    """Groups and weights of all receivers. `group` (B, n) int8, written: 0 unknown, 1 and 2 the
+    groups; `weights` (B, 2n), written: 0 for the second group and for visible satellites without a
+    finite offset."""
     n = visible.shape[1]
     for b in range(visible.shape[0]):
         for j in range(n):
@@ -285,18 +276,14 @@ def fit_thresholds(sigma_m: float, false_alarm: float, most: int) -> FloatArray:
 
 def noise_sd(sigma_m: float | None, epoch_sd: FloatArray, channels: int) -> float:
     """Noise of a pseudorange: a setting, or the largest that the receiver assumes of one epoch.
-
     `sigma_m`: the setting [m]; `epoch_sd` (m,) of the receiver, pseudoranges first [m]; returns
-    Sigma [m].
-    """
+    Sigma [m]."""
     return float(epoch_sd[:channels].max()) if sigma_m is None else sigma_m
 
 
 def check_test(sigma_m: float | None, confidence: float) -> None:
-    """Raise unless the settings of a consistency test are valid.
-
-    `sigma_m`: noise of a pseudorange [m].
-    """
+    """Raise unless the settings of a consistency test are valid. `sigma_m`: noise of a pseudorange
+    [m]."""
     if sigma_m is not None and not (math.isfinite(sigma_m) and sigma_m > 0.0):
         raise ValueError(f"`sigma_m` must be finite and > 0, got {sigma_m}")
     if not 0.0 < confidence < 1.0:

@@ -59,11 +59,8 @@ def residual_statistic(line_of_sight: ArrayLike, offset: ArrayLike) -> float:
 
 @njit
 def blame(n: int, table: FloatArray, limit: FloatArray, kept: FloatArray) -> int:
-    """The one satellite without which the others agree.
-
-    `table` (N + 1, PRODUCTS) products; `limit`: limit of s^2 by number of satellites [m^2]; `kept`
-    (1, PRODUCTS) scratch.
-    """
+    """The one satellite without which the others agree. `table` (N + 1, PRODUCTS) products;
+    `limit`: limit of s^2 by number of satellites [m^2]; `kept` (1, PRODUCTS) scratch."""
     best, least = -1, limit[n - 1]
     for i in range(n if n > MIN_SATELLITES else 0):
         kept[:] = 0.0
@@ -118,5 +115,4 @@ class Raim(ConsistencyTest):
     paper: ClassVar[str] = "brown1992"
 
     def search(self, data: SearchData) -> None:
-        """Look for the satellite to blame."""
         blame_all(data, self._limit)

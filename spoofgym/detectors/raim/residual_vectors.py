@@ -110,11 +110,9 @@ def project(
     projection: FloatArray,
     order: NDArray[np.int64],
 ) -> None:
-    """Projections of the residual vectors, and their order.
-
-    `lines`, `residual` (N, 3), (N,) g and r [m]; `vectors` (V, 4) search vectors; `projection`
-    (N,), written [m]; `order` (N,), written: rows by falling projection, equal ones by index.
-    """
+    """Projections of the residual vectors, and their order. `lines`, `residual` (N, 3), (N,) g and
+    r [m]; `vectors` (V, 4) search vectors; `projection` (N,), written [m]; `order` (N,), written:
+    rows by falling projection, equal ones by index."""
     for i in range(n):
         along = vectors[v, 3]
         for j in range(3):
@@ -137,11 +135,9 @@ def grow(
     first: int,
     sums: FloatArray,
 ) -> tuple[bool, int, int]:
-    """Test a seed, let it grow, and test what is left.
-
-    `table` (N + 1, PRODUCTS) products; `limit`: limit of s^2 by number of satellites [m^2]; `order`
-    (N,) rows by projection; `sums` (1, PRODUCTS) scratch.
-    """
+    """Test a seed, let it grow, and test what is left. `table` (N + 1, PRODUCTS) products; `limit`:
+    limit of s^2 by number of satellites [m^2]; `order` (N,) rows by projection; `sums` (1,
+    PRODUCTS) scratch."""
     sums[:] = 0.0
     mask = 0
     for k in range(first, first + SEED):
@@ -182,13 +178,10 @@ def search(
     order: NDArray[np.int64],
     scratch: FloatArray,
 ) -> tuple[bool, int, int]:
-    """Search two groups that agree.
-
-    `n`: number of satellites, at least 5, of a geometry that isn't singular; `limit` (N + 1,) limit
-    of s^2 by number of satellites [m^2]; `vectors` (V, 4) search vectors; `order` (N,) scratch;
-    `scratch` (3, at least N and PRODUCTS) scratch; returns `positionings`: number of fits, that of
-    all in view included.
-    """
+    """Search two groups that agree. `n`: number of satellites, at least 5, of a geometry that isn't
+    singular; `limit` (N + 1,) limit of s^2 by number of satellites [m^2]; `vectors` (V, 4) search
+    vectors; `order` (N,) scratch; `scratch` (3, at least N and PRODUCTS) scratch; returns
+    `positionings`: number of fits, that of all in view included."""
     projection, solution, sums = scratch[0], scratch[1], scratch[2:]
     solve(table, table.shape[0] - 1, solution)
     for i in range(n):
@@ -228,13 +221,10 @@ def search_all(data: SearchData, limit: FloatArray, vectors: FloatArray) -> None
 def srv_raim(
     line_of_sight: ArrayLike, offset: ArrayLike, sigma_m: float, confidence: float = 0.95
 ) -> Partition:
-    """Two groups of satellites that each agree, by their residual vectors.
-
-    `line_of_sight` (n, 3) unit vectors to the satellites, in the axes that the search vectors
-    belong to; `offset` (n,) pseudorange minus predicted range [m]; what isn't finite is left out;
-    `sigma_m`: noise of a pseudorange [m]; `confidence`: probability that satellites that agree pass
-    for it, in (0, 1).
-    """
+    """Two groups of satellites that each agree, by their residual vectors. `line_of_sight` (n, 3)
+    unit vectors to the satellites, in the axes that the search vectors belong to; `offset` (n,)
+    pseudorange minus predicted range [m]; what isn't finite is left out; `sigma_m`: noise of a
+    pseudorange [m]; `confidence`: probability that satellites that agree pass for it, in (0, 1)."""
     check_test(sigma_m, confidence)
     data, _ = checked_rows(line_of_sight, offset)
     limit = fit_thresholds(sigma_m, 1.0 - confidence, data.slots.shape[1])
@@ -275,10 +265,8 @@ class SrvRaim(ConsistencyTest):
     paper: ClassVar[str] = "wu2024"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_choice("frame", self.frame, FRAMES)
 
     def search(self, data: SearchData) -> None:
-        """Search two groups."""
         search_all(data, self._limit, SEARCH_VECTORS)

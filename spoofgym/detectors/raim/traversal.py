@@ -117,12 +117,10 @@ def search(
     stack: FloatArray,
     chosen: NDArray[np.int64],
 ) -> tuple[bool, int, int]:
-    """Search the smallest subset to leave out.
-
-    `n`: number of satellites, at least 5; `table` (N + 1, PRODUCTS) products; `limit`: limit of s^2
-    by number of satellites [m^2]; `after` (N + 1, PRODUCTS) scratch; `stack` (2, largest_group + 1,
-    PRODUCTS) scratch; `chosen` (largest_group,) scratch.
-    """
+    """Search the smallest subset to leave out. `n`: number of satellites, at least 5; `table` (N +
+    1, PRODUCTS) products; `limit`: limit of s^2 by number of satellites [m^2]; `after` (N + 1,
+    PRODUCTS) scratch; `stack` (2, largest_group + 1, PRODUCTS) scratch; `chosen` (largest_group,)
+    scratch."""
     after[n] = 0.0
     for i in range(n - 1, -1, -1):
         add(after, i + 1, table, i, after, i)
@@ -157,12 +155,10 @@ def traversal_raim(
     confidence: float = 0.95,
     largest_group: int = LARGEST_GROUP,
 ) -> Partition:
-    """Two groups of satellites that each agree, the second one as small as can be.
-
-    `line_of_sight` (n, 3) unit vectors to the satellites; `offset` (n,) pseudorange minus predicted
-    range [m]; what isn't finite is left out; `sigma_m`: noise of a pseudorange [m]; `confidence`:
-    probability that satellites that agree pass for it, in (0, 1).
-    """
+    """Two groups of satellites that each agree, the second one as small as can be. `line_of_sight`
+    (n, 3) unit vectors to the satellites; `offset` (n,) pseudorange minus predicted range [m]; what
+    isn't finite is left out; `sigma_m`: noise of a pseudorange [m]; `confidence`: probability that
+    satellites that agree pass for it, in (0, 1)."""
     check_test(sigma_m, confidence)
     check_largest_group(largest_group)
     data, _ = checked_rows(line_of_sight, offset)
@@ -209,10 +205,8 @@ class TraversalRaim(ConsistencyTest):
     paper: ClassVar[str] = "wu2024"
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         super().__post_init__()
         check_largest_group(self.largest_group)
 
     def search(self, data: SearchData) -> None:
-        """Search the smallest group to leave out."""
         search_all(data, self._limit, self.largest_group)

@@ -73,11 +73,9 @@ def whitened_response(
 def changed_rows(
     transition: FloatArray, kept: int, rows: IntArray, ends: IntArray, at: IntArray, of: FloatArray
 ) -> int:
-    """Find the rows of the first `kept` states of a transition that are not the identity's.
-
-    `rows`, `ends` (d,) written: their numbers, and where each ends in `at`, `of` (d * d,): places
-    and values of what is not 0; returns how many rows.
-    """
+    """Find the rows of the first `kept` states of a transition that are not the identity's. `rows`,
+    `ends` (d,) written: their numbers, and where each ends in `at`, `of` (d * d,): places and
+    values of what is not 0; returns how many rows."""
     count, size = 0, 0
     for i in range(kept):
         before, same = size, transition[i, i] == 1.0
@@ -167,12 +165,10 @@ def advance_bank(
     separation: FloatArray,
     covariance: FloatArray,
 ) -> None:
-    """Move all solutions of some receivers on by one epoch.
-
-    `receivers` (r,): which ones; `fewest`: satellites for an update; `spacing`: D; `epochs` (B,),
-    `separation` (B, d, J), `covariance` (B, d, d, J) memory, overwritten: epochs so far, s and V.
-    Where S is not positive definite, s is infinite.
-    """
+    """Move all solutions of some receivers on by one epoch. `receivers` (r,): which ones; `fewest`:
+    satellites for an update; `spacing`: D; `epochs` (B,), `separation` (B, d, J), `covariance` (B,
+    d, d, J) memory, overwritten: epochs so far, s and V. Where S is not positive definite, s is
+    infinite."""
     m, (kept, bank) = innovation.shape[1], separation.shape[1:]
     scratch, factor = np.empty(m, dtype=np.int64), np.empty((m, m))
     A, y = np.empty((m, kept)), np.empty(m)
@@ -255,11 +251,9 @@ def judge_bank(
     statistic: FloatArray,
 ) -> None:
     """Compare the horizontal part of all solutions of some receivers with its covariance.
-
     `receivers` (r,): which ones; `largest_sd` (B, J) memory, overwritten: root of the largest
     eigenvalue of V_h [m], infinite where a solution is not judged; `statistic` (B,) written:
-    largest q.
-    """
+    largest q."""
     bank = separation.shape[2]
     for b in receivers:
         north, east = horizontal_axes(position_e[b])
@@ -293,9 +287,7 @@ def whiten_bank(
     whitened: FloatArray,
 ) -> None:
     """Horizontal parts of all solutions with the covariance of the identity, so that q = |w|^2.
-
-    `whitened` (B, J, 2) written, 0 where `judge_bank` does not judge.
-    """
+    `whitened` (B, J, 2) written, 0 where `judge_bank` does not judge."""
     receivers, bank = len(separation), separation.shape[2]
     for b in range(receivers):
         north, east = horizontal_axes(position_e[b])

@@ -102,7 +102,6 @@ class SolutionSeparation(Detector):
     )
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         check_probability("false_alarm", self.false_alarm)
         for name in ("longest_s", "spacing_s"):
             check_length(name, getattr(self, name), least=1e-3)
@@ -113,7 +112,6 @@ class SolutionSeparation(Detector):
             )
 
     def bind(self, context: DetectorContext) -> None:
-        """Prepare the bank."""
         super().bind(context)
         b, kept = context.receivers, min(context.states, FIRST)
         self._everyone = np.arange(b)

@@ -281,9 +281,7 @@ class SkyPlot:
 
 def beside(place: FloatArray, visible: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Lower left corners of names next to satellites at `place` (2, n), free of others if possible.
-
-    `visible` (n,) bool: which of them are drawn.
-    """
+    `visible` (n,) bool: which of them are drawn."""
     width, height = NAME_SIZE
     marks = [(x - 0.08, y - 0.08, 0.16, 0.16) for x, y in place.T.tolist()]
     names: list[Box] = []
@@ -301,7 +299,6 @@ def beside(place: FloatArray, visible: NDArray[np.bool_]) -> list[tuple[float, f
 
 
 def _overlap(box: Box, others: Sequence[Box]) -> float:
-    """Area that a box shares with others."""
     if not others:
         return 0.0
     mine, theirs = np.array(box), np.array(others)
@@ -369,7 +366,6 @@ class StatisticPanel(TimePanel):
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the statistics so far."""
         super().follow(history)
         time, ratio, alarm = history.number("time_s"), history.number("ratio"), history.alarm
         self._twin.set_data(time, history.number("twin_ratio"))
@@ -408,7 +404,6 @@ class ErrorPanel(TimePanel):
         return True
 
     def follow(self, history: RenderHistory) -> None:
-        """Draw the errors so far."""
         super().follow(history)
         time = history.number("time_s")
         for name, line in self._lines:

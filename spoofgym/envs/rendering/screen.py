@@ -35,7 +35,6 @@ class Screen:
         self._window: Window | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """State without pictures, which a copy draws again."""
         return {**self.__dict__, "_painter": None, "_window": None}
 
     def begin(self, info: Mapping[str, Any]) -> None:

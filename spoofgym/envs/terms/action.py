@@ -125,7 +125,6 @@ class Channels:
     ids: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        """Check the names."""
         ids = (self.ids,) if isinstance(self.ids, str) else tuple(self.ids)
         if not ids or len(set(ids)) < len(ids) or not all(isinstance(i, str) for i in ids):
             raise ValueError(f"`ids` must be different names, at least one, got {self.ids!r}")
@@ -190,7 +189,6 @@ class RateSetpoint:
     full_scale_mps: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         if self.dimensions not in (1, 2) or isinstance(self.dimensions, bool):
             raise ValueError(f"`dimensions` must be 1 or 2, got {self.dimensions!r}")
         check_finite("full_scale_mps", self.full_scale_mps, "> 0")

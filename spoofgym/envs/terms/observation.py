@@ -76,7 +76,6 @@ class _Term:
     may_be_0: ClassVar[tuple[str, ...]] = ()
 
     def names(self, setup: Setup) -> tuple[str, ...]:
-        """Name of every element."""
         raise NotImplementedError
 
     def units(self, setup: Setup) -> Units:
@@ -84,7 +83,6 @@ class _Term:
         return ((self.unit, 1.0),) * len(self.names(setup))
 
     def __post_init__(self) -> None:
-        """Check the settings."""
         for name, value in vars(self).items():
             if isinstance(value, bool):
                 continue
@@ -358,7 +356,6 @@ class EstimateError(_Term):
         return tuple(f"error_{name}" for name in setup.error_names)
 
     def units(self, setup: Setup) -> Units:
-        """Metres."""
         return (("m", self.scale_m),) * len(setup.error_names)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:
@@ -386,7 +383,6 @@ class DivergenceSpent(_Term):
         return ("divergence_spent",)
 
     def units(self, setup: Setup) -> Units:
-        """Nats."""
         return (("nat", self.budget_nats),)
 
     def __call__(self, snapshot: Snapshot, out: NDArray[np.float32]) -> None:

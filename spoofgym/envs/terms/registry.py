@@ -79,7 +79,6 @@ def make_terms(kind: str, spec: Any) -> tuple[Any, ...]:
 
 
 def _make(kind: str, spec: Any) -> Any:
-    """One term."""
     if isinstance(spec, str) or (isinstance(spec, Mapping) and isinstance(spec.get("name"), str)):
         return build(f"{kind} term", TERMS[kind], _Nothing, _with_tuples(spec))
     lacking = [name for name in _MEMBERS[kind] if not hasattr(spec, name)]
@@ -101,7 +100,6 @@ def _with_tuples(spec: Any) -> Any:
 
 
 def _read(kind: str, path: Path) -> Any:
-    """List of one kind in a file."""
     try:
         text = path.read_text(encoding="utf-8")
         content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
@@ -179,7 +177,6 @@ def term_table(kind: str) -> str:
 
 
 def _setting(field: dataclasses.Field[Any]) -> str:
-    """Name of a setting, with its default."""
     if field.default is dataclasses.MISSING:
         return f"`{field.name}`"
     return f"`{field.name}={field.default!r}`"

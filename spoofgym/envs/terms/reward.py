@@ -78,7 +78,6 @@ class _Shared:
     sign: ClassVar[float] = 1.0
 
     def __post_init__(self) -> None:
-        """Check the setting; a price is at least 0."""
         for name, value in vars(self).items():
             check_finite(name, value, ">= 0" if self.sign < 0.0 else "")
 
@@ -88,7 +87,6 @@ class _Shared:
         return self.field, self.sign * float(next(iter(vars(self).values())))
 
     def __call__(self, outcome: Outcome) -> FloatArray:
-        """The share of every receiver."""
         field, factor = self.share
         values = getattr(outcome, field)
         return np.where(values, factor, 0.0) if values.dtype == np.bool_ else factor * values
@@ -170,7 +168,6 @@ class EffortPenalty:
     name: ClassVar[str] = "effort"
 
     def __post_init__(self) -> None:
-        """Check the price."""
         check_finite("at_full_m", self.at_full_m, ">= 0")
 
     def __call__(self, outcome: Outcome) -> FloatArray:
@@ -194,7 +191,6 @@ class TerminalDisplacement:
     name: ClassVar[str] = "terminal_displacement"
 
     def __post_init__(self) -> None:
-        """Check the factor."""
         check_finite("per_m", self.per_m)
 
     def __call__(self, outcome: Outcome) -> FloatArray:

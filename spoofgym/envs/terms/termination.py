@@ -98,7 +98,6 @@ class AtDisplacement:
     truncates: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        """Check the limit."""
         check_finite("limit_m", self.limit_m, "> 0")
 
     def __call__(self, state: EpochState) -> Mask:
@@ -122,7 +121,6 @@ class AtStealthBudget:
     needs: ClassVar[tuple[type[Divergence], ...]] = (Divergence,)
 
     def __post_init__(self) -> None:
-        """Check the budget."""
         check_finite("budget_nats", self.budget_nats, "> 0")
 
     def __call__(self, state: EpochState) -> Mask:
@@ -146,7 +144,6 @@ class AtSteps:
     truncates: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Check the number."""
         whole_number("`steps`", self.steps, 1)
 
     def __call__(self, state: EpochState) -> Mask:
@@ -181,7 +178,6 @@ class Ends:
         self.info_names = tuple(f"end_{term.name}" for term in self._terms)
 
     def __bool__(self) -> bool:
-        """Whether there is anything to judge."""
         return bool(self._terms)
 
     def judge(self, state: EpochState, info: dict[str, NDArray[Any]]) -> tuple[Mask, Mask]:

@@ -1,18 +1,18 @@
-"""One part of an epoch again and again, and the floor: loops over the package's lane functions."""
+"""One part of an epoch again and again, and the floor: loops over the library's lane functions."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from .._jit import njit
-from .._simd import LANES, lanes_of, load, load_pair, pair_of, splat, store
-from ..attacks._kernels import false_position
-from ..detectors.ewma import judge_channels
-from ..receiver import _kernels as filters
-from ..receiver import kalman
-from ..receiver.error_model import TERMS
-from ..sim import _kernels as world
-from ..sim.noise import COUNTERS_OF_EIGHT, deviates, normal_pair, threefry
+from spoofgym._jit import njit
+from spoofgym._simd import LANES, lanes_of, load, load_pair, pair_of, splat, store
+from spoofgym.attacks._kernels import false_position
+from spoofgym.detectors.ewma import judge_channels
+from spoofgym.receiver import _kernels as filters
+from spoofgym.receiver import kalman
+from spoofgym.receiver.error_model import TERMS
+from spoofgym.sim import _kernels as world
+from spoofgym.sim.noise import COUNTERS_OF_EIGHT, deviates, normal_pair, threefry
 
 NOISE, SENSE, MECHANIZE, PROPAGATE, MEASURE, INNOVATE, COVARIANCE_S, UPDATE, FLOOR = range(9)
 PRODUCT = filters.PRODUCT_ROWS

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spoofgym.bench import perf
-from spoofgym.cli import app
+from benchmarks import perf
 
 EPOCH = [name for name in perf.KERNELS if name not in (perf.COVARIANCE_S, perf.FLOOR)]
 
@@ -43,7 +42,7 @@ def test_the_floor_stays_with_one_group_per_thread():
 
 
 def measured(*options):
-    result = CliRunner().invoke(app, ["perf", "--quick", *options])
+    result = CliRunner().invoke(perf.app, ["--quick", *options])
     assert result.exit_code == 0, result.output
     return result.stdout
 
@@ -94,7 +93,7 @@ def test_a_step_reads_and_writes_less_than_four_kilobytes_a_receiver():
 
 
 def test_threads_without_a_group_are_refused():
-    result = CliRunner().invoke(app, ["perf", "--receivers", "8", "--threads", "2"])
+    result = CliRunner().invoke(perf.app, ["--receivers", "8", "--threads", "2"])
     assert result.exit_code == 2
     assert "spoofgym: error: no batch of [8] receivers has a group of 8 for each of 2" in (
         result.stderr

@@ -1,5 +1,6 @@
-"""What a step costs on this machine, part by part, beside the floor of its arithmetic.
+"""What a step costs on this machine, part by part: ``python -m benchmarks.perf``, ``make perf``.
 
+Beside it stands the floor of its arithmetic.
 B receivers of `ENV` have epochs of 1 s (100 inertial samples), the ``ewma`` detector in the loop
 and the default observations; episodes do not end at an alarm.  All is measured in alternate rounds
 and the least counts: processor time on one thread, time that has passed on several.
@@ -16,18 +17,24 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib.metadata import version
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from llvmlite import binding
 
-from .. import __version__
-from .._lanes import LaneFields
-from .._simd import LANES
-from ..envs.core import SpoofCore
-from ..sim.noise import padded
-from ..simulators import _perf_kernels as kernels
-from ..simulators.clean_runs import Progress, Silent
+from spoofgym import __version__
+from spoofgym._lanes import LaneFields
+from spoofgym._simd import LANES
+from spoofgym.bench.report import markdown_table
+from spoofgym.cli import clear_errors
+from spoofgym.cli.options import Json
+from spoofgym.cli.output import print_json, print_lines, print_table, progress
+from spoofgym.envs.core import SpoofCore
+from spoofgym.sim.noise import padded
+from spoofgym.simulators.clean_runs import Progress, Silent
+
+from . import _perf_kernels as kernels
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 ENV = "spoofgym/TightlyCoupled-v0"
@@ -64,6 +71,7 @@ DERIVED = (
     ("env_steps_per_s", "env steps per second, with warm-ups", ",.0f"),
 )
 TOTAL = "all of these"
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 VECTORS = {"avx512f": "AVX-512", "avx2": "AVX2", "sse4.2": "SSE4.2", "neon": "NEON"}
 
 
@@ -320,3 +328,43 @@ def tables(found: Mapping[str, Any]) -> Iterator[Table]:
         for name in next(iter(memory.values()))
     ]
     yield "bytes per receiver", ("arrays", *(f"B = {b}" for b in memory)), rows
+
+
+@app.command()
+@clear_errors
+def main(
+    receivers: Annotated[
+        list[int] | None,
+        typer.Option(
+            min=1, max=65536, help="Receivers of a batch; repeatable. Default: 1 16 64 256 1024."
+        ),
+    ] = None,
+    threads: Annotated[
+        list[int] | None,
+        typer.Option(min=1, max=1024, help="Threads of the engine; repeatable. Default: 1 2."),
+    ] = None,
+    quick: Annotated[bool, typer.Option(help="Measure in two rounds instead of seven.")] = False,
+    markdown: Annotated[bool, typer.Option(help="Print the tables as Markdown.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Measure what a step costs on this machine, part by part, beside the floor of its arithmetic.
+
+    Microseconds per receiver-epoch with 100 inertial samples, 12 satellites and the detector ewma.
+    The floor is the same arithmetic for one group of receivers that stays in the nearest cache.
+    """
+    rounds = QUICK_ROUNDS if quick else ROUNDS
+    with progress(1.0) as bar:
+        found = measure(receivers or RECEIVERS, threads or THREADS, rounds=rounds, progress=bar)
+    if as_json:
+        print_json(found)
+        return
+    print_lines([", ".join(f"{name} {value}" for name, value in found["machine"].items())])
+    for title, head, rows in tables(found):
+        if markdown:
+            print_lines(["", f"{title}:", "", *markdown_table(head, rows)])
+        else:
+            print_table(title, head, rows)
+
+
+if __name__ == "__main__":
+    app()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spoofgym.attacks.robot_data_sets import DATA_SETS, RobotDataSet
+from baselines.robot_data_sets import DATA_SETS, RobotDataSet
 
 
 def drawn(name, runs=200):
