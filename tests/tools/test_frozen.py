@@ -286,7 +286,7 @@ def test_what_is_volatile_in_the_repository_is_the_digests_and_nothing_beside():
     assert not names.of("bench").is_volatile(("json", "cells", "[0]", "runs"))
     assert names.of("dataset").is_volatile(("npz", "[3]", "digest"))
     assert not names.of("dataset").is_volatile(("npz", "[3]", "observation"))
-    assert {*names.volatile} == {"bench", "dataset"}
+    assert {*names.volatile} == {"bench", "dataset", "paper"}
     assert {use for use in names.imports} <= {*IMPORTS}
 
 
