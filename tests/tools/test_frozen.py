@@ -284,7 +284,9 @@ def test_what_is_volatile_in_the_repository_is_the_digests_and_nothing_beside():
     names = Names.load(frozen.NAMES)
     assert names.of("bench").is_volatile(("json", "campaign"))
     assert not names.of("bench").is_volatile(("json", "cells", "[0]", "runs"))
-    assert not names.of("evaluate").volatile
+    assert names.of("dataset").is_volatile(("npz", "[3]", "digest"))
+    assert not names.of("dataset").is_volatile(("npz", "[3]", "observation"))
+    assert {*names.volatile} == {"bench", "dataset", "paper"}
     assert {use for use in names.imports} <= {*IMPORTS}
 
 
