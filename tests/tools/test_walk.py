@@ -1,0 +1,38 @@
+"""Which files count as a part of a command's walk."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+import typer
+
+from spoofgym._describe import describe, digest_of
+from spoofgym.spoofers.zoo import card_of, shipped
+from tools import walk
+
+
+def test_functions_that_run_count_once_in_order_and_in_threads():
+    def work():
+        digest_of(describe({"a": 1.0}))
+        thread = threading.Thread(target=shipped)
+        thread.start()
+        thread.join()
+        describe(1.0)
+
+    with walk.called_files() as found:
+        work()
+    assert list(found) == ["_describe.py", "spoofers/zoo/__init__.py"]
+    card_of(shipped()[0])  # no longer counted
+    assert len(found) == 2
+
+
+def test_files_are_listed_by_package():
+    expected = {"spoofers": ["spoofers/zoo/__init__.py"], "bench": []}
+    assert walk.walk(shipped, ["spoofers", "bench"]) == expected
+
+
+def test_either_a_command_or_an_expression_is_walked():
+    for words, call in (([], ""), (["list"], "1 + 1")):
+        with pytest.raises(typer.BadParameter, match="either a command"):
+            walk.main(words, call)
