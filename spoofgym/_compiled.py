@@ -6,10 +6,11 @@ its callers take its intermediate code in, and LLVM optimizes that once, as a pa
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 from numba.core import sigutils
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, NullCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, Flags, compile_extra
 from numba.core.compiler_lock import global_compiler_lock
@@ -68,12 +69,28 @@ class Function(CPUDispatcher):  # type: ignore[misc]
 
     _compiler: Any
 
-    def __init__(self, function: Any, options: dict[str, Any], cache: FunctionCache) -> None:
-        super().__init__(function, targetoptions=options)
+    # numba rebuilds what was pickled with its code by the first three.
+    def __init__(
+        self,
+        function: Any,
+        variables: dict[str, Any],
+        options: dict[str, Any],
+        cache: FunctionCache | None = None,
+    ) -> None:
+        super().__init__(function, variables, options)
         self._compiler = _Compiler(
             function, self.targetdescr, options, self.locals, self._compiler.pipeline_class
         )
-        self._cache = cache
+        self._cache = cache or NullCache()
+
+    def __reduce__(self) -> Any:
+        """Pickle a function of a module by its name, as Python does, and any other with its code.
+
+        What another process imports is compiled there already, or loaded from the cache.
+        """
+        name, module = self.py_func.__qualname__, sys.modules.get(self.py_func.__module__)
+        named = module is not None and module.__name__ != "__main__"
+        return name if named and getattr(module, name, None) is self else super().__reduce__()
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """How a call from compiled code is compiled.

@@ -52,7 +52,7 @@ def _describe_parts(value: Any) -> Any:
             for f in dataclasses.fields(value)
             if not (f.metadata.get("omitted") and getattr(value, f.name) == f.default)
         }
-        return {"kind": type(value).__qualname__, **named}
+        return {"kind": kind_of(type(value)), **named}
     if hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, Mapping):
@@ -62,6 +62,20 @@ def _describe_parts(value: Any) -> Any:
     raise TypeError(
         f"a setting of type {type(value).__qualname__} can't be written down: {value!r}"
     )
+
+
+def kind_of(record: type) -> str:
+    """Word that stands for a class in what is stored: its own `described_as`, whatever its name.
+
+    A user's class has its name.  Calibrations, cards and tasks are found by these words.
+    """
+    own = vars(record).get("described_as")
+    if own is None and record.__module__.partition(".")[0] == __package__:
+        raise TypeError(
+            f"{record.__module__}.{record.__qualname__} can't be written down: a class of the "
+            "package must declare the word for it, `described_as`, which never changes"
+        )
+    return record.__qualname__ if own is None else str(own)
 
 
 def digest_of(config: Any) -> str:

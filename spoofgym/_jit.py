@@ -260,7 +260,7 @@ def _compile(function: F, **how: Any) -> F:
     finally:
         numba.config.CACHE_DIR = before
     settings = {"nopython": True, "nogil": True, "error_model": "numpy", "boundscheck": False}
-    return cast(F, Function(function, settings | how, cache))
+    return cast(F, Function(function, {}, settings | how, cache))
 
 
 def njit(function: F) -> F:

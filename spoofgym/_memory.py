@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import count
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-_STAMPS = count(1)
 
 
 class Memory(dict[str, NDArray[Any]]):
@@ -18,7 +15,8 @@ class Memory(dict[str, NDArray[Any]]):
     Declare every array once, with the values that an episode starts with; write into the arrays
     afterwards, or assign new ones of the same shape.
 
-    `stamp`: a number that no other memory has, another one whenever an array is assigned.
+    `stamp`: equal to that of no other memory in any process, another one whenever an array is
+    assigned.
 
     Examples
     --------
@@ -31,7 +29,7 @@ class Memory(dict[str, NDArray[Any]]):
     array([0., 1.])
     """
 
-    stamp = 0
+    stamp: object = None
 
     def __init__(self, receivers: int = 0) -> None:
         super().__init__()
@@ -40,7 +38,7 @@ class Memory(dict[str, NDArray[Any]]):
 
     def __setitem__(self, name: str, array: NDArray[Any]) -> None:
         super().__setitem__(name, array)
-        self.stamp = next(_STAMPS)
+        self.stamp = object()
 
     @property
     def declared(self) -> Mapping[str, NDArray[Any]]:

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .._describe import kind_of
 from .._memory import Memory
 from .._registry import build_record, check_choice
 from ..sim.world import World
@@ -43,8 +44,8 @@ class AttackContext(NamedTuple):
 
 
 def _record(name: str, kind: type[Any], given: Any) -> Any:
-    """Record of an option, also from what results write of it, with the name of its class."""
-    if isinstance(given, Mapping) and given.get("kind") == kind.__qualname__:
+    """Record of an option, also from what results write of it, with its kind."""
+    if isinstance(given, Mapping) and given.get("kind") == kind_of(kind):
         given = {key: value for key, value in given.items() if key != "kind"}
     return build_record(name, kind, given)
 

@@ -33,6 +33,7 @@ class Equipment:
     - `capture`: None where all channels are captured at the onset, however far.
     """
 
+    described_as = "Equipment"
     errors: CounterfeitErrors | None = None
     tracking: TrackingError | None = None
     clock: SpooferClock | None = None

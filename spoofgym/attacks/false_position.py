@@ -39,6 +39,7 @@ class FalsePosition(Attack):
         action.  Displacement is scored horizontally, hence the default ``"ne"``.
     """
 
+    described_as = "FalsePosition"
     axes: str = "ne"
 
     def __post_init__(self) -> None:

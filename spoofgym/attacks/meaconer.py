@@ -40,6 +40,7 @@ class Meaconer(Attack):
         where it was on the Earth.
     """
 
+    described_as = "Meaconer"
     one_sided: ClassVar[bool] = True
     antenna_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     follows: bool = True

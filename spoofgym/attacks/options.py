@@ -38,6 +38,7 @@ class CounterfeitErrors:
         constant comes; 0 for a step of their size.  It takes the receiver's own noise.
     """
 
+    described_as = "CounterfeitErrors"
     code_sd_m: float | None = None
     range_rate_sd_mps: float | None = None
     bias_sd_m: float = 0.0
@@ -83,6 +84,7 @@ class TrackingError:
         (3,) constant error, north, east, down at the true position of the epoch.
     """
 
+    described_as = "TrackingError"
     sd_m: float = 0.0
     correlation_s: float = 5.0
     delay_s: float = 0.0
@@ -111,6 +113,7 @@ class SpooferClock:
         Noise, as of `ReceiverClock` [m^2/s], [m^2/s^3].
     """
 
+    described_as = "SpooferClock"
     offset_m: float = 0.0
     drift_mps: float = 0.0
     offset_sd_m: float = 0.0
@@ -142,6 +145,7 @@ class Capture:
         left out, above 0; None for no limit.  Half a chip of the GPS C/A code by default.
     """
 
+    described_as = "Capture"
     delay_s: float = 0.0
     alignment_m: float | None = 0.5 * CHIP_M
 

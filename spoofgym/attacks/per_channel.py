@@ -28,6 +28,8 @@ class PerChannel(Attack):
         As in `Attack`.
     """
 
+    described_as = "PerChannel"
+
     @property
     def kind(self) -> str:
         return "per-channel"

@@ -207,6 +207,7 @@ class Acna(Detector):
         Longest exclusion, above 0; None for no end, with which GNSS can be locked out for good.
     """
 
+    described_as = "Acna"
     variant: str = "production"
     jump_window: int = 2
     jump_threshold_m: float | None = 1.5

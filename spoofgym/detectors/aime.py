@@ -101,6 +101,7 @@ class Aime(InnovationTest):
         not judged before; 0 for none.
     """
 
+    described_as = "Aime"
     false_alarm: float = 1e-5
     windows_s: tuple[float, ...] = (5.0, 25.0, 75.0)
     signals: str = "pseudorange"

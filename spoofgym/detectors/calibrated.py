@@ -104,6 +104,7 @@ class Calibrated(Detector):
     0.8
     """
 
+    described_as = "Calibrated"
     detector: Detector
     scale: float | None = None
     false_alarms_per_hour: float | None = None

@@ -156,6 +156,7 @@ class ClockDrift(InnovationTest):
         not judged before; 0 for none.
     """
 
+    described_as = "ClockDrift"
     false_alarm: float = 1e-5
     window_s: float = 10.0
     signals: str = "both"

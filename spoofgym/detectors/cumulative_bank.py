@@ -95,6 +95,7 @@ class CumulativeBank(InnovationTest):
         not judged before; 0 for none.
     """
 
+    described_as = "CumulativeBank"
     false_alarm: float = 1e-5
     windows_s: tuple[float, ...] = (5.0, 15.0, 30.0, 75.0, 150.0)
     signals: str = "both"

@@ -97,6 +97,7 @@ class Cusum(InnovationTest):
         not judged before; 0 for none.
     """
 
+    described_as = "Cusum"
     allowance: float = 0.5
     limit: float = 12.4
     signals: str = "pseudorange"

@@ -115,6 +115,7 @@ class Ewma(Detector):
         Fewest satellites that keep a weight above 0, where as many are in view; 0 for none.
     """
 
+    described_as = "Ewma"
     smoothing: float = 0.1
     false_alarm: float = 1e-5
     weight_scale: float | None = 0.3

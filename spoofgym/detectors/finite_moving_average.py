@@ -117,6 +117,7 @@ class FiniteMovingAverage(InnovationTest):
         not judged before; 0 for none.
     """
 
+    described_as = "FiniteMovingAverage"
     false_alarm: float = 1e-5
     window_s: float = 10.0
     shape: str = "step"

@@ -293,6 +293,7 @@ class GlrStep(_Glr):
         Innovations to test.
     """
 
+    described_as = "GlrStep"
     ramp: ClassVar[bool] = False
 
 
@@ -313,4 +314,5 @@ class GlrRamp(_Glr):
         Innovations to test.
     """
 
+    described_as = "GlrRamp"
     ramp: ClassVar[bool] = True

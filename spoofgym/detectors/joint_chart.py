@@ -182,6 +182,7 @@ class JointChart(Detector):
         Factor on the threshold of the alarm, above 0; weights go by the threshold without it.
     """
 
+    described_as = "JointChart"
     smoothing: float = 0.1
     false_alarm: float = 1e-5
     weight_scale: float | None = 0.3

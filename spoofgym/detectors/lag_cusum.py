@@ -118,6 +118,7 @@ class LagCusum(Detector):
         Innovations to sum.
     """
 
+    described_as = "LagCusum"
     drift: float = 0.5
     threshold: float = 13.3
     lag: int = 150

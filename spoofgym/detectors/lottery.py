@@ -41,6 +41,7 @@ class Lottery(Detector):
         Mean waiting time from the first epoch to the alarm, T [s]; by default 0.2 alarms an hour.
     """
 
+    described_as = "Lottery"
     mean_wait_s: float = 18_000.0
 
     paper: ClassVar[str] = "lipsitch2010"

@@ -18,6 +18,7 @@ from .base import Detector, DetectorContext, Verdict
 class Never(Detector):
     """No defence: statistic 0, threshold 1, never an alarm, no weights."""
 
+    described_as = "Never"
     paper: ClassVar[str] = "groves2013"
     measures: ClassVar[str] = "any"
     calibrates: ClassVar[bool] = False

@@ -126,6 +126,7 @@ class PooledDetector(Detector):
     Training against a mixture of frozen opponents is what `lanctot2017` calls an oracle's response.
     """
 
+    described_as = "PooledDetector"
     members: Sequence[str | Mapping[str, Any] | Detector] = ("snapshot-chi2", "ewma")
     weights: Sequence[float] | None = None
 

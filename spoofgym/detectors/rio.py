@@ -92,6 +92,7 @@ class Rio(Detector):
         D_r, above 0.
     """
 
+    described_as = "Rio"
     limit_m: float = 16.5
     readmission_m: float = 5.0
 

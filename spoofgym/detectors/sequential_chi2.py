@@ -97,6 +97,7 @@ class SequentialChi2(InnovationTest):
         limit that is nearer, and the threshold 1.
     """
 
+    described_as = "SequentialChi2"
     false_alarm: float = 1e-5
     window_s: float | None = None
     signals: str = "pseudorange"

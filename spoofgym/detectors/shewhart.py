@@ -104,6 +104,7 @@ class Shewhart(InnovationTest):
         Fewest satellites that keep a weight above 0, where as many are in view; 0 for none.
     """
 
+    described_as = "Shewhart"
     false_alarm: float = 1e-5
     weight_scale: float | None = None
     signals: str = "pseudorange"

@@ -46,6 +46,7 @@ class SnapshotChi2(InnovationTest):
         limit that is nearer, and the threshold 1.
     """
 
+    described_as = "SnapshotChi2"
     false_alarm: float = 1e-5
     signals: str = "both"
     bias_window_s: float = 0.0

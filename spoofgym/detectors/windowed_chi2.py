@@ -135,6 +135,7 @@ class WindowedChi2(Detector):
         statistic is then the ratio to the limit that is nearer, and the threshold 1.
     """
 
+    described_as = "WindowedChi2"
     window: int = 10
     false_alarm: float = 1e-5
     signals: str = "both"

@@ -51,6 +51,8 @@ class NeymanPearson:
     their rate is fixed by the threshold, which is calibrated on clean episodes.
     """
 
+    described_as = "NeymanPearson"
+
     def __call__(self, outcome: DuelOutcome) -> tuple[FloatArray, FloatArray]:
         """Rewards of the spoofer and of the detector."""
         won = np.where(outcome.attacked, outcome.gain + outcome.retraction, 0.0)
@@ -72,6 +74,7 @@ class Weighted:
         an alarm takes nothing back.
     """
 
+    described_as = "Weighted"
     false_alarm: float = 100.0
     delay_per_s: float = 0.1
     error_per_m: float = 1.0

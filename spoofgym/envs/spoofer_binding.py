@@ -10,7 +10,7 @@ from contextlib import suppress
 from numbers import Real
 from typing import Any
 
-from .._describe import describe, unlike
+from .._describe import describe, kind_of, unlike
 from ..detectors.calibrated import resolve
 from ..simulators import (
     LooselyCoupledSetup,
@@ -316,4 +316,4 @@ def _described(part: Any) -> Any:
         return part
     if isinstance(part, Real):
         return float(part)
-    return describe(part) if dataclasses.is_dataclass(part) else type(part).__qualname__
+    return describe(part) if dataclasses.is_dataclass(part) else kind_of(type(part))

@@ -62,6 +62,7 @@ class SelfTuning:
         Least standard deviation of a coordinate [m]; the paper has none.
     """
 
+    described_as = "SelfTuning"
     window: int = 100
     process: str = "fixed"
     floor_m: float = 0.0

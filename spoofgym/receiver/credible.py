@@ -133,6 +133,7 @@ class CredibleFilter:
     - `drift_rate_mps`: d, at least 0, below what the gain leaves room for.
     """
 
+    described_as = "CredibleFilter"
     gain: float = 0.16
     noise_sd_m: float = 1.02
     drift_rate_mps: float = 0.04

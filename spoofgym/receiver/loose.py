@@ -53,6 +53,7 @@ class LooselyCoupled:
     with three numbers in metres for the position; in radians of latitude they would be absurd.
     """
 
+    described_as = "LooselyCoupled"
     horizontal_sd_m: float = 3.7
     vertical_sd_m: float = 6.0
     gyro_noise_deg_per_rth: float = 0.005

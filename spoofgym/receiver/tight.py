@@ -149,6 +149,7 @@ class TightlyCoupled:
         When a name is unknown or a number out of range.
     """
 
+    described_as = "TightlyCoupled"
     grade: str = "aviation"
     tuning: str = "paper"
     covariance_update: str = "unweighted"

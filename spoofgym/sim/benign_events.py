@@ -42,6 +42,7 @@ class BenignEvents:
     those of a mild one.  The other ranges have no source: they are a choice.
     """
 
+    described_as = "BenignEvents"
     clock_step: float = 0.0
     clock_step_m: tuple[float, float] = (1.0, 10.0)
     satellite_loss: float = 0.0

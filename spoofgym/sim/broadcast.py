@@ -90,6 +90,7 @@ class Ephemerides:
     - `crc`, `crs` (R,) second harmonic corrections to the radius [m].
     """
 
+    described_as = "Ephemerides"
     satellite_id: NDArray[np.str_]
     health: NDArray[np.float64]
     issue: NDArray[np.float64]
@@ -243,6 +244,7 @@ class BroadcastConstellation:
     ones are never used; `start`: GPS seconds at time 0 of the simulation [s], see `gps_seconds`.
     """
 
+    described_as = "BroadcastConstellation"
     ephemerides: Ephemerides
     start: float
 

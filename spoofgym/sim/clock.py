@@ -22,6 +22,7 @@ class ReceiverClock:
     Groves (2013), section 9.4.2.
     """
 
+    described_as = "ReceiverClock"
     offset_m: float = 10_000.0
     drift_mps: float = 100.0
     phase_psd: float = 0.0

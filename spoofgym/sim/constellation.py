@@ -118,6 +118,7 @@ class CircularConstellation:
     - `prefix`: one capital letter that the ids begin with.
     """
 
+    described_as = "CircularConstellation"
     satellites: int = 30
     radius_m: float = 2.656175e7
     inclination_deg: float = 55.0
@@ -173,6 +174,7 @@ class CombinedConstellation:
     """Several constellations as one, on one system time. `parts`: with different satellite ids; a
     receiver hears them all, and has one clock for them."""
 
+    described_as = "CombinedConstellation"
     parts: tuple[Constellation, ...]
 
     def __post_init__(self) -> None:

@@ -40,6 +40,7 @@ class Flight:
     because a compiled kernel is compiled again for read-only arrays.
     """
 
+    described_as = "Flight"
     name: str
     time: NDArray[np.float64]
     position_e: NDArray[np.float64]

@@ -42,6 +42,7 @@ class GnssErrors:
     Groves (2013), section 9.3, as its software simulates it.
     """
 
+    described_as = "GnssErrors"
     code_sd_m: float
     range_rate_sd_mps: float
     signal_in_space_sd_m: float

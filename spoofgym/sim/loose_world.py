@@ -46,6 +46,7 @@ class InertialErrors:
     the factor of 3 of its initial covariance.
     """
 
+    described_as = "InertialErrors"
     gyro_noise_deg_per_rth: float = 0.005
     accel_noise_ug_per_rthz: float = 20.0
     gyro_bias_deg_per_h: float = 0.01
@@ -94,6 +95,7 @@ class LooseWorld:
     - `C_el` (K, 3, 3) to ECEF from local east-north-up axes.
     """
 
+    described_as = "LooseWorld"
     name: str
     interval_s: float
     imu_interval_s: float

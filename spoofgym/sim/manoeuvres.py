@@ -42,6 +42,7 @@ class Manoeuvre(Protocol):
 class Straight:
     """Straight and level motion for a while.  `duration_s`: duration [s]."""
 
+    described_as = "Straight"
     axis: ClassVar[Axis] = "none"
     duration_s: float
 
@@ -57,6 +58,7 @@ class Until:
     """Straight and level motion until a time of the flight. `time_s`: time since the start of the
     flight [s]."""
 
+    described_as = "Until"
     axis: ClassVar[Axis] = "none"
     time_s: float
 
@@ -91,6 +93,7 @@ class Turn:
         tan(bank) pi / (2 ramp).
     """
 
+    described_as = "Turn"
     axis: ClassVar[Axis] = "turn"
     angle_deg: float
     bank_deg: float = 25.0
@@ -118,6 +121,7 @@ class Steer:
     - `ramp_s`: time to turn the wheel in and back [s].
     """
 
+    described_as = "Steer"
     axis: ClassVar[Axis] = "steer"
     angle_deg: float
     rate_degps: float = 7.0
@@ -144,6 +148,7 @@ class Climb:
       below about rate pi / (2 ramp).
     """
 
+    described_as = "Climb"
     axis: ClassVar[Axis] = "climb"
     height_m: float
     rate_mps: float = 10.0
@@ -174,6 +179,7 @@ class Accelerate:
     - `ramp_s`: time for the acceleration to set in and to cease [s].
     """
 
+    described_as = "Accelerate"
     axis: ClassVar[Axis] = "speed"
     change_mps: float
     acceleration_mps2: float = 1.0

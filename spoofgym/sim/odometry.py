@@ -54,6 +54,7 @@ class Odometer:
     - `yaw_noise_deg`: white noise of the heading at every sample, at least 0.
     """
 
+    described_as = "Odometer"
     counts_per_turn: int = 495
     wheel_radius_m: float = 0.0325
     wheel_base_m: float = 0.2
@@ -84,6 +85,7 @@ class FixErrors:
     """GNSS position errors, alike in north and east. `correlation_time_s`: its time constant, above
     0; `white_sd_m`: white noise at every fix."""
 
+    described_as = "FixErrors"
     correlated_sd_m: float = 1.0
     correlation_time_s: float = 60.0
     white_sd_m: float = 0.2

@@ -35,6 +35,7 @@ class PositionErrors:
     each sample; the paper does not say whether it changed them.
     """
 
+    described_as = "PositionErrors"
     horizontal_sd_m: float = 1.6
     vertical_sd_m: float = 3.0
     decay: float = 0.999

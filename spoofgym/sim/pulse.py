@@ -13,6 +13,7 @@ class Pulse:
     """A rate that rises, holds and falls, with raised-cosine edges. `ramp`: duration of each edge
     [s]; `hold`: duration between them [s]."""
 
+    described_as = "Pulse"
     peak: float
     ramp: float
     hold: float

@@ -28,6 +28,7 @@ class RobotTrack:
     - `distance` (N+1,) travelled by the middle of the axle [m].
     """
 
+    described_as = "RobotTrack"
     time: FloatArray
     position_ne: FloatArray
     velocity_ne: FloatArray
@@ -53,6 +54,7 @@ class RobotLoop:
     - `speed_mps`: 0 for a robot at rest.
     """
 
+    described_as = "RobotLoop"
     length_m: float = 13.4
     width_m: float = 6.1
     corner_radius_m: float = 0.3

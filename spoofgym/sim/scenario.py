@@ -54,6 +54,7 @@ class Scenario:
     proportion.
     """
 
+    described_as = "Scenario"
     name: str = "custom"
     flight: str | Flight = "zhong2025"
     errors: str | GnssErrors = "zhong2025"

@@ -64,6 +64,7 @@ class SignalErrors:
     Obliquities and multipath: `do-229`, A.4.4.10.4, A.4.2.4 and J.2.4.
     """
 
+    described_as = "SignalErrors"
     carrier_sd_m: float = 0.0
     ionosphere_sd_m: float = 0.0
     ionosphere_s: float = 1800.0

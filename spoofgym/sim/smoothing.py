@@ -65,6 +65,7 @@ class SmoothPath:
     - `doubted`: measurements that lie further off than `HUBER_LIMIT` standard deviations.
     """
 
+    described_as = "SmoothPath"
     origin: tuple[float, float, float]
     north: BSpline
     east: BSpline

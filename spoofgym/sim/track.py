@@ -27,6 +27,7 @@ class Track:
     - `track_angle` (K,) course over ground, clockwise from north [rad], NaN likewise.
     """
 
+    described_as = "Track"
     name: str
     start_utc: datetime
     time: NDArray[np.float64]

@@ -29,6 +29,7 @@ class Trajectory(Flight):
     - `decimation`: samples of the sensors that are summed up in each one here.
     """
 
+    described_as = "Trajectory"
     specific_force_b: NDArray[np.float64]
     angular_rate_b: NDArray[np.float64]
     decimation: int = 1

@@ -58,6 +58,7 @@ class Domain:
         What looks like spoofing and is none; as in the scenario by default.
     """
 
+    described_as = "Domain"
     start_s: tuple[float, float | None] = (0.0, 0.0)
     turned_deg: tuple[float, float] = (0.0, 0.0)
     constellation_time_s: tuple[float, float] = (0.0, 0.0)

@@ -38,6 +38,7 @@ class RateCommands:
     """Displacement commanded by rates, one an axis, as an `Attack` of a smaller victim. `limits`
     (a,) are what an action of 1 means [m/s]."""
 
+    described_as = "RateCommands"
     kind: str
     names: tuple[str, ...]
     limits: tuple[float, ...]

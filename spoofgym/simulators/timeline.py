@@ -29,6 +29,7 @@ class Timeline:
         live; what was induced within this time of an alarm does not count.
     """
 
+    described_as = "Timeline"
     warmup_s: float = 200.0
     live_s: float = 180.0
     attack_s: float = 150.0

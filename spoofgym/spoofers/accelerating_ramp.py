@@ -24,6 +24,7 @@ class AcceleratingRamp(ScriptedSpoofer):
         As in `ScriptedSpoofer`.
     """
 
+    described_as = "AcceleratingRamp"
     acceleration_mps2: float = 0.005
 
     tunable: ClassVar[str | None] = "acceleration_mps2"

@@ -32,6 +32,7 @@ class Dash(ScriptedSpoofer):
         As in `ScriptedSpoofer`.
     """
 
+    described_as = "Dash"
     rate_mps: float = 10.0
     last_s: float = 30.0
 

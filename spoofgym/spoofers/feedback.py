@@ -127,6 +127,7 @@ class Feedback(HeldBack):
         As in `ScriptedSpoofer`.
     """
 
+    described_as = "Feedback"
     rate_mps: float = 0.24
     growth: float = 3.75
 
@@ -169,3 +170,5 @@ class FeedbackProfile(HeldBack, AlongCurve):
     heading_deg : float or "target"
         As in `ScriptedSpoofer`.
     """
+
+    described_as = "FeedbackProfile"

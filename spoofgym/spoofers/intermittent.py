@@ -41,6 +41,7 @@ class Intermittent(ScriptedSpoofer):
         As in `ScriptedSpoofer`.
     """
 
+    described_as = "Intermittent"
     shapes: tuple[str, ...] = ("ramp",)
     sizes_m: tuple[float, ...] = (20.0,)
     on_s: float = 40.0

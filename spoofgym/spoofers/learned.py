@@ -35,6 +35,7 @@ class OnnxPolicy(Spoofer):
         Of the card.
     """
 
+    described_as = "OnnxPolicy"
     file: str
     sha256: str | None = None
 

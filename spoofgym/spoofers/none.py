@@ -14,6 +14,7 @@ from .base import FloatArray, Spoofer
 class NoSpoofer(Spoofer):
     """Commands zero; a benchmark leaves the measurements of its runs authentic."""
 
+    described_as = "NoSpoofer"
     knowledge = "blind"
     transmits = False
 

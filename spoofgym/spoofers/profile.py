@@ -48,6 +48,7 @@ class Profile(ScriptedSpoofer):
         What the curve was optimised on; or nothing.
     """
 
+    described_as = "Profile"
     rates_mps: tuple[float, ...] = (0.0, 0.2)
     cross_rates_mps: tuple[float, ...] = ()
     label: str | None = "profile"
@@ -128,6 +129,7 @@ class BlindOptimum(Profile):
         As in `Profile`; no rates where they are still to be found.
     """
 
+    described_as = "BlindOptimum"
     rates_mps: tuple[float, ...] = ()
     label: str | None = "blind-optimum"
     designed_on: str = "detector, receiver and scenario, by a search"

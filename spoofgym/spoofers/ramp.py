@@ -26,6 +26,7 @@ class Ramp(ScriptedSpoofer):
         As in `ScriptedSpoofer`.
     """
 
+    described_as = "Ramp"
     rate_mps: float = 0.5
 
     tunable: ClassVar[str | None] = "rate_mps"

@@ -40,6 +40,7 @@ class Step(ScriptedSpoofer):
         As in `ScriptedSpoofer`.
     """
 
+    described_as = "Step"
     size_m: float = 100.0
 
     tunable: ClassVar[str | None] = "size_m"

@@ -64,6 +64,7 @@ class ThresholdRider(AlongCurve):
         :math:`\beta`, part of m below which the whole rate is commanded at the latest.
     """
 
+    described_as = "ThresholdRider"
     margin: float = 1.15
     deviations: float = 0.0
     horizon_s: float = 20.0

@@ -202,6 +202,7 @@ class InnovationRate(Detector):
         Factor on the threshold of the alarm, above 0; weights go by the threshold without it.
     """
 
+    described_as = "InnovationRate"
     false_alarm: float = 4e-6
     threshold: float | None = None
     weight_scale: float | None = None

@@ -92,6 +92,7 @@ class OracleStep(_Oracle):
         B [m].
     """
 
+    described_as = "OracleStep"
     size_m: float = 10.0
 
     def __post_init__(self) -> None:
@@ -122,6 +123,7 @@ class OracleRamp(_Oracle):
         a [m/s].
     """
 
+    described_as = "OracleRamp"
     rate_mps: float = 0.1
 
     def __post_init__(self) -> None:

@@ -64,6 +64,7 @@ class DetectorAgent(Detector):
       is left of the allowance.
     """
 
+    described_as = "DetectorAgent"
     statistic: str = "receiver"
     weighs: bool = True
     exclusion_s: float | None = EXCLUSION_S
@@ -176,6 +177,7 @@ class PolicyDetector(DetectorAgent):
         only a pool of the duel then takes its own warm-up.
     """
 
+    described_as = "PolicyDetector"
     policy: DetectorPolicy | None = None
     threshold: float = 1.0
     decision_delay: int = 0

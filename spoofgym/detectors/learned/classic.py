@@ -39,6 +39,7 @@ class Classic(DetectorTerm):
         What it is called in the names of the observation; by default as its detector.
     """
 
+    described_as = "Classic"
     detector: str | Mapping[str, Any] = "snapshot-chi2"
     label: str | None = None
 

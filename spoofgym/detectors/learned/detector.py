@@ -50,6 +50,7 @@ class LearnedDetector(Detector):
         When file or card are missing, damaged, or don't fit each other.
     """
 
+    described_as = "LearnedDetector"
     file: str
     sha256: str | None = None
     quiet_epochs: int | None = None

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._describe import describe, digest_of, outside_sources
+from ..._describe import describe, digest_of, kind_of, outside_sources
 from ...policies.contract import FloatArray, Policy, checked_action
 
 
@@ -73,7 +73,7 @@ class DetectorPolicy(Policy[PolicyContext]):
         sources = outside_sources(self)
         if None in sources.values():
             return None
-        named = {"class": type(self).__qualname__, "settings": settings, "sources": sources}
+        named = {"class": kind_of(type(self)), "settings": settings, "sources": sources}
         return digest_of(named)
 
 

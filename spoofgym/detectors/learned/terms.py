@@ -70,6 +70,8 @@ def innovation_sd(epoch: Epoch) -> FloatArray:
 class Innovation(DetectorTerm):
     """Innovations over their standard deviations; 0 where a slot is invisible."""
 
+    described_as = "Innovation"
+
     def names(self, channels: int) -> tuple[str, ...]:
         """``range_innovation_*`` and ``rate_innovation_*``."""
         return slots("range_innovation", channels) + slots("rate_innovation", channels)
@@ -100,6 +102,7 @@ class AverageInnovation(DetectorTerm):
     `roberts1959`.  A satellite that sets starts again.
     """
 
+    described_as = "AverageInnovation"
     smoothing: float = 0.1
 
     def __post_init__(self) -> None:
@@ -139,6 +142,7 @@ class InnovationSd(DetectorTerm):
         What is observed as 1.
     """
 
+    described_as = "InnovationSd"
     range_scale_m: float = 10.0
     rate_scale_mps: float = 1.0
 
@@ -161,6 +165,7 @@ class InnovationSd(DetectorTerm):
 class ChiSquare(DetectorTerm):
     """Normalized innovations squared, of both kinds together, over the degrees of freedom."""
 
+    described_as = "ChiSquare"
     needs: ClassVar[frozenset[str]] = frozenset({"innovation_cov"})
 
     def names(self, channels: int) -> tuple[str, ...]:
@@ -185,6 +190,8 @@ class ChiSquare(DetectorTerm):
 class InView(DetectorTerm):
     """Whether a slot has a visible satellite."""
 
+    described_as = "InView"
+
     def names(self, channels: int) -> tuple[str, ...]:
         """``visible_*``."""
         return slots("visible", channels)
@@ -208,6 +215,7 @@ class PredictedMotion(DetectorTerm):
         What is observed as 1: velocity, specific force, angular rate.
     """
 
+    described_as = "PredictedMotion"
     velocity_scale_mps: float = 100.0
     force_scale_mps2: float = 10.0
     rate_scale_rps: float = 0.1
@@ -249,6 +257,7 @@ class Elapsed(DetectorTerm):
         What is observed as 1.
     """
 
+    described_as = "Elapsed"
     scale_s: float = 600.0
 
     def names(self, channels: int) -> tuple[str, ...]:
@@ -277,6 +286,7 @@ class ExclusionLeft(DetectorTerm):
         The allowance, that of the detector; without a limit all is left.
     """
 
+    described_as = "ExclusionLeft"
     exclusion_s: float | None = None
 
     def names(self, channels: int) -> tuple[str, ...]:
@@ -300,6 +310,7 @@ class LineOfSight(DetectorTerm):
     0 where a slot is invisible.
     """
 
+    described_as = "LineOfSight"
     needs: ClassVar[frozenset[str]] = frozenset({"satellite_position"})
 
     def names(self, channels: int) -> tuple[str, ...]:

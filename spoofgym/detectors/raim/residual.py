@@ -107,6 +107,7 @@ class Raim(ConsistencyTest):
     what is not known.
     """
 
+    described_as = "Raim"
     sigma_m: float | None = None
     confidence: float = 0.95
     false_alarm: float = 1e-5

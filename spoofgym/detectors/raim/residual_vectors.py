@@ -256,6 +256,7 @@ class SrvRaim(ConsistencyTest):
     is not known: no verdict, or nothing found.
     """
 
+    described_as = "SrvRaim"
     sigma_m: float | None = None
     confidence: float = 0.95
     false_alarm: float = 1e-5

@@ -196,6 +196,7 @@ class TraversalRaim(ConsistencyTest):
     left out, and 0 for what is not known: no verdict, or nothing found.
     """
 
+    described_as = "TraversalRaim"
     sigma_m: float | None = None
     confidence: float = 0.95
     false_alarm: float = 1e-5

@@ -92,6 +92,7 @@ class SolutionSeparation(Detector):
         attack.  The bank has `longest_s` / `spacing_s` + 1 solutions.
     """
 
+    described_as = "SolutionSeparation"
     false_alarm: float = 1e-5
     longest_s: float = 160.0
     spacing_s: float = 20.0

@@ -58,6 +58,8 @@ def _horizontal_limit(setup: Setup, whose: str) -> float:
 class FullCommand:
     """Every element that the attack takes, as it is."""
 
+    described_as = "FullCommand"
+
     def names(self, setup: Setup) -> tuple[str, ...]:
         """Those of the attack."""
         return setup.action_names
@@ -75,6 +77,7 @@ class AlongTarget:
     The attack must be a false position with commands north and east.
     """
 
+    described_as = "AlongTarget"
     along_target: ClassVar[bool] = True
 
     def names(self, setup: Setup) -> tuple[str, ...]:
@@ -101,6 +104,8 @@ class AcrossTarget:
     The attack must be a false position with commands north and east.
     """
 
+    described_as = "AcrossTarget"
+
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``across_target_acceleration`` or ``across_target_rate``."""
         AlongTarget().names(setup)
@@ -122,6 +127,7 @@ class Channels:
         ``"north"``.
     """
 
+    described_as = "Channels"
     ids: tuple[str, ...]
 
     def __post_init__(self) -> None:
@@ -147,6 +153,8 @@ class CommonOffset:
 
     The attack must command every channel for itself.
     """
+
+    described_as = "CommonOffset"
 
     def names(self, setup: Setup) -> tuple[str, ...]:
         """``common_acceleration`` or ``common_rate``."""
@@ -185,6 +193,7 @@ class RateSetpoint:
         150 m; the attacks that go unnoticed there are at 0.02 to 0.9 m/s.
     """
 
+    described_as = "RateSetpoint"
     dimensions: int = 1
     full_scale_mps: float = 1.0
 

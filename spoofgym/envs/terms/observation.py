@@ -106,6 +106,7 @@ class OwnCommand(_Term):
         attack must be a false position with commands north and east.
     """
 
+    described_as = "OwnCommand"
     scale_m: float = 40.0
     rate_scale_mps: float = 0.25
     along_target: bool = False
@@ -156,6 +157,7 @@ class OwnCommand(_Term):
 class Time(_Term):
     """Parts of the command phase that are over, and left."""
 
+    described_as = "Time"
     knowledge: ClassVar[str] = "blind"
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
@@ -204,6 +206,7 @@ class TargetMotion(_Term):
         of all episodes tells nothing, and is left out, where these windows are fixed; 0 for all.
     """
 
+    described_as = "TargetMotion"
     position_scale_m: float = 10_000.0
     velocity_scale_mps: float = 100.0
     least_change: float = 0.05
@@ -241,6 +244,7 @@ class TargetMotion(_Term):
 class TargetDirection(_Term):
     """Direction in which displacement counts: its north and its east component."""
 
+    described_as = "TargetDirection"
     knowledge: ClassVar[str] = "blind"
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
 
@@ -265,6 +269,7 @@ class SatelliteGeometry(_Term):
         minutes in one world.
     """
 
+    described_as = "SatelliteGeometry"
     least_change: float = 0.05
     knowledge: ClassVar[str] = "tracking"
     limits: ClassVar[tuple[float, float]] = (-1.0, 1.0)
@@ -299,6 +304,7 @@ class StatisticRatio(_Term):
         Whether only the largest of all channels is observed.
     """
 
+    described_as = "StatisticRatio"
     largest: bool = False
     knowledge: ClassVar[str] = "oracle"
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
@@ -326,6 +332,7 @@ class StatisticRatio(_Term):
 class GainWeight(_Term):
     """The detector's weight on every pseudorange, or on the position; 1 from a monitor."""
 
+    described_as = "GainWeight"
     knowledge: ClassVar[str] = "oracle"
     limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
@@ -348,6 +355,7 @@ class EstimateError(_Term):
         What is observed as 1, above 0.
     """
 
+    described_as = "EstimateError"
     scale_m: float = 40.0
     knowledge: ClassVar[str] = "oracle"
 
@@ -373,6 +381,7 @@ class DivergenceSpent(_Term):
         Divergence that is observed as 1, above 0; that of `AtStealthBudget` if there is one.
     """
 
+    described_as = "DivergenceSpent"
     budget_nats: float = 2.0
     knowledge: ClassVar[str] = "oracle"
     limits: ClassVar[tuple[float, float]] = (0.0, 10.0)
@@ -409,6 +418,7 @@ class ReportedPosition(_Term):
         Steps of the position; 0 for none.  An ideal link has neither latency nor steps.
     """
 
+    described_as = "ReportedPosition"
     scale_m: float = 10_000.0
     interval_s: float = 0.5
     latency_s: float = 0.6
@@ -470,6 +480,7 @@ class ReportedDeviation(ReportedPosition):
         As in `ReportedPosition`.
     """
 
+    described_as = "ReportedDeviation"
     scale_m: float = 40.0
     knowledge: ClassVar[str] = f"tracking+{REPORTED}"
     limits: ClassVar[tuple[float, float]] = (-100.0, 100.0)

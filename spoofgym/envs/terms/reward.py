@@ -102,6 +102,7 @@ class DisplacementGain(_Shared):
         Reward of one metre.
     """
 
+    described_as = "DisplacementGain"
     per_m: float = 1.0
     name: ClassVar[str] = "displacement"
     field: ClassVar[str] = "gain"
@@ -117,6 +118,7 @@ class Retraction(_Shared):
         Reward of one metre; that of `DisplacementGain`.
     """
 
+    described_as = "Retraction"
     per_m: float = 1.0
     name: ClassVar[str] = "retraction"
     field: ClassVar[str] = "retraction"
@@ -132,6 +134,7 @@ class AlarmPenalty(_Shared):
         In metres of displacement, at least 0.
     """
 
+    described_as = "AlarmPenalty"
     penalty_m: float = 60.0
     name: ClassVar[str] = "alarm"
     field: ClassVar[str] = "excess"
@@ -148,6 +151,7 @@ class AlarmedEpochs(_Shared):
         In metres of displacement, at least 0.
     """
 
+    described_as = "AlarmedEpochs"
     per_epoch_m: float = 1.0
     name: ClassVar[str] = "alarmed_epochs"
     field: ClassVar[str] = "alarm"
@@ -164,6 +168,7 @@ class EffortPenalty:
         Price of an epoch with all elements at their limits, in metres of displacement, at least 0.
     """
 
+    described_as = "EffortPenalty"
     at_full_m: float = 0.1
     name: ClassVar[str] = "effort"
 
@@ -187,6 +192,7 @@ class TerminalDisplacement:
         Reward of one metre.
     """
 
+    described_as = "TerminalDisplacement"
     per_m: float = 1.0
     name: ClassVar[str] = "terminal_displacement"
 

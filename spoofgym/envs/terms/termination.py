@@ -59,6 +59,7 @@ class EndTerm(Protocol):
 class AtAlarm:
     """The first alarm of the detector in the loop."""
 
+    described_as = "AtAlarm"
     name: ClassVar[str] = "alarm"
     truncates: ClassVar[bool] = False
 
@@ -75,6 +76,7 @@ class AtAlarm:
 class AtWindowEnd:
     """The last command of the attack window; ends every episode, listed or not."""
 
+    described_as = "AtWindowEnd"
     name: ClassVar[str] = "window"
     truncates: ClassVar[bool] = False
 
@@ -93,6 +95,7 @@ class AtDisplacement:
         Above 0.
     """
 
+    described_as = "AtDisplacement"
     limit_m: float
     name: ClassVar[str] = "displacement"
     truncates: ClassVar[bool] = False
@@ -115,6 +118,7 @@ class AtStealthBudget:
         Above 0; see `Divergence`.
     """
 
+    described_as = "AtStealthBudget"
     budget_nats: float
     name: ClassVar[str] = "stealth_budget"
     truncates: ClassVar[bool] = False
@@ -139,6 +143,7 @@ class AtSteps:
         Decisions, at least 1; each may last several epochs.
     """
 
+    described_as = "AtSteps"
     steps: int
     name: ClassVar[str] = "steps"
     truncates: ClassVar[bool] = True

@@ -1,0 +1,155 @@
+"""An environment goes to another process as it is: files, joblib, SubprocVecEnv."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import pytest
+from numba import cloudpickle
+
+from spoofgym._jit import is_disabled, njit
+from spoofgym.earth import wgs84
+
+from .envs.support import VICTIMS, victim, victims
+
+STEPS = 4
+
+
+def command(env: Any) -> Any:
+    """The same for every receiver."""
+    return np.full(env.action_space.shape, 0.3, dtype=np.float32)
+
+
+def go_on(env: Any) -> list[Any]:
+    """What some more steps, a reset and some steps show."""
+    seen: list[Any] = [env.step(command(env))[:2] for _ in range(STEPS)]
+    seen.append(env.reset(seed=5)[0])
+    return seen + [env.step(command(env))[:2] for _ in range(STEPS)]
+
+
+def under_way(env: Any) -> Any:
+    env.reset(seed=1)
+    env.step(command(env))
+    return env
+
+
+def flat(seen: list[Any]) -> list[Any]:
+    return [part for each in seen for part in (each if isinstance(each, tuple) else [each])]
+
+
+def make_all() -> dict[str, Any]:
+    found: dict[str, Any] = {kind: victim(kind) for kind in VICTIMS}
+    found |= {f"{kind} of 3": victims(kind, 3) for kind in ("TightlyCoupled", "Snapshot")}
+    return {name: under_way(env) for name, env in found.items()}
+
+
+CHILD = """
+import pickle, sys
+from pathlib import Path
+from tests.test_pickling import go_on
+folder = Path(sys.argv[1])
+envs = pickle.loads((folder / "envs.pkl").read_bytes())
+(folder / "seen.pkl").write_bytes(pickle.dumps({name: go_on(env) for name, env in envs.items()}))
+"""
+
+
+def played_in_a_child(envs: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """What environments show in a fresh process that reads them from a file."""
+    (folder / "envs.pkl").write_bytes(pickle.dumps(envs))
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, str(folder)],
+        cwd=Path(__file__).parents[1],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return pickle.loads((folder / "seen.pkl").read_bytes())
+
+
+def assert_same(seen: list[Any], expected: list[Any], name: str = "") -> None:
+    for k, (one, other) in enumerate(zip(flat(seen), flat(expected), strict=True)):
+        np.testing.assert_array_equal(one, other, err_msg=f"{name}, {k}")
+
+
+def test_a_file_of_environments_goes_on_in_a_fresh_process_with_the_same_bits(tmp_path):
+    envs = make_all()
+    seen = played_in_a_child(envs, tmp_path)
+    assert list(seen) == list(envs)
+    for name, env in envs.items():
+        assert_same(seen[name], go_on(env), name)
+
+
+def test_what_was_pickled_compiled_is_plain_python_where_nothing_is_compiled():
+    script = (
+        "import pickle, sys\n"
+        "function = pickle.load(sys.stdin.buffer)\n"
+        "print(type(function).__name__, function(7e6, 0.0, 0.0)[0])"
+    )
+    shown = subprocess.run(
+        [sys.executable, "-c", script],
+        input=pickle.dumps(wgs84.gravity),
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        check=True,
+    ).stdout.decode()
+    kind, value = shown.split()
+    assert kind == "function"
+    assert float(value) == pytest.approx(wgs84.gravity(7e6, 0.0, 0.0)[0], rel=1e-12)
+
+
+def test_joblib_s_workers_play_environments_that_they_are_handed():
+    envs = [under_way(victim("TightlyCoupled")), under_way(victims("TightlyCoupled", 2))]
+    seen = joblib.Parallel(n_jobs=2, backend="loky")(joblib.delayed(go_on)(env) for env in envs)
+    for found, env in zip(seen, envs, strict=True):
+        assert_same(found, go_on(env))
+
+
+def test_stable_baselines3_s_processes_play_an_environment_of_a_lambda():
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
+    env = victim("TightlyCoupled")
+    workers = vec_env.SubprocVecEnv([lambda: env])
+    try:
+        workers.seed(3)
+        seen: list[Any] = [workers.reset()[0]]
+        for _ in range(STEPS):
+            observation, reward, *_ = workers.step(command(env)[None])
+            seen.append((observation[0], reward[0]))
+    finally:
+        workers.close()
+    expected: list[Any] = [env.reset(seed=3)[0]]
+    for _ in range(STEPS):
+        observation, reward, *_ = env.step(command(env))
+        expected.append((observation, reward))
+    assert_same(seen, expected)
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize("with_", [pickle, cloudpickle])
+def test_a_compiled_function_is_pickled_by_its_name(with_):
+    content = with_.dumps(wgs84.gravity)
+    assert len(content) < 100
+    assert pickle.loads(content) is wgs84.gravity
+
+
+@pytest.mark.skipif(is_disabled(), reason="plain functions are Python's")
+def test_a_compiled_function_without_a_name_is_pickled_with_its_code():
+    factor = 3.0
+
+    @njit
+    def own(x):
+        return factor * wgs84.gravity(x, 0.0, 0.0)[0]
+
+    content = cloudpickle.dumps(own)
+    expected = own(6378137.0)
+    # as in another process, which does not know it
+    type(own)._memo.pop(own._uuid)
+    again = pickle.loads(content)
+    assert again is not own
+    assert again(6378137.0) == expected

@@ -1,0 +1,167 @@
+"""What is stored and shipped is still found: calibrations, cards, networks, the words for classes.
+
+Calibrations are found by a digest of settings and of the words that stand for classes, so that a
+class that is renamed must keep its word.  `tests/golden` compares the tasks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+import inspect
+import json
+import pkgutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import pytest
+
+import spoofgym
+from spoofgym._describe import describe, kind_of
+from spoofgym.attacks import PerChannel
+from spoofgym.attacks.options import CounterfeitErrors
+from spoofgym.detectors import Calibration, Detector, zoo
+from spoofgym.detectors.calibrated import identity_of
+from spoofgym.detectors.calibration import SHIPPED_FOLDER, stored
+from spoofgym.envs import attach
+from spoofgym.simulators.calibration import inner_detectors
+from spoofgym.simulators.holdouts import check
+from spoofgym.simulators.timeline import Timeline
+from spoofgym.spoofers import card_of, shipped
+from spoofgym.tasks import TASKS
+from tools.calibrations import WORLDS, detectors_of, setup_of
+
+SHIPPED_FILES = 174
+REPLAYED = 2
+"""Witnesses of each calibration that are played again here; `make test-nightly` plays all."""
+NETWORKS = {
+    "detectors/zoo/trolley-guard": "e70ee24d0d0d1bac",
+    "spoofers/zoo/ewma-ppo": "b828df12b2c955a9",
+    "spoofers/zoo/hidden-pool-ppo": "54ad560b6bd39705",
+    "spoofers/zoo/snapshot-chi2-ppo": "22d458821e397451",
+    "spoofers/zoo/solution-separation-ppo": "67a12047cfef36e0",
+    "spoofers/zoo/solution-separation-quiet-ppo": "6b08ec0d449ffdbd",
+}
+"""First digits of the SHA-256 of the shipped files."""
+PACKAGE = Path(spoofgym.__file__).parent
+# as users have it
+pytestmark = pytest.mark.usefixtures("default_rate")
+
+
+@cache
+def shipped_of(world: str) -> list[tuple[Calibration, Detector]]:
+    """What is shipped for a world, with the detectors as they are made today."""
+    setup = setup_of(world)
+    return [
+        (found, each)
+        for each in inner_detectors([*detectors_of(world, setup), *zoo.shipped()])
+        for rescaled in (False, True)[: 1 + each.drifts]
+        for found in stored(setup.conditions, identity_of(each), rescaled, SHIPPED_FOLDER)
+    ]
+
+
+def test_every_shipped_calibration_is_found_by_its_digest():
+    found = {made.path for world in WORLDS for made, _ in shipped_of(world)}
+    assert found == {*SHIPPED_FOLDER.rglob("*.json")}
+    assert len(found) == SHIPPED_FILES
+
+
+def replay(world: str, witnesses: int | None) -> None:
+    for rescaled in (False, True):
+        pairs = [pair for pair in shipped_of(world) if (pair[0].rescale is not None) == rescaled]
+        first = [dataclasses.replace(c, witnesses=c.witnesses[:witnesses]) for c, _ in pairs]
+        check(setup_of(world), first, [detector for _, detector in pairs])
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_shipped_calibrations_hold(world):
+    replay(world, REPLAYED)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("world", WORLDS)
+def test_shipped_calibrations_hold_in_all_their_witnesses(world):
+    replay(world, None)
+
+
+def test_shipped_networks_are_unchanged():
+    files = {p.relative_to(PACKAGE).with_suffix("").as_posix(): p for p in PACKAGE.rglob("*.onnx")}
+    digests = {name: hashlib.sha256(p.read_bytes()).hexdigest()[:16] for name, p in files.items()}
+    assert digests == NETWORKS
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_shipped_spoofer_meets_the_environment_of_its_card(name):
+    card = card_of(name)
+    profile = {} if card.file else {"action": "full-command"}
+    env = gym.make(card.env_id, **card.env_kwargs, **profile)
+    attach(name, env)
+    env.close()
+
+
+@pytest.mark.parametrize("name", zoo.shipped())
+def test_every_shipped_detector_is_bound_in_the_world_of_its_task(name):
+    card = json.loads((zoo.ZOO_FOLDER / f"{name}.json").read_text())
+    task = TASKS[card["training"]["task"]]
+    env = gym.make(task.env_id, **{**task.env_kwargs, "detector": name})
+    env.reset(seed=1)
+    assert env.unwrapped.core.setup.detector.detector.label == name
+    env.close()
+
+
+def described_classes() -> Iterator[type[Any]]:
+    """Classes of the package that declare a word."""
+    for module in pkgutil.walk_packages([str(PACKAGE)], "spoofgym."):
+        if module.name.endswith("__main__"):
+            continue
+        for _, each in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):
+            if each.__module__ == module.name and "described_as" in vars(each):
+                yield each
+
+
+def test_no_two_classes_have_one_word():
+    classes = list(described_classes())
+    assert len(classes) > 100
+    words = [kind_of(each) for each in classes]
+    assert sorted({word for word in words if words.count(word) > 1}) == []
+
+
+@contextmanager
+def renamed(cls: type[Any], name: str) -> Iterator[None]:
+    before = cls.__qualname__
+    cls.__qualname__ = name
+    try:
+        yield
+    finally:
+        cls.__qualname__ = before
+
+
+def test_a_renamed_class_keeps_its_word():
+    before = describe(Timeline())
+    assert before["kind"] == "Timeline"
+    errors = {"kind": "CounterfeitErrors", "bias_sd_m": 0.25}
+    with renamed(Timeline, "Phases"), renamed(CounterfeitErrors, "CopyErrors"):
+        assert describe(Timeline()) == before
+        assert PerChannel(errors=errors).errors.bias_sd_m == 0.25
+
+
+def test_a_class_of_the_package_must_have_a_word_and_a_user_s_has_its_name():
+    @dataclass
+    class Mine:
+        size: float = 1.0
+
+    class Longer(Timeline):
+        pass
+
+    Mine.__qualname__, Longer.__qualname__ = "Mine", "Longer"
+    assert describe(Mine()) == {"kind": "Mine", "size": 1.0}
+    assert describe(Longer())["kind"] == "Longer"
+    Mine.__module__ = "spoofgym.attacks.mine"
+    with pytest.raises(TypeError, match=r"spoofgym.attacks.mine.Mine can't .* `described_as`"):
+        describe(Mine())
